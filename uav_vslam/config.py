@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every parameter of a vehicle and of a fleet: the one home of defaults, units and valid ranges.
+
+YAML files under `config/` hold differences only; ROS parameters are generated from these fields (`backend.sigma_px`).
+An unknown key, a wrong type or a value out of range raises `ConfigError` that names the file, the key and the remedy.
+"""
+
+import dataclasses
+import difflib
+import types
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from uav_vslam.errors import ConfigError
+
+
+def _require(condition: bool, owner: object, key: str, allowed: str) -> None:
+    if not condition:
+        raise ConfigError(f"{type(owner).__name__}.{key} = {getattr(owner, key)!r} is not allowed; use {allowed}")
+
+
+@dataclass(frozen=True, slots=True)
+class ImuConfig:
+    """Noise of the inertial unit (continuous-time densities) and how it is known at the start; defaults ADIS16480."""
+
+    gyro_noise: float = 1.2e-4  # white noise [rad/s/sqrt(Hz)]
+    accel_noise: float = 1.1e-3  # white noise [m/s^2/sqrt(Hz)]
+    gyro_bias_walk: float = 1.0e-6  # bias random walk [rad/s^2/sqrt(Hz)]
+    accel_bias_walk: float = 1.0e-5  # bias random walk [m/s^3/sqrt(Hz)]
+    gyro_bias_sigma: float = 5.0e-4  # turn-on bias left after warm-up [rad/s]
+    accel_bias_sigma: float = 5.0e-2  # turn-on bias left after warm-up [m/s^2]
+    gravity: float = 9.80665  # local gravity, along -z of the map frame [m/s^2]
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):
+            _require(getattr(self, f.name) > 0, self, f.name, "a positive number")
+
+
+IMU_GRADES = {
+    "adis16480": ImuConfig(),
+    "consumer": ImuConfig(
+        gyro_noise=5.0e-4,
+        accel_noise=4.0e-3,
+        gyro_bias_walk=1.0e-5,
+        accel_bias_walk=1.0e-4,
+        gyro_bias_sigma=3.0e-3,
+        accel_bias_sigma=2.0e-1,
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FrontendConfig:
+    """Stereo features."""
+
+    scale: float = 0.5  # images are shrunk by this factor before detection (INTER_AREA)
+    max_features: int = 1000  # keypoints kept per image, strongest first
+    contrast_threshold: float = 0.01  # SIFT contrast threshold (OpenCV's own default 0.04 starves on grass)
+    ratio: float = 0.8  # nearest / second-nearest descriptor distance
+    epipolar_px: float = 2.0  # largest distance to the epipolar line, in full-resolution pixels
+    min_depth_m: float = 0.3  # nearer points are rejected
+    max_depth_m: float = 500.0  # farther points are rejected
+    max_matches: int = 400  # stereo points handed on, spread over the image
+
+    def __post_init__(self) -> None:
+        _require(0.1 <= self.scale <= 1.0, self, "scale", "0.1 to 1")
+        _require(self.max_features > 0, self, "max_features", "a positive count")
+        _require(self.contrast_threshold >= 0, self, "contrast_threshold", "zero or more")
+        _require(0.0 < self.ratio <= 1.0, self, "ratio", "a number in (0, 1]")
+        _require(self.epipolar_px > 0, self, "epipolar_px", "a positive distance in pixels")
+        _require(0 < self.min_depth_m < self.max_depth_m, self, "min_depth_m", "a depth between 0 and max_depth_m")
+        _require(self.max_matches > 0, self, "max_matches", "a positive count")
+
+
+@dataclass(frozen=True, slots=True)
+class BackendConfig:
+    """The own-only filter and its map."""
+
+    filter: str = "eif"  # name in estimation.filter.FILTERS
+    model: str = "ri15"  # name in estimation.models.MODELS: ri15 or the thesis's euler9
+    sigma_px: float = 1.0  # standard deviation of each stereo pixel coordinate [px]
+    depth_sigma_ratio: float = 0.043  # relief / height, smooths the depth in the Jacobian; 0 turns it off (indoors)
+    imu_noise_scale: float = 1.0  # inflates the white noise of the IMU, for vibration and unmodelled errors
+    min_descriptor_ratio: float = 0.85  # nearest / second-nearest inside the gate
+    gate_probability: float = 0.99  # of the chi-square gate on a predicted observation
+    pnp_px: float = 4.0  # reprojection error of a PnP inlier [px]
+    min_pnp_inliers: int = 6  # fewer, and the frame is tried un-gated against the whole map
+    min_relocalisation_inliers: int = 12  # fewer, and the vehicle coasts on its INS
+    iterate_beyond_m: float = 0.05  # PnP and INS differ by more: the update is linearised at the PnP pose
+    max_observations: int = 100  # updates a frame, spread over the image
+    max_new_landmarks: int = 40  # landmarks added a frame
+    max_in_view: int = 120  # landmarks wanted in the current view before new ones are added no more
+    max_landmarks: int = 250  # in the state, retained ones included
+    retention: str = "grid"  # how landmarks out of view are kept: a name in slam.map_manager.RETENTION
+    retention_cell_m: float = 25.0  # one retained landmark per cell of this size
+    young_frames: int = 5  # younger landmarks are not removed for space
+
+    def __post_init__(self) -> None:
+        _require(self.sigma_px > 0, self, "sigma_px", "a positive number of pixels")
+        _require(self.depth_sigma_ratio >= 0, self, "depth_sigma_ratio", "zero (off) or more")
+        _require(self.imu_noise_scale > 0, self, "imu_noise_scale", "a positive factor")
+        _require(0 < self.min_descriptor_ratio <= 1, self, "min_descriptor_ratio", "a number in (0, 1]")
+        _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
+        _require(self.max_landmarks >= self.max_in_view, self, "max_landmarks", "at least max_in_view")
+        _require(self.retention_cell_m > 0, self, "retention_cell_m", "a positive length [m]")
+
+
+@dataclass(frozen=True, slots=True)
+class FusionConfig:
+    """Cooperation with peers."""
+
+    mode: str = "wideband"  # wideband or none
+    epoch_s: float = 1.0  # a packet is sent and a fusion made whenever a frame's stamp passes a multiple of this
+    min_delay_s: float = 0.2  # only packets at least this much older than the epoch enter: makes replay repeatable
+    scheme: str = "split_ci"  # name in cooperation.fusion.SCHEMES
+    max_packet_landmarks: int = 40  # landmarks in one packet
+    ratio: float = 0.8  # descriptor ratio test between vehicles, made before the gate
+    gate_probability: float = 0.99  # of the chi-square gate on a common landmark
+    min_common: int = 3  # pairs that must agree with each other before any is used
+    floor_sigma_m: float = 0.3  # added to each packet landmark: descriptors do not meet on the very same point
+
+    def __post_init__(self) -> None:
+        _require(self.mode in {"wideband", "none"}, self, "mode", "wideband or none")
+        _require(self.epoch_s > 0, self, "epoch_s", "a positive time [s]")
+        _require(0 <= self.min_delay_s, self, "min_delay_s", "zero or more [s]")
+        _require(self.max_packet_landmarks > 0, self, "max_packet_landmarks", "a positive count")
+        _require(0 < self.ratio <= 1, self, "ratio", "a number in (0, 1]")
+        _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
+        _require(self.min_common >= 1, self, "min_common", "one or more")
+        _require(self.floor_sigma_m >= 0, self, "floor_sigma_m", "zero or more [m]")
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleConfig:
+    """Everything that one vehicle's nodes, or its offline twin, need besides calibration and start state."""
+
+    imu: ImuConfig = field(default_factory=ImuConfig)
+    frontend: FrontendConfig = field(default_factory=FrontendConfig)
+    backend: BackendConfig = field(default_factory=BackendConfig)
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayConfig:
+    """What feeds the fleet.
+
+    Attributes:
+        bags: recordings that together hold every vehicle's topics.
+        rate: multiple of real time; 0 paces by the graph's own progress (lock-step), so that no frame is lost.
+        timeout_s: lock-step gives up when a vehicle has not answered for this long.
+    """
+
+    bags: tuple[Path, ...] = ()
+    rate: float = 0.0
+    timeout_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        _require(self.rate >= 0, self, "rate", "0 (lock-step) or a positive multiple of real time")
+        _require(self.timeout_s > 0, self, "timeout_s", "a positive time [s]")
+
+
+@dataclass(frozen=True, slots=True)
+class FleetConfig:
+    """A fleet description: vehicle configurations by name (the name is the ROS namespace), and what is replayed."""
+
+    vehicles: dict[str, VehicleConfig]
+    config_files: dict[str, Path | None]
+    replay: ReplayConfig
+
+
+def load_vehicle(path: Path | None, *, overrides: dict[str, Any] | None = None) -> VehicleConfig:
+    """Read a vehicle's YAML file; keys that are absent keep their defaults.
+
+    Args:
+        path: YAML file, or None for pure defaults.
+        overrides: {"backend.sigma_px": 0.5, ...}, applied last.
+
+    Raises:
+        ConfigError: the file can't be read, or a key or value is wrong.
+    """
+    tree = {} if path is None else _read_yaml(path)
+    for dotted, value in (overrides or {}).items():
+        section, _, key = dotted.partition(".")
+        tree.setdefault(section, {})[key] = value
+    return typing.cast(VehicleConfig, build(VehicleConfig, tree, where=str(path or "overrides")))
+
+
+def load_fleet(path: Path) -> FleetConfig:
+    """Read a fleet file: `vehicles: {uav1: {config: kagaru.yaml}}`, `replay: {bags: [...], rate: 0}`, `mode: wideband`.
+
+    Paths in it are relative to the file.
+
+    Raises:
+        ConfigError: the file can't be read, a key or value is wrong, or a vehicle's name is used twice.
+    """
+    tree = _read_yaml(path)
+    known = {"vehicles", "replay", "mode"}
+    _reject_unknown(set(tree), known, where=str(path), prefix="")
+    if not isinstance(tree.get("vehicles"), dict) or not tree["vehicles"]:
+        raise ConfigError(f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}")
+    vehicles, files = {}, {}
+    for name, entry in tree["vehicles"].items():
+        if not (isinstance(name, str) and name.isidentifier()):
+            raise ConfigError(f"{path}: vehicle name {name!r} must be a valid ROS namespace: letters, digits, underscores")
+        entry = entry or {}
+        _reject_unknown(set(entry), {"config"}, where=str(path), prefix=f"vehicles.{name}.")
+        file = path.parent / entry["config"] if entry.get("config") else None
+        overrides = {"fusion.mode": tree["mode"]} if "mode" in tree else None
+        vehicles[name], files[name] = load_vehicle(file, overrides=overrides), file
+    replay_tree = dict(tree.get("replay") or {})
+    replay_tree["bags"] = tuple(path.parent / str(bag) for bag in replay_tree.get("bags", ()))
+    return FleetConfig(vehicles, files, build(ReplayConfig, replay_tree, where=f"{path}: replay"))
+
+
+def build(cls: type, tree: Any, *, where: str, prefix: str = "") -> Any:
+    """Build a (nested) configuration dataclass from plain YAML data.
+
+    Raises:
+        ConfigError: unknown key (with the nearest known one), wrong type, or a value that the class refuses.
+    """
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{where}: {prefix.rstrip('.') or 'the file'} must hold keys and values, not {tree!r}")
+    hints = typing.get_type_hints(cls)
+    _reject_unknown(set(tree), set(hints), where=where, prefix=prefix)
+    values = {}
+    for key, value in tree.items():
+        hint = hints[key]
+        if dataclasses.is_dataclass(hint):
+            values[key] = build(typing.cast(type, hint), value, where=where, prefix=f"{prefix}{key}.")
+        else:
+            values[key] = _checked(value, hint, where=f"{where}: {prefix}{key}")
+    try:
+        return cls(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Return {"backend.sigma_px": 1.0, ...} for a (nested) configuration dataclass."""
+    flat: dict[str, Any] = {}
+    for f in dataclasses.fields(config):
+        value = getattr(config, f.name)
+        if dataclasses.is_dataclass(value):
+            flat.update(flatten(value, f"{prefix}{f.name}."))
+        else:
+            flat[prefix + f.name] = value
+    return flat
+
+
+def to_tree(config: Any) -> dict[str, Any]:
+    """Return the resolved configuration as plain nested data, ready for YAML."""
+    return typing.cast(dict[str, Any], _plain(dataclasses.asdict(config)))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _checked(value: Any, hint: Any, *, where: str) -> Any:
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, types.GenericAlias):  # tuple[Path, ...]
+        return tuple(value)
+    if not isinstance(value, hint) or (hint in {int, float} and isinstance(value, bool)):
+        raise ConfigError(f"{where} = {value!r} must be of type {hint.__name__}")
+    return value
+
+
+def _reject_unknown(keys: set[Any], known: set[str], *, where: str, prefix: str) -> None:
+    for key in sorted(map(str, keys - known)):
+        near = difflib.get_close_matches(key, known, n=1)
+        hint = f"did you mean {prefix}{near[0]}?" if near else f"known keys: {', '.join(sorted(known))}"
+        raise ConfigError(f"{where}: unknown key {prefix}{key}; {hint}")
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML silently lets a later key win; a vehicle named twice must not vanish like that."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)  # type: ignore[no-untyped-call]
+            if key in seen:
+                raise ConfigError(f"{node.start_mark.name}: key {key!r} is used twice (line {key_node.start_mark.line + 1})")
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        with path.open(encoding="utf-8") as stream:
+            tree = yaml.load(stream, Loader=_UniqueKeyLoader)
+    except OSError as error:
+        raise ConfigError(f"{path}: can't be read ({error.strerror}); give the path of a YAML file") from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: not valid YAML ({error})") from None
+    if tree is not None and not isinstance(tree, dict):
+        raise ConfigError(f"{path}: must hold keys and values, not {type(tree).__name__}")
+    return tree or {}

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one tree of errors that the library raises.
+
+The command line prints a `UavVslamError` as one line and exits with 2; a node logs it, drops the message that
+caused it and counts the drop.
+"""
+
+
+class UavVslamError(Exception):
+    """Base of every error raised on purpose; its text says what was met, what is allowed and what to do."""
+
+
+class ConfigError(UavVslamError):
+    """A configuration key, type or value is wrong."""
+
+
+class BagError(UavVslamError):
+    """A recording is missing, damaged or lacks what is needed."""
+
+
+class CalibrationError(UavVslamError):
+    """A camera or rig calibration is missing or contradicts itself."""
+
+
+class InvalidMessage(UavVslamError):
+    """A received message can't be used; `reason` is a short key under which the drop is counted."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
+        self.reason = reason
+
+
+class FilterDivergence(UavVslamError):
+    """An estimate lost its positive definiteness; the text names the time, the block and the smallest eigenvalue."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotations, poses, cameras and stereo rigs; numpy only."""

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pinhole camera with optical axes (x right, y down, z forward) and radial-tangential distortion."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from uav_vslam.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PinholeCamera:
+    """Intrinsics of one camera, as `sensor_msgs/CameraInfo` holds them in K and D (plumb_bob).
+
+    Attributes:
+        width, height: image size [px].
+        fx, fy, cx, cy: focal lengths and principal point [px].
+        distortion: (5,) k1, k2, p1, p2, k3; zeros for an undistorted image.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Array = field(default_factory=lambda: np.zeros(5))
+
+    def __post_init__(self) -> None:
+        if not (self.width > 0 and self.height > 0):
+            raise CalibrationError(f"image size {self.width}x{self.height} is empty; is CameraInfo filled in?")
+        if not (self.fx > 0 and self.fy > 0 and np.isfinite([self.fx, self.fy, self.cx, self.cy]).all()):
+            raise CalibrationError(f"focal length ({self.fx}, {self.fy}) px must be positive; is CameraInfo.K filled in?")
+        if np.shape(self.distortion) != (5,):
+            raise CalibrationError(f"distortion needs 5 values (k1 k2 p1 p2 k3), not {np.shape(self.distortion)}")
+
+    @property
+    def K(self) -> Array:
+        """(3, 3) intrinsic matrix."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points_cam: ArrayLike) -> Array:
+        """Project (..., 3) camera-frame points [m] to (..., 2) undistorted pixels; depth must not be zero."""
+        p = np.asarray(points_cam, dtype=float)
+        u = self.fx * p[..., 0] / p[..., 2] + self.cx
+        v = self.fy * p[..., 1] / p[..., 2] + self.cy
+        return np.stack([u, v], axis=-1)
+
+    def project_jacobian(self, points_cam: ArrayLike) -> Array:
+        """Return d(u, v)/d(point): (..., 2, 3) [px/m]."""
+        p = np.asarray(points_cam, dtype=float)
+        x, y, z = p[..., 0], p[..., 1], p[..., 2]
+        J = np.zeros((*p.shape[:-1], 2, 3))
+        J[..., 0, 0] = self.fx / z
+        J[..., 0, 2] = -self.fx * x / z**2
+        J[..., 1, 1] = self.fy / z
+        J[..., 1, 2] = -self.fy * y / z**2
+        return J
+
+    def bearings(self, pixels: ArrayLike) -> Array:
+        """Return (..., 3) camera-frame rays with z = 1 through (..., 2) undistorted pixels."""
+        uv = np.asarray(pixels, dtype=float)
+        x = (uv[..., 0] - self.cx) / self.fx
+        y = (uv[..., 1] - self.cy) / self.fy
+        return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+    def distort(self, pixels: ArrayLike) -> Array:
+        """Map (..., 2) undistorted pixels to where the lens images them."""
+        rays = self.bearings(pixels)
+        x, y = rays[..., 0], rays[..., 1]
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        return np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], axis=-1)
+
+    def undistort(self, pixels: ArrayLike, iterations: int = 20) -> Array:
+        """Map (..., 2) raw pixels to the ideal pinhole's, by fixed-point iteration of `distort`."""
+        raw = np.asarray(pixels, dtype=float)
+        if not np.any(self.distortion):
+            return raw.copy()
+        ideal = raw.copy()
+        for _ in range(iterations):
+            ideal = ideal + (raw - self.distort(ideal))
+        return ideal

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The records that stages exchange; each one has a message in `uav_vslam_msgs` or a standard message of the same content.
+
+Frames: `map` is the vehicle's local ENU frame (z up, gravity along -z), shared by a fleet that starts from a common
+origin; `body` is FLU at the IMU. Stamps are nanoseconds since the epoch of the recording. Records are never modified.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.pose import Pose
+
+Array = NDArray[np.float64]
+
+NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """One reading of the inertial unit, in the body frame.
+
+    Attributes:
+        stamp_ns: time of the reading [ns].
+        gyro: (3,) angular rate [rad/s].
+        accel: (3,) specific force [m/s^2]; +9.81 along z at rest and level.
+    """
+
+    stamp_ns: int
+    gyro: Array
+    accel: Array
+
+
+@dataclass(frozen=True, slots=True)
+class StereoFrame:
+    """A synchronised image pair.
+
+    Attributes:
+        stamp_ns: exposure time [ns].
+        left, right: (H, W) grey or (H, W, 3) BGR images, uint8 or uint16.
+    """
+
+    stamp_ns: int
+    left: NDArray[np.generic]
+    right: NDArray[np.generic]
+
+
+@dataclass(frozen=True, slots=True)
+class StereoFeatures:
+    """Matched points of one stereo pair.
+
+    Attributes:
+        stamp_ns: stamp of the pair [ns].
+        pixels: (N, 4) float32 undistorted u_left, v_left, u_right, v_right [px].
+        descriptors: (N, D) uint8 descriptors of the left points.
+    """
+
+    stamp_ns: int
+    pixels: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuIncrement:
+    """Preintegrated motion between two image stamps, linearised at a stated bias (Forster et al. 2017).
+
+    Attributes:
+        start_ns, stamp_ns: ends of the interval [ns].
+        samples: number of IMU readings integrated; 0 means that the interval had none and the motion is not known.
+        delta_R: (3, 3) R_start_end.
+        delta_v: (3,) velocity gained without gravity, in the start body frame [m/s].
+        delta_p: (3,) displacement gained without gravity and initial velocity, in the start body frame [m].
+        gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
+        bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); rotation is a right perturbation.
+        covariance: (9, 9) of (rotation, velocity, position), from white noise of the readings.
+    """
+
+    start_ns: int
+    stamp_ns: int
+    samples: int
+    delta_R: Array
+    delta_v: Array
+    delta_p: Array
+    gyro_bias: Array
+    accel_bias: Array
+    bias_jacobian: Array
+    covariance: Array
+
+    @property
+    def dt_s(self) -> float:
+        """Length of the interval [s]."""
+        return (self.stamp_ns - self.start_ns) / NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class NavState:
+    """Mean of the navigation state at one stamp.
+
+    Attributes:
+        stamp_ns: time [ns].
+        T_map_body: pose.
+        v_map: (3,) velocity [m/s].
+        gyro_bias, accel_bias: (3,) [rad/s], [m/s^2].
+    """
+
+    stamp_ns: int
+    T_map_body: Pose
+    v_map: Array
+    gyro_bias: Array
+    accel_bias: Array
+
+
+@dataclass(frozen=True, slots=True)
+class NavEstimate:
+    """A navigation state with its uncertainty.
+
+    Attributes:
+        state: the mean.
+        covariance: (15, 15), order position, velocity, rotation (map-frame rotation vector xi, R_true = Exp(xi) R),
+            gyro bias, accel bias. Position and velocity errors are plain differences in the map frame.
+    """
+
+    state: NavState
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class PoseEstimate:
+    """A pose with its uncertainty, as odometry publishes it.
+
+    Attributes:
+        stamp_ns: time [ns].
+        T_map_body: pose.
+        covariance: (6, 6), order position, rotation (map-frame rotation vector).
+    """
+
+    stamp_ns: int
+    T_map_body: Pose
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class JointInformation:
+    """The own-only belief over the pose and all landmarks, for the fusion node of the same vehicle.
+
+    Attributes:
+        stamp_ns: time of the pose [ns].
+        vehicle, session: who, and which start of it.
+        T_map_body: pose.
+        ids: (N,) landmark identifiers, unique within the session.
+        positions: (N, 3) landmarks in the map frame [m].
+        information: (6+3N, 6+3N) information matrix, order position, rotation (map frame), landmarks.
+        descriptors: (N, D) uint8.
+    """
+
+    stamp_ns: int
+    vehicle: str
+    session: int
+    T_map_body: Pose
+    ids: NDArray[np.uint32]
+    positions: Array
+    information: Array
+    descriptors: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkPacket:
+    """Self-contained marginal over some landmarks of one vehicle: what crosses the radio.
+
+    Attributes:
+        stamp_ns: time of the estimate [ns].
+        vehicle, session, sequence: the sender's key; a newer (session, sequence) replaces an older packet whole.
+        sources: "vehicle/session" of every measurement that is inside.
+        prior_id: hash of a loaded map or shared survey; "" for none.
+        ids: (N,) landmark identifiers of the sender.
+        positions: (N, 3) in the sender's map frame [m].
+        covariance: (3N, 3N) as coded, after inflation by `covariance_scale` [m^2].
+        covariance_scale: factor >= 1 by which the coded covariance was inflated to bound the exact one.
+        descriptors: (N, D) uint8.
+    """
+
+    stamp_ns: int
+    vehicle: str
+    session: int
+    sequence: int
+    sources: tuple[str, ...]
+    prior_id: str
+    ids: NDArray[np.uint32]
+    positions: Array
+    covariance: Array
+    covariance_scale: float
+    descriptors: NDArray[np.uint8]
