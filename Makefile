@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+# Each target works from a fresh clone: it sets up what is missing first.
+SHELL := /bin/bash
+ACTIVATE := . ./env.sh &&
+
+.PHONY: help setup demo test check bench clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST)
+
+setup: ## make .venv and build the messages and the package (again: nothing to do)
+	@scripts/setup
+
+demo: setup ## replay the sample recordings of two vehicles and report
+	@$(ACTIVATE) uav-vslam demo
+
+test: setup ## run the tests; ARGS="-k camera" chooses
+	@$(ACTIVATE) pytest $(ARGS)
+
+check: setup ## lint, formatting, types
+	@$(ACTIVATE) ruff check . && ruff format --check . && mypy
+
+bench: setup ## measure speed
+	@$(ACTIVATE) uav-vslam bench
+
+clean: ## remove what was built and cached; .venv stays
+	rm -rf build install log results .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -path ./.venv -prune -o -name __pycache__ -type d -exec rm -rf {} +

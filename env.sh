@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+# Source this (bash, sh or zsh, from anywhere) to use what `make setup` made: `uav-vslam`, `python`, the ROS messages.
+# It names each path itself, because colcon's own setup.bash takes many times longer and doesn't know the PyPI wheels.
+
+# Where this file lies: bash and zsh say so; for plain sh, look for the script that it is reading.
+_uav_root=
+if [ -n "${BASH_SOURCE:-}" ]; then
+  _uav_root=$BASH_SOURCE
+elif [ -n "${ZSH_VERSION:-}" ]; then
+  eval '_uav_root=${(%):-%x}'
+else
+  for _uav_path in /proc/$$/fd/*; do
+    _uav_path=$(readlink "$_uav_path") || continue
+    case $_uav_path in */env.sh) _uav_root=$_uav_path ;; esac
+  done
+fi
+_uav_root=$(cd "$(dirname "${_uav_root:-./env.sh}")" && pwd)
+
+_uav_prepend() { # _uav_prepend NAME FOLDER: put an existing FOLDER first in the path variable NAME, once
+  [ -d "$2" ] || return 0
+  eval "_uav_path=\${$1:-}"
+  case ":$_uav_path:" in
+    *":$2:"*) ;;
+    *) export "$1=$2${_uav_path:+:$_uav_path}" ;;
+  esac
+}
+
+if [ ! -r "$_uav_root/install/stamp" ]; then
+  echo "env.sh: $_uav_root is not set up; run make setup there" >&2
+  unset _uav_root _uav_path
+  unset -f _uav_prepend
+  return 1
+fi
+
+if [ "$(cat "$_uav_root/.venv/ros")" = jazzy ]; then
+  [ -n "${ROS_DISTRO:-}" ] || . /opt/ros/jazzy/setup.sh
+else
+  # The wheels restart Python to set the first of these, unless the second says that it has been done: both or neither.
+  for _uav_folder in "$_uav_root"/.venv/lib/python3.*/site-packages/ros_*.libs "$_uav_root/.venv/lib"; do
+    _uav_prepend LD_LIBRARY_PATH "$_uav_folder"
+  done
+  export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
+  _uav_prepend AMENT_PREFIX_PATH "$_uav_root/.venv"
+fi
+
+_uav_prepend PATH "$_uav_root/.venv/bin"
+for _uav_folder in tf2_msgs uav_vslam_msgs uav_vslam; do
+  _uav_folder=$_uav_root/install/$_uav_folder
+  [ -d "$_uav_folder" ] || continue
+  _uav_prepend AMENT_PREFIX_PATH "$_uav_folder"
+  _uav_prepend PATH "$_uav_folder/bin"
+  _uav_prepend LD_LIBRARY_PATH "$_uav_folder/lib"
+  for _uav_site in "$_uav_folder"/lib/python3.*/site-packages; do
+    _uav_prepend PYTHONPATH "$_uav_site"
+  done
+done
+_uav_prepend PYTHONPATH "$_uav_root/build/uav_vslam" # the metadata that the installed programs look up
+_uav_prepend PYTHONPATH "$_uav_root"                 # the sources themselves: edits count at once
+
+# Images pass between the processes of one host through shared memory.
+export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_uav_root/config/fastdds_shm.xml}"
+export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+# One thread per process: results repeat, and processes don't fight for cores.
+export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
+
+unset _uav_root _uav_path _uav_folder _uav_site
+unset -f _uav_prepend

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ament_python build of uav_vslam: run by colcon, which `make setup` calls."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = "uav_vslam"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    description="Cooperative stereo-inertial SLAM for several UAVs without GPS and without a server.",
+    license="Apache-2.0",
+    packages=find_packages(include=["uav_vslam", "uav_vslam.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+        (f"share/{package_name}/config", sorted(glob("config/*.yaml") + glob("config/*.xml"))),
+        (f"share/{package_name}/launch", sorted(glob("launch/*.launch.py"))),
+        # The nodes belong in lib/uav_vslam, where `ros2 run` looks; only the command is put on PATH.
+        ("bin", ["bin/uav-vslam"]),
+    ],
+    zip_safe=False,
+    extras_require={"test": ["pytest"]},  # tells `colcon test` to use pytest
+    entry_points={
+        "console_scripts": [
+            "uav-vslam = uav_vslam.cli.main:main",
+            "replay = uav_vslam.ros.replay_node:main",
+            "stereo_frontend = uav_vslam.ros.stereo_frontend_node:main",
+            "ins_propagator = uav_vslam.ros.ins_propagator_node:main",
+            "slam_backend = uav_vslam.ros.slam_backend_node:main",
+            "fusion = uav_vslam.ros.fusion_node:main",
+            "recorder = uav_vslam.ros.recorder_node:main",
+        ],
+    },
+)
