@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Image-free features are what the true rig would see, and can be matched as real ones are."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
+from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet
+
+FLEET = simulate_fleet(SCENARIOS["kagaru"])
+FIELD = scatter_landmarks(FLEET)
+
+
+def expected_pixels(vehicle: SimulatedVehicle, frame: int, ids: np.ndarray) -> np.ndarray:
+    T_body_world = vehicle.truth.pose(float(vehicle.frame_times_s[frame])).inverse()
+    rig = vehicle.true_rig(frame)
+    return rig.project(rig.T_body_left.inverse().apply(T_body_world.apply(FIELD.points_world[ids])))
+
+
+def test_measurements_are_the_true_projections_with_the_stated_noise() -> None:
+    residuals = []
+    for frame, (features, ids) in enumerate(observe(FLEET[0], FIELD, noise=LandmarkNoise(sigma_px=0.7))):
+        residuals.append(features.pixels - expected_pixels(FLEET[0], frame, ids))
+    all_residuals = np.concatenate(residuals)
+    assert np.std(all_residuals) == pytest.approx(0.7, rel=0.03)
+    assert np.abs(all_residuals.mean(axis=0)).max() < 0.05
+
+
+def test_about_44_landmarks_are_seen_a_frame() -> None:
+    counts = [len(features) for vehicle in FLEET for features, _ in observe(vehicle, FIELD)]
+    assert np.mean(counts) == pytest.approx(44.0, abs=4.0)
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    again = scatter_landmarks(simulate_fleet(SCENARIOS["kagaru"]))
+    first, second = next(observe(FLEET[0], FIELD))[0], next(observe(FLEET[0], again))[0]
+    assert first.pixels.tobytes() == second.pixels.tobytes()
+    assert first.descriptors.tobytes() == second.descriptors.tobytes()
+
+
+def test_the_ratio_test_matches_views_of_two_vehicles() -> None:
+    a, ids_a = list(observe(FLEET[0], FIELD))[80]
+    b, ids_b = list(observe(FLEET[1], FIELD))[80]
+    distance = np.linalg.norm(a.descriptors[:, None].astype(float) - b.descriptors[None].astype(float), axis=2)
+    order = np.sort(distance, axis=1)
+    accepted = order[:, 0] < 0.8 * order[:, 1]
+    matched = ids_b[np.argmin(distance, axis=1)] == ids_a
+    assert np.all(matched[accepted])
+    assert accepted.sum() == len(np.intersect1d(ids_a, ids_b)) > 10
+
+
+def test_wrong_matches_are_marked_and_as_many_as_asked() -> None:
+    noise = LandmarkNoise(wrong_share=0.2)
+    shares = [np.mean(ids == -1) for _, ids in observe(FLEET[0], FIELD, noise=noise)]
+    assert np.mean(shares) == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_turned_right_camera_moves_only_right_pixels() -> None:
+    biased = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], extrinsic_bias_deg=(0.02, 0.0, 0.0)))[0]
+    noise = LandmarkNoise(sigma_px=1e-6)
+    plain, bent = next(observe(FLEET[0], FIELD, noise=noise))[0], next(observe(biased, FIELD, noise=noise))[0]
+    np.testing.assert_allclose(plain.pixels[:, :2], bent.pixels[:, :2], atol=1e-3)
+    shift = bent.pixels[:, 3] - plain.pixels[:, 3]
+    assert np.abs(shift).mean() == pytest.approx(1645.0 * np.deg2rad(0.02), rel=0.05)
+
+
+def test_two_vehicles_of_160_frames_take_less_than_two_seconds() -> None:
+    start = time.process_time()
+    for vehicle in FLEET:
+        for _ in observe(vehicle, FIELD):
+            pass
+    assert time.process_time() - start < 2.0

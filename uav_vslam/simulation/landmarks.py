@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stereo features without images, for Monte-Carlo studies: random points on the ground, seen by the true rig.
+
+A landmark has one descriptor for the whole fleet; each view of it adds a little noise, so that the ratio test matches
+views of one vehicle and of different ones.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.simulation.scenario import FLEET, Purpose, Scenario, SimulatedVehicle
+from uav_vslam.simulation.terrain import relief_of
+from uav_vslam.types import StereoFeatures
+
+Array = NDArray[np.float64]
+
+DESCRIPTOR_LENGTH = 128
+REACH_PER_ALTITUDE = 2.0  # ground farther than this from below the camera is never looked at
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkField:
+    """Points on the ground that every vehicle of a scenario can see.
+
+    Attributes:
+        points_world: (N, 3) [m]; the row is the landmark's true identity.
+        descriptors: (N, 128) uint8.
+    """
+
+    points_world: Array
+    descriptors: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkNoise:
+    """Quality of the simulated front end.
+
+    Attributes:
+        sigma_px: standard deviation of each stereo pixel coordinate [px].
+        descriptor_sigma: standard deviation of each descriptor entry between views.
+        wrong_share: share of the features that carry another feature's descriptor.
+    """
+
+    sigma_px: float = 1.0
+    descriptor_sigma: float = 6.0
+    wrong_share: float = 0.0
+
+
+def scatter_landmarks(vehicles: list[SimulatedVehicle], *, per_frame: float = 44.0) -> LandmarkField:
+    """Strew landmarks over all ground that a fleet sees.
+
+    Args:
+        vehicles: the whole fleet of one scenario.
+        per_frame: landmarks in view of both cameras on average, in level flight.
+    """
+    scenario = vehicles[0].scenario
+    rng = scenario.rng(FLEET, Purpose.LANDMARKS)
+    reach = REACH_PER_ALTITUDE * scenario.altitude
+    tracks = np.concatenate([v.truth.position(v.frame_times_s)[:, :2] for v in vehicles])
+    low, high = tracks.min(axis=0) - reach, tracks.max(axis=0) + reach
+    count = round(per_frame / _footprint_m2(scenario, vehicles[0].rig) * float(np.prod(high - low)))
+    xy = rng.uniform(low, high, (count, 2))
+    points = np.column_stack([xy, relief_of(scenario).height(xy[:, 0], xy[:, 1])])
+    return LandmarkField(points, _draw_descriptors(count, rng))
+
+
+def observe(
+    vehicle: SimulatedVehicle, landmarks: LandmarkField, *, noise: LandmarkNoise | None = None
+) -> Iterator[tuple[StereoFeatures, NDArray[np.int64]]]:
+    """Yield each frame's features and the true identity of each of them, -1 for a wrong match.
+
+    Args:
+        vehicle: who looks.
+        landmarks: what there is to see.
+        noise: quality of the features.
+    """
+    noise = noise or LandmarkNoise()
+    rng = vehicle.scenario.rng(vehicle.index, Purpose.PIXELS)
+    times = vehicle.frame_times_s
+    positions, rotations = vehicle.truth.position(times), vehicle.truth.rotation(times)
+    for frame, stamp_ns in enumerate(vehicle.frame_stamps_ns):
+        near = _near(landmarks.points_world, positions[frame], REACH_PER_ALTITUDE * vehicle.scenario.altitude)
+        points_body = (landmarks.points_world[near] - positions[frame]) @ rotations[frame]
+        pixels, seen = _project(vehicle.true_rig(frame), points_body)
+        pixels = pixels + rng.normal(0.0, noise.sigma_px, pixels.shape)
+        ids = near[seen]
+        pixels, ids = _spoil(pixels, ids, noise.wrong_share, rng)
+        descriptors = _view(landmarks.descriptors[near[seen]], noise.descriptor_sigma, rng)
+        yield StereoFeatures(int(stamp_ns), pixels.astype(np.float32), descriptors), ids
+
+
+def _footprint_m2(scenario: Scenario, rig: StereoRig) -> float:
+    """Return the ground area that both cameras see from level flight [m^2]."""
+    camera = rig.left
+    step = max(1, camera.width // 64)
+    u, v = np.meshgrid(np.arange(0, camera.width, step), np.arange(0, camera.height, step))
+    points = camera.bearings(np.stack([u.ravel(), v.ravel()], axis=-1)) * scenario.altitude
+    both = _inside(rig, rig.project(points)).mean()
+    return float(both * camera.width * camera.height * scenario.altitude**2 / (camera.fx * camera.fy))
+
+
+def _draw_descriptors(count: int, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Draw (N, 128) descriptors that look like SIFT's: sparse, non-negative, of length about 512."""
+    raw = rng.gamma(0.6, 1.0, (count, DESCRIPTOR_LENGTH))
+    raw *= 512.0 / np.linalg.norm(raw, axis=1, keepdims=True)
+    return np.minimum(raw, 255.0).astype(np.uint8)
+
+
+def _near(points: Array, position: Array, reach_m: float) -> NDArray[np.int64]:
+    delta = np.abs(points[:, :2] - position[:2])
+    return np.flatnonzero((delta[:, 0] < reach_m) & (delta[:, 1] < reach_m))
+
+
+def _project(rig: StereoRig, points_body: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the (K, 4) pixels of the points that both cameras see, and the (N,) mask of those points."""
+    points_left = rig.T_body_left.inverse().apply(points_body)
+    in_front = (points_left[:, 2] > 0) & (rig.T_right_left.apply(points_left)[:, 2] > 0)
+    pixels = rig.project(np.where(in_front[:, None], points_left, [0.0, 0.0, 1.0]))
+    seen = in_front & _inside(rig, pixels)
+    return pixels[seen], seen
+
+
+def _inside(rig: StereoRig, pixels: Array) -> NDArray[np.bool_]:
+    limit = np.array([rig.left.width, rig.left.height] * 2) - 1.0
+    return np.asarray(np.all((pixels >= 0) & (pixels <= limit), axis=-1))
+
+
+def _spoil(
+    pixels: Array, ids: NDArray[np.int64], share: float, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.int64]]:
+    """Move the pixels of a random share of the features round among themselves; their identity becomes -1."""
+    count = round(share * len(ids))
+    if count < 2:
+        return pixels, ids
+    wrong = rng.choice(len(ids), count, replace=False)
+    pixels, ids = pixels.copy(), ids.copy()
+    pixels[wrong] = pixels[np.roll(wrong, 1)]
+    ids[wrong] = -1
+    return pixels, ids
+
+
+def _view(descriptors: NDArray[np.uint8], sigma: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    noisy = descriptors + rng.normal(0.0, sigma, descriptors.shape)
+    return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
