@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One description of the fleet's processes, read by both launchers."""
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+
+from uav_vslam.config import BackendConfig, FleetConfig, FusionConfig, ReplayConfig, VehicleConfig
+from uav_vslam.ros.fleet_commands import VEHICLE_NODES, differences, node_specs
+
+ROOT = Path(__file__).parents[2]
+
+
+def fleet(*names: str, bags: tuple[Path, ...] = (Path("sample"),)) -> FleetConfig:
+    vehicles = {name: VehicleConfig(backend=BackendConfig(sigma_px=0.5)) for name in names}
+    return FleetConfig(vehicles, dict.fromkeys(names), ReplayConfig(bags))
+
+
+def test_each_vehicle_has_its_four_nodes_and_the_fleet_one_replay() -> None:
+    specs = node_specs(fleet("uav1", "uav2"))
+    found = [(spec.namespace, spec.executable) for spec in specs]
+    expected = [(f"/{vehicle}", node) for vehicle in ("uav1", "uav2") for node in VEHICLE_NODES]
+    assert found == [*expected, ("/", "replay")]
+
+
+def test_fusion_hears_every_vehicle_but_its_own() -> None:
+    heard = {
+        s.parameters["vehicle"]: s.parameters["peers"]
+        for s in node_specs(fleet("a", "b", "c"))
+        if "peers" in s.parameters
+    }
+    assert heard == {"a": ["b", "c"], "b": ["a", "c"], "c": ["a", "b"]}
+
+
+def test_a_lone_vehicle_has_no_peers_parameter_because_ros_cannot_type_an_empty_list() -> None:
+    assert all("peers" not in spec.parameters for spec in node_specs(fleet("uav1")))
+
+
+def test_without_recordings_nothing_is_replayed_and_the_wall_clock_counts() -> None:
+    specs = node_specs(fleet("uav1", bags=()))
+    assert [spec.executable for spec in specs] == list(VEHICLE_NODES)
+    assert not any(spec.parameters["use_sim_time"] for spec in specs)
+
+
+def test_only_what_differs_from_the_defaults_is_passed_on() -> None:
+    assert differences(VehicleConfig()) == {}
+    config = VehicleConfig(backend=BackendConfig(sigma_px=0.5), fusion=FusionConfig(mode="none"))
+    assert differences(config) == {"backend.sigma_px": 0.5, "fusion.mode": "none"}
+    assert differences(ReplayConfig((Path("a"), Path("b")), rate=2.0)) == {"bags": ["a", "b"], "rate": 2.0}
+
+
+def test_arguments_name_the_node_and_keep_the_types_of_parameters() -> None:
+    fusion = next(spec for spec in node_specs(fleet("uav1", "uav2")) if spec.executable == "fusion")
+    arguments = fusion.ros_arguments()
+    assert arguments[:5] == ["--ros-args", "-r", "__node:=fusion", "-r", "__ns:=/uav1"]
+    assert set(arguments[5::2]) == {"-p"}
+    values = dict(argument.split(":=", 1) for argument in arguments[6::2])
+    assert {key: json.loads(value) for key, value in values.items()} == fusion.parameters
+
+
+@pytest.mark.ros
+def test_rclpy_reads_the_arguments_as_the_parameters_that_were_meant() -> None:
+    rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+    fusion = next(spec for spec in node_specs(fleet("uav1", "uav2")) if spec.executable == "fusion")
+    context = rclpy.Context()
+    context.init(args=fusion.ros_arguments())
+    try:
+        node = rclpy.create_node("x", context=context, automatically_declare_parameters_from_overrides=True)
+        assert node.get_fully_qualified_name() == "/uav1/fusion"
+        assert {name: node.get_parameter(name).value for name in fusion.parameters} == fusion.parameters
+        node.destroy_node()
+    finally:
+        context.try_shutdown()
+
+
+def test_the_launch_file_reads_the_same_description() -> None:
+    tree = ast.parse((ROOT / "launch" / "fleet.launch.py").read_text())
+    imported = {
+        (node.module, name.name) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for name in node.names
+    }
+    assert ("uav_vslam.ros.fleet_commands", "node_specs") in imported
+    assert "generate_launch_description" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}

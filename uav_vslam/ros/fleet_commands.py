@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which processes a fleet consists of: the one description behind `uav-vslam run` and launch/fleet.launch.py.
+
+It imports no ROS, because launch files are read by the system's Python, which need not have our libraries.
+"""
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from uav_vslam.config import FleetConfig
+
+VEHICLE_NODES = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSpec:
+    """One process of the graph.
+
+    Attributes:
+        executable: name in lib/uav_vslam, as `ros2 run uav_vslam` takes it.
+        name: node name.
+        namespace: of the vehicle, with its slash ("/uav1"); "/" for what serves the whole fleet.
+        parameters: ROS parameters by dotted name; absent ones keep their defaults.
+    """
+
+    executable: str
+    name: str
+    namespace: str
+    parameters: dict[str, Any]
+
+    def ros_arguments(self) -> list[str]:
+        """Return the arguments that make `executable` this node."""
+        arguments = ["--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:={self.namespace}"]
+        for key, value in self.parameters.items():
+            arguments += ["-p", f"{key}:={json.dumps(value)}"]  # JSON is YAML, and keeps "none" and "1" strings
+        return arguments
+
+
+def node_specs(fleet: FleetConfig) -> list[NodeSpec]:
+    """List every node of the fleet: four a vehicle, then the replay (if there is something to replay)."""
+    replayed = bool(fleet.replay.bags)
+    specs = []
+    for vehicle, config in fleet.vehicles.items():
+        shared = {"vehicle": vehicle, "use_sim_time": replayed, **differences(config)}
+        for executable in VEHICLE_NODES:
+            peers = [name for name in fleet.vehicles if name != vehicle]
+            own = {"peers": peers} if executable == "fusion" and peers else {}  # ROS can't type an empty list
+            specs.append(NodeSpec(executable, executable, f"/{vehicle}", {**shared, **own}))
+    if replayed:
+        parameters = {"vehicles": list(fleet.vehicles), **differences(fleet.replay)}
+        specs.append(NodeSpec("replay", "replay", "/", parameters))
+    return specs
+
+
+def differences(config: Any) -> dict[str, Any]:
+    """Return what differs from the defaults, by dotted name ("backend.sigma_px"), as ROS parameter values."""
+    default, found = type(config)(), {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            found |= {f"{field.name}.{key}": inner for key, inner in differences(value).items()}
+        elif value != getattr(default, field.name):
+            found[field.name] = _parameter_value(value)
+    return found
+
+
+def _parameter_value(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_parameter_value(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
