@@ -57,6 +57,7 @@ IMU_GRADES = {
 class FrontendConfig:
     """Stereo features."""
 
+    extractor: str = "sift"  # name in vision.features.EXTRACTORS
     scale: float = 0.5  # images are shrunk by this factor before detection (INTER_AREA)
     max_features: int = 1000  # keypoints kept per image, strongest first
     contrast_threshold: float = 0.01  # SIFT contrast threshold (OpenCV's own default 0.04 starves on grass)
@@ -84,16 +85,16 @@ class BackendConfig:
     model: str = "ri15"  # name in estimation.models.MODELS: ri15 or the thesis's euler9
     sigma_px: float = 1.0  # standard deviation of each stereo pixel coordinate [px]
     depth_sigma_ratio: float = 0.043  # relief / height, smooths the depth in the Jacobian; 0 turns it off (indoors)
-    imu_noise_scale: float = 1.0  # inflates the white noise of the IMU, for vibration and unmodelled errors
     min_descriptor_ratio: float = 0.85  # nearest / second-nearest inside the gate
     gate_probability: float = 0.99  # of the chi-square gate on a predicted observation
     pnp_px: float = 4.0  # reprojection error of a PnP inlier [px]
     min_pnp_inliers: int = 6  # fewer, and the frame is tried un-gated against the whole map
     min_relocalisation_inliers: int = 12  # fewer, and the vehicle coasts on its INS
+    pnp_beyond_px: float = 8.0  # PnP checks the matches when the median predicted 1-sigma is wider than this [px]
     iterate_beyond_m: float = 0.05  # PnP and INS differ by more: the update is linearised at the PnP pose
     max_observations: int = 100  # updates a frame, spread over the image
     max_new_landmarks: int = 40  # landmarks added a frame
-    max_in_view: int = 120  # landmarks wanted in the current view before new ones are added no more
+    max_in_view: int = 120  # with so many landmarks in view no new ones are added
     max_landmarks: int = 250  # in the state, retained ones included
     retention: str = "grid"  # how landmarks out of view are kept: a name in slam.map_manager.RETENTION
     retention_cell_m: float = 25.0  # one retained landmark per cell of this size
@@ -102,7 +103,6 @@ class BackendConfig:
     def __post_init__(self) -> None:
         _require(self.sigma_px > 0, self, "sigma_px", "a positive number of pixels")
         _require(self.depth_sigma_ratio >= 0, self, "depth_sigma_ratio", "zero (off) or more")
-        _require(self.imu_noise_scale > 0, self, "imu_noise_scale", "a positive factor")
         _require(0 < self.min_descriptor_ratio <= 1, self, "min_descriptor_ratio", "a number in (0, 1]")
         _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
         _require(self.max_landmarks >= self.max_in_view, self, "max_landmarks", "at least max_in_view")
@@ -117,7 +117,7 @@ class FusionConfig:
     epoch_s: float = 1.0  # a packet is sent and a fusion made whenever a frame's stamp passes a multiple of this
     min_delay_s: float = 0.2  # only packets at least this much older than the epoch enter: makes replay repeatable
     scheme: str = "split_ci"  # name in cooperation.fusion.SCHEMES
-    max_packet_landmarks: int = 40  # landmarks in one packet
+    max_packet_landmarks: int = 48  # landmarks in one packet
     ratio: float = 0.8  # descriptor ratio test between vehicles, made before the gate
     gate_probability: float = 0.99  # of the chi-square gate on a common landmark
     min_common: int = 3  # pairs that must agree with each other before any is used

@@ -169,7 +169,7 @@ class JointInformation:
 
 @dataclass(frozen=True, slots=True)
 class LandmarkPacket:
-    """Self-contained marginal over some landmarks of one vehicle: what crosses the radio.
+    """Self-contained marginal over some landmarks of one vehicle, in the form that crosses the radio.
 
     Attributes:
         stamp_ns: time of the estimate [ns].
@@ -177,10 +177,12 @@ class LandmarkPacket:
         sources: "vehicle/session" of every measurement that is inside.
         prior_id: hash of a loaded map or shared survey; "" for none.
         ids: (N,) landmark identifiers of the sender.
-        positions: (N, 3) in the sender's map frame [m].
-        covariance: (3N, 3N) as coded, after inflation by `covariance_scale` [m^2].
-        covariance_scale: factor >= 1 by which the coded covariance was inflated to bound the exact one.
+        origin: (3,) in the sender's map frame [m].
+        offsets: (N, 3) float32 landmarks minus origin [m].
+        covariance_factor: (3N (3N+1) / 2,) float32 rows of the lower Cholesky factor of the covariance [m].
+        covariance_scale: factor >= 1 already applied, so that the coded covariance bounds the exact one.
         descriptors: (N, D) uint8.
+        checksum: CRC-32 over all other fields, see slam.packet.
     """
 
     stamp_ns: int
@@ -190,7 +192,30 @@ class LandmarkPacket:
     sources: tuple[str, ...]
     prior_id: str
     ids: NDArray[np.uint32]
-    positions: Array
-    covariance: Array
+    origin: Array
+    offsets: NDArray[np.float32]
+    covariance_factor: NDArray[np.float32]
     covariance_scale: float
     descriptors: NDArray[np.uint8]
+    checksum: int
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def source(self) -> str:
+        """The sender's own key among `sources`."""
+        return f"{self.vehicle}/{self.session}"
+
+    @property
+    def positions(self) -> Array:
+        """(N, 3) landmarks in the sender's map frame [m]."""
+        return np.asarray(self.origin + self.offsets.astype(float))
+
+    @property
+    def covariance(self) -> Array:
+        """(3N, 3N) covariance of the landmarks [m^2]."""
+        n = 3 * len(self.ids)
+        L = np.zeros((n, n))
+        L[np.tril_indices(n)] = self.covariance_factor
+        return np.asarray(L @ L.T)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Geometry first: a feature may match a landmark only inside the chi-square gate of its predicted observation."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from uav_vslam.vision.matching.nn_ratio import match_gated
+
+Array = NDArray[np.float64]
+
+STEREO_DOF = 4
+
+
+def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> NDArray[np.bool_]:
+    """Tell which observation lies in which landmark's gate.
+
+    Args:
+        predicted: (N, 4) predicted stereo pixels.
+        S: (N, 4, 4) innovation covariances [px^2].
+        observed: (M, 4) stereo pixels.
+        probability: that a true match passes.
+
+    Returns:
+        (N, M) mask.
+    """
+    if len(predicted) == 0 or len(observed) == 0:
+        return np.zeros((len(predicted), len(observed)), bool)
+    nu = (observed[None, :, :] - predicted[:, None, :]).transpose(0, 2, 1)
+    whitened = np.linalg.solve(np.linalg.cholesky(S), nu)
+    return np.asarray(np.sum(whitened**2, axis=1) <= chi2.ppf(probability, STEREO_DOF))
+
+
+def associate(
+    predicted: Array,
+    S: Array,
+    landmark_descriptors: NDArray[np.uint8],
+    observed: Array,
+    descriptors: NDArray[np.uint8],
+    *,
+    probability: float,
+    ratio: float,
+) -> NDArray[np.intp]:
+    """Return (K, 2) pairs (landmark row, feature row): nearest descriptor with ratio test among gated candidates."""
+    allowed = gate(predicted, S, observed, probability=probability)
+    return match_gated(landmark_descriptors, descriptors, allowed, ratio)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which of a peer's landmarks is which of ours: descriptor, then gate, then agreement of the matches with each other.
+
+The ratio test comes first: a gate first would leave it no rivals. Covariance intersection guards against correlation,
+not against a wrong match, so what remains must be pairwise consistent, cf. [mangelson18].
+"""
+
+import networkx as nx
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from uav_vslam.config import FusionConfig
+from uav_vslam.types import LandmarkPacket
+from uav_vslam.vision.matching.nn_ratio import match_descriptors
+
+Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
+
+POINT_DOF = 3
+
+
+def find_common(
+    positions: Array,
+    covariance: Array,
+    descriptors: NDArray[np.uint8],
+    packet: LandmarkPacket,
+    *,
+    config: FusionConfig,
+) -> Pairs:
+    """Match own landmarks with a packet's.
+
+    Args:
+        positions: (N, 3) own landmarks in the common frame [m].
+        covariance: (3N, 3N) their joint covariance [m^2].
+        descriptors: (N, D).
+        packet: the peer's.
+        config: ratio, gate and the smallest number of pairs that is believed.
+
+    Returns:
+        (K, 2) rows of own landmarks and of the packet; none where fewer than `min_common` agree.
+    """
+    pairs = match_descriptors(descriptors, packet.descriptors, config.ratio)
+    peer_positions, peer_covariance = packet.positions, packet.covariance
+    floor = config.floor_sigma_m**2
+    pairs = pairs[_gated(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
+    pairs = pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
+    return pairs if len(pairs) >= config.min_common else pairs[:0]
+
+
+def blocks(covariance: Array) -> Array:
+    """View a (3N, 3N) covariance as (N, N, 3, 3) blocks."""
+    n = len(covariance) // 3
+    return covariance.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
+
+
+def _gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: float, config: FusionConfig) -> Pairs:
+    """Return the rows of pairs whose landmarks coincide within E P E^T + R + floor."""
+    a, b = pairs[:, 0], pairs[:, 1]
+    S = blocks(P)[a, a] + blocks(R)[b, b] + floor * np.eye(3)
+    return np.flatnonzero(_mahalanobis2(peer[b] - own[a], S) <= chi2.ppf(config.gate_probability, POINT_DOF))
+
+
+def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: float, config: FusionConfig) -> Pairs:
+    """Return the largest set of pairs whose mutual offsets agree in both maps (a maximum clique)."""
+    if len(pairs) < 2:
+        return np.arange(len(pairs))
+    i, j = np.triu_indices(len(pairs), 1)
+    a, b = pairs[:, 0], pairs[:, 1]
+    offset = (peer[b[j]] - peer[b[i]]) - (own[a[j]] - own[a[i]])
+    S = _offset_covariance(P, a[i], a[j]) + _offset_covariance(R, b[i], b[j]) + 2 * floor * np.eye(3)
+    agree = _mahalanobis2(offset, S) <= chi2.ppf(config.gate_probability, POINT_DOF)
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(pairs)))
+    graph.add_edges_from(zip(i[agree].tolist(), j[agree].tolist(), strict=True))
+    clique, _ = nx.max_weight_clique(graph, weight=None)
+    return np.array(sorted(clique), dtype=np.intp)
+
+
+def _offset_covariance(covariance: Array, i: Pairs, j: Pairs) -> Array:
+    """Return (M, 3, 3) covariances of x_j - x_i."""
+    B = blocks(covariance)
+    return np.asarray(B[i, i] + B[j, j] - B[i, j] - B[j, i])
+
+
+def _mahalanobis2(difference: Array, S: Array) -> Array:
+    return np.asarray(np.einsum("ni,ni->n", difference, np.linalg.solve(S, difference[..., None])[..., 0]))

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fusing peers' packets into a copy of the own belief, at fixed epochs; nothing is ever written back.
+
+At each epoch the own joint belief is taken afresh and every peer's newest packet is fused into it by split covariance
+intersection. A packet whose sources and prior are disjoint from everything fused so far is independent and simply
+adds; any overlap makes its share dependent. In between, the fused pose is carried by the own-only motion.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.common_landmarks import find_common
+from uav_vslam.cooperation.inbox import Inbox
+from uav_vslam.estimation.covariance_intersection import Split, split_covariance_intersection
+from uav_vslam.estimation.numerics import inverse_spd, symmetrise
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
+from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FusedEpoch:
+    """The own belief improved by peers.
+
+    Attributes:
+        own: own-only pose at the epoch.
+        pose: fused pose.
+        ids, positions: (N,) and (N, 3) fused landmarks [m].
+        weight: smallest weight that the own information got; 1 where all was independent.
+        common: number of common landmarks used, by peer.
+    """
+
+    own: PoseEstimate
+    pose: PoseEstimate
+    ids: NDArray[np.uint32]
+    positions: Array
+    weight: float
+    common: dict[str, int]
+
+
+class Fusion:
+    """The fusion node's core."""
+
+    def __init__(self, vehicle: str, config: FusionConfig, *, prior_id: str = "") -> None:
+        self.inbox = Inbox(vehicle)
+        self._config = config
+        self._prior_id = prior_id
+        self.epoch: FusedEpoch | None = None
+
+    def fuse(self, joint: JointInformation) -> FusedEpoch:
+        """Start from the own belief and bring in each peer's newest packet that is old enough."""
+        P = inverse_spd(joint.information, "own joint information")
+        T_map_body, positions = joint.T_map_body, joint.positions
+        own_pose = PoseEstimate(joint.stamp_ns, T_map_body, P[:POSE_DIM, :POSE_DIM])
+        belief = Split(P, np.zeros_like(P))
+        sources, priors = {f"{joint.vehicle}/{joint.session}"}, {self._prior_id} - {""}
+        weight, common = 1.0, {}
+        not_after_ns = joint.stamp_ns - round(self._config.min_delay_s * NS_PER_S)
+        for peer in sorted(self.inbox.peers):
+            packet = self.inbox.newest(peer, not_after_ns)
+            if packet is None or self._config.mode == "none":
+                continue
+            total = belief.total
+            pairs = find_common(
+                positions, total[POSE_DIM:, POSE_DIM:], joint.descriptors, packet, config=self._config
+            )
+            self._note(peer, packet, len(pairs))
+            common[peer] = len(pairs)
+            if len(pairs) == 0:
+                continue
+            dependent = bool(sources & set(packet.sources)) or packet.prior_id in priors
+            belief, delta, used = self._bring_in(belief, positions, packet, pairs, dependent=dependent)
+            T_map_body, positions = move(T_map_body, positions, delta)
+            weight = min(weight, used)
+            sources |= set(packet.sources)
+            priors |= {packet.prior_id} - {""}
+        fused_pose = PoseEstimate(joint.stamp_ns, T_map_body, belief.total[:POSE_DIM, :POSE_DIM])
+        self.epoch = FusedEpoch(own_pose, fused_pose, joint.ids, positions, weight, common)
+        return self.epoch
+
+    def carry(self, own: PoseEstimate) -> PoseEstimate:
+        """Return the fused pose at a later own-only estimate: the last fused pose moved by the own motion since."""
+        if self.epoch is None:
+            return own
+        return carried(self.epoch, own)
+
+    def _bring_in(
+        self, belief: Split, positions: Array, packet: LandmarkPacket, pairs: NDArray[np.intp], *, dependent: bool
+    ) -> tuple[Split, Array, float]:
+        n = len(belief.independent)
+        columns = (POSE_DIM + 3 * pairs[:, :1] + np.arange(3)).ravel()
+        rows = (3 * pairs[:, 1:] + np.arange(3)).ravel()
+        E = np.zeros((len(columns), n))
+        E[np.arange(len(columns)), columns] = 1.0
+        floor = self._config.floor_sigma_m**2 * np.eye(len(rows))
+        R = packet.covariance[np.ix_(rows, rows)]
+        zero = np.zeros_like(R)
+        if dependent:
+            belief = Split(np.zeros_like(belief.total), belief.total)
+        fused = split_covariance_intersection(
+            belief,
+            E,
+            (packet.positions[pairs[:, 1]] - positions[pairs[:, 0]]).ravel(),
+            Split(floor, R) if dependent else Split(R + floor, zero),
+            cost=lambda P: float(np.trace(P[:3, :3])),
+        )
+        return fused.P, fused.delta, fused.weight
+
+    def _note(self, peer: str, packet: LandmarkPacket, common: int) -> None:
+        record = self.inbox.peers[peer]
+        record.common_landmarks = common
+        if common:
+            record.used.add((packet.session, packet.sequence))
+
+
+def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]:
+    """Apply a correction (6 + 3N,) of position, xi and landmarks: the exponential of `ri15` without velocity."""
+    xi = delta[3:6]
+    R_xi, J = so3_exp(xi), so3_left_jacobian(xi)
+    arm = landmarks - T_map_body.t
+    shift = delta[6:].reshape(-1, 3) + np.cross(arm, xi)
+    return Pose(R_xi @ T_map_body.R, T_map_body.t + J @ delta[:3]), T_map_body.t + arm @ R_xi.T + shift @ J.T
+
+
+def carried(epoch: FusedEpoch, own: PoseEstimate) -> PoseEstimate:
+    """Carry a fused pose along the own-only motion since its epoch.
+
+    The covariance is carried likewise and grows by what the own covariance grew by over the same motion.
+    """
+    turn = epoch.pose.T_map_body.R @ epoch.own.T_map_body.R.T
+    moved = own.T_map_body.t - epoch.own.T_map_body.t
+    pose = Pose(turn @ own.T_map_body.R, epoch.pose.T_map_body.t + turn @ moved)
+    growth = own.covariance - _transported(epoch.own.covariance, moved)
+    values, vectors = np.linalg.eigh(symmetrise(growth))
+    growth = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    covariance = _transported(epoch.pose.covariance, turn @ moved) + growth
+    return PoseEstimate(own.stamp_ns, pose, symmetrise(covariance))
+
+
+def _transported(covariance: Array, moved: Array) -> Array:
+    """Move a (6, 6) pose covariance rigidly: dp+ = dp - [moved]x xi."""
+    T = np.eye(6)
+    T[:3, 3:] = -skew(moved)
+    return np.asarray(T @ covariance @ T.T)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Symmetric positive definite linear algebra by Cholesky factors."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from uav_vslam.errors import FilterDivergence
+
+Array = NDArray[np.float64]
+
+
+def symmetrise(A: Array) -> Array:
+    """Return (A + A^T) / 2 over the last two axes."""
+    return 0.5 * (A + np.swapaxes(A, -1, -2))
+
+
+def cholesky(A: Array, what: str) -> Array:
+    """Return the lower Cholesky factor.
+
+    Args:
+        A: (n, n) symmetric positive definite.
+        what: named in the error, e.g. "information at 12.3 s".
+
+    Raises:
+        FilterDivergence: A is not positive definite; the text names the smallest eigenvalue.
+    """
+    L, failed = dpotrf(A, lower=1, clean=1)
+    if failed:
+        smallest = float(np.linalg.eigvalsh(A)[0]) if np.isfinite(A).all() else float("nan")
+        raise FilterDivergence(f"{what} is not positive definite: smallest eigenvalue {smallest:.3e} of {len(A)} rows")
+    return np.asarray(L)
+
+
+def inverse_spd(A: Array, what: str) -> Array:
+    """Return the symmetric inverse of a positive definite matrix, from its Cholesky factor."""
+    inverse, _ = dpotri(cholesky(A, what), lower=1)
+    return np.asarray(np.tril(inverse) + np.tril(inverse, -1).T)
+
+
+def solve_spd(A: Array, b: Array, what: str) -> Array:
+    """Return x with A x = b for a positive definite A."""
+    return np.asarray(cho_solve((cholesky(A, what), True), b, check_finite=False))
+
+
+def marginalise_information(Y: Array, keep: NDArray[np.int64], drop: NDArray[np.int64], what: str) -> Array:
+    """Return the information over `keep`, Y_kk - Y_kd Y_dd^-1 Y_dk (Schur complement)."""
+    if len(drop) == 0:
+        return Y[np.ix_(keep, keep)]
+    L = cholesky(Y[np.ix_(drop, drop)], what)
+    W = solve_triangular(L, Y[np.ix_(drop, keep)], lower=True, check_finite=False)
+    return symmetrise(Y[np.ix_(keep, keep)] - W.T @ W)

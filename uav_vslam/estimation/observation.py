@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stereo observation of landmarks: prediction, Jacobians in map-frame errors, and their smoothed depth.
+
+`c` is a landmark in the left camera frame, `z = h(c)` its stereo pixels (Eq. 4.6.13 of [thesis]), `H` the Jacobian of z
+with respect to (position, velocity, xi, biases) and to the landmark.
+
+A young landmark's depth is noisy, and a Jacobian taken there correlates with the very noise of the measurement. Flying
+over ground one knows better: the Jacobian (never the residual) is taken at `c` scaled to a depth between the
+landmark's own and the ground's, weighed by how well the landmark is known against the relief of the ground.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.rotation import skew
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.propagation import NAV_DIM, POSITION, ROTATION
+from uav_vslam.types import NavState
+
+Array = NDArray[np.float64]
+
+MIN_DEPTH_M = 0.05  # a point nearer than this, or behind, is not projected
+
+
+@dataclass(frozen=True, slots=True)
+class PointJacobian:
+    """Landmarks in the left camera frame and their derivatives.
+
+    Attributes:
+        points_left: (N, 3) [m].
+        nav: (N, 3, 15) d(point)/d(map-frame navigation error).
+        landmark: (3, 3) d(point)/d(landmark), the same for all.
+    """
+
+    points_left: Array
+    nav: Array
+    landmark: Array
+
+
+def point_jacobian(rig: StereoRig, nav: NavState, landmarks: Array) -> PointJacobian:
+    """Transform (N, 3) map-frame landmarks [m] into the left camera frame, with derivatives."""
+    R_left_map = rig.T_body_left.R.T @ nav.T_map_body.R.T
+    arm = landmarks - nav.T_map_body.t
+    J = np.zeros((len(landmarks), 3, NAV_DIM))
+    J[:, :, POSITION] = -R_left_map
+    J[:, :, ROTATION] = R_left_map @ skew(arm)
+    return PointJacobian(arm @ R_left_map.T - rig.T_body_left.R.T @ rig.T_body_left.t, J, R_left_map)
+
+
+def smoothed(points_left: Array, depth_variance: Array, *, depth_sigma_ratio: float) -> Array:
+    """Scale points to depth s z + (1-s) z_ground, s = sigma^2 / (sigma^2 + var z).
+
+    Args:
+        points_left: (N, 3) [m].
+        depth_variance: (N,) variance of each depth [m^2].
+        depth_sigma_ratio: relief of the ground over its distance; 0 leaves the points alone.
+
+    Returns:
+        (N, 3) where to take the Jacobian; the ground's depth is the median of all.
+    """
+    depth = points_left[:, 2]
+    ahead = depth > MIN_DEPTH_M
+    if depth_sigma_ratio == 0 or not ahead.any():
+        return points_left
+    ground = float(np.median(depth[ahead]))
+    sigma2 = (depth_sigma_ratio * ground) ** 2
+    s = sigma2 / (sigma2 + np.maximum(depth_variance, 0.0))
+    scale = np.where(ahead, s + (1 - s) * ground / np.where(ahead, depth, 1.0), 1.0)
+    return np.asarray(points_left * scale[:, None])
+
+
+def projectable(rig: StereoRig, points_left: Array, *, margin_px: float = 0.0) -> NDArray[np.bool_]:
+    """Tell which (N, 3) points lie before both cameras and inside both images, or at most a margin outside."""
+    ahead = (points_left[:, 2] > MIN_DEPTH_M) & (rig.T_right_left.apply(points_left)[:, 2] > MIN_DEPTH_M)
+    z = rig.project(np.where(ahead[:, None], points_left, [0.0, 0.0, 1.0]))
+    low, high_u, high_v = -margin_px, rig.left.width - 1 + margin_px, rig.left.height - 1 + margin_px
+    inside = (z[:, ::2] >= low) & (z[:, ::2] <= high_u) & (z[:, 1::2] >= low) & (z[:, 1::2] <= high_v)
+    return np.asarray(ahead & inside.all(axis=1))
+
+
+def triangulation_covariance(rig: StereoRig, points_left: Array, sigma_px: float) -> Array:
+    """Return (N, 3, 3) covariances of points triangulated from pixels with sigma_px [px]."""
+    J = rig.project_jacobian(points_left)
+    return np.asarray(sigma_px**2 * np.linalg.inv(np.einsum("nki,nkj->nij", J, J)))

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choosing points that are spread over the image."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+CELLS_PER_AXIS = 8
+
+
+def spread(pixels: ArrayLike, count: int, *, size: tuple[int, int], taken: ArrayLike = ()) -> NDArray[np.intp]:
+    """Choose points cell by cell: each grid cell gives its first one, then each its second one, and so on.
+
+    Args:
+        pixels: (N, 2) points in order of preference [px].
+        count: how many are wanted.
+        size: image width and height [px].
+        taken: (M, 2) points chosen before; they count against their cells.
+
+    Returns:
+        (min(N, count),) rows, the best of the emptiest cells first.
+    """
+    points = np.asarray(pixels, dtype=float).reshape(-1, 2)
+    before = np.asarray(taken, dtype=float).reshape(-1, 2)
+    cells = np.concatenate([_cells(before, size), _cells(points, size)])
+    order = np.argsort(cells, kind="stable")
+    ordered = cells[order]
+    first_of_cell = np.searchsorted(ordered, ordered)
+    rank = np.empty(len(cells), np.intp)
+    rank[order] = np.arange(len(cells)) - first_of_cell
+    return np.argsort(rank[len(before) :], kind="stable")[:count]
+
+
+def _cells(points: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.intp]:
+    index = np.floor(points / np.asarray(size, dtype=float) * CELLS_PER_AXIS).astype(np.intp)
+    index = np.clip(index, 0, CELLS_PER_AXIS - 1)
+    return np.asarray(index[:, 0] * CELLS_PER_AXIS + index[:, 1])

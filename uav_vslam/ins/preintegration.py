@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Preintegrated motion between two stamps, after Forster et al. [forster17], in closed vectorised form.
+
+Symbols: `dR[k]`, `dv[k]`, `dp[k]` are the increments from the start to sample k; `M[j]` maps a gyro error of interval j
+to a rotation error, seen in the start frame, of everything later; `G[j]` (9x6) maps the gyro and accelerometer errors
+of interval j to the errors of the whole increment. Then the bias Jacobian is `-sum G` and the covariance
+`sum G diag(sigma^2/dt) G^T`: no recursion over 9x9 matrices is needed.
+"""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
+from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
+
+Array = NDArray[np.float64]
+
+
+def preintegrate(
+    samples: list[ImuSample],
+    start_ns: int,
+    stamp_ns: int,
+    *,
+    gyro_bias: Array,
+    accel_bias: Array,
+    imu: ImuConfig,
+) -> ImuIncrement:
+    """Integrate readings over [start_ns, stamp_ns] by the midpoint rule.
+
+    The readings at the two ends are interpolated linearly; where the recording has none there, the nearest one holds.
+
+    Args:
+        samples: readings in stamp order; those outside the interval serve for the interpolation at its ends.
+        start_ns, stamp_ns: the interval [ns].
+        gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
+        imu: noise densities.
+
+    Raises:
+        ValueError: the interval is empty or runs backwards.
+    """
+    if stamp_ns <= start_ns:
+        raise ValueError(f"increment from {start_ns} ns to {stamp_ns} ns has no length; stamps must increase")
+    if not samples:
+        return _unknown_motion(start_ns, stamp_ns, gyro_bias, accel_bias, imu)
+    t_s, gyro, accel = _readings_within(samples, start_ns, stamp_ns)
+    dt = np.diff(t_s)
+    omega = 0.5 * (gyro[1:] + gyro[:-1]) - gyro_bias
+    dR = _chain(so3_exp(omega * dt[:, None]))
+    accel_start = np.einsum("kij,kj->ki", dR, accel - accel_bias)
+    accel_mid = 0.5 * (accel_start[1:] + accel_start[:-1])
+    dv = np.vstack([np.zeros(3), np.cumsum(accel_mid * dt[:, None], axis=0)])
+    dp_steps = dv[:-1] * dt[:, None] + 0.5 * accel_mid * dt[:, None] ** 2
+    dp = np.vstack([np.zeros(3), np.cumsum(dp_steps, axis=0)])
+
+    left = t_s[-1] - t_s[1:]  # time that remains after each interval
+    M = dR[1:] @ so3_left_jacobian(-omega * dt[:, None]) * dt[:, None, None]
+    G = np.zeros((len(dt), 9, 6))
+    G[:, 0:3, 0:3] = dR[-1].T @ M
+    G[:, 3:6, 0:3] = -skew(dv[-1] - dv[1:]) @ M
+    G[:, 6:9, 0:3] = -skew(dp[-1] - dp[1:] - dv[1:] * left[:, None]) @ M
+    R_mid_dt = 0.5 * (dR[1:] + dR[:-1]) * dt[:, None, None]
+    G[:, 3:6, 3:6] = R_mid_dt
+    G[:, 6:9, 3:6] = R_mid_dt * (left + 0.5 * dt)[:, None, None]
+    variance = np.repeat([imu.gyro_noise**2, imu.accel_noise**2], 3)[None, :] / dt[:, None]
+    covariance = np.einsum("jab,jb,jcb->ac", G, variance, G)
+    return ImuIncrement(
+        start_ns=start_ns,
+        stamp_ns=stamp_ns,
+        samples=len(samples),
+        delta_R=dR[-1],
+        delta_v=dv[-1],
+        delta_p=dp[-1],
+        gyro_bias=np.array(gyro_bias, dtype=float),
+        accel_bias=np.array(accel_bias, dtype=float),
+        bias_jacobian=-G.sum(axis=0),
+        covariance=0.5 * (covariance + covariance.T),
+    )
+
+
+def _chain(steps: Array) -> Array:
+    """Return (K+1, 3, 3) products I, S0, S0 S1, ..."""
+    out = np.empty((len(steps) + 1, 3, 3))
+    out[0] = np.eye(3)
+    for k, step in enumerate(steps):
+        out[k + 1] = out[k] @ step
+    return out
+
+
+def _readings_within(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> tuple[Array, Array, Array]:
+    """Return times [s] from the start, gyro and accel (K, 3), with interpolated readings at both ends."""
+    stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
+    inside = (stamps > start_ns) & (stamps < stamp_ns)
+    t_all = (stamps - start_ns) / NS_PER_S
+    t_s = np.concatenate([[0.0], t_all[inside], [(stamp_ns - start_ns) / NS_PER_S]])
+    readings = np.array([np.concatenate([s.gyro, s.accel]) for s in samples])
+    columns = np.column_stack([np.interp(t_s, t_all, readings[:, k]) for k in range(6)])
+    return t_s, columns[:, :3], columns[:, 3:]
+
+
+UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] what an airframe may turn while nobody looks
+UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] what it may accelerate meanwhile
+
+
+def _unknown_motion(
+    start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: Array, imu: ImuConfig
+) -> ImuIncrement:
+    """Return a level, unaccelerated flight with a very wide covariance: the inertial unit was silent."""
+    dt = (stamp_ns - start_ns) / NS_PER_S
+    hover = np.array([0.0, 0.0, imu.gravity])
+    sigma = np.repeat([UNKNOWN_RATE_SIGMA * dt, UNKNOWN_ACCEL_SIGMA * dt, 0.5 * UNKNOWN_ACCEL_SIGMA * dt**2], 3)
+    return ImuIncrement(
+        start_ns=start_ns,
+        stamp_ns=stamp_ns,
+        samples=0,
+        delta_R=np.eye(3),
+        delta_v=hover * dt,
+        delta_p=0.5 * hover * dt**2,
+        gyro_bias=np.array(gyro_bias, dtype=float),
+        accel_bias=np.array(accel_bias, dtype=float),
+        bias_jacobian=np.zeros((9, 6)),
+        covariance=np.diag(sigma**2),
+    )
+
+
+class ImuBuffer:
+    """Readings in arrival order, from which intervals are cut.
+
+    A reading at or after the end of an interval must have arrived before it can be cut: see `covers`.
+    """
+
+    def __init__(self) -> None:
+        self._samples: deque[ImuSample] = deque()
+
+    def append(self, sample: ImuSample) -> None:
+        """Add a reading.
+
+        Raises:
+            ValueError: its stamp is not later than the newest one, or a value is not finite.
+        """
+        if not (np.isfinite(sample.gyro).all() and np.isfinite(sample.accel).all()):
+            raise ValueError(f"IMU reading at {sample.stamp_ns} ns is not finite")
+        if self._samples and sample.stamp_ns <= self._samples[-1].stamp_ns:
+            raise ValueError(f"IMU stamp {sample.stamp_ns} ns is not after {self._samples[-1].stamp_ns} ns")
+        self._samples.append(sample)
+
+    def covers(self, stamp_ns: int) -> bool:
+        """Tell whether a reading at or after the stamp has arrived."""
+        return bool(self._samples) and self._samples[-1].stamp_ns >= stamp_ns
+
+    def cut(self, start_ns: int, stamp_ns: int) -> list[ImuSample]:
+        """Return the readings of an interval with one beyond each end where there is one; forget older ones."""
+        while len(self._samples) > 1 and self._samples[1].stamp_ns <= start_ns:
+            self._samples.popleft()
+        chosen = []
+        for sample in self._samples:
+            chosen.append(sample)
+            if sample.stamp_ns >= stamp_ns:
+                break
+        useful = chosen and chosen[-1].stamp_ns > start_ns and chosen[0].stamp_ns < stamp_ns
+        return chosen if useful else []

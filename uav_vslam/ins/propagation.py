@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The strapdown process model on increments: mean, transition and process noise.
+
+The error is (position, velocity, rotation xi, gyro bias, accel bias) in the map frame, R_true = Exp(xi) R. In these
+coordinates the transition depends on the estimate only through the displacement that the specific force caused, so
+the model is group-affine but for the biases (Barrau and Bonnabel, "The invariant extended Kalman filter", 2017).
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import skew, so3_exp
+from uav_vslam.types import ImuIncrement, NavState
+
+Array = NDArray[np.float64]
+
+NAV_DIM = 15
+POSITION, VELOCITY, ROTATION, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, NAV_DIM, 3))
+
+
+def corrected(increment: ImuIncrement, gyro_bias: Array, accel_bias: Array) -> tuple[Array, Array, Array]:
+    """Return delta_R, delta_v, delta_p moved to another bias, to first order.
+
+    Args:
+        increment: preintegrated motion.
+        gyro_bias, accel_bias: (3,) the bias wanted [rad/s], [m/s^2].
+    """
+    shift = increment.bias_jacobian @ np.concatenate(
+        [gyro_bias - increment.gyro_bias, accel_bias - increment.accel_bias]
+    )
+    return increment.delta_R @ so3_exp(shift[:3]), increment.delta_v + shift[3:6], increment.delta_p + shift[6:9]
+
+
+def propagate(state: NavState, increment: ImuIncrement, *, gravity: float) -> NavState:
+    """Return the state at the end of an increment; Eq. (4.6.4) of [thesis] integrated in the map frame."""
+    delta_R, delta_v, delta_p = corrected(increment, state.gyro_bias, state.accel_bias)
+    dt = increment.dt_s
+    g_map = np.array([0.0, 0.0, -gravity])
+    R, p = state.T_map_body.R, state.T_map_body.t
+    return dataclasses.replace(
+        state,
+        stamp_ns=increment.stamp_ns,
+        T_map_body=Pose(R @ delta_R, p + state.v_map * dt + 0.5 * g_map * dt**2 + R @ delta_p),
+        v_map=state.v_map + g_map * dt + R @ delta_v,
+    )
+
+
+def transition(state: NavState, increment: ImuIncrement, imu: ImuConfig) -> tuple[Array, Array]:
+    """Return F (15, 15) and Q (15, 15) of the error over an increment that starts at `state`."""
+    delta_R, delta_v, delta_p = corrected(increment, state.gyro_bias, state.accel_bias)
+    dt = increment.dt_s
+    R = state.T_map_body.R
+    to_map = np.zeros((NAV_DIM, 9))  # increment errors (rotation, velocity, position) into the map frame
+    to_map[ROTATION, 0:3] = R @ delta_R
+    to_map[VELOCITY, 3:6] = R
+    to_map[POSITION, 6:9] = R
+    F = np.eye(NAV_DIM)
+    F[POSITION, VELOCITY] = dt * np.eye(3)
+    F[POSITION, ROTATION] = -skew(R @ delta_p)
+    F[VELOCITY, ROTATION] = -skew(R @ delta_v)
+    F[:, 9:15] += to_map @ increment.bias_jacobian
+    Q = to_map @ increment.covariance @ to_map.T
+    Q[GYRO_BIAS, GYRO_BIAS] += imu.gyro_bias_walk**2 * dt * np.eye(3)
+    Q[ACCEL_BIAS, ACCEL_BIAS] += imu.accel_bias_walk**2 * dt * np.eye(3)
+    return F, Q

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is remembered of each landmark beside its estimate; row k here is row k of the filter's landmarks."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Rows = NDArray[np.intp]
+
+
+class LandmarkMap:
+    """Identifiers, descriptors and history, kept in step with the filter by `append` and `remove`."""
+
+    def __init__(self, descriptor_size: int = 128) -> None:
+        self.ids: NDArray[np.uint32] = np.zeros(0, np.uint32)
+        self.descriptors: NDArray[np.uint8] = np.zeros((0, descriptor_size), np.uint8)
+        self.born: Rows = np.zeros(0, np.intp)  # frame number of the first observation
+        self.seen: Rows = np.zeros(0, np.intp)  # frame number of the last observation
+        self.observations: Rows = np.zeros(0, np.intp)  # how many
+        self._next_id = 1
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def append(self, descriptors: NDArray[np.uint8], frame: int) -> None:
+        """Add landmarks seen for the first time, with (M, D) descriptors; they get fresh identifiers."""
+        count = len(descriptors)
+        fresh = np.arange(self._next_id, self._next_id + count, dtype=np.uint32)
+        self._next_id += count
+        self.ids = np.concatenate([self.ids, fresh])
+        if len(self.descriptors) == 0:
+            self.descriptors = self.descriptors.reshape(0, descriptors.shape[1])
+        self.descriptors = np.vstack([self.descriptors, descriptors])
+        self.born = np.concatenate([self.born, np.full(count, frame)])
+        self.seen = np.concatenate([self.seen, np.full(count, frame)])
+        self.observations = np.concatenate([self.observations, np.ones(count, np.intp)])
+
+    def observe(self, rows: Rows, descriptors: NDArray[np.uint8], frame: int) -> None:
+        """Note that landmarks were seen again; their newest look replaces the old one."""
+        self.descriptors[rows] = descriptors
+        self.seen[rows] = frame
+        self.observations[rows] += 1
+
+    def remove(self, rows: Rows) -> None:
+        """Forget landmarks."""
+        keep = np.ones(len(self), bool)
+        keep[rows] = False
+        self.ids, self.descriptors = self.ids[keep], self.descriptors[keep]
+        self.born, self.seen, self.observations = self.born[keep], self.seen[keep], self.observations[keep]

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which landmarks leave the state and which features become landmarks, so that the cost of a frame stays flat."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import BackendConfig
+from uav_vslam.slam.landmark_map import LandmarkMap
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+FAILED_AFTER_FRAMES = 3  # in view and not seen for so long, while hardly ever seen: a bad landmark
+ESTABLISHED_OBSERVATIONS = 3  # seen so often, a landmark is worth retaining
+THESIS_DROP_SHARE = 0.05  # section 7.4: the share with the largest covariance goes each frame
+THESIS_FIRST_SHARE = 0.5  # share of the places that the oldest landmarks hold in `first_last`
+
+
+@dataclass(frozen=True, slots=True)
+class MapView:
+    """What a retention policy may look at.
+
+    Attributes:
+        landmarks: history of the N landmarks.
+        positions: (N, 3) [m].
+        variance: (N,) trace of each landmark's covariance [m^2].
+        in_view: (N,) predicted inside both images.
+        frame: current frame number.
+    """
+
+    landmarks: LandmarkMap
+    positions: Array
+    variance: Array
+    in_view: NDArray[np.bool_]
+    frame: int
+
+
+class Retention(Protocol):
+    """A policy: rows to give up."""
+
+    def __call__(self, view: MapView, config: BackendConfig) -> Rows:
+        """Return the rows that leave the state now."""
+
+
+def keep_one_per_cell(view: MapView, config: BackendConfig) -> Rows:
+    """Out of view, keep the most observed landmark of each ground cell: enough to close a loop."""
+    out = np.flatnonzero(~view.in_view)
+    order = out[np.argsort(-view.landmarks.observations[out], kind="stable")]
+    order = order[view.landmarks.observations[order] >= ESTABLISHED_OBSERVATIONS]
+    cells = np.floor(view.positions[order, :2] / config.retention_cell_m).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return np.setdiff1d(out, order[first])
+
+
+def keep_none(view: MapView, config: BackendConfig) -> Rows:
+    """Give up every landmark that is out of view."""
+    return np.flatnonzero(~view.in_view)
+
+
+def keep_first_and_last(view: MapView, config: BackendConfig) -> Rows:
+    """Keep the first N1 and the last N2 landmarks of the flight, as the thesis does."""
+    surplus = max(0, len(view.landmarks) - config.max_landmarks)
+    first = round(THESIS_FIRST_SHARE * (len(view.landmarks) - surplus))
+    return np.argsort(view.landmarks.born, kind="stable")[first : first + surplus]
+
+
+def drop_largest_covariance(view: MapView, config: BackendConfig) -> Rows:
+    """Give up the 5 % with the largest covariance of the previous step, as section 7.4 of the thesis does."""
+    settled = np.flatnonzero(view.landmarks.born < view.frame)
+    count = int(THESIS_DROP_SHARE * len(settled))
+    return settled[np.argsort(-view.variance[settled], kind="stable")[:count]]
+
+
+RETENTION: dict[str, Retention] = {
+    "grid": keep_one_per_cell,
+    "none": keep_none,
+    "first_last": keep_first_and_last,
+    "largest_covariance": drop_largest_covariance,
+}
+
+
+def leaving(view: MapView, config: BackendConfig) -> Rows:
+    """Return the rows that leave the state: failed ones, the policy's choice, and what exceeds the cap."""
+    marks = view.landmarks
+    unseen = view.frame - marks.seen
+    failed = view.in_view & (unseen >= FAILED_AFTER_FRAMES) & (marks.observations < ESTABLISHED_OBSERVATIONS)
+    gone = np.union1d(np.flatnonzero(failed), RETENTION[config.retention](view, config))
+    surplus = len(marks) - len(gone) - config.max_landmarks
+    if surplus > 0:
+        rest = np.setdiff1d(np.arange(len(marks)), gone)
+        mature = rest[view.frame - marks.born[rest] >= config.young_frames]
+        oldest = mature[np.lexsort((marks.observations[mature], marks.seen[mature]))]
+        gone = np.union1d(gone, oldest[:surplus])
+    return gone.astype(np.intp)

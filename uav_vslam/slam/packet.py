@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The landmark information packet: made from the sender's belief, checked by the receiver.
+
+The sender marginalises its pose (the joint covariance of the chosen landmarks is kept whole), rounds the Cholesky
+factor to float32, and then inflates: with R the coded covariance and P the exact one, `s = max(1, lambda_max(R^-1 P))`
+makes `s R - P` positive semidefinite, so no receiver is told more than the sender knows.
+"""
+
+import dataclasses
+import struct
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.estimation.numerics import cholesky, inverse_spd, symmetrise
+from uav_vslam.geometry.image_grid import spread
+from uav_vslam.types import JointInformation, LandmarkPacket
+
+Array = NDArray[np.float64]
+
+POSE_DIM = 6
+MAX_LANDMARKS = 1000  # a packet that claims more is not believed
+ROUNDING_MARGIN = 1e-6  # float32 rounds the inflated factor once more
+HEADER_BYTES = 120  # fixed part with CDR lengths and padding; sources and strings come on top
+
+
+def make_packet(joint: JointInformation, *, sequence: int, max_landmarks: int, prior_id: str = "") -> LandmarkPacket:
+    """Choose the best-known, well-spread landmarks and code their joint marginal.
+
+    Args:
+        joint: the sender's belief.
+        sequence: number of the packet within the session.
+        max_landmarks: how many at most.
+        prior_id: hash of a loaded map or shared survey behind the belief.
+    """
+    P = inverse_spd(joint.information, "joint information")
+    rows = choose_landmarks(joint.positions, np.diagonal(P)[POSE_DIM:].reshape(-1, 3).sum(axis=1), max_landmarks)
+    columns = (POSE_DIM + 3 * rows[:, None] + np.arange(3)).ravel()
+    origin = np.round(joint.T_map_body.t)
+    factor, scale = code_covariance(P[np.ix_(columns, columns)])
+    packet = LandmarkPacket(
+        stamp_ns=joint.stamp_ns,
+        vehicle=joint.vehicle,
+        session=joint.session,
+        sequence=sequence,
+        sources=(f"{joint.vehicle}/{joint.session}",),
+        prior_id=prior_id,
+        ids=joint.ids[rows],
+        origin=origin,
+        offsets=(joint.positions[rows] - origin).astype(np.float32),
+        covariance_factor=factor,
+        covariance_scale=scale,
+        descriptors=joint.descriptors[rows],
+        checksum=0,
+    )
+    return dataclasses.replace(packet, checksum=checksum(packet))
+
+
+def choose_landmarks(positions: Array, variance: Array, count: int) -> NDArray[np.intp]:
+    """Return at most `count` rows, the best known first, spread over the ground that (N, 3) positions cover."""
+    order = np.argsort(variance, kind="stable")
+    if len(order) <= count:
+        return np.sort(order)
+    plan = positions[order, :2] - positions[:, :2].min(axis=0)
+    extent = np.maximum(plan.max(axis=0), 1e-3)
+    return np.sort(order[spread(plan, count, size=(float(extent[0]), float(extent[1])))])
+
+
+def code_covariance(P: Array) -> tuple[NDArray[np.float32], float]:
+    """Return the packed float32 Cholesky factor of a bound of P (n, n), and the factor s >= 1 by which it bounds."""
+    if len(P) == 0:
+        return np.zeros(0, np.float32), 1.0
+    tril = np.tril_indices(len(P))
+    rounded = np.zeros_like(P)
+    rounded[tril] = cholesky(symmetrise(P), "covariance of a packet")[tril].astype(np.float32)
+    largest = float(eigh(P, rounded @ rounded.T, eigvals_only=True, subset_by_index=[len(P) - 1, len(P) - 1])[0])
+    scale = max(1.0, largest) * (1.0 + ROUNDING_MARGIN)
+    return (np.sqrt(scale) * rounded[tril]).astype(np.float32), scale
+
+
+def checksum(packet: LandmarkPacket) -> int:
+    """Return the CRC-32 over every field but the checksum itself."""
+    text = "\0".join([packet.vehicle, *packet.sources, packet.prior_id]).encode()
+    crc = zlib.crc32(struct.pack("<qQId", packet.stamp_ns, packet.session, packet.sequence, packet.covariance_scale))
+    arrays = (packet.ids, packet.origin, packet.offsets, packet.covariance_factor, packet.descriptors)
+    for data in (text, *(np.ascontiguousarray(a).tobytes() for a in arrays)):
+        crc = zlib.crc32(data, crc)
+    return crc
+
+
+def payload_bytes(packet: LandmarkPacket) -> int:
+    """Return the size of the packet as DDS carries it, to within padding [bytes]."""
+    text = sum(len(s) + 5 for s in (packet.vehicle, packet.prior_id, *packet.sources))
+    arrays = packet.ids.nbytes + packet.offsets.nbytes + packet.covariance_factor.nbytes + packet.descriptors.nbytes
+    return HEADER_BYTES + text + arrays
+
+
+def validate(packet: LandmarkPacket) -> None:
+    """Check everything a receiver relies on.
+
+    Raises:
+        InvalidMessage: with reason shape, checksum, not_finite, covariance or duplicate_id.
+    """
+    n = len(packet.ids)
+    if not n <= MAX_LANDMARKS:
+        raise InvalidMessage("shape", f"{n} landmarks; at most {MAX_LANDMARKS} are accepted")
+    if packet.offsets.shape != (n, 3) or packet.covariance_factor.shape != (3 * n * (3 * n + 1) // 2,):
+        raise InvalidMessage(
+            "shape", f"{n} ids, offsets {packet.offsets.shape}, factor {packet.covariance_factor.shape} don't fit"
+        )
+    if len(packet.descriptors) != n:
+        raise InvalidMessage("shape", f"{n} ids but {len(packet.descriptors)} descriptors")
+    if checksum(packet) != packet.checksum:
+        raise InvalidMessage("checksum", f"packet {packet.sequence} of {packet.source} was damaged on its way")
+    numbers = (packet.origin, packet.offsets, packet.covariance_factor, packet.covariance_scale)
+    if not all(np.isfinite(a).all() for a in numbers):
+        raise InvalidMessage("not_finite", f"packet {packet.sequence} of {packet.source} holds NaN or infinity")
+    diagonal = packet.covariance_factor[np.cumsum(np.arange(1, 3 * n + 1)) - 1]
+    if not (diagonal > 0).all() or not packet.covariance_scale >= 1:
+        raise InvalidMessage("covariance", f"packet {packet.sequence} of {packet.source} is not positive definite")
+    if len(np.unique(packet.ids)) != n:
+        raise InvalidMessage("duplicate_id", f"packet {packet.sequence} of {packet.source} repeats a landmark")
