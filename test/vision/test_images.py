@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
+
+
+def test_a_shrunk_blob_maps_back_to_its_full_resolution_centre():
+    rows, columns = np.mgrid[:120, :160]
+    image = np.rint(250 * np.exp(-((columns - 70.4) ** 2 + (rows - 50.9) ** 2) / (2 * 8.0**2))).astype(np.uint8)
+    small = shrink(image, 0.5)
+    weight = small.astype(float)
+    v, u = np.mgrid[: small.shape[0], : small.shape[1]]
+    centre = np.array([[(u * weight).sum(), (v * weight).sum()]]) / weight.sum()
+    np.testing.assert_allclose(to_full_resolution(centre, small.shape, image.shape), [[70.4, 50.9]], atol=0.02)
+
+
+def test_half_resolution_pixels_are_two_u_plus_a_half():
+    full = to_full_resolution(np.array([[0.0, 10.0]]), (48, 64), (96, 128))
+    np.testing.assert_allclose(full, [[0.5, 20.5]])
+
+
+def test_a_rounded_size_sets_the_scale_of_each_axis():
+    full = to_full_resolution(np.array([[37.0, 24.0]]), (24, 37), (48, 75))
+    np.testing.assert_allclose(full, [[37.5 * 75 / 37 - 0.5, 48.5]])
+
+
+def test_16_bit_images_fill_8_bits_whatever_their_depth():
+    ramp = np.tile(np.arange(200, 3000, 10, dtype=np.uint16), (40, 1))
+    grey = to_grey8(ramp)
+    assert grey.dtype == np.uint8
+    assert grey.min() == 0
+    assert grey.max() == 255
+    assert (np.diff(grey.astype(int), axis=1) >= 0).all()
+
+
+def test_a_uniform_16_bit_image_stays_uniform():
+    assert not to_grey8(np.full((32, 32), 900, np.uint16)).any()
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (np.zeros((4, 4)), "image_type"),
+        (np.zeros((4, 4, 2), np.uint8), "image_shape"),
+        (np.zeros((0, 4), np.uint8), "image_shape"),
+    ],
+)
+def test_other_images_are_refused_with_a_reason(image, reason):
+    with pytest.raises(InvalidMessage) as caught:
+        to_grey8(image)
+    assert caught.value.reason == reason

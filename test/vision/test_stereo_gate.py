@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.vision.stereo_gate import epipolar_distances, stereo_candidates
+
+CAMERA = PinholeCamera(1280, 960, 1642.0, 1642.0, 640.0, 480.0)
+
+
+@pytest.fixture(params=[[0.776, 0.0, 0.0], [0.0, 0.776, 0.0], [0.5, 0.5, 0.1]], ids=["along u", "along v", "oblique"])
+def rig(request):
+    squint = Pose(so3_exp([0.05, -0.04, 0.2]), np.array(request.param))
+    return StereoRig(CAMERA, CAMERA, Pose.identity(), squint)
+
+
+def observe(rig, depth, count=30):
+    rng = np.random.default_rng(0)
+    rays = CAMERA.bearings(rng.uniform([200, 200], [1000, 700], (count, 2)))
+    return rig.project(rays * depth)
+
+
+def test_true_pairs_are_allowed_and_most_others_are_not(rig):
+    z = observe(rig, 70.0)
+    allowed = stereo_candidates(z[:, :2], z[:, 2:], rig, epipolar_px=2.0, depth_range_m=(20.0, 500.0))
+    assert np.diagonal(allowed).all()
+    assert allowed.mean() < 0.05
+
+
+def test_depth_range_closes_the_gate(rig):
+    z = observe(rig, 70.0)
+    for depth_range_m in ((80.0, 500.0), (0.3, 60.0)):
+        allowed = stereo_candidates(z[:, :2], z[:, 2:], rig, epipolar_px=2.0, depth_range_m=depth_range_m)
+        assert not np.diagonal(allowed).any()
+
+
+def test_all_pairs_have_the_distance_that_the_rig_gives_one_by_one(rig):
+    z = observe(rig, 70.0)
+    distances = epipolar_distances(z[:, :2], z[::-1, 2:], rig)
+    np.testing.assert_allclose(np.diagonal(distances), rig.epipolar_distance(np.hstack([z[:, :2], z[::-1, 2:]])))
+
+
+@pytest.mark.parametrize(("count_left", "count_right"), [(0, 0), (0, 3), (3, 0)])
+def test_no_points_give_an_empty_gate(rig, count_left, count_right):
+    z = observe(rig, 70.0, 3)
+    allowed = stereo_candidates(
+        z[:count_left, :2], z[:count_right, 2:], rig, epipolar_px=2.0, depth_range_m=(1.0, 100.0)
+    )
+    assert allowed.shape == (count_left, count_right)

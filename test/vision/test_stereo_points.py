@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+import dataclasses
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from uav_vslam.config import FrontendConfig
+from uav_vslam.errors import ConfigError, InvalidMessage
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.types import StereoFrame
+from uav_vslam.vision.stereo_points import StereoFrontend
+
+CONFIG = FrontendConfig()
+LARGEST_WRONG_SHARE = 0.02  # what the filter's gates and PnP are made for
+LARGEST_DISPARITY_SIGMA_PX = 0.35  # half-resolution SIFT: 0.22 to 0.26 px measured
+
+
+def data_folder() -> Path:
+    root = Path(__file__).resolve().parents[2]
+    return Path(os.environ.get("UAV_VSLAM_DATA", root.parent / "shared" / "data")) / "euroc_v101_keyframes" / "mav0"
+
+
+def test_wrong_matches_are_rare_and_right_ones_many(scene):
+    features = StereoFrontend(scene.rig, CONFIG).process(scene.frame)
+    assert len(features) >= 300
+    assert scene.wrong(features.pixels).mean() <= LARGEST_WRONG_SHARE
+
+
+def test_right_pixels_are_precise_and_unbiased(flight_scene):
+    features = StereoFrontend(flight_scene.rig, CONFIG).process(flight_scene.frame)
+    error = flight_scene.right_error(features.pixels)[~flight_scene.wrong(features.pixels)]
+    assert (error.std(axis=0) < LARGEST_DISPARITY_SIGMA_PX).all()
+    assert (abs(np.median(error, axis=0)) < 0.05).all()  # the mean is that of a few coarse points' tails
+
+
+def test_depths_of_a_flight_are_those_of_the_ground(flight_scene):
+    features = StereoFrontend(flight_scene.rig, CONFIG).process(flight_scene.frame)
+    depth = flight_scene.rig.triangulate(features.pixels)[:, 2]
+    assert np.median(depth) == pytest.approx(70.0, rel=0.02)
+    assert np.percentile(depth, [2, 98]) == pytest.approx([70.0, 70.0], rel=0.15)
+
+
+def test_points_cover_the_image(flight_scene):
+    features = StereoFrontend(flight_scene.rig, CONFIG).process(flight_scene.frame)
+    cells = np.floor(features.pixels[:, :2] / 320).astype(int)
+    counts = [np.sum((cells == [i, j]).all(axis=1)) for i in range(4) for j in range(3) if j < 2]
+    assert len(features) == CONFIG.max_matches
+    assert min(counts) >= 10
+
+
+def test_full_resolution_gives_the_same_pixel_frame(flight_scene):
+    half = StereoFrontend(flight_scene.rig, CONFIG).process(flight_scene.frame).pixels
+    full = StereoFrontend(flight_scene.rig, dataclasses.replace(CONFIG, scale=1.0)).process(flight_scene.frame).pixels
+    distance = np.linalg.norm(half[:, None, :2] - full[None, :, :2], axis=2)
+    nearest = distance.argmin(axis=1)
+    same = distance.min(axis=1) < 1.0
+    offset = (half[same, :2] - full[nearest[same], :2]).mean(axis=0)
+    assert same.sum() > 50
+    assert (abs(offset) < 0.1).all()  # a wrong half-pixel convention shows as 0.5
+
+
+def test_colour_and_16_bit_images_give_nearly_the_same_points(indoor_scene):
+    frame = indoor_scene.frame
+    colour = StereoFrame(1, cv2.cvtColor(frame.left, cv2.COLOR_GRAY2BGR), cv2.cvtColor(frame.right, cv2.COLOR_GRAY2BGR))
+    deep = StereoFrame(1, frame.left.astype(np.uint16) * 16, frame.right.astype(np.uint16) * 16)
+    frontend = StereoFrontend(indoor_scene.rig, CONFIG)
+    grey = frontend.process(frame)
+    np.testing.assert_array_equal(frontend.process(colour).pixels, grey.pixels)
+    assert len(frontend.process(deep)) > 0.8 * len(grey)
+
+
+def test_two_runs_give_identical_bytes_and_leave_the_images_alone(indoor_scene):
+    frame = indoor_scene.frame
+    before = frame.left.copy()
+    first = StereoFrontend(indoor_scene.rig, CONFIG).process(frame)
+    frontend = StereoFrontend(indoor_scene.rig, CONFIG)
+    frontend.process(StereoFrame(0, frame.right, frame.left))
+    second = frontend.process(frame)
+    assert first.pixels.tobytes() == second.pixels.tobytes()
+    assert first.descriptors.tobytes() == second.descriptors.tobytes()
+    np.testing.assert_array_equal(frame.left, before)
+
+
+def test_no_point_appears_twice(scene):
+    pixels = StereoFrontend(scene.rig, CONFIG).process(scene.frame).pixels
+    assert len(np.unique(pixels[:, :2], axis=0)) == len(pixels)
+    assert len(np.unique(pixels[:, 2:], axis=0)) == len(pixels)
+
+
+@pytest.mark.parametrize("grey", [0, 128, 255])
+def test_uniform_images_have_no_points(indoor_scene, grey):
+    blank = np.full((480, 752), grey, np.uint8)
+    frontend = StereoFrontend(indoor_scene.rig, CONFIG)
+    for frame in (StereoFrame(5, blank, blank), StereoFrame(5, indoor_scene.frame.left, blank)):
+        features = frontend.process(frame)
+        assert (features.stamp_ns, features.pixels.shape, features.descriptors.shape) == (5, (0, 4), (0, 128))
+        assert (features.pixels.dtype, features.descriptors.dtype) == (np.float32, np.uint8)
+
+
+def test_points_outside_the_depth_range_are_not_handed_on(flight_scene):
+    config = dataclasses.replace(CONFIG, max_depth_m=60.0)
+    depth = flight_scene.rig.triangulate(StereoFrontend(flight_scene.rig, config).process(flight_scene.frame).pixels)
+    assert (depth[:, 2] <= 60.5).all()
+    assert len(depth) < 0.1 * CONFIG.max_matches
+
+
+def test_an_image_of_another_size_is_refused_by_name(flight_scene, indoor_scene):
+    frame = StereoFrame(1, flight_scene.frame.left, indoor_scene.frame.right)
+    with pytest.raises(InvalidMessage, match="right image is") as caught:
+        StereoFrontend(flight_scene.rig, CONFIG).process(frame)
+    assert caught.value.reason == "image_size"
+
+
+def test_an_unknown_extractor_is_a_configuration_error(indoor_scene):
+    with pytest.raises(ConfigError, match="sift"):
+        StereoFrontend(indoor_scene.rig, dataclasses.replace(CONFIG, extractor="sfit"))
+
+
+def read_camera(folder: Path) -> tuple[PinholeCamera, Pose]:
+    sensor = yaml.safe_load((folder / "sensor.yaml").read_text().replace("%YAML:1.0", ""))
+    distortion = np.array([*sensor["distortion_coefficients"], 0.0])
+    camera = PinholeCamera(*sensor["resolution"], *sensor["intrinsics"], distortion)
+    return camera, Pose.from_matrix(np.reshape(sensor["T_BS"]["data"], (4, 4)))
+
+
+@pytest.mark.data
+def test_real_pairs_of_a_room_give_plausible_points():
+    folder = data_folder()
+    if not folder.is_dir():
+        pytest.skip(f"no EuRoC keyframes at {folder}; set UAV_VSLAM_DATA")
+    (left, T_body_left), (right, T_body_right) = read_camera(folder / "cam0"), read_camera(folder / "cam1")
+    rig = StereoRig(left, right, T_body_left, T_body_right)
+    frontend = StereoFrontend(rig, dataclasses.replace(CONFIG, scale=1.0))
+    counts = []
+    for path in sorted((folder / "cam0" / "data").iterdir())[10::18]:
+        pair = [cv2.imread(str(folder / name / "data" / path.name), cv2.IMREAD_GRAYSCALE) for name in ("cam0", "cam1")]
+        features = frontend.process(StereoFrame(int(path.stem), pair[0], pair[1]))
+        depth = rig.triangulate(features.pixels)[:, 2]
+        counts.append(len(features))
+        # The Vicon room is about 8 m x 8 m x 4 m.
+        assert np.mean((depth > 0.5) & (depth < 12.0)) > 0.97
+    assert min(counts) >= 100
+    assert np.median(counts) >= 200

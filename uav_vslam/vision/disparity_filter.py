@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Removes stereo matches whose disparity nothing around them supports.
+
+A surface bends little between neighbours: the disparity gradient is limited (Pollard, Mayhew, Frisby, "PMF: a stereo
+correspondence algorithm using a disparity gradient limit", Perception 1985). The limit is taken from the image itself,
+as a multiple of the median gradient: tight above flat ground, wide indoors. A match stays when a few of its neighbours
+agree with it, not most of them: a point at the edge of a foreground object keeps its own side's votes, where a local
+median would remove it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Array = NDArray[np.float64]
+
+NEIGHBOURS = 12
+NEEDED_VOTES = 3
+GRADIENT_FACTOR = 3.0  # the limit, in median gradients
+LARGEST_GRADIENT = 0.3  # of a surface three baselines away, seen edge-on; more, and strangers would support strangers
+
+
+def supported_disparities(pixels: Array, disparity: Array, *, noise_px: float) -> NDArray[np.bool_]:
+    """Return which matches have enough neighbours of like disparity.
+
+    Args:
+        pixels: (N, 2) undistorted left pixels.
+        disparity: (N,) focal length x baseline / depth [px], which any rig has, rectified or not.
+        noise_px: largest difference of two disparities of one surface that noise explains [px].
+
+    Returns:
+        (N,) mask.
+    """
+    count = len(pixels)
+    neighbours = min(NEIGHBOURS, count - 1)
+    needed = min(NEEDED_VOTES, neighbours // 2)
+    if needed <= 0:
+        return np.ones(count, bool)
+    distance, index = cKDTree(pixels).query(pixels, k=neighbours + 1)
+    distance, index = distance[:, 1:], index[:, 1:]
+    difference = np.abs(disparity[index] - disparity[:, None])
+    gradient = GRADIENT_FACTOR * float(np.median(difference / np.maximum(distance, 1.0)))
+    limit = noise_px + min(gradient, LARGEST_GRADIENT) * distance
+    return np.asarray((difference <= limit).sum(axis=1) >= needed)

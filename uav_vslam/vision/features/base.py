@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every feature extractor offers."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Keypoints:
+    """Points of one image, strongest first.
+
+    Attributes:
+        pixels: (N, 2) float32 u, v [px] of the image that was given; (0, 0) is the centre of the first pixel.
+        responses: (N,) float32 strength, larger is better; comparable within one extractor only.
+        descriptors: (N, D) uint8.
+    """
+
+    pixels: NDArray[np.float32]
+    responses: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+class Extractor(Protocol):
+    """Finds and describes points; the same image gives the same points in the same order, every time."""
+
+    def detect(self, image: NDArray[np.uint8]) -> Keypoints:
+        """Return the keypoints of an (H, W) grey image; none in an image without texture."""
+        ...
+
+
+def strongest_first(keypoints: Keypoints, count: int) -> Keypoints:
+    """Return the `count` strongest keypoints; ties are broken by position, so the order depends on the image only."""
+    u, v = keypoints.pixels[:, 0], keypoints.pixels[:, 1]
+    order = np.lexsort((u, v, -keypoints.responses))[:count]
+    return Keypoints(keypoints.pixels[order], keypoints.responses[order], keypoints.descriptors[order])

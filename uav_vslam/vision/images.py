@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera images as the extractors want them: one 8-bit channel, shrunk."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import InvalidMessage
+
+STRETCH_PERCENTILES = (0.5, 99.5)  # of a 16-bit image, mapped to 0 and 255: robust to hot pixels and glints
+STRETCH_STEP = 4  # the percentiles are taken from every fourth row and column
+
+
+def to_grey8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """Return an image as (H, W) uint8.
+
+    Args:
+        image: (H, W) or (H, W, 1) grey or (H, W, 3) BGR, uint8 or uint16.
+
+    Raises:
+        InvalidMessage: another shape or type.
+    """
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InvalidMessage("image_type", f"images of {image.dtype} can't be used; send mono8, bgr8 or mono16")
+    if image.ndim == 3 and image.shape[2] == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    elif image.ndim == 3 and image.shape[2] == 1:
+        image = image[:, :, 0]
+    if image.ndim != 2 or image.size == 0:
+        raise InvalidMessage("image_shape", f"an image of shape {image.shape} can't be used; send (H, W) or (H, W, 3)")
+    return _stretch(image) if image.dtype == np.uint16 else np.ascontiguousarray(image, np.uint8)
+
+
+def _stretch(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """Map a 16-bit image's own range to 8 bits: sensors fill 10, 12 or 16 of the bits and don't say which."""
+    low, high = np.percentile(image[::STRETCH_STEP, ::STRETCH_STEP].astype(np.float32), STRETCH_PERCENTILES)
+    if high - low < 1.0:
+        return np.zeros(image.shape, np.uint8)
+    stretched = (image.astype(np.float32) - np.float32(low)) * np.float32(255.0 / (high - low))
+    return np.asarray(np.clip(np.rint(stretched), 0, 255), np.uint8)
+
+
+def shrink(image: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
+    """Return an image shrunk by `scale` with an area average, which neither aliases nor shifts."""
+    if scale == 1.0:
+        return image
+    height, width = image.shape
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def to_full_resolution(
+    pixels: NDArray[np.floating], shrunk: tuple[int, ...], full: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """Map pixels of a shrunk image to the full one: p_full = (p + 0.5) / scale - 0.5, as pixel centres are integers.
+
+    Args:
+        pixels: (N, 2) u, v in the shrunk image [px].
+        shrunk, full: (height, width) of both images [px]; their quotient is the scale that rounding left.
+    """
+    scale = np.array([shrunk[1] / full[1], shrunk[0] / full[0]])
+    return np.asarray((np.asarray(pixels, float) + 0.5) / scale - 0.5)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nearest neighbour with ratio test (Lowe 2004) and mutual check, section 3.4 of [thesis].
+
+Distances of 8-bit descriptors are integers below 2^24, so they are exact in float32 whatever the order in which BLAS
+sums: the result is the same on every machine.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+SINGLE_CANDIDATE_DISTANCE = 250.0  # between 8-bit SIFT descriptors, whose length is about 512
+
+
+def match_descriptors(
+    a: NDArray[np.generic],
+    b: NDArray[np.generic],
+    ratio: float,
+    *,
+    mutual: bool = True,
+    single_distance: float = SINGLE_CANDIDATE_DISTANCE,
+) -> NDArray[np.intp]:
+    """Match each row of `a` to its nearest row of `b`.
+
+    Args:
+        a, b: (Na, D), (Nb, D) uint8 or float descriptors.
+        ratio: the nearest must be closer than this times the second nearest.
+        mutual: keep a match only where the row of `a` is also the nearest one to the row of `b`.
+        single_distance: where `b` has one row only there is no ratio; the distance must be below this instead.
+
+    Returns:
+        (M, 2) indices into `a` and `b`, ascending in `a`.
+    """
+    return _match(squared_distances(a, b), ratio, mutual=mutual, single_distance=single_distance)
+
+
+def match_gated(
+    a: NDArray[np.generic],
+    b: NDArray[np.generic],
+    allowed: NDArray[np.bool_],
+    ratio: float,
+    *,
+    mutual: bool = True,
+    single_distance: float = SINGLE_CANDIDATE_DISTANCE,
+) -> NDArray[np.intp]:
+    """Match as `match_descriptors` does, among allowed pairs only: what the gate excludes is no rival in the ratio.
+
+    Args:
+        a, b: (Na, D), (Nb, D) uint8 or float descriptors.
+        allowed: (Na, Nb) pairs that may match.
+        ratio: the nearest allowed must be closer than this times the second nearest allowed.
+        mutual: keep a match only where it is the nearest allowed one from both sides.
+        single_distance: largest distance where only one candidate is allowed.
+
+    Returns:
+        (M, 2) indices into `a` and `b`, ascending in `a`.
+    """
+    if allowed.shape != (len(a), len(b)):
+        raise ValueError(f"allowed is {allowed.shape}, but there are {len(a)} x {len(b)} descriptors")
+    squared = np.where(allowed, squared_distances(a, b), np.float32(np.inf))
+    return _match(squared, ratio, mutual=mutual, single_distance=single_distance)
+
+
+def squared_distances(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Return (Na, Nb) squared Euclidean distances, |a|^2 + |b|^2 - 2 a.b; exact for uint8 descriptors."""
+    if len(a) == 0 or len(b) == 0:
+        return np.zeros((len(a), len(b)), np.float32)
+    if a.shape[1] != b.shape[1]:
+        raise ValueError(f"descriptors of {a.shape[1]} and {b.shape[1]} numbers can't be compared")
+    fa, fb = np.asarray(a, np.float32), np.asarray(b, np.float32)
+    squared = fa @ fb.T
+    squared *= -2.0
+    squared += np.einsum("ij,ij->i", fa, fa)[:, None]
+    squared += np.einsum("ij,ij->i", fb, fb)[None, :]
+    return np.maximum(squared, 0.0, out=squared)
+
+
+def _match(squared: NDArray[np.float32], ratio: float, *, mutual: bool, single_distance: float) -> NDArray[np.intp]:
+    """Apply ratio test, single-candidate cap and mutual check to squared distances, inf where not allowed."""
+    if squared.size == 0:
+        return np.zeros((0, 2), np.intp)
+    rows = np.arange(len(squared))
+    best = np.argmin(squared, axis=1)
+    first = squared[rows, best].astype(np.float64)
+    second = _second_smallest(squared, best)
+    good = np.where(np.isfinite(second), first < ratio**2 * second, first < single_distance**2)
+    good &= np.isfinite(first)
+    if mutual:
+        good &= np.argmin(squared, axis=0)[best] == rows
+    return np.stack([rows[good], best[good]], axis=1)
+
+
+def _second_smallest(squared: NDArray[np.float32], best: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return each row's smallest value but the one at `best`; inf where there is none."""
+    rows = np.arange(len(squared))
+    others = squared.copy()
+    others[rows, best] = np.inf
+    return others.min(axis=1).astype(np.float64)

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which left and right points can be images of one point: on each other's epipolar line, at a possible depth.
+
+Nothing is assumed of the rig: the baseline may run along the image's vertical and the cameras may squint.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.stereo import StereoRig
+
+Array = NDArray[np.float64]
+
+
+def stereo_candidates(
+    left: Array, right: Array, rig: StereoRig, *, epipolar_px: float, depth_range_m: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Return the pairs that stereo geometry allows.
+
+    Args:
+        left, right: (Na, 2), (Nb, 2) undistorted pixels.
+        rig: calibration.
+        epipolar_px: largest distance of the right point from the left point's epipolar line [px].
+        depth_range_m: smallest and largest depth in the left camera [m].
+
+    Returns:
+        (Na, Nb) mask.
+    """
+    allowed = epipolar_distances(left, right, rig) <= epipolar_px
+    rows, columns = np.nonzero(allowed)
+    depth = rig.triangulate(np.hstack([left[rows], right[columns]]))[:, 2]
+    near, far = depth_range_m
+    possible = (depth >= near) & (depth <= far)  # NaN compares as False
+    allowed[rows[~possible], columns[~possible]] = False
+    return allowed
+
+
+def epipolar_distances(left: Array, right: Array, rig: StereoRig) -> Array:
+    """Return (Na, Nb) distances [px] of all right pixels from the epipolar lines of all left pixels."""
+    lines = np.hstack([left, np.ones((len(left), 1))]) @ rig.fundamental.T
+    norm = np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    lines = lines / np.where(norm > 0, norm, 1.0)
+    return np.asarray(np.abs(lines @ np.hstack([right, np.ones((len(right), 1))]).T))
