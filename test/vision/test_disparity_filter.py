@@ -26,6 +26,11 @@ def test_both_sides_of_a_depth_edge_survive():
     assert supported_disparities(pixels, disparity, noise_px=1.0).mean() > 0.99
 
 
+def test_a_steep_floor_survives_where_points_are_few():
+    pixels = spread(40)
+    assert supported_disparities(pixels, 0.1 * pixels[:, 1], noise_px=1.0).mean() > 0.95
+
+
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_points_to_vote_are_kept(count):
     assert supported_disparities(spread(count), np.arange(count) * 50.0, noise_px=1.0).tolist() == [True] * count

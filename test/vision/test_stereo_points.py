@@ -17,7 +17,7 @@ from uav_vslam.types import StereoFrame
 from uav_vslam.vision.stereo_points import StereoFrontend
 
 CONFIG = FrontendConfig()
-LARGEST_WRONG_SHARE = 0.02  # what the filter's gates and PnP are made for
+LARGEST_WRONG_SHARE = 0.01  # measured 0 above ground and 0.007 indoors; 0.02 there without the disparity filter
 LARGEST_DISPARITY_SIGMA_PX = 0.35  # half-resolution SIFT: 0.22 to 0.26 px measured
 
 
@@ -27,8 +27,9 @@ def data_folder() -> Path:
 
 
 def test_wrong_matches_are_rare_and_right_ones_many(scene):
-    features = StereoFrontend(scene.rig, CONFIG).process(scene.frame)
-    assert len(features) >= 300
+    every = dataclasses.replace(CONFIG, max_matches=CONFIG.max_features)
+    features = StereoFrontend(scene.rig, every).process(scene.frame)
+    assert len(features) >= 500
     assert scene.wrong(features.pixels).mean() <= LARGEST_WRONG_SHARE
 
 

@@ -25,11 +25,11 @@ def pnp_ransac(
     guess: Pose | None = None,
     *,
     threshold_px: float,
-    seed: int = 0,
 ) -> tuple[Pose, Mask] | None:
     """Find the pose under which most points reproject onto their pixels.
 
-    The consensus of RANSAC (P3P) and that of the guess compete; the larger one is refitted by Levenberg-Marquardt.
+    The consensus of RANSAC (P3P) and that of the guess compete, each refitted by Levenberg-Marquardt. OpenCV's RANSAC
+    draws from a generator of its own with a fixed seed: the same input gives the same result, whatever ran before.
 
     Args:
         points_map: (N, 3) mapped points [m].
@@ -37,7 +37,6 @@ def pnp_ransac(
         camera: intrinsics of the left camera.
         guess: predicted T_map_left, or None.
         threshold_px: largest reprojection error of an inlier [px].
-        seed: of the random samples; the same input gives the same result.
 
     Returns:
         T_map_left and the (N,) inlier mask, or None where no pose has at least 4 inliers.
@@ -47,7 +46,7 @@ def pnp_ransac(
     if len(points) < MIN_POINTS:
         return None
     T_guess_map = None if guess is None else guess.inverse()
-    starts = [_ransac(points, pixels, camera, threshold_px=threshold_px, seed=seed), T_guess_map]
+    starts = [_ransac(points, pixels, camera, threshold_px=threshold_px), T_guess_map]
     fits = [_refine(points, pixels, camera, T, threshold_px=threshold_px) for T in starts if T is not None]
     found = [fit for fit in fits if fit is not None]
     if not found:
@@ -56,9 +55,8 @@ def pnp_ransac(
     return T_left_map.inverse(), inliers
 
 
-def _ransac(points: Array, pixels: Array, camera: PinholeCamera, *, threshold_px: float, seed: int) -> Pose | None:
+def _ransac(points: Array, pixels: Array, camera: PinholeCamera, *, threshold_px: float) -> Pose | None:
     """Return T_left_map of the largest consensus among random samples of four, or None."""
-    cv2.setRNGSeed(seed)
     try:
         found, rotation_vector, translation, _ = cv2.solvePnPRansac(
             points,
