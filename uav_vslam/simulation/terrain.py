@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ground's height: an analytic field, so that truth, landmarks and images agree exactly."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.simulation.scenario import FLEET, Purpose, Scenario
+from uav_vslam.simulation.texture import Texture, texture_from
 
 COMPONENTS = 10
 WAVELENGTHS_M = (40.0, 400.0)
@@ -41,3 +44,22 @@ class Relief:
 def relief_of(scenario: Scenario) -> Relief:
     """Return the ground of a scenario, the same for all its vehicles."""
     return Relief(scenario.relief_m, scenario.rng(FLEET, Purpose.RELIEF))
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """What there is to photograph: a height field and its looks."""
+
+    relief: Relief
+    texture: Texture
+
+
+def ground_of(scenario: Scenario) -> Ground:
+    """Return the textured ground of a scenario, the same for all its vehicles.
+
+    Raises:
+        ConfigError: the scenario's texture can't be read.
+    """
+    seed = int(scenario.rng(FLEET, Purpose.TEXTURE).integers(2**31))
+    texture = texture_from(scenario.texture, seed, image_m_per_px=scenario.texture_m_per_px)
+    return Ground(relief_of(scenario), texture)
