@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 from uav_vslam.config import FrontendConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import StereoFeatures, StereoFrame
 from uav_vslam.vision.disparity_filter import supported_disparities
 from uav_vslam.vision.features import Keypoints, make_extractor
 from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
 from uav_vslam.vision.matching import match_gated
-from uav_vslam.vision.selection import spread_selection
 from uav_vslam.vision.stereo_gate import stereo_candidates
 
 Array = NDArray[np.float64]
@@ -47,8 +47,7 @@ class StereoFrontend:
         keep = self._supported(pixels)
         pairs, pixels = pairs[keep], pixels[keep]
         size = (self._rig.left.width, self._rig.left.height)
-        strength = left.responses[pairs[:, 0]]
-        chosen = spread_selection(pixels[:, :2], strength, size=size, count=self._config.max_matches)
+        chosen = spread(pixels[:, :2], self._config.max_matches, size=size)  # they come strongest first
         descriptors = left.descriptors[pairs[chosen, 0]]
         return StereoFeatures(frame.stamp_ns, pixels[chosen].astype(np.float32), descriptors)
 
