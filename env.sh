@@ -25,7 +25,7 @@ _uav_prepend() { # _uav_prepend NAME FOLDER: put an existing FOLDER first in the
   esac
 }
 
-if [ ! -r "$_uav_root/install/stamp" ]; then
+if [ ! -r "$_uav_root/install/stamp" ] || [ ! -r "$_uav_root/.venv/ros" ]; then
   echo "env.sh: $_uav_root is not set up; run make setup there" >&2
   unset _uav_root _uav_path
   unset -f _uav_prepend

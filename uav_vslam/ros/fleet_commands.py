@@ -57,7 +57,8 @@ def node_specs(fleet: FleetConfig) -> list[NodeSpec]:
 
 def differences(config: Any) -> dict[str, Any]:
     """Return what differs from the defaults, by dotted name ("backend.sigma_px"), as ROS parameter values."""
-    default, found = type(config)(), {}
+    default = type(config)()
+    found: dict[str, Any] = {}
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
