@@ -18,7 +18,7 @@ test: setup ## run the tests; ARGS="-k camera" chooses
 	@$(ACTIVATE) pytest $(ARGS)
 
 check: setup ## lint, formatting, types
-	@$(ACTIVATE) ruff check . && ruff format --check . && mypy
+	@$(ACTIVATE) status=0; ruff check . || status=1; ruff format --check . || status=1; mypy || status=1; exit $$status
 
 bench: setup ## measure speed
 	@$(ACTIVATE) uav-vslam bench
