@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lock-step never loses a frame and never waits for what can't come; it is tested against graphs that only answer."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from uav_vslam.ros.pacing import IMU_AHEAD, Answers, Kind, LockStep, Readings, RealTime, Recorded
+
+MS = 1_000_000
+TOPICS = ("odometry", "fused/odometry")
+
+
+def message(vehicle: str, kind: Kind, stamp_ms: int) -> Recorded:
+    return Recorded(f"/{vehicle}/{kind.name.lower()}", "x", vehicle, kind, stamp_ms * MS)
+
+
+def flight(vehicle: str, *, frames: range, imu: range) -> list[Recorded]:
+    parts = (Kind.LEFT, Kind.INFO, Kind.RIGHT)
+    images = [message(vehicle, kind, stamp) for stamp in frames for kind in parts]
+    return sorted(images + [message(vehicle, Kind.IMU, stamp) for stamp in imu], key=lambda m: m.stamp_ns)
+
+
+def merged(*flights: list[Recorded]) -> list[Recorded]:
+    return sorted((m for one in flights for m in one), key=lambda m: m.stamp_ns)
+
+
+class Graph:
+    """A lock-step replay whose answers are given by hand."""
+
+    def __init__(self, recorded: list[Recorded], *, starts_ms: dict[str, int] | None = None, ins: bool = True) -> None:
+        vehicles = sorted({m.vehicle for m in recorded})
+        starts = {vehicle: (starts_ms or {}).get(vehicle, 0) * MS for vehicle in vehicles}
+        self.answers, self.readings = Answers(starts, TOPICS), Readings(starts)
+        self._ins = ins
+        self._order = LockStep(self.answers, self.readings).order(iter(recorded))
+        self.published: list[Recorded] = []
+        self.ended = False
+
+    def advance(self) -> None:
+        """Publish until the replay waits or ends."""
+        for released in self._order:
+            if released is None:
+                return
+            self.published.append(released)
+            if self._ins and released.kind is Kind.IMU:
+                self.readings.answered(released.vehicle, released.stamp_ns)
+        self.ended = True
+
+    def answer(self, vehicle: str, stamp_ms: int, topics: tuple[str, ...] = TOPICS) -> None:
+        for topic in topics:
+            self.answers.answered(vehicle, topic, stamp_ms * MS)
+        self.advance()
+
+    def frames(self, vehicle: str) -> list[int]:
+        return [m.stamp_ns // MS for m in self.published if m.kind is Kind.LEFT and m.vehicle == vehicle]
+
+    def newest_imu(self, vehicle: str) -> int:
+        return max(m.stamp_ns // MS for m in self.published if m.kind is Kind.IMU and m.vehicle == vehicle)
+
+
+def test_a_frame_waits_for_both_answers_to_the_one_before() -> None:
+    graph = Graph(flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10)))
+    graph.advance()
+    assert graph.frames("uav1") == [0]
+    graph.answer("uav1", 0, ("odometry",))
+    assert graph.frames("uav1") == [0]
+    assert graph.answers.missing() == [("/uav1/fused/odometry", 0)]
+    graph.answer("uav1", 0, ("fused/odometry",))
+    assert graph.frames("uav1") == [0, 100]
+
+
+def test_inertial_readings_go_on_up_to_the_next_frame() -> None:
+    graph = Graph(flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10)))
+    graph.advance()
+    assert graph.newest_imu("uav1") == 90
+
+
+def test_the_end_waits_for_the_last_answers_then_ends() -> None:
+    graph = Graph(flight("uav1", frames=range(0, 200, 100), imu=range(0, 300, 10)))
+    graph.advance()
+    graph.answer("uav1", 0)
+    assert not graph.ended
+    assert len(graph.published) == 2 * 3 + 30
+    graph.answer("uav1", 100)
+    assert graph.ended
+
+
+def test_two_vehicles_compute_side_by_side() -> None:
+    flights = [flight(name, frames=range(0, 300, 100), imu=range(0, 400, 10)) for name in ("uav1", "uav2")]
+    graph = Graph(merged(*flights))
+    graph.advance()
+    assert graph.frames("uav1") == graph.frames("uav2") == [0]
+    graph.answer("uav1", 0)
+    graph.answer("uav2", 0)
+    assert graph.frames("uav1") == graph.frames("uav2") == [0, 100]
+
+
+def test_no_vehicle_runs_ahead_of_the_other_by_more_than_the_overlap() -> None:
+    fast = flight("uav1", frames=range(0, 1000, 50), imu=range(0, 1100, 10))
+    slow = flight("uav2", frames=range(0, 1000, 500), imu=range(0, 1100, 10))
+    graph = Graph(merged(fast, slow))
+    graph.advance()
+    for stamp in range(0, 1000, 50):
+        graph.answer("uav1", stamp)
+    assert graph.frames("uav1") == [0, 50]
+    graph.answer("uav2", 0)
+    assert 100 in graph.frames("uav1")
+
+
+def test_frames_before_the_start_state_are_not_waited_for() -> None:
+    graph = Graph(flight("uav1", frames=range(0, 500, 100), imu=range(0, 600, 10)), starts_ms={"uav1": 200})
+    graph.advance()
+    assert graph.frames("uav1") == [0, 100, 200]
+    assert {stamp // MS for _, stamp in graph.answers.missing()} == {200}
+
+
+def test_half_a_stereo_pair_is_not_waited_for() -> None:
+    recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10))
+    graph = Graph([m for m in recorded if (m.kind, m.stamp_ns) != (Kind.RIGHT, 0)])
+    graph.advance()
+    assert graph.frames("uav1") == [0, 100]
+
+
+def test_a_frame_whose_stamp_goes_backwards_is_not_waited_for() -> None:
+    recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10))
+    graph = Graph([*recorded, *(message("uav1", kind, 50) for kind in (Kind.LEFT, Kind.RIGHT, Kind.INFO))])
+    graph.advance()
+    for stamp in (0, 100, 200):
+        graph.answer("uav1", stamp)
+    assert graph.ended
+    assert graph.frames("uav1") == [0, 100, 200, 50]
+
+
+def test_in_an_inertial_gap_the_reading_that_closes_a_frame_is_sent_ahead() -> None:
+    readings = [*range(0, 50, 10), *range(450, 900, 10)]
+    frames = flight("uav1", frames=range(0, 800, 100), imu=range(0))
+    graph = Graph(merged(frames, [message("uav1", Kind.IMU, stamp) for stamp in readings]))
+    graph.advance()
+    graph.answer("uav1", 0)
+    assert graph.frames("uav1") == [0, 100]
+    assert graph.newest_imu("uav1") == 450
+    for stamp in range(100, 800, 100):
+        graph.answer("uav1", stamp)
+    assert graph.ended
+    assert graph.frames("uav1") == list(range(0, 800, 100))
+    imu = [m.stamp_ns // MS for m in graph.published if m.kind is Kind.IMU]
+    assert imu == readings
+
+
+def test_a_vehicle_whose_readings_end_does_not_hold_up_the_others() -> None:
+    dead = flight("uav1", frames=range(0, 10_000, 100), imu=range(0, 150, 10))
+    alive = flight("uav2", frames=range(0, 10_000, 100), imu=range(0, 10_100, 10))
+    graph = Graph(merged(dead, alive))
+    graph.advance()
+    for stamp in range(0, 10_000, 100):
+        graph.answer("uav1", stamp) if stamp <= 100 else None
+        graph.answer("uav2", stamp)
+    assert graph.ended
+    assert len(graph.published) == len(dead) + len(alive)
+
+
+def test_frames_after_the_last_reading_are_not_waited_for() -> None:
+    graph = Graph(flight("uav1", frames=range(0, 300, 100), imu=range(0, 160, 10)))
+    graph.advance()
+    graph.answer("uav1", 0)
+    graph.answer("uav1", 100)
+    assert graph.ended
+    assert graph.frames("uav1") == [0, 100, 200]
+
+
+def test_readings_never_run_farther_ahead_than_the_ins_can_queue() -> None:
+    graph = Graph(flight("uav1", frames=range(0, 1, 100), imu=range(0, 10_000, 5)), ins=False)
+    graph.advance()
+    graph.answer("uav1", 0)
+    imu = [m for m in graph.published if m.kind is Kind.IMU]
+    assert len(imu) == IMU_AHEAD + 1  # the one at the start is never answered
+    assert graph.readings.backlog() == [("uav1", 5 * MS)]
+    graph.readings.answered("uav1", 500 * MS)
+    graph.advance()
+    assert graph.newest_imu("uav1") == 500 + 5 * IMU_AHEAD
+
+
+def test_where_nobody_answers_readings_they_flow_freely() -> None:
+    answers, readings = Answers({"uav1": 0}, ()), Readings({"uav1": 0}, None)
+    recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 10_000, 5))
+    assert list(LockStep(answers, readings).order(recorded)) == recorded
+
+
+def test_an_empty_recording_ends_at_once() -> None:
+    graph = Graph([])
+    graph.advance()
+    assert graph.ended
+    assert graph.published == []
+
+
+def test_every_message_is_published_once_and_each_topic_keeps_its_order() -> None:
+    flights = [
+        flight(name, frames=range(offset, 3000, 140), imu=range(0, 3100, 10)) for name, offset in (("a", 0), ("b", 70))
+    ]
+    graph = Graph(merged(*flights))
+    graph.advance()
+    while not graph.ended:
+        vehicle, stamp = graph.answers.open()[0]
+        graph.answer(vehicle, stamp // MS)
+    for one in flights:
+        for kind in (Kind.LEFT, Kind.RIGHT, Kind.INFO, Kind.IMU):
+            expected = [m for m in one if m.kind is kind]
+            assert [m for m in graph.published if m.kind is kind and m.vehicle == one[0].vehicle] == expected
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
+def test_real_time_publishes_when_the_clock_says_so(rate: float) -> None:
+    now = [0.0]
+    answers = Answers({"uav1": 0}, TOPICS)
+    recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10))
+    published: list[tuple[float, int]] = []
+    for released in stepping(RealTime(answers, rate, clock=lambda: now[0]).order(recorded), now):
+        published.append((now[0], released.stamp_ns))
+    assert [stamp for _, stamp in published] == [m.stamp_ns for m in recorded]
+    late = [at - stamp / 1e9 / rate for at, stamp in published]
+    assert min(late) >= 0
+    assert max(late) < 0.0011
+    assert answers.frames == {"uav1": 3}
+
+
+def stepping(order: Iterator[Recorded | None], now: list[float]) -> Iterator[Recorded]:
+    for released in order:
+        if released is None:
+            now[0] += 0.001
+        else:
+            yield released
