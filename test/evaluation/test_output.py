@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+import dataclasses
+import json
+import subprocess
+
+import numpy as np
+import pytest
+import yaml
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.output import write_results, write_study
+from uav_vslam.evaluation.revision import git_revision
+from uav_vslam.evaluation.tum import write_tum
+
+
+def test_a_results_folder_holds_everything(flight, tmp_path):
+    folder = write_results(flight, tmp_path)
+    assert folder.parent == tmp_path
+    assert folder.name.endswith("_pair_flight")
+    tracks = {f"{name}_{track}.tum" for name in flight.vehicles for track in ("truth", "ins", "s_slam", "c_slam")}
+    assert {path.name for path in folder.iterdir()} == tracks | {"summary.json", "config.yaml"}
+    assert json.loads((folder / "summary.json").read_text())["vehicles"]["uav1"]["frames_in"] == 121
+    assert yaml.safe_load((folder / "config.yaml").read_text()) == flight.config
+
+
+def test_latest_leads_to_the_newest_and_names_never_collide(flight, tmp_path):
+    first, second = write_results(flight, tmp_path), write_results(flight, tmp_path)
+    assert first != second
+    assert (tmp_path / "latest").is_symlink()
+    assert (tmp_path / "latest").resolve() == second.resolve()
+    assert {path.name for path in tmp_path.iterdir()} == {first.name, second.name, "latest"}
+
+
+def test_latest_stays_on_a_complete_folder_when_writing_fails(flight, tmp_path):
+    complete = write_results(flight, tmp_path)
+
+    def fail(result, folder):
+        raise RuntimeError("disk full")
+
+    with pytest.raises(RuntimeError):
+        write_results(flight, tmp_path, plot=fail)
+    assert (tmp_path / "latest").resolve() == complete.resolve()
+
+
+def test_a_real_folder_named_latest_is_not_touched(flight, tmp_path):
+    (tmp_path / "latest").mkdir()
+    with pytest.raises(UavVslamError, match="symbolic link"):
+        write_results(flight, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["latest"]
+
+
+def test_plots_are_drawn_into_the_folder(flight, tmp_path):
+    drawn = []
+    folder = write_results(flight, tmp_path, plot=lambda result, where: drawn.append((result.name, where)) or [])
+    assert drawn == [("pair flight", folder)]
+
+
+def test_a_missing_track_has_no_file(lonely_flight, tmp_path):
+    names = {path.name for path in write_results(lonely_flight, tmp_path).glob("*.tum")}
+    assert names == {"uav1_ins.tum", "uav1_s_slam.tum"}
+
+
+def test_tum_keeps_every_nanosecond_and_repeats_byte_for_byte(truth, tmp_path):
+    one, two = write_tum(truth, tmp_path / "a.tum"), write_tum(truth, tmp_path / "b.tum")
+    assert one.read_bytes() == two.read_bytes()
+    fields = one.read_text().splitlines()[1].split()
+    assert fields[0] == "1700000000.100000007"
+    np.testing.assert_allclose([float(v) for v in fields[1:4]], truth.positions[1], atol=1e-9)
+    np.testing.assert_allclose([float(v) for v in fields[4:]], np.roll(truth.quaternions_wxyz[1], -1), atol=1e-12)
+
+
+def test_evo_reads_our_tum(truth, tmp_path):
+    file_interface = pytest.importorskip("evo.tools.file_interface", reason="evo is a development requirement")
+    read = file_interface.read_tum_trajectory_file(str(write_tum(truth, tmp_path / "truth.tum")))
+    np.testing.assert_allclose(read.positions_xyz, truth.positions, atol=1e-9)
+    np.testing.assert_allclose(read.orientations_quat_wxyz, truth.quaternions_wxyz, atol=1e-12)
+
+
+def test_an_empty_track_gives_an_empty_file(truth, tmp_path):
+    assert write_tum(truth.select(np.zeros(0, np.intp)), tmp_path / "none.tum").read_bytes() == b""
+
+
+def git(folder, *arguments):
+    identity = ("-c", "user.name=t", "-c", "user.email=t@example.org")
+    subprocess.run(("git", *identity, *arguments), cwd=folder, check=True, capture_output=True)
+
+
+def test_the_revision_says_when_the_tree_differs_from_it(tmp_path):
+    assert git_revision(tmp_path) is None
+    git(tmp_path, "init")
+    (tmp_path / "file").write_text("one")
+    git(tmp_path, "add", "file")
+    git(tmp_path, "commit", "-m", "one")
+    clean = git_revision(tmp_path)
+    (tmp_path / "file").write_text("two")
+    assert git_revision(tmp_path) == f"{clean}-dirty"
+    assert len(clean) >= 7
+
+
+def test_a_study_is_kept_as_data_and_as_a_table(tmp_path):
+    rows = [
+        {"method": "eif", "condition": "calm", "end_rms_m": np.float64(1.234567), "failures": np.int64(0)},
+        {"method": "ukf", "condition": "gap", "end_rms_m": float("nan"), "failures": 2, "ms_per_frame": 123.4},
+    ]
+    folder = write_study("filters", rows, [1, 2], tmp_path)
+    tree = json.loads((folder / "study.json").read_text())
+    assert (tree["study"], tree["seeds"]) == ("filters", [1, 2])
+    assert tree["rows"][0] == {"method": "eif", "condition": "calm", "end_rms_m": 1.234567, "failures": 0}
+    assert tree["rows"][1]["end_rms_m"] is None
+    table = (folder / "study.md").read_text().splitlines()
+    assert "2 seeds: 1, 2" in table[2]
+    assert table[4] == "| method | condition | end_rms_m | failures | ms_per_frame |"
+    assert table[6:] == ["| eif | calm | 1.23 | 0 | – |", "| ukf | gap | – | 2 | 123 |"]
+    assert (tmp_path / "latest").resolve() == folder.resolve()
+
+
+def test_names_are_made_safe_for_folders(flight, tmp_path):
+    folder = write_results(dataclasses.replace(flight, name="../a b/ü:"), tmp_path)
+    assert folder.parent == tmp_path
+    assert folder.name.endswith("_a_b_ü_") or folder.name.endswith("_a_b_ü")

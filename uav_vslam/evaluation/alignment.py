@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigid alignment of an estimate to the truth, for comparisons where the frames aren't the same.
+
+Source of `se3`: Umeyama, "Least-squares estimation of transformation parameters between two point patterns" (1991),
+without scale. `yaw` is its restriction to the four directions that a visual-inertial system can't observe.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import rotation_from_rpy
+
+Array = NDArray[np.float64]
+
+
+def align_none(estimate: Array, truth: Array) -> Pose:
+    """Return the identity: both are in one frame already."""
+    return Pose.identity()
+
+
+def align_se3(estimate: Array, truth: Array) -> Pose:
+    """Return T_truth_estimate that minimises the squared distances of (N, 3) positions [m]."""
+    spread = (truth - truth.mean(axis=0)).T @ (estimate - estimate.mean(axis=0))
+    U, _, Vt = np.linalg.svd(spread)
+    handedness = np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    return _through_centres(U @ handedness @ Vt, estimate, truth)
+
+
+def align_yaw(estimate: Array, truth: Array) -> Pose:
+    """Return the T_truth_estimate with a rotation about z only that minimises the squared distances [m]."""
+    spread = (truth - truth.mean(axis=0)).T @ (estimate - estimate.mean(axis=0))
+    yaw = np.arctan2(spread[1, 0] - spread[0, 1], spread[0, 0] + spread[1, 1])
+    return _through_centres(rotation_from_rpy(0.0, 0.0, yaw), estimate, truth)
+
+
+def _through_centres(R: Array, estimate: Array, truth: Array) -> Pose:
+    return Pose(R, truth.mean(axis=0) - R @ estimate.mean(axis=0))
+
+
+ALIGNMENTS: dict[str, Callable[[Array, Array], Pose]] = {"none": align_none, "se3": align_se3, "yaw": align_yaw}

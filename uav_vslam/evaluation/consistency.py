@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Is an estimate as good as it says? Normalised estimation error squared (Bar-Shalom, Li, Kirubarajan 2001, ch. 5.4).
+
+All NEES here are divided by their 3 degrees of freedom: 1 is consistent, more is over-confident, less is cautious.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from uav_vslam.evaluation.pairing import pair_with_truth
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.geometry.rotation import so3_log
+
+Array = NDArray[np.float64]
+
+DOF = 3
+SKIPPED_KEYFRAMES = 20  # the start covariance is an assumption of the scenario, not the filter's work
+
+
+@dataclass(frozen=True, slots=True)
+class Nees:
+    """Normalised errors at every keyframe that has a truth.
+
+    Attributes:
+        position: (N,) e^T P^-1 e / 3 of the position; NaN where P is not positive definite.
+        rotation: (N,) the same of the map-frame rotation vector xi, R_true = Exp(xi) R.
+    """
+
+    position: Array
+    rotation: Array
+
+
+@dataclass(frozen=True, slots=True)
+class NeesSummary:
+    """One run's figures.
+
+    Attributes:
+        mean: over the keyframes after the 20th; NaN where there are none.
+        end: at the last keyframe.
+        invalid: keyframes whose covariance is not positive definite; they make the mean NaN.
+    """
+
+    mean: float
+    end: float
+    invalid: int
+
+
+def nees(estimate: Trajectory, truth: Trajectory) -> Nees | None:
+    """Return the NEES of position and rotation, or None where the estimate carries no covariance or has no truth."""
+    paired, reference = pair_with_truth(estimate, truth)
+    if paired.covariance is None or len(paired) == 0:
+        return None
+    position_error = reference.positions - paired.positions
+    rotation_error = so3_log(reference.rotations @ paired.rotations.transpose(0, 2, 1))
+    return Nees(
+        normalised(position_error, paired.covariance[:, :3, :3]),
+        normalised(rotation_error, paired.covariance[:, 3:, 3:]),
+    )
+
+
+def normalised(error: Array, covariance: Array) -> Array:
+    """Return e^T P^-1 e / 3 for (N, 3) errors and (N, 3, 3) covariances; NaN where P is not positive definite."""
+    P = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    finite = np.asarray(np.isfinite(P).all(axis=(1, 2)))
+    P = np.where(finite[:, None, None], P, -np.eye(DOF))
+    definite = np.linalg.eigvalsh(P)[:, 0] > 0
+    P = np.where(definite[:, None, None], P, np.eye(DOF))
+    whitened = np.linalg.solve(np.linalg.cholesky(P), error[..., None])[..., 0]
+    return np.where(definite, np.sum(whitened**2, axis=1) / DOF, np.nan)
+
+
+def summarise(values: Array, *, skip: int = SKIPPED_KEYFRAMES) -> NeesSummary:
+    """Return the mean of (N,) NEES after the first `skip`, and the last one beside it."""
+    counted = values[skip:]
+    mean = float(np.mean(counted)) if len(counted) else float("nan")
+    end = float(values[-1]) if len(values) else float("nan")
+    return NeesSummary(mean, end, int(np.isnan(values).sum()))
+
+
+def chi_square_band(runs: int, *, probability: float = 0.95, dof: int = DOF) -> tuple[float, float]:
+    """Return the two-sided band for the mean of `runs` independent NEES / dof of a consistent filter.
+
+    The sum over runs is chi-square with runs * dof degrees of freedom. Keyframes of one run are correlated: the band
+    holds for one keyframe over many runs, not for the mean over a run.
+    """
+    half, shape = 0.5 * (1.0 - probability), 0.5 * runs * dof
+    low, high = gammaincinv(shape, [half, 1.0 - half])
+    return float(2.0 * low / (runs * dof)), float(2.0 * high / (runs * dof))

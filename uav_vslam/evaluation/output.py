@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The results folder: `results/<date>_<name>/`, and `results/latest`, which always leads to a complete one."""
+
+import json
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.result import FlightResult
+from uav_vslam.evaluation.revision import git_revision
+from uav_vslam.evaluation.study import study_markdown, study_tree
+from uav_vslam.evaluation.summary import build_summary
+from uav_vslam.evaluation.tum import write_tum
+
+Plotter = Callable[[FlightResult, Path], list[Path]]
+
+DEFAULT_ROOT = Path("results")
+LATEST = "latest"
+
+
+def write_results(
+    result: FlightResult, root: Path = DEFAULT_ROOT, *, plot: Plotter | None = None, alignment: str = "none"
+) -> Path:
+    """Write summary, trajectories, configuration and plots of a flight into a folder of its own.
+
+    Args:
+        result: the flight.
+        root: folder of all results.
+        plot: draws into the folder, `report.plots.write_plots`; None draws nothing.
+        alignment: of the estimates to the truth, see `evaluation.alignment`.
+
+    Returns:
+        The new folder.
+    """
+    with _new_folder(root, result.name) as folder:
+        _write_json(folder / "summary.json", build_summary(result, git=git_revision(), alignment=alignment))
+        config = yaml.safe_dump(result.config, sort_keys=False)
+        (folder / "config.yaml").write_text(config, encoding="utf-8")
+        _write_trajectories(result, folder)
+        if plot is not None:
+            plot(result, folder)
+    return folder
+
+
+def write_study(name: str, rows: list[dict[str, Any]], seeds: list[int], root: Path = DEFAULT_ROOT) -> Path:
+    """Write `study.json` and the table `study.md` of a comparison of methods into a folder of its own.
+
+    Args:
+        name: of the study.
+        rows: one dict per method and condition: {"method", "condition", "end_rms_m", "ate_rms_m", ...}.
+        seeds: of the runs behind each row.
+        root: folder of all results.
+
+    Returns:
+        The new folder.
+    """
+    tree = study_tree(name, rows, seeds, git=git_revision())
+    with _new_folder(root, name) as folder:
+        _write_json(folder / "study.json", tree)
+        (folder / "study.md").write_text(study_markdown(tree), encoding="utf-8")
+    return folder
+
+
+@contextmanager
+def _new_folder(root: Path, name: str) -> Iterator[Path]:
+    """Give a new dated folder; when it has been filled without an error, `latest` leads to it."""
+    latest = root / LATEST
+    if latest.exists() and not latest.is_symlink():
+        raise UavVslamError(f"{latest} is not a symbolic link, so it can't be updated; move it away")
+    folder = _make_unique(root, f"{datetime.now():%Y-%m-%d_%H%M%S}_{_file_name(name)}")
+    yield folder
+    # A link is replaced in one step only by renaming another one over it.
+    fresh = root / f".{LATEST}_{os.getpid()}"
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(folder.name)
+    fresh.replace(latest)
+
+
+def _make_unique(root: Path, stem: str) -> Path:
+    root.mkdir(parents=True, exist_ok=True)
+    for attempt in range(1, 1000):
+        folder = root / (stem if attempt == 1 else f"{stem}_{attempt}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        return folder
+    raise UavVslamError(f"{root} holds 1000 results named {stem}; remove some")
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "_", name).strip("._") or "unnamed"
+
+
+def _write_json(path: Path, tree: dict[str, Any]) -> None:
+    path.write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _write_trajectories(result: FlightResult, folder: Path) -> None:
+    for name, vehicle in result.vehicles.items():
+        for track in ("truth", "ins", "s_slam", "c_slam"):
+            trajectory = getattr(vehicle, track)
+            if trajectory is not None:
+                write_tum(trajectory, folder / f"{name}_{track}.tum")

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds the truth that belongs to each estimate, by interpolation or as the nearest one."""
+
+import numpy as np
+
+from uav_vslam.evaluation.trajectory import Trajectory, interpolate
+
+ASSOCIATIONS = ("interpolate", "nearest")
+MAX_GAP_S = 0.5  # truth isn't interpolated across a longer gap
+MAX_DIFFERENCE_S = 0.01  # of nearest stamps
+
+
+def pair_with_truth(
+    estimate: Trajectory,
+    truth: Trajectory,
+    *,
+    association: str = "interpolate",
+    max_gap_s: float = MAX_GAP_S,
+    max_difference_s: float = MAX_DIFFERENCE_S,
+) -> tuple[Trajectory, Trajectory]:
+    """Return the estimates that have a truth, and the truth of each.
+
+    Args:
+        estimate, truth: trajectories.
+        association: "interpolate" takes the truth at the estimate's stamp, linearly and by slerp; "nearest" takes the
+            nearest truth as it is.
+        max_gap_s: "interpolate" leaves out estimates within longer gaps of the truth [s].
+        max_difference_s: "nearest" leaves out estimates farther from any truth [s].
+    """
+    if association not in ASSOCIATIONS:
+        raise ValueError(f"association {association!r} is not known; use one of {', '.join(ASSOCIATIONS)}")
+    if association == "interpolate":
+        at_estimate, rows = interpolate(truth, estimate.stamps_ns, max_gap_s=max_gap_s)
+        return estimate.select(rows), at_estimate
+    if len(truth) == 0 or len(estimate) == 0:
+        return estimate.select(np.zeros(0, np.intp)), truth.select(np.zeros(0, np.intp))
+    return _nearest(estimate, truth, round(max_difference_s * 1e9))
+
+
+def _nearest(estimate: Trajectory, truth: Trajectory, max_difference_ns: int) -> tuple[Trajectory, Trajectory]:
+    """Pair each estimate with the nearest truth; of estimates that share one, the nearest keeps it."""
+    after = np.searchsorted(truth.stamps_ns, estimate.stamps_ns).clip(0, len(truth) - 1)
+    before = (after - 1).clip(0)
+    gap_after = np.abs(truth.stamps_ns[after] - estimate.stamps_ns)
+    gap_before = np.abs(truth.stamps_ns[before] - estimate.stamps_ns)
+    nearest, gap = np.where(gap_before <= gap_after, before, after), np.minimum(gap_before, gap_after)
+    order = np.lexsort((gap, nearest))
+    _, first = np.unique(nearest[order], return_index=True)
+    rows = np.sort(order[first])
+    rows = rows[gap[rows] <= max_difference_ns]
+    return estimate.select(rows), truth.select(nearest[rows])

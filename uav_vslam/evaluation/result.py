@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a flight leaves to be evaluated, whether it was made in one process, by the node graph, or read from bags."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from uav_vslam.evaluation.trajectory import Trajectory
+
+
+@dataclass(frozen=True, slots=True)
+class LinkCounters:
+    """What one vehicle's radio did.
+
+    Attributes:
+        sent_bytes_per_s: payload sent, averaged over the flight [B/s].
+        packets_sent: by this vehicle.
+        packets_received, packets_used: from all peers.
+        dropped: packets dropped, by reason.
+    """
+
+    sent_bytes_per_s: float = 0.0
+    packets_sent: int = 0
+    packets_received: int = 0
+    packets_used: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleResult:
+    """One vehicle's flight.
+
+    Attributes:
+        name: the vehicle's namespace.
+        truth: true poses, or None where nobody knows them.
+        ins: dead reckoning from the start state, never corrected.
+        s_slam: own-only SLAM; its stamps are the ones at which everything is scored.
+        c_slam: fused with peers; None for a vehicle without peers.
+        frames_in: stereo pairs offered.
+        frames_processed: stereo pairs that became an estimate.
+        link: radio counters.
+    """
+
+    name: str
+    truth: Trajectory | None
+    ins: Trajectory
+    s_slam: Trajectory
+    c_slam: Trajectory | None
+    frames_in: int
+    frames_processed: int
+    link: LinkCounters = field(default_factory=LinkCounters)
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResult:
+    """A flight of a fleet.
+
+    Attributes:
+        name: of the scenario or bag; it names the results folder.
+        seed: of the simulation, or None.
+        mode: communication mode.
+        duration_s: flight time [s].
+        wall_s: time that processing took [s].
+        vehicles: by name.
+        config: the resolved configuration as plain data.
+    """
+
+    name: str
+    seed: int | None
+    mode: str
+    duration_s: float
+    wall_s: float
+    vehicles: dict[str, VehicleResult]
+    config: dict[str, Any] = field(default_factory=dict)

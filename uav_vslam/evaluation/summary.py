@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Boils a flight down to the figures of `summary.json`; null where there is no truth or no peer.
+
+Everything is scored at the stamps of the own-only track, so that the three estimates are compared over the same
+moments: the INS is interpolated to them, the fused track has them.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from uav_vslam.evaluation.consistency import nees, summarise
+from uav_vslam.evaluation.pairing import MAX_GAP_S
+from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
+from uav_vslam.evaluation.trajectory import Trajectory, interpolate
+from uav_vslam.evaluation.trajectory_error import absolute_error, relative_error
+
+Figures = dict[str, Any]
+
+RPE_DELTA_S = 5.0
+TRACKS = ("ins", "s_slam", "c_slam")
+
+
+def build_summary(result: FlightResult, *, git: str | None, alignment: str = "none") -> Figures:
+    """Return the content of `summary.json`.
+
+    Args:
+        result: the flight.
+        git: revision of the code, or None where it isn't known.
+        alignment: "none", "se3" or "yaw", of the estimates to the truth; NEES are never aligned.
+    """
+    vehicles = {name: _vehicle(vehicle, alignment) for name, vehicle in result.vehicles.items()}
+    return _null_if_not_finite(
+        {
+            "name": result.name,
+            "seed": result.seed,
+            "mode": result.mode,
+            "git": git,
+            "duration_s": result.duration_s,
+            "realtime_factor": result.duration_s / result.wall_s if result.wall_s > 0 else None,
+            "alignment": alignment,
+            "vehicles": vehicles,
+            "pooled": {track: _pool(vehicle[track] for vehicle in vehicles.values()) for track in TRACKS},
+        }
+    )
+
+
+def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
+    ins, _ = interpolate(vehicle.ins, vehicle.s_slam.stamps_ns, max_gap_s=MAX_GAP_S)
+    return {
+        "distance_m": _distance(vehicle),
+        "frames_in": vehicle.frames_in,
+        "frames_processed": vehicle.frames_processed,
+        "ins": _errors(ins, vehicle.truth, alignment),
+        "s_slam": _errors_and_nees(vehicle.s_slam, vehicle.truth, alignment),
+        "c_slam": _cooperative(vehicle, alignment),
+        "link": _link(vehicle.link),
+    }
+
+
+def _distance(vehicle: VehicleResult) -> float:
+    """Return the distance flown while the own-only track lasted, by the truth if there is one [m]."""
+    if len(vehicle.s_slam) == 0:
+        return 0.0
+    path = vehicle.s_slam if vehicle.truth is None else vehicle.truth
+    return path.between(int(vehicle.s_slam.stamps_ns[0]), int(vehicle.s_slam.stamps_ns[-1])).path_length_m
+
+
+def _cooperative(vehicle: VehicleResult, alignment: str) -> Figures | None:
+    if vehicle.c_slam is None:
+        return None
+    common = np.isin(vehicle.c_slam.stamps_ns, vehicle.s_slam.stamps_ns)
+    return _errors_and_nees(vehicle.c_slam.select(common), vehicle.truth, alignment)
+
+
+def _errors(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figures:
+    absolute = None if truth is None else absolute_error(track, truth, alignment=alignment)
+    relative = None if truth is None else relative_error(track, truth, delta=RPE_DELTA_S)
+    return {
+        "ate_m": absolute.ate_m if absolute else None,
+        "end_m": absolute.end_m if absolute else None,
+        "rpe_5s_m": relative.translation_rms_m if relative else None,
+        "rpe_5s_deg": math.degrees(relative.rotation_rms_rad) if relative else None,
+        "poses": absolute.pairs if absolute else len(track),
+    }
+
+
+def _errors_and_nees(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figures:
+    values = None if truth is None else nees(track, truth)
+    position = summarise(values.position) if values else None
+    rotation = summarise(values.rotation) if values else None
+    return {
+        **_errors(track, truth, alignment),
+        "nees_position": position.mean if position else None,
+        "nees_position_end": position.end if position else None,
+        "nees_rotation": rotation.mean if rotation else None,
+        "nees_rotation_end": rotation.end if rotation else None,
+        "nees_invalid": position.invalid if position else None,
+    }
+
+
+def _link(link: LinkCounters) -> Figures:
+    return {
+        "sent_bytes_per_s": link.sent_bytes_per_s,
+        "packets_sent": link.packets_sent,
+        "packets_received": link.packets_received,
+        "packets_used": link.packets_used,
+        "dropped": dict(sorted(link.dropped.items())),
+    }
+
+
+def _pool(figures: Iterable[Figures | None]) -> Figures | None:
+    """Pool the vehicles: root mean square of the errors, mean of the NEES; None where no vehicle has the track."""
+    present = [figure for figure in figures if figure is not None]
+    if not present:
+        return None
+    pooled = {key: _pooled(present, key, _rms) for key in ("ate_m", "end_m")}
+    if "nees_position" in present[0]:
+        pooled["nees_position"] = _pooled(present, "nees_position", _mean)
+    return pooled
+
+
+def _pooled(figures: list[Figures], key: str, pool: Callable[[list[float]], float]) -> float | None:
+    values = [figure[key] for figure in figures if figure[key] is not None]
+    return pool(values) if values else None
+
+
+def _rms(values: list[float]) -> float:
+    return math.sqrt(math.fsum(value**2 for value in values) / len(values))
+
+
+def _mean(values: list[float]) -> float:
+    return math.fsum(values) / len(values)
+
+
+def _null_if_not_finite(value: Any) -> Any:
+    """Return plain data with None for NaN and infinity, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _null_if_not_finite(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

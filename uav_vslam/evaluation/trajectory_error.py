@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Absolute and relative trajectory errors (Sturm et al. 2012; the definitions of `evo`, which judges our tests)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.alignment import ALIGNMENTS
+from uav_vslam.evaluation.pairing import pair_with_truth
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.geometry.rotation import so3_log
+
+__all__ = ["AbsoluteError", "RelativeError", "Trajectory", "absolute_error", "relative_error"]
+
+Array = NDArray[np.float64]
+
+
+SECONDS_TOLERANCE = 0.1  # share of the delta by which the two poses of a pair may miss it
+
+
+@dataclass(frozen=True, slots=True)
+class AbsoluteError:
+    """Position error over a flight.
+
+    Attributes:
+        ate_m: root mean square of the distances [m].
+        end_m: distance at the last pair [m].
+        max_m: largest distance [m].
+        rotation_rms_rad: root mean square of the angles [rad].
+        pairs: number of estimates that have a truth.
+        alignment, association: how frames and stamps were brought together.
+    """
+
+    ate_m: float
+    end_m: float
+    max_m: float
+    rotation_rms_rad: float
+    pairs: int
+    alignment: str
+    association: str
+
+
+@dataclass(frozen=True, slots=True)
+class RelativeError:
+    """Drift over a stated delta.
+
+    Attributes:
+        translation_rms_m: root mean square of the relative translations' errors [m].
+        rotation_rms_rad: root mean square of the relative rotations' errors [rad].
+        delta, unit: distance of the two poses of a pair, in "frames" or "seconds".
+        pairs: number of pairs.
+    """
+
+    translation_rms_m: float
+    rotation_rms_rad: float
+    delta: float
+    unit: str
+    pairs: int
+
+
+def absolute_error(
+    estimate: Trajectory, truth: Trajectory, *, alignment: str = "none", association: str = "interpolate"
+) -> AbsoluteError | None:
+    """Compare an estimate with the truth.
+
+    Args:
+        estimate, truth: trajectories; in one frame unless aligned.
+        alignment: "none", "se3" or "yaw": which transform of the whole estimate is forgiven.
+        association: see `pair_with_truth`.
+
+    Returns:
+        The errors, or None where no estimate has a truth.
+    """
+    if alignment not in ALIGNMENTS:
+        raise ValueError(f"alignment {alignment!r} is not known; use one of {', '.join(ALIGNMENTS)}")
+    paired, reference = pair_with_truth(estimate, truth, association=association)
+    if len(paired) == 0:
+        return None
+    T_truth_estimate = ALIGNMENTS[alignment](paired.positions, reference.positions)
+    distance = np.linalg.norm(T_truth_estimate.apply(paired.positions) - reference.positions, axis=1)
+    angle = _angles(reference.rotations.transpose(0, 2, 1) @ T_truth_estimate.R @ paired.rotations)
+    return AbsoluteError(
+        ate_m=_rms(distance),
+        end_m=float(distance[-1]),
+        max_m=float(distance.max()),
+        rotation_rms_rad=_rms(angle),
+        pairs=len(paired),
+        alignment=alignment,
+        association=association,
+    )
+
+
+def relative_error(
+    estimate: Trajectory, truth: Trajectory, *, delta: float, unit: str = "seconds", association: str = "interpolate"
+) -> RelativeError | None:
+    """Compare the motion over a delta, from every pose on, with the true one: E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
+
+    Args:
+        estimate, truth: trajectories; alignment doesn't matter.
+        delta: distance of the two poses: a count of frames, or seconds, of which the nearest pose is taken.
+        unit: "frames" or "seconds".
+        association: see `pair_with_truth`.
+
+    Returns:
+        The errors, or None where no pair of poses is so far apart.
+    """
+    if not delta > 0:
+        raise ValueError(f"delta = {delta} {unit} must be positive")
+    paired, reference = pair_with_truth(estimate, truth, association=association)
+    first, second = _index_pairs(paired.stamps_ns, delta, unit)
+    if len(first) == 0:
+        return None
+    R_moved, t_moved = _motion(paired, first, second)
+    R_true, t_true = _motion(reference, first, second)
+    translation = np.einsum("nji,nj->ni", R_true, t_moved - t_true)
+    return RelativeError(
+        translation_rms_m=_rms(np.linalg.norm(translation, axis=1)),
+        rotation_rms_rad=_rms(_angles(R_true.transpose(0, 2, 1) @ R_moved)),
+        delta=delta,
+        unit=unit,
+        pairs=len(first),
+    )
+
+
+def _index_pairs(stamps_ns: NDArray[np.int64], delta: float, unit: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return first and second rows of all pairs; in seconds, a pair may be off by a tenth of the delta."""
+    rows = np.arange(len(stamps_ns))
+    if unit == "frames":
+        return rows[: -int(delta)], rows[int(delta) :]
+    if unit != "seconds":
+        raise ValueError(f"unit {unit!r} is not known; use frames or seconds")
+    if len(rows) < 2:
+        return rows[:0], rows[:0]
+    wanted = stamps_ns + round(delta * 1e9)
+    after = np.searchsorted(stamps_ns, wanted).clip(1, len(rows) - 1)
+    nearer_before = wanted - stamps_ns[after - 1] <= stamps_ns[after] - wanted
+    second = np.where(nearer_before, after - 1, after)
+    near = np.abs(stamps_ns[second] - wanted) <= round(SECONDS_TOLERANCE * delta * 1e9)
+    good = near & (wanted <= stamps_ns[-1]) & (second > rows)
+    return rows[good], second[good]
+
+
+def _motion(trajectory: Trajectory, first: NDArray[np.intp], second: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return rotation and translation of T_first_second for each pair of rows."""
+    R, p = trajectory.rotations, trajectory.positions
+    R_first_map = R[first].transpose(0, 2, 1)
+    return R_first_map @ R[second], np.einsum("nij,nj->ni", R_first_map, p[second] - p[first])
+
+
+def _angles(R: Array) -> Array:
+    return np.asarray(np.linalg.norm(so3_log(R), axis=-1))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
