@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded flight reads back as it was simulated, and a recording that lacks something says what."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_vslam.cli.simulate import record
+from uav_vslam.datasets.bag import open_flight, vehicles
+from uav_vslam.datasets.flight_writer import ImageCoding
+from uav_vslam.datasets.messages import camera_info_message, image_message, stamp_ns_of, transforms_message
+from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw
+from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.simulation.camera_render import RenderedFlight
+from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
+from uav_vslam.types import ImuSample, StereoFrame
+
+JPEG_MEAN_GREY = 4.0  # mean absolute error of quality 90 on noisy grass
+
+
+def rewrite(source: Path, out: Path, change: Callable[[RawMessage], RawMessage | None]) -> Path:
+    """Copy a bag; `change` edits or (None) drops messages."""
+    with RawRecorder(out) as recorder:
+        for raw in iter_raw([source]):
+            changed = change(raw)
+            if changed is not None:
+                recorder.write(changed.topic, changed.msgtype, changed.data, changed.stamp_ns)
+    return out
+
+
+def drop(topic: str) -> Callable[[RawMessage], RawMessage | None]:
+    return lambda raw: None if raw.topic == topic else raw
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_recorded_flight_is_the_simulated_one(tiny: Scenario, tiny_bag: Path, index: int) -> None:
+    vehicle = simulate_vehicle(tiny, index)
+    flight = open_flight(tiny_bag, vehicle.name)
+    assert (flight.vehicle, flight.frame_count, flight.image_size) == (vehicle.name, 6, (160, 120))
+    np.testing.assert_array_equal(flight.rig.left.K, vehicle.rig.left.K)
+    np.testing.assert_array_equal(flight.rig.right.K, vehicle.rig.right.K)
+    np.testing.assert_allclose(flight.rig.T_right_left.matrix, vehicle.rig.T_right_left.matrix, atol=1e-12)
+    np.testing.assert_allclose(flight.rig.T_body_left.matrix, vehicle.rig.T_body_left.matrix, atol=1e-12)
+    assert flight.initial_state is not None
+    state, expected = flight.initial_state.state, vehicle.initial.state
+    assert state.stamp_ns == expected.stamp_ns == vehicle.frame_stamps_ns[0]
+    np.testing.assert_allclose(state.T_map_body.matrix, expected.T_map_body.matrix, atol=1e-12)
+    np.testing.assert_array_equal(state.v_map, expected.v_map)
+    np.testing.assert_array_equal(flight.initial_state.covariance, vehicle.initial.covariance)
+
+
+def test_events_come_in_stamp_order_with_every_bit(tiny: Scenario, tiny_bag: Path) -> None:
+    vehicle = simulate_vehicle(tiny, 0)
+    events = list(open_flight(tiny_bag, "uav1").iter_events())
+    stamps = [event.stamp_ns for event in events]
+    assert stamps == sorted(stamps)
+    samples = [event for event in events if isinstance(event, ImuSample)]
+    assert [s.stamp_ns for s in samples] == vehicle.imu.stamps_ns.tolist()
+    np.testing.assert_array_equal(np.array([s.gyro for s in samples]), vehicle.imu.gyro)
+    np.testing.assert_array_equal(np.array([s.accel for s in samples]), vehicle.imu.accel)
+    frames = [event for event in events if isinstance(event, StereoFrame)]
+    for frame, expected in zip(frames, RenderedFlight(vehicle), strict=True):
+        assert frame.stamp_ns == expected.stamp_ns
+        np.testing.assert_array_equal(frame.left, expected.left)
+        np.testing.assert_array_equal(frame.right, expected.right)
+
+
+def test_truth_is_there_at_every_frame(tiny: Scenario, tiny_bag: Path) -> None:
+    vehicle = simulate_vehicle(tiny, 1)
+    truth = open_flight(tiny_bag, "uav2").truth()
+    assert truth is not None
+    assert set(vehicle.frame_stamps_ns) <= set(truth.stamps_ns)
+    t = vehicle.truth.time_s(truth.stamps_ns)
+    np.testing.assert_allclose(truth.positions_world, vehicle.truth.position(t), atol=1e-12)
+    np.testing.assert_allclose(truth.R_world_body, vehicle.truth.rotation(t), atol=1e-12)
+    np.testing.assert_allclose(truth.velocities_world, vehicle.truth.velocity(t), atol=1e-12)
+
+
+def test_the_same_seed_gives_the_same_bag(tiny: Scenario, tiny_bag: Path, tmp_path: Path) -> None:
+    record(tiny, tmp_path / "tiny")
+    assert (tmp_path / "tiny" / "tiny.mcap").read_bytes() == (tiny_bag / "tiny.mcap").read_bytes()
+
+
+def test_start_state_and_truth_come_before_the_first_image(tiny_bag: Path) -> None:
+    first: dict[str, int] = {}
+    for number, raw in enumerate(iter_raw([tiny_bag])):
+        first.setdefault(raw.topic, number)
+    assert first["/tf_static"] == 0
+    for name in ("uav1", "uav2"):
+        assert first[f"/{name}/initial_state"] < first[f"/{name}/left/camera_info"] < first[f"/{name}/left/image_raw"]
+        assert first[f"/{name}/ground_truth/odometry"] < first[f"/{name}/left/image_raw"]
+
+
+def test_namespaces_are_discovered(tiny_bag: Path) -> None:
+    assert vehicles([tiny_bag]) == ["uav1", "uav2"]
+
+
+@pytest.mark.parametrize("fmt", ["png", "jpeg"])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_compressed_images_read_back(tiny: Scenario, tmp_path: Path, fmt: str, storage: str) -> None:
+    short = dataclasses.replace(tiny, frames=2, vehicles=1)
+    record(short, tmp_path / "bag", coding=ImageCoding(fmt, 90), storage=storage)
+    flight = open_flight(tmp_path / "bag", "uav1")
+    assert flight.left_topic == "/uav1/left/image_raw/compressed"
+    expected = RenderedFlight(simulate_vehicle(short, 0)).frame(1)
+    read = [event for event in flight.iter_events() if isinstance(event, StereoFrame)][1]
+    error = np.abs(read.left.astype(int) - expected.left)
+    assert error.max() == 0 if fmt == "png" else error.mean() < JPEG_MEAN_GREY
+
+
+def test_colour_and_deep_images_keep_their_pixels(tiny_bag: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    pictures = {
+        "left": rng.integers(0, 255, (120, 160, 3), dtype=np.uint8),
+        "right": rng.integers(0, 65535, (120, 160), dtype=np.uint16),
+    }
+
+    def change(raw: RawMessage) -> RawMessage:
+        for side, picture in pictures.items():
+            if raw.topic == f"/uav1/{side}/image_raw":
+                built = image_message(stamp_ns_of(decode(raw)), "uav1/x", picture)
+                return dataclasses.replace(raw, data=encode(built))
+        return raw
+
+    flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")
+    frame = next(event for event in flight.iter_events() if isinstance(event, StereoFrame))
+    np.testing.assert_array_equal(frame.left, pictures["left"])
+    np.testing.assert_array_equal(frame.right, pictures["right"])
+
+
+def test_extrinsics_may_lead_through_several_frames(tiny_bag: Path, tmp_path: Path) -> None:
+    T_base_mount = Pose(so3_exp([0.0, 0.1, 0.0]), np.array([0.1, 0.0, 0.0]))
+    T_mount_left = Pose(so3_exp([np.pi, 0.0, 0.0]), np.array([0.0, 0.2, 0.0]))
+
+    def change(raw: RawMessage) -> RawMessage:
+        if raw.topic != "/tf_static":
+            return raw
+        edges = [
+            ("uav1/base_link", "uav1/mount", T_base_mount),
+            ("uav1/mount", "uav1/left_optical", T_mount_left),
+            ("uav1/mount", "uav1/right_optical", T_mount_left @ Pose(np.eye(3), np.array([0.5, 0.0, 0.0]))),
+        ]
+        return dataclasses.replace(raw, data=encode(transforms_message(raw.stamp_ns, edges)))
+
+    rig = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1").rig
+    np.testing.assert_allclose(rig.T_body_left.matrix, (T_base_mount @ T_mount_left).matrix, atol=1e-12)
+    assert rig.baseline_m == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        "/uav1/left/image_raw",
+        "/uav1/right/image_raw",
+        "/uav1/left/camera_info",
+        "/uav1/right/camera_info",
+        "/uav1/imu/data_raw",
+        "/tf_static",
+    ],
+)
+def test_a_lacking_topic_is_named_with_what_is_there(tiny_bag: Path, tmp_path: Path, topic: str) -> None:
+    bag = rewrite(tiny_bag, tmp_path / "bag", drop(topic))
+    with pytest.raises(BagError, match=f"lacks {topic}.*it holds .*/uav1/ground_truth/odometry") as lacking:
+        open_flight(bag, "uav1")
+    assert "\n" not in str(lacking.value)
+
+
+def test_a_vehicle_that_is_not_there_is_told_who_is(tiny_bag: Path) -> None:
+    with pytest.raises(BagError, match=r"lacks /uav9/left/image_raw .*it holds .*/uav1/imu/data_raw"):
+        open_flight(tiny_bag, "uav9")
+
+
+def test_lacking_extrinsics_are_named(tiny_bag: Path, tmp_path: Path) -> None:
+    def change(raw: RawMessage) -> RawMessage:
+        if raw.topic != "/tf_static":
+            return raw
+        edges = [("uav2/base_link", "uav2/left_optical", Pose.identity())]
+        return dataclasses.replace(raw, data=encode(transforms_message(raw.stamp_ns, edges)))
+
+    bag = rewrite(tiny_bag, tmp_path / "bag", change)
+    with pytest.raises(
+        BagError, match="does not lead from uav1/base_link to uav1/left_optical; it holds uav2/base_link"
+    ):
+        open_flight(bag, "uav1")
+
+
+def test_a_flight_without_start_state_or_truth_still_opens(tiny_bag: Path, tmp_path: Path) -> None:
+    bag = rewrite(tiny_bag, tmp_path / "bag", drop("/uav1/initial_state"))
+    bag = rewrite(bag, tmp_path / "bag2", drop("/uav1/ground_truth/odometry"))
+    flight = open_flight(bag, "uav1")
+    assert flight.initial_state is None
+    assert flight.truth() is None
+
+
+def test_cameras_of_different_size_are_refused(tiny_bag: Path, tmp_path: Path) -> None:
+    def change(raw: RawMessage) -> RawMessage:
+        if raw.topic != "/uav1/right/camera_info":
+            return raw
+        camera = dataclasses.replace(open_flight(tiny_bag, "uav1").rig.right, width=80, height=60)
+        return dataclasses.replace(raw, data=encode(camera_info_message(raw.stamp_ns, "uav1/right_optical", camera)))
+
+    with pytest.raises(CalibrationError, match="160x120 px but right ones 80x60"):
+        open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")
+
+
+def test_images_of_another_size_than_calibrated_are_refused(tiny_bag: Path, tmp_path: Path) -> None:
+    def change(raw: RawMessage) -> RawMessage:
+        if raw.topic != "/uav1/right/image_raw":
+            return raw
+        built = image_message(stamp_ns_of(decode(raw)), "uav1/right_optical", np.zeros((60, 80), np.uint8))
+        return dataclasses.replace(raw, data=encode(built))
+
+    flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")
+    with pytest.raises(CalibrationError, match="right images are 80x60 px but camera_info says 160x120"):
+        list(flight.iter_events())
+
+
+def test_late_recorded_messages_are_put_in_order(tiny_bag: Path, tmp_path: Path) -> None:
+    def change(raw: RawMessage) -> RawMessage:
+        late_ns = 80_000_000 if "image_raw" in raw.topic else 0
+        return dataclasses.replace(raw, stamp_ns=raw.stamp_ns + late_ns)
+
+    late = list(open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1").iter_events())
+    on_time = list(open_flight(tiny_bag, "uav1").iter_events())
+    assert [(e.stamp_ns, type(e)) for e in late] == [(e.stamp_ns, type(e)) for e in on_time]
+
+
+def test_a_lost_image_costs_only_its_pair(tiny_bag: Path, tmp_path: Path) -> None:
+    images = list(iter_raw([tiny_bag], ["/uav1/right/image_raw"]))
+    bag = rewrite(tiny_bag, tmp_path / "bag", lambda raw: None if raw == images[2] else raw)
+    stamps = [e.stamp_ns for e in open_flight(bag, "uav1").iter_events() if isinstance(e, StereoFrame)]
+    assert stamps == [raw.stamp_ns for raw in images if raw != images[2]]
+
+
+def test_a_cut_bag_opens_and_replays_up_to_the_break(tiny_bag: Path, tmp_path: Path) -> None:
+    data = (tiny_bag / "tiny.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) - 2000])
+    flight = open_flight(cut, "uav1")
+    events: list[ImuSample | StereoFrame] = []
+    with pytest.raises(BagError, match="damaged"):
+        events.extend(flight.iter_events())
+    whole = list(open_flight(tiny_bag, "uav1").iter_events())
+    assert [e.stamp_ns for e in events] == [e.stamp_ns for e in whole[: len(events)]]
+    assert len(events) > 0.5 * len(whole)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images pair up by stamp, whatever the order in which they come, and nothing waits for ever."""
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+
+MS = 1_000_000
+
+
+def test_equal_stamps_pair_in_either_order() -> None:
+    pairer: StereoPairer[str] = StereoPairer()
+    assert pairer.add_left(10 * MS, "l1") is None
+    assert pairer.add_right(10 * MS, "r1") == StereoPair(10 * MS, "l1", "r1")
+    assert pairer.add_right(20 * MS, "r2") is None
+    assert pairer.add_left(20 * MS, "l2") == StereoPair(20 * MS, "l2", "r2")
+    assert pairer.dropped == 0
+
+
+def test_the_pair_bears_the_left_stamp() -> None:
+    pairer: StereoPairer[str] = StereoPairer(tolerance_ns=2 * MS)
+    pairer.add_right(10 * MS, "r")
+    assert pairer.add_left(11 * MS, "l") == StereoPair(11 * MS, "l", "r")
+
+
+def test_stamps_farther_apart_than_the_tolerance_never_pair() -> None:
+    pairer: StereoPairer[str] = StereoPairer(tolerance_ns=2 * MS)
+    assert pairer.add_left(10 * MS, "l") is None
+    assert pairer.add_right(13 * MS, "r") is None
+
+
+def test_the_nearest_stamp_wins() -> None:
+    pairer: StereoPairer[str] = StereoPairer(tolerance_ns=5 * MS)
+    pairer.add_left(10 * MS, "far")
+    pairer.add_left(13 * MS, "near")
+    assert pairer.add_right(14 * MS, "r") == StereoPair(13 * MS, "near", "r")
+    assert pairer.dropped == 1
+
+
+def test_an_image_without_partner_is_dropped_and_counted() -> None:
+    pairer: StereoPairer[int] = StereoPairer()
+    for k in (0, 1, 2, 4):
+        pairer.add_left(k * 100 * MS, k)
+    pairs = [pairer.add_right(k * 100 * MS, k) for k in (0, 2, 3, 4)]
+    assert [pair.left if pair else None for pair in pairs] == [0, 2, None, 4]
+    assert pairer.dropped == 2  # left 1 and right 3
+
+
+def test_a_stamp_that_does_not_rise_is_dropped() -> None:
+    pairer: StereoPairer[str] = StereoPairer()
+    pairer.add_left(10 * MS, "l")
+    assert pairer.add_left(10 * MS, "again") is None
+    assert pairer.add_left(9 * MS, "older") is None
+    assert pairer.dropped == 2
+    assert pairer.add_right(10 * MS, "r") == StereoPair(10 * MS, "l", "r")
+
+
+def test_a_dead_camera_does_not_fill_the_memory() -> None:
+    pairer: StereoPairer[int] = StereoPairer(waiting=10)
+    for k in range(1000):
+        pairer.add_left(k * MS * 10, k)
+    assert pairer.dropped == 990
+
+
+@given(st.lists(st.integers(0, 3), min_size=1, max_size=30), st.randoms(use_true_random=False))
+def test_with_equal_stamps_every_common_image_pairs_once(presence: list[int], random: object) -> None:
+    """Per stamp: 0 none, 1 left only, 2 right only, 3 both; sides may run ahead of each other."""
+    pairer: StereoPairer[int] = StereoPairer(waiting=100)
+    found = []
+    for k, what in enumerate(presence):
+        stamp = (k + 1) * 100 * MS
+        adders = [pairer.add_left] if what == 1 else [pairer.add_right] if what == 2 else []
+        if what == 3:
+            adders = [pairer.add_left, pairer.add_right]
+            random.shuffle(adders)  # type: ignore[attr-defined]
+        found += [pair for add in adders if (pair := add(stamp, k))]
+    assert [pair.left for pair in found] == [k for k, what in enumerate(presence) if what == 3]
+    assert all(pair.left == pair.right for pair in found)
+
+
+@pytest.mark.parametrize("lag", range(4))
+def test_one_camera_may_lag_by_some_frames(lag: int) -> None:
+    pairer: StereoPairer[int] = StereoPairer()
+    found = []
+    for k in itertools.takewhile(lambda n: n < 20, itertools.count()):
+        found.append(pairer.add_left(k * 100 * MS, k))
+        if k >= lag:
+            found.append(pairer.add_right((k - lag) * 100 * MS, k - lag))
+    assert [pair.right for pair in found if pair] == list(range(20 - lag))

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads an mcap file that lost its end, and with it the index that ordinary readers need.
+
+Format: https://mcap.dev/spec. A file is a magic and records; a record is an opcode (1 byte), a length (8 bytes) and a
+payload. Messages, and the schemas and channels they refer to, lie in chunks, which may be compressed.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
+
+MAGIC = b"\x89MCAP0\r\n"
+SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
+RECORD_HEAD = struct.Struct("<BQ")
+CHUNK_HEAD = struct.Struct("<QQQI")  # first stamp, last stamp, size, checksum; then the compression's name
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, recording stamp, publishing stamp
+
+
+@dataclass(frozen=True, slots=True)
+class CutMessage:
+    """One message: topic, type, recording stamp [ns] and CDR bytes."""
+
+    topic: str
+    msgtype: str
+    stamp_ns: int
+    data: bytes
+
+
+def is_cut(file: Path) -> bool:
+    """Tell whether an mcap file lacks its end."""
+    if file.suffix != ".mcap" or not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        stream.seek(max(0, file.stat().st_size - len(MAGIC)))
+        return stream.read() != MAGIC
+
+
+def cut_messages(file: Path) -> Iterator[CutMessage]:
+    """Yield every whole message in file order, then raise.
+
+    Raises:
+        EOFError: always, at the break.
+        ValueError: the file is no mcap.
+    """
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
+    for opcode, payload in _records(file):
+        if opcode == SCHEMA:
+            schemas[_number(payload, 0)] = _string(payload, 2)
+        elif opcode == CHANNEL:
+            channels[_number(payload, 0)] = _string(payload, 4), schemas[_number(payload, 2)]
+        elif opcode == MESSAGE:
+            channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(payload)
+            yield CutMessage(*channels[channel], stamp_ns, payload[MESSAGE_HEAD.size :])
+
+
+def _records(file: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield (opcode, payload) of every whole record, those inside chunks in place of their chunk."""
+    with file.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise ValueError("not an mcap file")
+        while True:
+            head = stream.read(RECORD_HEAD.size)
+            if len(head) < RECORD_HEAD.size:
+                raise EOFError("the file ends without an index")
+            opcode, length = RECORD_HEAD.unpack(head)
+            payload = stream.read(length)
+            whole = len(payload) == length
+            if opcode == CHUNK:
+                yield from _chunk_records(payload, whole=whole)
+            elif whole:
+                yield opcode, payload
+            if not whole:
+                raise EOFError(f"the file ends at byte {stream.tell()}, inside a record")
+
+
+def _chunk_records(payload: bytes, *, whole: bool) -> Iterator[tuple[int, bytes]]:
+    if whole:
+        stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(payload))))
+        data = stream.read(length)
+    elif len(payload) < CHUNK_HEAD.size + 12 or _string(payload, CHUNK_HEAD.size):
+        return  # the beginning of compressed data can't be read
+    else:
+        data = payload[CHUNK_HEAD.size + 12 :]
+    at = 0
+    while at + RECORD_HEAD.size <= len(data):
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        at += RECORD_HEAD.size
+        if at + length > len(data):
+            return
+        yield opcode, data[at : at + length]
+        at += length
+
+
+def _number(payload: bytes, at: int) -> int:
+    return int.from_bytes(payload[at : at + 2], "little")
+
+
+def _string(payload: bytes, at: int) -> str:
+    length = int.from_bytes(payload[at : at + 4], "little")
+    return payload[at + 4 : at + 4 + length].decode()

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes flights as bags that the node graph, `ros2 bag play` and `open_flight` take."""
+
+import heapq
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.datasets.messages import (
+    TruthSample,
+    camera_info_message,
+    compressed_image_message,
+    image_message,
+    imu_message,
+    navigation_state_message,
+    transforms_message,
+    truth_message,
+)
+from uav_vslam.datasets.rosbag import RawRecorder, encode
+from uav_vslam.errors import BagError
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.types import ImuSample, NavEstimate, StereoFrame
+
+TF_STATIC = "/tf_static"
+LATCHED_TOPICS = (TF_STATIC, "initial_state")
+
+# What goes first among messages of one stamp: whoever needs the start state must have it before the image.
+INITIAL, TRUTH, IMU, CAMERAS = range(4)
+
+Event = tuple[int, int, Callable[[], Iterator[tuple[str, Any]]]]  # stamp, rank, and what makes (topic, message)
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedStereoFrame:
+    """An image pair that is compressed already and is recorded byte for byte.
+
+    Attributes:
+        stamp_ns: exposure time [ns].
+        left, right: bytes of the files.
+        fmt: "jpeg" or "png".
+    """
+
+    stamp_ns: int
+    left: bytes
+    right: bytes
+    fmt: str
+
+
+@dataclass(frozen=True, slots=True)
+class ImageCoding:
+    """How images are recorded.
+
+    Attributes:
+        fmt: "raw", "png" or "jpeg".
+        quality: of jpeg, 1 to 100.
+    """
+
+    fmt: str = "raw"
+    quality: int = 90
+
+    def __post_init__(self) -> None:
+        if self.fmt not in {"raw", "png", "jpeg"} or not 1 <= self.quality <= 100:
+            raise BagError(f"image coding {self.fmt!r} at quality {self.quality}: use raw, png or jpeg and 1 to 100")
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRecording:
+    """All that is recorded of one vehicle; each stream rises in stamp and is walked once.
+
+    Attributes:
+        vehicle: ROS namespace.
+        rig: calibration; it goes into camera_info and /tf_static.
+        imu, truth, frames: streams.
+        initial: start state, or None.
+    """
+
+    vehicle: str
+    rig: StereoRig
+    imu: Iterable[ImuSample]
+    truth: Iterable[TruthSample]
+    frames: Iterable[StereoFrame | EncodedStereoFrame]
+    initial: NavEstimate | None
+
+
+def write_flights(
+    path: Path,
+    flights: list[FlightRecording],
+    *,
+    coding: ImageCoding | None = None,
+    storage: str = "mcap",
+    on_frame: Callable[[], None] | None = None,
+) -> None:
+    """Record one or more vehicles into one bag, in stamp order.
+
+    Args:
+        path: bag folder to make.
+        flights: the vehicles.
+        coding: how images are stored; frames that are encoded already stay as they are.
+        storage: "mcap" or "sqlite3".
+        on_frame: called after each image pair, for a progress bar.
+
+    Raises:
+        BagError: the folder exists, or our message definitions are not found.
+    """
+    coding = coding or ImageCoding()
+    with RawRecorder(path, storage=storage) as recorder:
+        first = True
+        streams = [_events(flight, coding) for flight in flights]
+        for stamp_ns, rank, make in heapq.merge(*streams, key=lambda event: event[:2]):
+            if first:
+                _record(recorder, TF_STATIC, _transforms(flights, stamp_ns), stamp_ns)
+                first = False
+            for topic, built in make():
+                _record(recorder, topic, built, stamp_ns)
+            if rank == CAMERAS and on_frame is not None:
+                on_frame()
+
+
+def _record(recorder: RawRecorder, topic: str, built: Any, stamp_ns: int) -> None:
+    recorder.write(topic, built.__msgtype__, encode(built), stamp_ns, latched=topic.endswith(LATCHED_TOPICS))
+
+
+def _transforms(flights: list[FlightRecording], stamp_ns: int) -> Any:
+    edges = []
+    for flight in flights:
+        base = f"{flight.vehicle}/base_link"
+        edges.append((base, f"{flight.vehicle}/left_optical", flight.rig.T_body_left))
+        edges.append((base, f"{flight.vehicle}/right_optical", flight.rig.T_body_right))
+    return transforms_message(stamp_ns, edges)
+
+
+def _events(flight: FlightRecording, coding: ImageCoding) -> Iterator[Event]:
+    """Yield one vehicle's events in stamp order; messages are built (and images encoded) only when recorded."""
+    streams: list[Iterable[Event]] = [
+        ((s.stamp_ns, TRUTH, partial(_truth, flight, s)) for s in flight.truth),
+        ((s.stamp_ns, IMU, partial(_imu, flight, s)) for s in flight.imu),
+        ((f.stamp_ns, CAMERAS, partial(_cameras, flight, f, coding)) for f in flight.frames),
+    ]
+    if flight.initial is not None:
+        streams.append([(flight.initial.state.stamp_ns, INITIAL, partial(_initial, flight))])
+    yield from heapq.merge(*streams, key=lambda event: event[:2])
+
+
+def _initial(flight: FlightRecording) -> Iterator[tuple[str, Any]]:
+    assert flight.initial is not None
+    name = flight.vehicle
+    built = navigation_state_message(flight.initial, frame_id=f"{name}/map", child_frame_id=f"{name}/base_link")
+    yield f"/{name}/initial_state", built
+
+
+def _truth(flight: FlightRecording, sample: TruthSample) -> Iterator[tuple[str, Any]]:
+    built = truth_message(sample, frame_id="world", child_frame_id=f"{flight.vehicle}/base_link")
+    yield f"/{flight.vehicle}/ground_truth/odometry", built
+
+
+def _imu(flight: FlightRecording, sample: ImuSample) -> Iterator[tuple[str, Any]]:
+    yield f"/{flight.vehicle}/imu/data_raw", imu_message(sample, f"{flight.vehicle}/base_link")
+
+
+def _cameras(
+    flight: FlightRecording, frame: StereoFrame | EncodedStereoFrame, coding: ImageCoding
+) -> Iterator[tuple[str, Any]]:
+    for side, camera, picture in (
+        ("left", flight.rig.left, frame.left),
+        ("right", flight.rig.right, frame.right),
+    ):
+        frame_id = f"{flight.vehicle}/{side}_optical"
+        topic = f"/{flight.vehicle}/{side}/image_raw"
+        yield f"/{flight.vehicle}/{side}/camera_info", camera_info_message(frame.stamp_ns, frame_id, camera)
+        if isinstance(picture, bytes):
+            assert isinstance(frame, EncodedStereoFrame)
+            encoded, fmt = picture, frame.fmt
+        elif coding.fmt == "raw":
+            yield topic, image_message(frame.stamp_ns, frame_id, picture)
+            continue
+        else:
+            encoded, fmt = _compress(picture, coding), coding.fmt
+        yield f"{topic}/compressed", compressed_image_message(frame.stamp_ns, frame_id, encoded, fmt=fmt)
+
+
+def _compress(image: NDArray[np.generic], coding: ImageCoding) -> bytes:
+    if coding.fmt == "png":
+        _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    else:
+        _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, coding.quality])
+    return bytes(data)

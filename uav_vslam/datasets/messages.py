@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records to recorded messages and back. Only here do the bags' stamps, xyzw quaternions and flat arrays appear."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.datasets.rosbag import message
+from uav_vslam.errors import BagError
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
+
+Array = NDArray[np.float64]
+
+CHANNELS = {"mono8": (np.uint8, 1), "mono16": (np.uint16, 1), "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3)}
+
+
+@dataclass(frozen=True, slots=True)
+class TruthSample:
+    """The true motion at one stamp, as `nav_msgs/Odometry` carries it.
+
+    Attributes:
+        stamp_ns: time [ns].
+        T_world_body: pose.
+        v_world: (3,) velocity [m/s].
+        rate_body: (3,) angular rate [rad/s].
+    """
+
+    stamp_ns: int
+    T_world_body: Pose
+    v_world: Array
+    rate_body: Array
+
+
+def stamp_ns_of(stamped: Any) -> int:
+    """Return the header stamp of a message [ns]."""
+    stamp = stamped.header.stamp
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def image_message(stamp_ns: int, frame_id: str, image: NDArray[Any]) -> Any:
+    """Build sensor_msgs/Image from (H, W) grey or (H, W, 3) BGR pixels."""
+    encoding = "bgr8" if image.ndim == 3 else "mono8" if image.dtype == np.uint8 else "mono16"
+    pixels = np.ascontiguousarray(image).astype(image.dtype.newbyteorder("<"), copy=False)
+    return message(
+        "sensor_msgs/msg/Image",
+        header=_header(stamp_ns, frame_id),
+        height=image.shape[0],
+        width=image.shape[1],
+        encoding=encoding,
+        is_bigendian=0,
+        step=pixels.strides[0],
+        data=pixels.view(np.uint8).reshape(-1),
+    )
+
+
+def compressed_image_message(stamp_ns: int, frame_id: str, encoded: bytes, *, fmt: str) -> Any:
+    """Build sensor_msgs/CompressedImage from the bytes of a "jpeg" or "png" file."""
+    data = np.frombuffer(encoded, np.uint8)
+    return message("sensor_msgs/msg/CompressedImage", header=_header(stamp_ns, frame_id), format=fmt, data=data)
+
+
+def image_of(built: Any) -> NDArray[Any]:
+    """Return the (H, W) or (H, W, 3) BGR pixels of an Image or CompressedImage.
+
+    Raises:
+        BagError: the picture can't be decoded.
+    """
+    if hasattr(built, "format"):
+        decoded = cv2.imdecode(np.asarray(built.data), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+        if decoded is None:
+            raise BagError(f"compressed image at {stamp_ns_of(built)} ns can't be decoded; is it {built.format!r}?")
+        return np.asarray(decoded)
+    if built.encoding not in CHANNELS:
+        raise BagError(f"image encoding {built.encoding!r} can't be used; record {', '.join(CHANNELS)} or compressed")
+    dtype, channels = CHANNELS[built.encoding]
+    kind = np.dtype(dtype).newbyteorder(">" if built.is_bigendian else "<")
+    line = built.width * channels * kind.itemsize
+    if built.step < line or len(built.data) < built.step * built.height:
+        raise BagError(f"image of {built.width}x{built.height} px holds only {len(built.data)} bytes; record it again")
+    rows = np.asarray(built.data)[: built.step * built.height].reshape(built.height, built.step)[:, :line]
+    pixels = np.ascontiguousarray(rows).view(kind).astype(dtype, copy=False)
+    if channels == 1:
+        return pixels
+    colour = pixels.reshape(built.height, built.width, channels)
+    return colour[:, :, ::-1] if built.encoding == "rgb8" else colour
+
+
+def camera_info_message(stamp_ns: int, frame_id: str, camera: PinholeCamera) -> Any:
+    """Build sensor_msgs/CameraInfo; K and D are the calibration, P repeats K because the rig is not rectified."""
+    return message(
+        "sensor_msgs/msg/CameraInfo",
+        header=_header(stamp_ns, frame_id),
+        height=camera.height,
+        width=camera.width,
+        distortion_model="plumb_bob",
+        d=np.asarray(camera.distortion, dtype=float),
+        k=camera.K.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.column_stack([camera.K, np.zeros(3)]).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=message("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    )
+
+
+def camera_of(info: Any) -> PinholeCamera:
+    """Return the intrinsics of a CameraInfo.
+
+    Raises:
+        BagError: the distortion model is not plumb_bob.
+        CalibrationError: K or the size is not filled in.
+    """
+    if info.distortion_model not in {"", "plumb_bob"}:
+        raise BagError(f"{info.header.frame_id}: distortion model {info.distortion_model!r}; calibrate as plumb_bob")
+    distortion = np.zeros(5)
+    distortion[: min(5, len(info.d))] = info.d[:5]
+    k = np.asarray(info.k).tolist()
+    return PinholeCamera(info.width, info.height, k[0], k[4], k[2], k[5], distortion)
+
+
+def imu_message(sample: ImuSample, frame_id: str) -> Any:
+    """Build sensor_msgs/Imu; orientation is marked as not given."""
+    unknown = np.zeros(9)
+    unknown[0] = -1.0
+    return message(
+        "sensor_msgs/msg/Imu",
+        header=_header(sample.stamp_ns, frame_id),
+        orientation=_quaternion(np.array([1.0, 0.0, 0.0, 0.0])),
+        orientation_covariance=unknown,
+        angular_velocity=_vector(sample.gyro),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=_vector(sample.accel),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+def imu_of(built: Any) -> ImuSample:
+    """Return the reading of an Imu message."""
+    return ImuSample(stamp_ns_of(built), _array(built.angular_velocity), _array(built.linear_acceleration))
+
+
+def truth_message(sample: TruthSample, *, frame_id: str, child_frame_id: str) -> Any:
+    """Build nav_msgs/Odometry; the twist is in the body frame, as the standard has it."""
+    twist = message(
+        "geometry_msgs/msg/Twist",
+        linear=_vector(sample.T_world_body.R.T @ sample.v_world),
+        angular=_vector(sample.rate_body),
+    )
+    return message(
+        "nav_msgs/msg/Odometry",
+        header=_header(sample.stamp_ns, frame_id),
+        child_frame_id=child_frame_id,
+        pose=message("geometry_msgs/msg/PoseWithCovariance", pose=_pose(sample.T_world_body), covariance=np.zeros(36)),
+        twist=message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+    )
+
+
+def truth_of(built: Any) -> TruthSample:
+    """Return the motion of an Odometry message."""
+    T_world_body = _pose_of(built.pose.pose)
+    twist = built.twist.twist
+    return TruthSample(stamp_ns_of(built), T_world_body, T_world_body.R @ _array(twist.linear), _array(twist.angular))
+
+
+def navigation_state_message(estimate: NavEstimate, *, frame_id: str, child_frame_id: str) -> Any:
+    """Build uav_vslam_msgs/NavigationState."""
+    state = estimate.state
+    return message(
+        "uav_vslam_msgs/msg/NavigationState",
+        header=_header(state.stamp_ns, frame_id),
+        child_frame_id=child_frame_id,
+        pose=_pose(state.T_map_body),
+        velocity=_vector(state.v_map),
+        gyro_bias=_vector(state.gyro_bias),
+        accel_bias=_vector(state.accel_bias),
+        covariance=np.asarray(estimate.covariance, dtype=float).ravel(),
+    )
+
+
+def navigation_state_of(built: Any) -> NavEstimate:
+    """Return the estimate of a NavigationState message."""
+    state = NavState(
+        stamp_ns_of(built),
+        _pose_of(built.pose),
+        _array(built.velocity),
+        _array(built.gyro_bias),
+        _array(built.accel_bias),
+    )
+    return NavEstimate(state, np.array(built.covariance, dtype=float).reshape(15, 15))
+
+
+def transforms_message(stamp_ns: int, edges: Sequence[tuple[str, str, Pose]]) -> Any:
+    """Build tf2_msgs/TFMessage from edges (parent frame, child frame, T_parent_child)."""
+    transforms = []
+    for parent, child, pose in edges:
+        transform = message(
+            "geometry_msgs/msg/Transform", translation=_vector(pose.t), rotation=_quaternion(pose.quaternion_wxyz)
+        )
+        transforms.append(
+            message(
+                "geometry_msgs/msg/TransformStamped",
+                header=_header(stamp_ns, parent),
+                child_frame_id=child,
+                transform=transform,
+            )
+        )
+    return message("tf2_msgs/msg/TFMessage", transforms=transforms)
+
+
+def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
+    """Return the edges (parent frame, child frame, T_parent_child) of a TFMessage."""
+    edges = []
+    for stamped in built.transforms:
+        q, t = stamped.transform.rotation, stamped.transform.translation
+        pose = Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _array(t))
+        edges.append((stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/"), pose))
+    return edges
+
+
+def _header(stamp_ns: int, frame_id: str) -> Any:
+    sec, nanosec = divmod(int(stamp_ns), NS_PER_S)
+    stamp = message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return message("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
+
+
+def _vector(values: Array) -> Any:
+    x, y, z = np.asarray(values, dtype=float).tolist()
+    return message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _quaternion(wxyz: Array) -> Any:
+    w, x, y, z = wxyz.tolist()
+    return message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def _pose(pose: Pose) -> Any:
+    x, y, z = np.asarray(pose.t, dtype=float).tolist()
+    point = message("geometry_msgs/msg/Point", x=x, y=y, z=z)
+    return message("geometry_msgs/msg/Pose", position=point, orientation=_quaternion(pose.quaternion_wxyz))
+
+
+def _pose_of(built: Any) -> Pose:
+    q = built.orientation
+    return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _array(built.position))
+
+
+def _array(vector: Any) -> Array:
+    return np.array([vector.x, vector.y, vector.z], dtype=float)

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags as files: topics, raw messages and message types. The only home of `rosbags`.
+
+A damaged recording (its writer was killed, or the file was cut) is read up to the break; then `BagError` says so.
+"""
+
+import heapq
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2.errors import WriterError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from uav_vslam.datasets.cut_mcap import cut_messages, is_cut
+from uav_vslam.errors import BagError
+
+MESSAGE_PACKAGE = "uav_vslam_msgs"
+STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
+STORAGE_FILES = (".mcap", ".db3")
+UNLIMITED = QosTime(9223372036, 854775807)  # how ROS writes "no deadline"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a recording.
+
+    Attributes:
+        msgtype: "sensor_msgs/msg/Imu".
+        count: messages recorded.
+        latched: offered as transient local: said once, for whoever comes later.
+    """
+
+    msgtype: str
+    count: int
+    latched: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """A message as it was recorded.
+
+    Attributes:
+        topic, msgtype: where and what.
+        stamp_ns: when it was recorded [ns].
+        data: CDR bytes.
+    """
+
+    topic: str
+    msgtype: str
+    stamp_ns: int
+    data: bytes
+
+
+@cache
+def typestore() -> Typestore:
+    """Return Jazzy's message types and our own, as far as their definitions are found."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types: dict[str, Any] = {}
+    for path in sorted(_message_folder().glob("*.msg")):
+        types.update(get_types_from_msg(path.read_text(encoding="utf-8"), f"{MESSAGE_PACKAGE}/msg/{path.stem}"))
+    store.register(types)
+    return store
+
+
+def message(msgtype: str, **fields: Any) -> Any:
+    """Build a message; `fields` must be all of its fields.
+
+    Raises:
+        BagError: the type is not known.
+    """
+    _require_type(msgtype)
+    return typestore().types[msgtype](**fields)
+
+
+def encode(built: Any) -> bytes:
+    """Return the CDR bytes of a message made by `message`."""
+    return bytes(typestore().serialize_cdr(built, built.__msgtype__))
+
+
+def decode(raw: RawMessage) -> Any:
+    """Return the message object of recorded bytes.
+
+    Raises:
+        BagError: the type is not known or the bytes do not fit it.
+    """
+    _require_type(raw.msgtype)
+    try:
+        return typestore().deserialize_cdr(raw.data, raw.msgtype)
+    except Exception as error:  # rosbags' generated code fails in many ways on wrong bytes
+        raise BagError(f"{raw.topic} at {raw.stamp_ns} ns: not a valid {raw.msgtype} ({error})") from None
+
+
+def topics_of(paths: Sequence[Path]) -> dict[str, TopicInfo]:
+    """Return what one or more bags, taken together, hold.
+
+    Raises:
+        BagError: a bag is missing or is none.
+    """
+    topics: dict[str, TopicInfo] = {}
+    for file in _files(paths):
+        for topic, info in _topics_of_file(file).items():
+            known = topics.get(topic, TopicInfo(info.msgtype, 0, info.latched))
+            topics[topic] = TopicInfo(info.msgtype, known.count + info.count, info.latched)
+    return topics
+
+
+def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iterator[RawMessage]:
+    """Yield the recorded messages of one or more bags in the order of their recording stamps.
+
+    Args:
+        paths: bag folders or storage files (mcap, sqlite3).
+        topics: only these; None for all.
+
+    Raises:
+        BagError: a bag is missing, is none, or (after all that can be read of it) is damaged.
+    """
+    wanted = None if topics is None else frozenset(topics)
+    streams = [_messages_of_file(file, wanted) for file in _files(paths)]
+    yield from heapq.merge(*streams, key=lambda raw: raw.stamp_ns)
+
+
+class RawRecorder:
+    """Writes a bag from CDR bytes; a context manager. A topic is declared by its first message."""
+
+    def __init__(self, path: Path, *, storage: str = "mcap") -> None:
+        """Create the bag.
+
+        Args:
+            path: folder to make; it must not exist.
+            storage: "mcap" or "sqlite3".
+
+        Raises:
+            BagError: the folder exists or can't be made.
+        """
+        if storage not in STORAGE:
+            raise BagError(f"bag storage {storage!r} is not known; use {' or '.join(STORAGE)}")
+        self.path = path
+        self._connections: dict[str, Connection] = {}
+        try:
+            self._writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
+            self._writer.open()
+        except (WriterError, OSError) as error:
+            raise BagError(f"can't record to {path}: {error}; choose a folder that does not exist yet") from None
+
+    def write(self, topic: str, msgtype: str, data: bytes, stamp_ns: int, *, latched: bool = False) -> None:
+        """Append one message.
+
+        Args:
+            topic: absolute name.
+            msgtype: "sensor_msgs/msg/Imu".
+            data: CDR bytes.
+            stamp_ns: recording stamp [ns].
+            latched: at a topic's first message: offer it as transient local.
+
+        Raises:
+            BagError: the type is not known, or the topic was recorded with another one.
+        """
+        if topic not in self._connections:
+            self._connections[topic] = self._connect(topic, msgtype, latched=latched)
+        connection = self._connections[topic]
+        if connection.msgtype != msgtype:
+            raise BagError(f"{topic} was recorded as {connection.msgtype} and can't also hold {msgtype}")
+        self._writer.write(connection, stamp_ns, data)
+
+    def close(self) -> None:
+        """Write the index; nothing can be written afterwards."""
+        self._writer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _connect(self, topic: str, msgtype: str, *, latched: bool) -> Connection:
+        _require_type(msgtype)
+        return self._writer.add_connection(
+            topic, msgtype, typestore=typestore(), offered_qos_profiles=[_qos(latched=latched)]
+        )
+
+
+def _qos(*, latched: bool) -> Qos:
+    """Return what `ros2 bag play` shall offer: reliable, and kept for latecomers if latched."""
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1 if latched else 10,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=UNLIMITED,
+        lifespan=UNLIMITED,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=UNLIMITED,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def _message_folder() -> Path:
+    """Return where our .msg files lie: beside the sources, or where colcon or pip installed them."""
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    candidates = [Path(__file__).resolve().parents[2] / MESSAGE_PACKAGE / "msg"]
+    candidates += [prefix / "share" / MESSAGE_PACKAGE / "msg" for prefix in [*prefixes, Path(sys.prefix)]]
+    return next((folder for folder in candidates if folder.is_dir()), candidates[0])
+
+
+def _require_type(msgtype: str) -> None:
+    if msgtype not in typestore().types:
+        hint = "build it and source its workspace" if msgtype.startswith(MESSAGE_PACKAGE) else "use a Jazzy type"
+        raise BagError(f"message type {msgtype} is not known; {hint} (looked in {_message_folder()})")
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    """Return what to open: a bag folder with its metadata, or the storage files of one that has none."""
+    files: list[Path] = []
+    for path in map(Path, paths):
+        if not path.exists():
+            raise BagError(f"bag {path} does not exist; give a bag folder or an .mcap or .db3 file")
+        stored = sorted(p for p in path.iterdir() if p.suffix in STORAGE_FILES) if path.is_dir() else [path]
+        if not stored or (path.is_file() and path.suffix not in STORAGE_FILES):
+            raise BagError(f"{path} is no bag: no .mcap or .db3 file; give a bag folder or such a file")
+        whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(is_cut, stored))
+        files += [path] if whole else stored
+    return files
+
+
+def _topics_of_file(file: Path) -> dict[str, TopicInfo]:
+    if is_cut(file):
+        return _topics_of_cut_file(file)
+    with ExitStack() as stack:
+        reader = _open(file, stack)
+        topics: dict[str, TopicInfo] = {}
+        for connection in reader.connections:
+            profiles = getattr(connection.ext, "offered_qos_profiles", [])
+            latched = any(qos.durability == QosDurability.TRANSIENT_LOCAL for qos in profiles)
+            count = connection.msgcount + (topics[connection.topic].count if connection.topic in topics else 0)
+            topics[connection.topic] = TopicInfo(connection.msgtype, count, latched)
+        return topics
+
+
+def _messages_of_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
+    last_ns: int | None = None
+    read = _messages_of_cut_file if is_cut(file) else _messages_of_whole_file
+    try:
+        for raw in read(file, topics):
+            last_ns = raw.stamp_ns
+            yield raw
+    except BagError:
+        raise
+    except Exception as error:  # struct, sqlite, zstd, index errors, by where the break is
+        raise _damage(file, last_ns, error) from None
+
+
+def _damage(file: Path, last_ns: int | None, error: Exception) -> BagError:
+    reached = "nothing could be read" if last_ns is None else f"read up to the break after stamp {last_ns} ns"
+    detail = " ".join(str(error).split()) or type(error).__name__
+    return BagError(f"bag {file} is damaged: {reached} ({detail}); record it again or go on with what there is")
+
+
+def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
+    with ExitStack() as stack:
+        reader = _open(file, stack)
+        wanted = [c for c in reader.connections if topics is None or c.topic in topics]
+        if wanted:  # an empty list would mean all
+            for connection, stamp_ns, data in reader.messages(wanted):
+                yield RawMessage(connection.topic, connection.msgtype, stamp_ns, bytes(data))
+
+
+def _open(file: Path, stack: ExitStack) -> Reader:
+    try:
+        return stack.enter_context(Reader(file))
+    except Exception as error:  # yaml, sqlite and struct errors, by what is wrong with the file
+        raise _damage(file, None, error) from None
+
+
+def _messages_of_cut_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
+    for cut in cut_messages(file):
+        if topics is None or cut.topic in topics:
+            yield RawMessage(cut.topic, cut.msgtype, cut.stamp_ns, cut.data)
+
+
+def _topics_of_cut_file(file: Path) -> dict[str, TopicInfo]:
+    topics: dict[str, TopicInfo] = {}
+    try:
+        for raw in _messages_of_cut_file(file, None):
+            count = topics[raw.topic].count if raw.topic in topics else 0
+            topics[raw.topic] = TopicInfo(raw.msgtype, count + 1, raw.topic.endswith(("tf_static", "initial_state")))
+    except Exception as error:  # a cut file always ends in one
+        if not topics:
+            raise _damage(file, None, error) from None
+    return topics

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pairs left and right images by their stamps; used by the bag reader and by the ROS node alike."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class StereoPair(Generic[T]):
+    """Two images that belong together.
+
+    Attributes:
+        stamp_ns: the left image's stamp [ns].
+        left, right: whatever was added.
+    """
+
+    stamp_ns: int
+    left: T
+    right: T
+
+
+class StereoPairer(Generic[T]):
+    """Holds images until their partner comes; those that can't have one any more are dropped and counted.
+
+    Each camera's stamps must rise; an image that does not is dropped.
+
+    Attributes:
+        dropped: images that never found a partner.
+    """
+
+    def __init__(self, *, tolerance_ns: int = 2_000_000, waiting: int = 10) -> None:
+        """Set up.
+
+        Args:
+            tolerance_ns: largest difference between the stamps of a pair [ns].
+            waiting: images of one camera that may wait; beyond it the oldest is dropped.
+        """
+        self._tolerance_ns = tolerance_ns
+        self._capacity = waiting
+        self._left: deque[tuple[int, T]] = deque()
+        self._right: deque[tuple[int, T]] = deque()
+        self._newest = {"left": -1, "right": -1}
+        self.dropped = 0
+
+    def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
+        """Add a left image; return the pair that it completes, if any."""
+        if not self._is_newer("left", stamp_ns):
+            return None
+        partner = self._take_partner(self._right, stamp_ns)
+        if partner is None:
+            self._wait(self._left, stamp_ns, item)
+            return None
+        self._drop_older(self._left, stamp_ns)
+        return StereoPair(stamp_ns, item, partner[1])
+
+    def add_right(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
+        """Add a right image; return the pair that it completes, if any."""
+        if not self._is_newer("right", stamp_ns):
+            return None
+        partner = self._take_partner(self._left, stamp_ns)
+        if partner is None:
+            self._wait(self._right, stamp_ns, item)
+            return None
+        self._drop_older(self._right, stamp_ns)
+        return StereoPair(partner[0], partner[1], item)
+
+    def _is_newer(self, side: str, stamp_ns: int) -> bool:
+        if stamp_ns <= self._newest[side]:
+            self.dropped += 1
+            return False
+        self._newest[side] = stamp_ns
+        return True
+
+    def _take_partner(self, waiting: deque[tuple[int, T]], stamp_ns: int) -> tuple[int, T] | None:
+        """Remove and return the nearest waiting image within the tolerance; older ones are dropped."""
+        near = [entry for entry in waiting if abs(entry[0] - stamp_ns) <= self._tolerance_ns]
+        if not near:
+            return None
+        best = min(near, key=lambda entry: abs(entry[0] - stamp_ns))
+        self._drop_older(waiting, best[0])
+        waiting.popleft()
+        return best
+
+    def _wait(self, waiting: deque[tuple[int, T]], stamp_ns: int, item: T) -> None:
+        waiting.append((stamp_ns, item))
+        if len(waiting) > self._capacity:
+            waiting.popleft()
+            self.dropped += 1
+
+    def _drop_older(self, waiting: deque[tuple[int, T]], stamp_ns: int) -> None:
+        while waiting and waiting[0][0] < stamp_ns:
+            waiting.popleft()
+            self.dropped += 1
