@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fleet's processes end together, in time, whatever ends them; tested with real processes, without ROS."""
+
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from uav_vslam.errors import ConfigError
+from uav_vslam.ros.supervisor import Command, Supervisor, describe_exit, find_executable, free_domain_id
+
+pytestmark = pytest.mark.ros
+
+POLITE = "import time; print('ready'); time.sleep(60)"  # ends at SIGINT
+DEAF = """
+    import os, signal, time
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    print("ready")
+    time.sleep(60)
+"""
+
+
+def python(name: str, code: str, *, leads: bool = False) -> Command:
+    return Command(name, [sys.executable, "-c", textwrap.dedent(code)], leads)
+
+
+def write_pid(folder: Path, name: str, code: str) -> Command:
+    """A process that says where it is before it begins."""
+    begin = f"import os, pathlib\npathlib.Path({str(folder / name)!r}).write_text(str(os.getpid()))\n"
+    return python(name, begin + textwrap.dedent(code))
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def wait_for(condition, timeout_s: float) -> bool:
+    end_s = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > end_s:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+@contextmanager
+def supervised(folder: Path, codes: dict[str, str]) -> Iterator[tuple[subprocess.Popen[str], list[int]]]:
+    """A supervisor in its own process, once all of its processes are up."""
+    commands = [write_pid(folder, name, code) for name, code in codes.items()]
+    program = (
+        "import sys; from uav_vslam.ros.supervisor import Command, Supervisor\n"
+        f"sys.exit(Supervisor().run({commands!r}))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        assert wait_for(lambda: all((folder / name).exists() and (folder / name).read_text() for name in codes), 20.0)
+        assert process.stdout is not None
+        for _ in codes:
+            assert "ready" in process.stdout.readline()
+        yield process, [int((folder / name).read_text()) for name in codes]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_all_at_once(tmp_path: Path, number: signal.Signals) -> None:
+    with supervised(tmp_path, {"a": POLITE, "b": POLITE}) as (process, pids):
+        begin_s = time.monotonic()
+        process.send_signal(number)
+        assert process.wait(5.0) == 128 + number
+        assert time.monotonic() - begin_s < 2.0
+        assert not any(map(alive, pids))
+
+
+def test_who_ignores_signals_is_gone_within_five_seconds(tmp_path: Path) -> None:
+    with supervised(tmp_path, {"deaf": DEAF, "polite": POLITE}) as (process, pids):
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=5.0)
+        assert "deaf does not end; it is killed" in output
+        assert not any(map(alive, pids))
+
+
+def test_no_orphan_is_left_when_the_supervisor_is_killed(tmp_path: Path) -> None:
+    with supervised(tmp_path, {"deaf": DEAF, "polite": POLITE}) as (process, pids):
+        assert all(map(alive, pids))
+        process.kill()
+        process.wait(5.0)
+        assert wait_for(lambda: not any(map(alive, pids)), 2.0)
+
+
+def test_the_end_of_the_leader_ends_all_and_is_no_failure(capfd: pytest.CaptureFixture[str]) -> None:
+    begin_s = time.monotonic()
+    code = Supervisor().run([python("worker", POLITE), python("replay", "print('done')", leads=True)])
+    assert code == 0
+    assert time.monotonic() - begin_s < 4.0
+    output = capfd.readouterr()
+    assert "[replay] done" in output.out
+    assert output.err == ""
+
+
+def test_the_leaders_failure_is_the_exit_code(capfd: pytest.CaptureFixture[str]) -> None:
+    assert Supervisor().run([python("worker", POLITE), python("replay", "exit(3)", leads=True)]) == 3
+    assert "replay ended with exit code 3" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("code", "expected"), [("exit(7)", 7), ("pass", 1), ("import os; os.abort()", 134)])
+def test_a_process_that_dies_ends_the_fleet_and_is_named(
+    code: str, expected: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    replay = python("replay", POLITE, leads=True)
+    assert Supervisor().run([python("uav1/fusion", code), python("worker", POLITE), replay]) == expected
+    assert "uav1/fusion" in capfd.readouterr().err
+
+
+def test_failing_while_it_is_ended_is_a_failure(capfd: pytest.CaptureFixture[str]) -> None:
+    stubborn = """
+        import signal, sys, time
+        signal.signal(signal.SIGINT, lambda *_: sys.exit(4))
+        time.sleep(60)
+    """
+    lead = python("replay", "import time; time.sleep(1)", leads=True)
+    assert Supervisor().run([python("recorder", stubborn), lead]) == 4
+    assert "recorder ended with exit code 4 while it was ended" in capfd.readouterr().err
+
+
+def test_output_is_prefixed_line_by_line_and_kept_in_files(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    code = "import sys; sys.stdout.write('one\\ntwo\\nlast'); sys.stdout.flush(); sys.stderr.write('\\n'); "
+    Supervisor(log_dir=tmp_path / "logs").run([python("uav1/slam_backend", code, leads=True)])
+    assert capfd.readouterr().out.splitlines() == [f"[uav1/slam_backend] {line}" for line in ("one", "two", "last")]
+    assert (tmp_path / "logs" / "uav1_slam_backend.log").read_text() == "one\ntwo\nlast\n"
+
+
+def test_the_environment_is_passed_on() -> None:
+    lines: list[tuple[str, str]] = []
+    supervisor = Supervisor({"ROS_DOMAIN_ID": "42"}, on_line=lambda name, line: lines.append((name, line)))
+    supervisor.run([python("a", "import os; print(os.environ['ROS_DOMAIN_ID'])", leads=True)])
+    assert lines == [("a", "42")]
+
+
+def test_a_program_that_is_missing_ends_what_was_started_before(tmp_path: Path) -> None:
+    worker = write_pid(tmp_path, "worker", POLITE)
+    with pytest.raises(ConfigError, match="ghost can't be started"):
+        Supervisor().run([worker, Command("ghost", [str(tmp_path / "nothing")])])
+    if (tmp_path / "worker").exists():
+        assert not alive(int((tmp_path / "worker").read_text()))
+
+
+def test_signal_handlers_are_put_back() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    Supervisor().run([python("a", "pass", leads=True)])
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_installed_programs_are_preferred_to_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert find_executable("fusion") == [sys.executable, "-m", "uav_vslam.ros.fusion_node"]
+    program = tmp_path / "lib" / "uav_vslam" / "fusion"
+    program.parent.mkdir(parents=True)
+    program.touch(mode=0o755)
+    assert find_executable("fusion") == [str(program)]
+
+
+def test_a_free_domain_is_not_one_in_use() -> None:
+    assert 1 <= free_domain_id() <= 101
+
+
+def test_exits_are_described() -> None:
+    assert describe_exit(3) == "ended with exit code 3"
+    assert describe_exit(-signal.SIGSEGV) == "was killed by SIGSEGV"
