@@ -117,7 +117,7 @@ class FusionConfig:
     epoch_s: float = 1.0  # a packet is sent and a fusion made whenever a frame's stamp passes a multiple of this
     min_delay_s: float = 0.2  # only packets at least this much older than the epoch enter: makes replay repeatable
     scheme: str = "split_ci"  # name in cooperation.fusion.SCHEMES
-    max_packet_landmarks: int = 48  # landmarks in one packet
+    max_packet_landmarks: int = 64  # landmarks in one packet
     ratio: float = 0.8  # descriptor ratio test between vehicles, made before the gate
     gate_probability: float = 0.99  # of the chi-square gate on a common landmark
     min_common: int = 3  # pairs that must agree with each other before any is used

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.pipeline import VehicleTrack
-from uav_vslam.slam.packet import make_packet, payload_bytes
 from uav_vslam.types import PoseEstimate
 
 
@@ -19,15 +18,12 @@ class CooperativeTrack:
     """A whole flight of one vehicle with its peers' help.
 
     Attributes:
+        fusion: the fusion core; it knows what was sent, received, used and dropped.
         poses: fused pose at every own-only frame.
-        packets_sent, bytes_sent: what this vehicle put on the radio.
-        fusion: the fusion core, whose inbox knows what was received, used and dropped.
     """
 
     fusion: Fusion
     poses: list[PoseEstimate] = field(default_factory=list)
-    packets_sent: int = 0
-    bytes_sent: int = 0
 
 
 def cooperate(tracks: dict[str, VehicleTrack], configs: dict[str, VehicleConfig]) -> dict[str, CooperativeTrack]:
@@ -41,25 +37,16 @@ def cooperate(tracks: dict[str, VehicleTrack], configs: dict[str, VehicleConfig]
         A cooperative track for each vehicle.
     """
     fleet = {name: CooperativeTrack(Fusion(name, configs[name].fusion)) for name in tracks}
+    on_air = [name for name in tracks if configs[name].fusion.mode != "none"]
     frames = [(output.report.pose.stamp_ns, name, output) for name, track in tracks.items() for output in track.outputs]
     for _, name, output in sorted(frames, key=lambda frame: frame[:2]):
         member = fleet[name]
         if output.joint is not None:
             member.fusion.fuse(output.joint)
-            _broadcast(name, output.joint, fleet, configs)
+            if name in on_air:
+                packet = member.fusion.packet(output.joint)
+                for peer in on_air:
+                    if peer != name:
+                        fleet[peer].fusion.inbox.add(packet)
         member.poses.append(member.fusion.carry(output.report.pose))
     return fleet
-
-
-def _broadcast(name, joint, fleet, configs):  # type: ignore[no-untyped-def]
-    if configs[name].fusion.mode == "none":
-        return
-    sender = fleet[name]
-    packet = make_packet(
-        joint, sequence=sender.packets_sent + 1, max_landmarks=configs[name].fusion.max_packet_landmarks
-    )
-    sender.packets_sent += 1
-    sender.bytes_sent += payload_bytes(packet)
-    for peer, member in fleet.items():
-        if peer != name and configs[peer].fusion.mode != "none":
-            member.fusion.inbox.add(packet)

@@ -84,19 +84,21 @@ class VehiclePipeline:
             return []
         features = self._frontend.process(frame) if isinstance(frame, StereoFrame) else frame
         if frame.stamp_ns == self._initial.state.stamp_ns:
-            return [self._process(features, None)]
+            return [self._process(features, None, self._initial)]
         self._waiting[frame.stamp_ns] = features
         self._ins.add_frame_stamp(frame.stamp_ns)
         return self._complete(self._ins.increments())
 
-    def _complete(self, increments: list[ImuIncrement]) -> list[FrameOutput]:
-        return [self._process(self._waiting.pop(increment.stamp_ns), increment) for increment in increments]
+    def _complete(self, increments: list[tuple[ImuIncrement, NavEstimate]]) -> list[FrameOutput]:
+        return [self._process(self._waiting.pop(step.stamp_ns), step, reckoned) for step, reckoned in increments]
 
-    def _process(self, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:
+    def _process(
+        self, features: StereoFeatures, increment: ImuIncrement | None, dead_reckoning: NavEstimate
+    ) -> FrameOutput:
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._epoch_s)
         self._previous_ns = features.stamp_ns
         joint = self._backend.joint_information() if at_epoch else None
-        output = FrameOutput(report, self._ins.dead_reckoning, joint)
+        output = FrameOutput(report, dead_reckoning, joint)
         self.track.outputs.append(output)
         return output

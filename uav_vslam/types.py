@@ -60,6 +60,11 @@ class StereoFeatures:
     pixels: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
 
+    @staticmethod
+    def empty(stamp_ns: int) -> "StereoFeatures":
+        """Return a frame that shows nothing."""
+        return StereoFeatures(stamp_ns, np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8))
+
     def __len__(self) -> int:
         return len(self.pixels)
 
@@ -126,6 +131,12 @@ class NavEstimate:
 
     state: NavState
     covariance: Array
+
+    @property
+    def pose(self) -> "PoseEstimate":
+        """The pose part."""
+        rows = np.array([0, 1, 2, 6, 7, 8])
+        return PoseEstimate(self.state.stamp_ns, self.state.T_map_body, self.covariance[np.ix_(rows, rows)])
 
 
 @dataclass(frozen=True, slots=True)

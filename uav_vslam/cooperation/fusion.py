@@ -18,7 +18,7 @@ from uav_vslam.estimation.covariance_intersection import Split, split_covariance
 from uav_vslam.estimation.numerics import inverse_spd, symmetrise
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
-from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.slam.packet import POSE_DIM, make_packet, payload_bytes
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
 
 Array = NDArray[np.float64]
@@ -34,6 +34,7 @@ class FusedEpoch:
         ids, positions: (N,) and (N, 3) fused landmarks [m].
         weight: smallest weight that the own information got; 1 where all was independent.
         common: number of common landmarks used, by peer.
+        matched_ids: own landmarks that some peer shares.
     """
 
     own: PoseEstimate
@@ -42,6 +43,7 @@ class FusedEpoch:
     positions: Array
     weight: float
     common: dict[str, int]
+    matched_ids: frozenset[int]
 
 
 class Fusion:
@@ -52,6 +54,21 @@ class Fusion:
         self._config = config
         self._prior_id = prior_id
         self.epoch: FusedEpoch | None = None
+        self.packets_sent = 0
+        self.bytes_sent = 0
+
+    def packet(self, joint: JointInformation) -> LandmarkPacket:
+        """Make the next packet from the own-only belief; fused numbers are never sent as own."""
+        packet = make_packet(
+            joint,
+            sequence=self.packets_sent + 1,
+            max_landmarks=self._config.max_packet_landmarks,
+            matched_ids=self.epoch.matched_ids if self.epoch else (),
+            prior_id=self._prior_id,
+        )
+        self.packets_sent += 1
+        self.bytes_sent += payload_bytes(packet)
+        return packet
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
         """Start from the own belief and bring in each peer's newest packet that is old enough."""
@@ -60,7 +77,7 @@ class Fusion:
         own_pose = PoseEstimate(joint.stamp_ns, T_map_body, P[:POSE_DIM, :POSE_DIM])
         belief = Split(P, np.zeros_like(P))
         sources, priors = {f"{joint.vehicle}/{joint.session}"}, {self._prior_id} - {""}
-        weight, common = 1.0, {}
+        weight, common, matched = 1.0, {}, set()
         not_after_ns = joint.stamp_ns - round(self._config.min_delay_s * NS_PER_S)
         for peer in sorted(self.inbox.peers):
             packet = self.inbox.newest(peer, not_after_ns)
@@ -72,6 +89,7 @@ class Fusion:
             )
             self._note(peer, packet, len(pairs))
             common[peer] = len(pairs)
+            matched |= set(joint.ids[pairs[:, 0]].tolist())
             if len(pairs) == 0:
                 continue
             dependent = bool(sources & set(packet.sources)) or packet.prior_id in priors
@@ -81,7 +99,7 @@ class Fusion:
             sources |= set(packet.sources)
             priors |= {packet.prior_id} - {""}
         fused_pose = PoseEstimate(joint.stamp_ns, T_map_body, belief.total[:POSE_DIM, :POSE_DIM])
-        self.epoch = FusedEpoch(own_pose, fused_pose, joint.ids, positions, weight, common)
+        self.epoch = FusedEpoch(own_pose, fused_pose, joint.ids, positions, weight, common, frozenset(matched))
         return self.epoch
 
     def carry(self, own: PoseEstimate) -> PoseEstimate:

@@ -11,7 +11,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import ImuBuffer, preintegrate
 from uav_vslam.ins.propagation import propagate, transition
-from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavState
+from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavState, PoseEstimate
 
 Array = NDArray[np.float64]
 
@@ -46,8 +46,13 @@ class InsPropagator:
             raise ValueError(f"image stamp {stamp_ns} ns is not after {newest} ns")
         self._pending.append(stamp_ns)
 
-    def increments(self, *, flush: bool = False) -> list[ImuIncrement]:
-        """Return the increments that have become complete, in order.
+    @property
+    def start_ns(self) -> int:
+        """Stamp of the start state; images up to it need no increment [ns]."""
+        return self._start.stamp_ns
+
+    def increments(self, *, flush: bool = False) -> list[tuple[ImuIncrement, NavEstimate]]:
+        """Return the increments that have become complete, in order, each with the dead reckoning at its end.
 
         Args:
             flush: the recording has ended; complete the rest with the readings there are.
@@ -65,7 +70,7 @@ class InsPropagator:
             )
             self._last_ns = stamp_ns
             self.dead_reckoning = advance(self.dead_reckoning, increment, self._imu)
-            ready.append(increment)
+            ready.append((increment, self.dead_reckoning))
         return ready
 
 
@@ -79,10 +84,16 @@ def advance(estimate: NavEstimate, increment: ImuIncrement, imu: ImuConfig) -> N
 class InsOdometry:
     """Navigation state at the rate of the inertial unit: the newest correction plus the readings since."""
 
-    def __init__(self, initial: NavState, imu: ImuConfig) -> None:
+    def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
         self._gravity = np.array([0.0, 0.0, -imu.gravity])
         self._since: deque[ImuSample] = deque()
-        self.state = initial
+        self._corrected = initial
+        self.state = initial.state
+
+    @property
+    def pose(self) -> PoseEstimate:
+        """The newest pose with the covariance of the newest correction, a fraction of a second old."""
+        return PoseEstimate(self.state.stamp_ns, self.state.T_map_body, self._corrected.pose.covariance)
 
     def add_imu(self, sample: ImuSample) -> NavState:
         """Step to a reading and return the state there; readings from before the state change nothing."""
@@ -90,11 +101,12 @@ class InsOdometry:
         self.state = self._step(self.state, sample)
         return self.state
 
-    def correct(self, state: NavState) -> None:
+    def correct(self, corrected: NavEstimate) -> None:
         """Restart from a corrected state and replay the readings since its stamp."""
-        while self._since and self._since[0].stamp_ns <= state.stamp_ns:
+        while self._since and self._since[0].stamp_ns <= corrected.state.stamp_ns:
             self._since.popleft()
-        self.state = state
+        self._corrected = corrected
+        self.state = corrected.state
         for sample in self._since:
             self.state = self._step(self.state, sample)
 

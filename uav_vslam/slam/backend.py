@@ -116,7 +116,7 @@ class SlamBackend:
         self._frame += 1
         nav = self._filter.nav_estimate()
         return FrameReport(
-            pose=pose_of(nav),
+            pose=nav.pose,
             nav=nav,
             features=len(features),
             associated=len(pairs),
@@ -264,12 +264,6 @@ class SlamBackend:
     @property
     def _image_size(self) -> tuple[int, int]:
         return self._rig.left.width, self._rig.left.height
-
-
-def pose_of(nav: NavEstimate) -> PoseEstimate:
-    """Return the pose part of a navigation estimate."""
-    rows = np.array([0, 1, 2, 6, 7, 8])
-    return PoseEstimate(nav.state.stamp_ns, nav.state.T_map_body, nav.covariance[np.ix_(rows, rows)])
 
 
 def crosses_epoch(previous_ns: int | None, stamp_ns: int, epoch_s: float) -> bool:

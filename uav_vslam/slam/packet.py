@@ -9,6 +9,7 @@ makes `s R - P` positive semidefinite, so no receiver is told more than the send
 import dataclasses
 import struct
 import zlib
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,19 +28,27 @@ ROUNDING_MARGIN = 1e-6  # float32 rounds the inflated factor once more
 HEADER_BYTES = 120  # fixed part with CDR lengths and padding; sources and strings come on top
 
 
-def make_packet(joint: JointInformation, *, sequence: int, max_landmarks: int, prior_id: str = "") -> LandmarkPacket:
-    """Choose the best-known, well-spread landmarks and code their joint marginal.
+def make_packet(
+    joint: JointInformation,
+    *,
+    sequence: int,
+    max_landmarks: int,
+    matched_ids: Collection[int] = (),
+    prior_id: str = "",
+) -> LandmarkPacket:
+    """Choose landmarks and code their joint marginal.
 
     Args:
         joint: the sender's belief.
         sequence: number of the packet within the session.
         max_landmarks: how many at most.
+        matched_ids: landmarks that a peer was found to share; they go first.
         prior_id: hash of a loaded map or shared survey behind the belief.
     """
-    P = inverse_spd(joint.information, "joint information")
-    rows = choose_landmarks(joint.positions, np.diagonal(P)[POSE_DIM:].reshape(-1, 3).sum(axis=1), max_landmarks)
+    rows = choose_landmarks(joint, max_landmarks, matched_ids=matched_ids, sequence=sequence)
     columns = (POSE_DIM + 3 * rows[:, None] + np.arange(3)).ravel()
     origin = np.round(joint.T_map_body.t)
+    P = inverse_spd(joint.information, "joint information")
     factor, scale = code_covariance(P[np.ix_(columns, columns)])
     packet = LandmarkPacket(
         stamp_ns=joint.stamp_ns,
@@ -59,14 +68,27 @@ def make_packet(joint: JointInformation, *, sequence: int, max_landmarks: int, p
     return dataclasses.replace(packet, checksum=checksum(packet))
 
 
-def choose_landmarks(positions: Array, variance: Array, count: int) -> NDArray[np.intp]:
-    """Return at most `count` rows, the best known first, spread over the ground that (N, 3) positions cover."""
-    order = np.argsort(variance, kind="stable")
-    if len(order) <= count:
-        return np.sort(order)
-    plan = positions[order, :2] - positions[:, :2].min(axis=0)
+def choose_landmarks(
+    joint: JointInformation, count: int, *, matched_ids: Collection[int], sequence: int
+) -> NDArray[np.intp]:
+    """Return at most `count` ascending rows: shared landmarks, spread over the ground, then the others in turn.
+
+    Each packet offers another share of the others, so that over time a peer is shown all of them.
+    """
+    matched = np.isin(joint.ids, np.fromiter(matched_ids, np.uint32, len(matched_ids)))
+    first, others = np.flatnonzero(matched), np.flatnonzero(~matched)
+    first = first[_spread_on_ground(joint.positions[first], count)]
+    room = count - len(first)
+    turn = np.roll(others, -sequence * room)[: max(room, 0)]
+    return np.sort(np.concatenate([first, turn]))
+
+
+def _spread_on_ground(positions: Array, count: int) -> NDArray[np.intp]:
+    if len(positions) <= count:
+        return np.arange(len(positions))
+    plan = positions[:, :2] - positions[:, :2].min(axis=0)
     extent = np.maximum(plan.max(axis=0), 1e-3)
-    return np.sort(order[spread(plan, count, size=(float(extent[0]), float(extent[1])))])
+    return spread(plan, count, size=(float(extent[0]), float(extent[1])))
 
 
 def code_covariance(P: Array) -> tuple[NDArray[np.float32], float]:

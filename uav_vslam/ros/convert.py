@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages to records and back: the only place that knows ROS stamps, xyzw quaternions and flat arrays.
+
+Large arrays go into messages through `array.array`, which rclpy copies as bytes; a list or an ndarray would be walked
+element by element. Every `*_from_msg` checks what it reads and raises `InvalidMessage`.
+"""
+
+from array import array
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
+from geometry_msgs.msg import Pose as PoseMsg
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.types import (
+    NS_PER_S,
+    ImuIncrement,
+    ImuSample,
+    JointInformation,
+    LandmarkPacket,
+    NavEstimate,
+    NavState,
+    PoseEstimate,
+    StereoFeatures,
+)
+from uav_vslam_msgs.msg import (
+    InsIncrement,
+    LandmarkInformation,
+    NavigationState,
+)
+from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
+from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
+
+Array = NDArray[np.float64]
+
+TYPECODES = {np.dtype(np.uint8): "B", np.dtype(np.uint32): "I", np.dtype(np.float32): "f", np.dtype(np.float64): "d"}
+CHANNELS = {"mono8": (np.uint8, 1), "mono16": (np.uint16, 1), "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3)}
+
+
+def flat(values: NDArray[Any]) -> array:  # type: ignore[type-arg]
+    """Return an ndarray's numbers as the `array.array` that a message field takes without a walk."""
+    contiguous = np.ascontiguousarray(values)
+    out = array(TYPECODES[contiguous.dtype])
+    out.frombytes(contiguous.tobytes())
+    return out
+
+
+def stamp_to_ns(stamp: Time) -> int:
+    """Return nanoseconds."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def stamp_from_ns(stamp_ns: int) -> Time:
+    """Return a message stamp."""
+    sec, nanosec = divmod(stamp_ns, NS_PER_S)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def header(stamp_ns: int, frame_id: str) -> Header:
+    """Return a header."""
+    return Header(stamp=stamp_from_ns(stamp_ns), frame_id=frame_id)
+
+
+def pose_to_msg(pose: Pose) -> PoseMsg:
+    """Return geometry_msgs/Pose."""
+    w, x, y, z = pose.quaternion_wxyz.tolist()
+    return PoseMsg(position=Point(**_xyz(pose.t)), orientation=Quaternion(w=w, x=x, y=y, z=z))
+
+
+def pose_from_msg(message: PoseMsg) -> Pose:
+    """Return a pose."""
+    p, q = message.position, message.orientation
+    try:
+        return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _finite([p.x, p.y, p.z], "position"))
+    except ValueError as error:
+        raise InvalidMessage("orientation", str(error)) from None
+
+
+def imu_from_msg(message: Imu) -> ImuSample:
+    """Return an inertial reading."""
+    w, a = message.angular_velocity, message.linear_acceleration
+    return ImuSample(
+        stamp_to_ns(message.header.stamp),
+        _finite([w.x, w.y, w.z], "angular_velocity"),
+        _finite([a.x, a.y, a.z], "linear_acceleration"),
+    )
+
+
+def image_from_msg(message: Image) -> NDArray[Any]:
+    """Return (H, W) or (H, W, 3) BGR pixels without a copy where the encoding allows."""
+    if message.encoding not in CHANNELS:
+        known = ", ".join(CHANNELS)
+        raise InvalidMessage("encoding", f"image encoding {message.encoding!r} can't be used; send one of {known}")
+    dtype, channels = CHANNELS[message.encoding]
+    expected = message.height * message.width * channels * np.dtype(dtype).itemsize
+    if len(message.data) != expected or expected == 0:
+        raise InvalidMessage("size", f"an image of {message.width}x{message.height} holds {len(message.data)} bytes")
+    pixels = np.frombuffer(message.data, dtype)
+    if message.is_bigendian and dtype is np.uint16:
+        pixels = pixels.byteswap()
+    if channels == 1:
+        return pixels.reshape(message.height, message.width)
+    colour = pixels.reshape(message.height, message.width, channels)
+    return colour[:, :, ::-1] if message.encoding == "rgb8" else colour
+
+
+def camera_from_msg(message: CameraInfo) -> PinholeCamera:
+    """Return intrinsics from K and D; P and R are not used: the rig need not be rectified."""
+    if message.distortion_model not in ("", "plumb_bob"):
+        raise InvalidMessage("distortion_model", f"{message.distortion_model!r} can't be used; calibrate as plumb_bob")
+    k = message.k
+    distortion = np.zeros(5)
+    distortion[: len(message.d)] = np.asarray(message.d)[:5]
+    return PinholeCamera(message.width, message.height, k[0], k[4], k[2], k[5], distortion)
+
+
+def transform_from_msg(message: TransformStamped) -> Pose:
+    """Return T_parent_child."""
+    t, q = message.transform.translation, message.transform.rotation
+    return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], [t.x, t.y, t.z])
+
+
+def transform_to_msg(pose: Pose, *, stamp_ns: int, parent: str, child: str) -> TransformStamped:
+    """Return T_parent_child as a message."""
+    message = TransformStamped(header=header(stamp_ns, parent), child_frame_id=child)
+    message.transform.translation = Vector3(**_xyz(pose.t))
+    message.transform.rotation = pose_to_msg(pose).orientation
+    return message
+
+
+def features_to_msg(features: StereoFeatures, *, frame_id: str, size: tuple[int, int]) -> StereoFeaturesMsg:
+    """Return the message; `size` is the image's width and height [px]."""
+    return StereoFeaturesMsg(
+        header=header(features.stamp_ns, frame_id),
+        width=size[0],
+        height=size[1],
+        pixels=flat(features.pixels),
+        descriptor_size=features.descriptors.shape[1],
+        descriptors=flat(features.descriptors),
+    )
+
+
+def features_from_msg(message: StereoFeaturesMsg) -> StereoFeatures:
+    """Return stereo features."""
+    pixels = _rows(message.pixels, np.float32, 4, "pixels")
+    descriptors = _rows(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
+    if len(pixels) != len(descriptors):
+        raise InvalidMessage("shape", f"{len(pixels)} points but {len(descriptors)} descriptors")
+    _finite(pixels, "pixels")
+    return StereoFeatures(stamp_to_ns(message.header.stamp), pixels, descriptors)
+
+
+def increment_to_msg(increment: ImuIncrement, *, frame_id: str) -> InsIncrement:
+    """Return the message."""
+    return InsIncrement(
+        header=header(increment.stamp_ns, frame_id),
+        start=stamp_from_ns(increment.start_ns),
+        samples=increment.samples,
+        delta_rotation=increment.delta_R.ravel(),
+        delta_velocity=increment.delta_v,
+        delta_position=increment.delta_p,
+        gyro_bias=increment.gyro_bias,
+        accel_bias=increment.accel_bias,
+        bias_jacobian=increment.bias_jacobian.ravel(),
+        covariance=increment.covariance.ravel(),
+    )
+
+
+def increment_from_msg(message: InsIncrement) -> ImuIncrement:
+    """Return a preintegrated increment."""
+    start_ns, stamp_ns = stamp_to_ns(message.start), stamp_to_ns(message.header.stamp)
+    if stamp_ns <= start_ns:
+        raise InvalidMessage("stamp", f"an increment from {start_ns} to {stamp_ns} ns has no length")
+    return ImuIncrement(
+        start_ns=start_ns,
+        stamp_ns=stamp_ns,
+        samples=int(message.samples),
+        delta_R=_finite(message.delta_rotation, "delta_rotation").reshape(3, 3),
+        delta_v=_finite(message.delta_velocity, "delta_velocity"),
+        delta_p=_finite(message.delta_position, "delta_position"),
+        gyro_bias=_finite(message.gyro_bias, "gyro_bias"),
+        accel_bias=_finite(message.accel_bias, "accel_bias"),
+        bias_jacobian=_finite(message.bias_jacobian, "bias_jacobian").reshape(9, 6),
+        covariance=_finite(message.covariance, "covariance").reshape(9, 9),
+    )
+
+
+def navigation_to_msg(nav: NavEstimate, *, frame_id: str, child_frame_id: str) -> NavigationState:
+    """Return the message."""
+    state = nav.state
+    return NavigationState(
+        header=header(state.stamp_ns, frame_id),
+        child_frame_id=child_frame_id,
+        pose=pose_to_msg(state.T_map_body),
+        velocity=Vector3(**_xyz(state.v_map)),
+        gyro_bias=Vector3(**_xyz(state.gyro_bias)),
+        accel_bias=Vector3(**_xyz(state.accel_bias)),
+        covariance=nav.covariance.ravel(),
+    )
+
+
+def navigation_from_msg(message: NavigationState) -> NavEstimate:
+    """Return a navigation estimate."""
+    state = NavState(
+        stamp_ns=stamp_to_ns(message.header.stamp),
+        T_map_body=pose_from_msg(message.pose),
+        v_map=_vector(message.velocity, "velocity"),
+        gyro_bias=_vector(message.gyro_bias, "gyro_bias"),
+        accel_bias=_vector(message.accel_bias, "accel_bias"),
+    )
+    covariance = _finite(message.covariance, "covariance").reshape(15, 15)
+    if not np.linalg.eigvalsh(covariance)[0] > 0:
+        raise InvalidMessage("covariance", "the covariance of a navigation state must be positive definite")
+    return NavEstimate(state, covariance)
+
+
+def odometry_to_msg(
+    pose: PoseEstimate, *, frame_id: str, child_frame_id: str, velocity_map: Array | None = None
+) -> Odometry:
+    """Return nav_msgs/Odometry: pose in the map frame, twist (if known) in the body frame, as REP-105 has it."""
+    message = Odometry(header=header(pose.stamp_ns, frame_id), child_frame_id=child_frame_id)
+    message.pose.pose = pose_to_msg(pose.T_map_body)
+    message.pose.covariance = pose.covariance.ravel()
+    if velocity_map is not None:
+        message.twist.twist.linear = Vector3(**_xyz(pose.T_map_body.R.T @ velocity_map))
+    return message
+
+
+def odometry_from_msg(message: Odometry) -> PoseEstimate:
+    """Return pose and covariance of nav_msgs/Odometry."""
+    covariance = _finite(message.pose.covariance, "pose.covariance").reshape(6, 6)
+    return PoseEstimate(stamp_to_ns(message.header.stamp), pose_from_msg(message.pose.pose), covariance)
+
+
+def joint_to_msg(joint: JointInformation, *, frame_id: str) -> JointInformationMsg:
+    """Return the message; only the information matrix's upper triangle travels."""
+    return JointInformationMsg(
+        header=header(joint.stamp_ns, frame_id),
+        vehicle=joint.vehicle,
+        session=joint.session,
+        pose=pose_to_msg(joint.T_map_body),
+        ids=flat(joint.ids),
+        positions=flat(joint.positions),
+        information=flat(joint.information[np.triu_indices(len(joint.information))]),
+        descriptor_size=joint.descriptors.shape[1],
+        descriptors=flat(joint.descriptors),
+    )
+
+
+def joint_from_msg(message: JointInformationMsg) -> JointInformation:
+    """Return the own belief over pose and landmarks."""
+    ids = np.array(message.ids, dtype=np.uint32)
+    n = 6 + 3 * len(ids)
+    upper = np.array(message.information, dtype=float)
+    if len(upper) != n * (n + 1) // 2:
+        raise InvalidMessage("shape", f"{len(ids)} landmarks need {n * (n + 1) // 2} numbers, not {len(upper)}")
+    information = np.zeros((n, n))
+    information[np.triu_indices(n)] = _finite(upper, "information")
+    return JointInformation(
+        stamp_ns=stamp_to_ns(message.header.stamp),
+        vehicle=message.vehicle,
+        session=int(message.session),
+        T_map_body=pose_from_msg(message.pose),
+        ids=ids,
+        positions=_finite(_rows(message.positions, np.float64, 3, "positions"), "positions"),
+        information=information + np.triu(information, 1).T,
+        descriptors=_rows(message.descriptors, np.uint8, message.descriptor_size, "descriptors"),
+    )
+
+
+def packet_to_msg(packet: LandmarkPacket, *, frame_id: str) -> LandmarkInformation:
+    """Return the message that crosses the radio."""
+    return LandmarkInformation(
+        header=header(packet.stamp_ns, frame_id),
+        version=LandmarkInformation.VERSION,
+        form=LandmarkInformation.FORM_DENSE,
+        vehicle=packet.vehicle,
+        session=packet.session,
+        sequence=packet.sequence,
+        sources=list(packet.sources),
+        prior_id=packet.prior_id,
+        covariance_scale=packet.covariance_scale,
+        ids=flat(packet.ids),
+        origin=packet.origin,
+        offsets=flat(packet.offsets),
+        covariance_factor=flat(packet.covariance_factor),
+        descriptor_size=packet.descriptors.shape[1],
+        descriptors=flat(packet.descriptors),
+        checksum=packet.checksum,
+    )
+
+
+def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
+    """Return a packet; its contents are checked later by `slam.packet.validate`."""
+    if message.version != LandmarkInformation.VERSION:
+        raise InvalidMessage("version", f"packet version {message.version}; this one reads {LandmarkInformation.VERSION}")
+    if message.form != LandmarkInformation.FORM_DENSE:
+        raise InvalidMessage("form", f"packet form {message.form} is not known")
+    return LandmarkPacket(
+        stamp_ns=stamp_to_ns(message.header.stamp),
+        vehicle=message.vehicle,
+        session=int(message.session),
+        sequence=int(message.sequence),
+        sources=tuple(message.sources),
+        prior_id=message.prior_id,
+        ids=np.array(message.ids, dtype=np.uint32),
+        origin=np.array(message.origin, dtype=float),
+        offsets=_rows(message.offsets, np.float32, 3, "offsets"),
+        covariance_factor=np.array(message.covariance_factor, dtype=np.float32),
+        covariance_scale=float(message.covariance_scale),
+        descriptors=_rows(message.descriptors, np.uint8, message.descriptor_size, "descriptors"),
+        checksum=int(message.checksum),
+    )
+
+
+def cloud_to_msg(points: Array, *, stamp_ns: int, frame_id: str) -> PointCloud2:
+    """Return (N, 3) points as an x, y, z float32 cloud."""
+    data = np.ascontiguousarray(points, dtype=np.float32)
+    return PointCloud2(
+        header=header(stamp_ns, frame_id),
+        height=1,
+        width=len(data),
+        fields=[PointField(name=n, offset=4 * k, datatype=PointField.FLOAT32, count=1) for k, n in enumerate("xyz")],
+        point_step=12,
+        row_step=12 * len(data),
+        data=flat(data.view(np.uint8).ravel()),
+        is_dense=True,
+    )
+
+
+def _xyz(vector: Array) -> dict[str, float]:
+    x, y, z = (float(v) for v in vector)
+    return {"x": x, "y": y, "z": z}
+
+
+def _vector(message: Vector3, what: str) -> Array:
+    return _finite([message.x, message.y, message.z], what)
+
+
+def _finite(values: Any, what: str) -> Array:
+    out = np.asarray(values, dtype=float)
+    if not np.isfinite(out).all():
+        raise InvalidMessage("not_finite", f"{what} holds NaN or infinity")
+    return out
+
+
+def _rows(values: Any, dtype: Any, columns: int, what: str) -> NDArray[Any]:
+    data = np.array(values, dtype=dtype)
+    if columns == 0 or data.size % columns:
+        if data.size == 0:
+            return data.reshape(0, columns)
+        raise InvalidMessage("shape", f"{what} holds {data.size} numbers, not a multiple of {columns}")
+    return data.reshape(-1, columns)

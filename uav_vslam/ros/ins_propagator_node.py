@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ins_propagator: inertial readings to increments between images, and inertial odometry.
+
+in   imu/data_raw         sensor_msgs/Imu, body frame
+     left/camera_info     sensor_msgs/CameraInfo; its stamps say when an image was taken
+     initial_state        uav_vslam_msgs/NavigationState, latched
+     slam/correction      uav_vslam_msgs/NavigationState, from the backend
+out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
+     ins/dead_reckoning   nav_msgs/Odometry per image, odom frame, never corrected: the INS baseline
+     ins/odometry         nav_msgs/Odometry per reading, map frame, corrected
+     /tf                  <vehicle>/odom to <vehicle>/base_link
+"""
+
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import CameraInfo, Imu
+from tf2_msgs.msg import TFMessage
+
+from uav_vslam.ins.propagator import InsOdometry, InsPropagator
+from uav_vslam.ros.convert import (
+    imu_from_msg,
+    increment_to_msg,
+    navigation_from_msg,
+    odometry_to_msg,
+    stamp_to_ns,
+    transform_to_msg,
+)
+from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
+from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate
+from uav_vslam_msgs.msg import InsIncrement, NavigationState
+
+MAX_EARLY = 2000  # readings and image stamps held until the start state is known
+
+
+class InsPropagatorNode(VehicleNode):
+    """Feeds `InsPropagator` and `InsOdometry`."""
+
+    def __init__(self) -> None:
+        super().__init__("ins_propagator")
+        self._ins: InsPropagator | None = None
+        self._early: list[ImuSample | int] = []
+        self._increments = self.create_publisher(InsIncrement, "ins/increment", STATE)
+        self._dead_reckoning = self.create_publisher(Odometry, "ins/dead_reckoning", STATE)
+        self._odometry = self.create_publisher(Odometry, "ins/odometry", STATE)
+        self._tf = self.create_publisher(TFMessage, "/tf", STATE)
+        self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
+        self.listen(Imu, "imu/data_raw", lambda m: self._feed(imu_from_msg(m)), SENSOR)
+        self.listen(CameraInfo, "left/camera_info", lambda m: self._feed(stamp_to_ns(m.header.stamp)), STATE)
+        self.listen(NavigationState, "slam/correction", self._on_correction, STATE)
+
+    def _on_initial_state(self, message: NavigationState) -> None:
+        if self._ins is not None:
+            return
+        self._start(navigation_from_msg(message))
+
+    def _start(self, initial: NavEstimate) -> None:
+        self._ins = InsPropagator(initial, self.config.imu)
+        self._live = InsOdometry(initial, self.config.imu)
+        self._publish_dead_reckoning(initial)
+        early, self._early = self._early, []
+        for item in early:
+            self._feed(item)
+
+    def _feed(self, item: ImuSample | int) -> None:
+        """Take a reading or an image stamp, in arrival order."""
+        if self._ins is None:
+            self._early.append(item)
+            del self._early[:-MAX_EARLY]
+            return
+        if isinstance(item, ImuSample):
+            self._ins.add_imu(item)
+            self._publish_odometry(item)
+        elif item > self._ins.start_ns:
+            self._ins.add_frame_stamp(item)
+        for increment, reckoned in self._ins.increments():
+            self._publish_increment(increment, reckoned)
+
+    def _publish_increment(self, increment: ImuIncrement, reckoned: NavEstimate) -> None:
+        self.counts["increments"] += 1
+        self.counts["imu_gaps"] += increment.samples == 0
+        self._increments.publish(increment_to_msg(increment, frame_id=self.base_frame))
+        self._publish_dead_reckoning(reckoned)
+
+    def _publish_dead_reckoning(self, nav: NavEstimate) -> None:
+        pose, velocity = nav.pose, nav.state.v_map
+        self._dead_reckoning.publish(
+            odometry_to_msg(pose, frame_id=self.odom_frame, child_frame_id=self.base_frame, velocity_map=velocity)
+        )
+        edge = transform_to_msg(
+            pose.T_map_body, stamp_ns=pose.stamp_ns, parent=self.odom_frame, child=self.base_frame
+        )
+        self._tf.publish(TFMessage(transforms=[edge]))
+
+    def _publish_odometry(self, sample: ImuSample) -> None:
+        state = self._live.add_imu(sample)
+        if self._odometry.get_subscription_count() and state.stamp_ns == sample.stamp_ns:
+            self._odometry.publish(
+                odometry_to_msg(
+                    self._live.pose, frame_id=self.map_frame, child_frame_id=self.base_frame, velocity_map=state.v_map
+                )
+            )
+
+    def _on_correction(self, message: NavigationState) -> None:
+        if self._ins is not None:
+            self._live.correct(navigation_from_msg(message))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point."""
+    return run_node(InsPropagatorNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

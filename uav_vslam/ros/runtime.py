@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every node of a vehicle shares: start and stop, bad messages counted by reason, and diagnostics."""
+
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import FilterDivergence, InvalidMessage, UavVslamError
+from uav_vslam.ros.params import declare
+
+DIAGNOSTICS_PERIOD_S = 1.0
+QUIET_AFTER_S = 5.0  # without a first message for so long, say which topic is missing
+
+
+class VehicleNode(Node):
+    """A node in a vehicle's namespace, with its configuration and its health.
+
+    Parameters: `vehicle` (default: the namespace) and every field of `VehicleConfig`, e.g. `backend.sigma_px`.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        namespace = self.get_namespace().strip("/").replace("/", "_")
+        self.vehicle: str = self.declare_parameter("vehicle", namespace or "uav1").value
+        self.config: VehicleConfig = declare(self, VehicleConfig)
+        self.counts: Counter[str] = Counter()
+        self.notes: dict[str, str] = {}
+        self._awaited: dict[str, bool] = {}
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=wall_clock)
+        self.create_timer(QUIET_AFTER_S, self._report_missing, clock=wall_clock)
+
+    @property
+    def map_frame(self) -> str:
+        """Name of the vehicle's map frame."""
+        return f"{self.vehicle}/map"
+
+    @property
+    def odom_frame(self) -> str:
+        """Name of the own-only frame, which fusion never moves."""
+        return f"{self.vehicle}/odom"
+
+    @property
+    def base_frame(self) -> str:
+        """Name of the body frame."""
+        return f"{self.vehicle}/base_link"
+
+    def listen(
+        self, message_type: Any, topic: str, callback: Callable[[Any], None], qos: Any, *, instead_of: str = ""
+    ) -> Any:
+        """Subscribe; a message that the callback refuses is dropped, counted by reason, and stops nothing.
+
+        Args:
+            message_type, topic, qos: as for create_subscription.
+            callback: may raise InvalidMessage, ValueError or FilterDivergence.
+            instead_of: another topic that this one can stand in for: the node misses only one of them.
+        """
+        awaited = instead_of or topic
+        self._awaited[awaited] = True
+
+        def guarded(message: Any) -> None:
+            self._awaited[awaited] = False
+            try:
+                callback(message)
+            except InvalidMessage as error:
+                self.drop(error.reason, f"{topic}: {error}")
+            except (ValueError, FilterDivergence) as error:
+                self.drop("refused", f"{topic}: {error}")
+
+        return self.create_subscription(message_type, topic, guarded, qos)
+
+    def drop(self, reason: str, detail: str) -> None:
+        """Count a dropped message and say so, not too often."""
+        self.counts[f"dropped/{reason}"] += 1
+        self.get_logger().warning(f"dropped a message: {detail}", throttle_duration_sec=5.0)
+
+    def _report_missing(self) -> None:
+        for topic, missing in self._awaited.items():
+            if missing:
+                resolved = self.resolve_topic_name(topic)
+                publishers = self.count_publishers(resolved)
+                why = "nobody publishes it" if publishers == 0 else "it has a publisher, but nothing has arrived"
+                self.get_logger().warning(f"waiting for {resolved}: {why}", throttle_duration_sec=20.0)
+
+    def _publish_diagnostics(self) -> None:
+        missing = [topic for topic, waiting in self._awaited.items() if waiting]
+        dropped = sum(count for reason, count in self.counts.items() if reason.startswith("dropped/"))
+        level, text = DiagnosticStatus.OK, "running"
+        if missing:
+            level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"
+        elif dropped:
+            level, text = DiagnosticStatus.WARN, f"{dropped} messages dropped"
+        values = {**{key: str(count) for key, count in sorted(self.counts.items())}, **self.notes}
+        status = DiagnosticStatus(
+            level=level,
+            name=f"{self.vehicle}: {self.get_name()}",
+            message=text,
+            hardware_id=self.vehicle,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
+    """Initialise ROS, spin one node until SIGINT or SIGTERM, and leave cleanly; return the exit code.
+
+    A node may end itself by raising SystemExit in a callback. An error of ours is one line and exit code 2.
+    """
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: rclpy.try_shutdown())
+    node = None
+    try:
+        node = factory()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (ExternalShutdownException, KeyboardInterrupt):
+        pass
+    except UavVslamError as error:
+        print(f"{getattr(node, 'get_name', lambda: 'uav_vslam')()}: {error}", file=sys.stderr)
+        return 2
+    except SystemExit as leaving:
+        return int(leaving.code or 0)
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

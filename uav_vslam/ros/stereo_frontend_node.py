@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""stereo_frontend: image pairs to stereo features.
+
+in   left/image_raw, right/image_raw             sensor_msgs/Image, or
+     left/image_raw/compressed, right/...        sensor_msgs/CompressedImage
+     left/camera_info, right/camera_info         sensor_msgs/CameraInfo
+     /tf_static                                  <vehicle>/base_link to both camera frames
+out  stereo_features                             uav_vslam_msgs/StereoFeatures, in the left camera frame
+"""
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CompressedImage, Image
+
+from uav_vslam.datasets.stereo_sync import StereoPairer
+from uav_vslam.ros.calibration import RigListener
+from uav_vslam.ros.convert import features_to_msg, image_from_msg, stamp_to_ns
+from uav_vslam.ros.qos import IMAGE, STATE
+from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.types import StereoFrame
+from uav_vslam.vision.images import decode
+from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam_msgs.msg import StereoFeatures
+
+MAX_WAITING = 10  # pairs held until the calibration is known
+
+
+class StereoFrontendNode(VehicleNode):
+    """Pairs the images, runs the front end, publishes."""
+
+    def __init__(self) -> None:
+        super().__init__("stereo_frontend")
+        self._rig = RigListener(self)
+        self._frontend: StereoFrontend | None = None
+        self._pairer = StereoPairer()
+        self._waiting: deque[StereoFrame] = deque()
+        self._publisher = self.create_publisher(StereoFeatures, "stereo_features", STATE)
+        for side in ("left", "right"):
+            raw = f"{side}/image_raw"
+            self.listen(Image, raw, lambda m, s=side: self._on_image(s, m, image_from_msg(m)), IMAGE)
+            self.listen(
+                CompressedImage,
+                f"{raw}/compressed",
+                lambda m, s=side: self._on_image(s, m, decode(m.data)),
+                IMAGE,
+                instead_of=raw,
+            )
+
+    def _on_image(self, side: str, message: Any, pixels: NDArray[np.generic]) -> None:
+        frame = self._pairer.add(side, stamp_to_ns(message.header.stamp), pixels)
+        self.counts["dropped/unpaired"] = self._pairer.unpaired
+        if frame is None:
+            return
+        self.counts["pairs"] += 1
+        self._waiting.append(frame)
+        if len(self._waiting) > MAX_WAITING:
+            self._waiting.popleft()
+            self.drop("no_calibration", "image pairs come, but camera_info or /tf_static does not")
+        self._work()
+
+    def _work(self) -> None:
+        if self._frontend is None:
+            if self._rig.rig is None:
+                return
+            self._frontend = StereoFrontend(self._rig.rig, self.config.frontend)
+        size = (self._rig.rig.left.width, self._rig.rig.left.height)
+        while self._waiting:
+            features = self._frontend.process(self._waiting.popleft())
+            self._publisher.publish(features_to_msg(features, frame_id=self._rig.left_frame, size=size))
+            self.counts["features"] += len(features)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point."""
+    return run_node(StereoFrontendNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
