@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulate verb records what its arguments say."""
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from uav_vslam.cli import simulate
+from uav_vslam.datasets.bag import open_flight, vehicles
+from uav_vslam.errors import ConfigError
+
+
+def parse(*arguments: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    simulate.add_arguments(parser)
+    return parser.parse_args(arguments)
+
+
+def test_arguments_reach_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "flight"
+    args = parse(
+        str(out), "--frames", "3", "--vehicles", "1", "--scale", "0.125", "--compressed", "jpeg", "--seed", "9"
+    )
+    assert simulate.run(args) == 0
+    assert vehicles([out]) == ["uav1"]
+    flight = open_flight(out, "uav1")
+    assert (flight.frame_count, flight.image_size) == (3, (160, 120))
+    assert flight.left_topic.endswith("compressed")
+    assert f"{out}: 1 vehicles, 3 image pairs each" in capsys.readouterr().out
+
+
+def test_what_is_not_given_keeps_the_scenarios_value() -> None:
+    scenario = simulate.scenario_from(parse("out", "--scenario", "long", "--imu", "consumer", "--texture-pixel", "0.1"))
+    assert (scenario.pattern, scenario.frames, scenario.imu) == ("lawnmower", 1000, "consumer")
+    assert scenario.texture_m_per_px == 0.1
+
+
+def test_an_unknown_scenario_lists_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="kagaru, sample, long"):
+        simulate.scenario_from(parse("out", "--scenario", "mars"))
