@@ -113,9 +113,8 @@ def relative_error(
         return None
     R_moved, t_moved = _motion(paired, first, second)
     R_true, t_true = _motion(reference, first, second)
-    translation = np.einsum("nji,nj->ni", R_true, t_moved - t_true)
     return RelativeError(
-        translation_rms_m=_rms(np.linalg.norm(translation, axis=1)),
+        translation_rms_m=_rms(np.linalg.norm(t_moved - t_true, axis=1)),  # R_true^T doesn't change a length
         rotation_rms_rad=_rms(_angles(R_true.transpose(0, 2, 1) @ R_moved)),
         delta=delta,
         unit=unit,

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Position errors over time inside the bands that the filters claim."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.pairing import pair_with_truth
+from uav_vslam.evaluation.result import FlightResult, VehicleResult
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.report.style import STYLES, clean, tracks_of
+
+Array = NDArray[np.float64]
+
+SIGMAS = 3.0
+BAND_COLOURS = {"s_slam": "#e2e2e2", "c_slam": "#c2ebf2"}
+LOWEST = {"s_slam": 0.5, "c_slam": 0.6}  # the bands lie under the grid
+AXES = ("East", "North", "Up")
+
+
+def error_plot(result: FlightResult) -> Figure | None:
+    """Return the errors of S-SLAM and C-SLAM per axis, a column per vehicle; None where no truth is known."""
+    vehicles = [vehicle for vehicle in result.vehicles.values() if _scored(vehicle)]
+    if not vehicles:
+        return None
+    figure = Figure(figsize=(1.5 + 6.0 * len(vehicles), 7.5), layout="constrained")
+    grid = figure.subplots(3, len(vehicles), sharex="col", sharey="row", squeeze=False)
+    for column, vehicle in enumerate(vehicles):
+        start_ns = int(vehicle.s_slam.stamps_ns[0])
+        for name, (track, truth) in _scored(vehicle).items():
+            seconds = np.asarray((track.stamps_ns - start_ns) * 1e-9, float)
+            _draw(grid[:, column], seconds, track.positions - truth.positions, track.covariance, name)
+        grid[0, column].set_title(vehicle.name)
+        grid[-1, column].set_xlabel("Time [s]")
+    for row, axis in enumerate(AXES):
+        grid[row, 0].set_ylabel(f"{axis} error [m]")
+    figure.suptitle(f"{result.name}: position errors and their {SIGMAS:.0f}-sigma bands")
+    figure.legend(handles=_legend(vehicles), loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def _scored(vehicle: VehicleResult) -> dict[str, tuple[Trajectory, Trajectory]]:
+    """Return the SLAM tracks that have a truth, each with it."""
+    if vehicle.truth is None:
+        return {}
+    tracks = {name: track for name, track in tracks_of(vehicle).items() if name in BAND_COLOURS}
+    pairs = {name: pair_with_truth(track, vehicle.truth) for name, track in tracks.items()}
+    return {name: pair for name, pair in pairs.items() if len(pair[0])}
+
+
+def _draw(column: NDArray[Any], seconds: Array, error: Array, covariance: Array | None, name: str) -> None:
+    """Draw one track's error and band into the three axes of a vehicle."""
+    style = STYLES[name]
+    for axis, axes in enumerate(column):
+        clean(axes)
+        axes.axhline(0.0, color="#888888", linewidth=0.6)
+        axes.plot(seconds, error[:, axis], color=style.colour, linewidth=style.width, zorder=style.order)
+        if covariance is None:
+            continue
+        band = SIGMAS * np.sqrt(np.maximum(covariance[:, axis, axis], 0.0))
+        axes.fill_between(seconds, -band, band, color=BAND_COLOURS[name], linewidth=0, zorder=LOWEST[name])
+        for side in (-band, band):
+            axes.plot(seconds, side, color=style.colour, linewidth=0.7, linestyle=":", zorder=style.order)
+
+
+def _legend(vehicles: list[VehicleResult]) -> list[Any]:
+    present = {name for vehicle in vehicles for name in _scored(vehicle)}
+    handles: list[Any] = []
+    for name in ("s_slam", "c_slam"):
+        if name in present:
+            style = STYLES[name]
+            handles.append(Line2D([], [], color=style.colour, linewidth=style.width, label=f"{style.label} error"))
+            band = f"{style.label} ±{SIGMAS:.0f} sigma"
+            handles.append(Patch(color=BAND_COLOURS[name], linewidth=0, label=band))
+    return handles

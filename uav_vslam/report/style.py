@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How all plots look: the thesis's colours, and the part of the world worth showing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.result import VehicleResult
+from uav_vslam.evaluation.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+DPI = 150
+GRID = "#d9d9d9"
+INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; what lies beyond is cut off
+
+
+@dataclass(frozen=True, slots=True)
+class TrackStyle:
+    """Name, colour and line of one kind of track."""
+
+    label: str
+    colour: str
+    width: float
+    dashes: str = "-"
+    order: int = 2
+
+
+STYLES = {  # the truth is a broad ribbon under the estimates
+    "c_slam": TrackStyle("C-SLAM", "#00b8d4", 1.8, order=5),
+    "s_slam": TrackStyle("S-SLAM", "black", 1.3, order=4),
+    "ins": TrackStyle("INS", "#d62728", 1.3, "--", order=3),
+    "truth": TrackStyle("Truth", "#8fa8ee", 5.0, order=2),
+}
+
+
+def tracks_of(vehicle: VehicleResult) -> dict[str, Trajectory]:
+    """Return the tracks that the vehicle has and that hold a pose, by name."""
+    found = {name: getattr(vehicle, name) for name in STYLES}
+    return {name: track for name, track in found.items() if track is not None and len(track)}
+
+
+def view_limits(vehicles: list[VehicleResult]) -> tuple[Array, Array]:
+    """Return the (3,) lower and upper corner of what is worth showing [m]: all SLAM and truth, and INS near them."""
+    tracks = [tracks_of(vehicle) for vehicle in vehicles]
+    core = [track.positions for named in tracks for name, track in named.items() if name != "ins"]
+    drift = [named["ins"].positions for named in tracks if "ins" in named]
+    everything = core or drift or [np.zeros((1, 3))]
+    low, high = _extent(everything)
+    size = float((high - low).max()) or 1.0
+    if drift:
+        ins_low, ins_high = _extent(drift)
+        low = np.minimum(low, np.maximum(ins_low, low - INS_MARGIN * size))
+        high = np.maximum(high, np.minimum(ins_high, high + INS_MARGIN * size))
+    margin = 0.07 * float((high - low).max()) or 1.0
+    return low - margin, high + margin
+
+
+def _extent(positions: list[Array]) -> tuple[Array, Array]:
+    every = np.concatenate(positions)
+    every = every[np.isfinite(every).all(axis=1)]
+    return (every.min(axis=0), every.max(axis=0)) if len(every) else (np.zeros(3), np.zeros(3))
+
+
+def clean(axes: Axes) -> None:
+    """Give a flat plot a light grid and no box."""
+    axes.grid(color=GRID, linewidth=0.6)
+    axes.set_axisbelow("line")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of a flight as a table for the terminal."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from uav_vslam.evaluation.summary import TRACKS, Figures
+
+NAMES = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
+ABSENT = "–"
+
+
+def print_summary(summary: Figures, console: Console | None = None) -> None:
+    """Print the table of a `build_summary` result, and a line per vehicle about its link."""
+    console = console or Console()
+    console.print(_title(summary), style="bold", markup=False, highlight=False, soft_wrap=True)
+    console.print(summary_table(summary))
+    for name, vehicle in summary["vehicles"].items():
+        console.print(link_line(name, vehicle), markup=False, highlight=False, soft_wrap=True)
+
+
+def summary_table(summary: Figures) -> Table:
+    """Return rows of vehicle and track with ATE, end error and NEES; the pooled ones last."""
+    table = Table()
+    table.add_column("Vehicle")
+    table.add_column("Estimate")
+    for heading in ("ATE [m]", "End [m]", "Position NEES"):
+        table.add_column(Text(heading), justify="right")  # in a str, [m] would be markup
+    rows = {**summary["vehicles"], "pooled": summary["pooled"]} if len(summary["vehicles"]) > 1 else summary["vehicles"]
+    for name, tracks in rows.items():
+        present = [track for track in TRACKS if tracks[track] is not None]
+        for track in present:
+            figures = tracks[track]
+            cells = [_figure(figures.get(key)) for key in ("ate_m", "end_m", "nees_position")]
+            first, last = track == present[0], track == present[-1]
+            table.add_row(name if first else "", NAMES[track], *cells, end_section=last)
+    return table
+
+
+def link_line(name: str, vehicle: Figures) -> str:
+    """Return distance, frames and what went over the radio, in one line."""
+    link = vehicle["link"]
+    flown = f"{name}: {vehicle['distance_m']:.0f} m, {vehicle['frames_processed']} of {vehicle['frames_in']} frames"
+    if vehicle["c_slam"] is None and link["packets_sent"] == 0:
+        return f"{flown}; no peer"
+    dropped = ", ".join(f"{count} {reason}" for reason, count in link["dropped"].items()) or "none"
+    return (
+        f"{flown}; sent {link['packets_sent']} packets, {link['sent_bytes_per_s'] / 1000:.2f} kB/s; "
+        f"received {link['packets_received']}, used {link['packets_used']}; dropped: {dropped}"
+    )
+
+
+def _title(summary: Figures) -> str:
+    parts = [summary["name"], f"mode {summary['mode']}"]
+    if summary["seed"] is not None:
+        parts.append(f"seed {summary['seed']}")
+    parts.append(f"{summary['duration_s']:.1f} s of flight")
+    if summary["realtime_factor"] is not None:
+        parts.append(f"{summary['realtime_factor']:.2f}x real time")
+    if summary["alignment"] != "none":
+        parts.append(f"aligned ({summary['alignment']})")
+    return ", ".join(parts)
+
+
+def _figure(value: Any) -> str:
+    if value is None:
+        return ABSENT
+    return f"{value:.3f}" if abs(value) < 10 else f"{value:.1f}"
