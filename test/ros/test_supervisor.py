@@ -128,12 +128,18 @@ def test_a_process_that_dies_ends_the_fleet_and_is_named(
 def test_failing_while_it_is_ended_is_a_failure(capfd: pytest.CaptureFixture[str]) -> None:
     stubborn = """
         import signal, sys, time
-        signal.signal(signal.SIGINT, lambda *_: sys.exit(4))
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: sys.exit(4))
         time.sleep(60)
     """
     lead = python("replay", "import time; time.sleep(1)", leads=True)
     assert Supervisor().run([python("recorder", stubborn), lead]) == 4
     assert "recorder ended with exit code 4 while it was ended" in capfd.readouterr().err
+
+
+def test_a_program_that_is_still_starting_ends_without_a_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+    assert Supervisor().run([python("starting", POLITE), python("replay", "print(1)", leads=True)]) == 0
+    assert "Traceback" not in capfd.readouterr().out
 
 
 def test_output_is_prefixed_line_by_line_and_kept_in_files(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -182,7 +182,8 @@ class Supervisor:
             if child.process.poll() is None:
                 if number == signal.SIGKILL:
                     _say(f"{child.command.name} does not end; it is killed")
-                os.killpg(child.process.pid, number)
+                early = number == signal.SIGINT and not _handles_sigterm(child.process.pid)
+                os.killpg(child.process.pid, signal.SIGTERM if early else number)
 
     def _judge_endings(self) -> None:
         for child in self._children:
@@ -229,6 +230,16 @@ def describe_exit(code: int) -> str:
 def print_line(name: str, line: str) -> None:
     """Print a line of a process's output with its prefix."""
     print(f"[{name}] {line}", flush=True)
+
+
+def _handles_sigterm(pid: int) -> bool:
+    """Tell whether a process has set itself up; before that, SIGINT would only make Python print a traceback."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return True
+    caught = next((line.split()[1] for line in status.splitlines() if line.startswith("SigCgt:")), "0")
+    return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
 
 
 def _shell_code(code: int) -> int:

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command finds its verbs, imports no more than it needs, and turns errors into one line and an exit code."""
+
+import argparse
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import uav_vslam
+from uav_vslam.cli import main as command
+from uav_vslam.errors import BagError
+
+Install = Callable[[Callable[[argparse.Namespace], int]], None]
+
+
+@pytest.fixture
+def install(monkeypatch: pytest.MonkeyPatch) -> Install:
+    """Make `bench` a verb that does what the test says."""
+
+    def replace(run: Callable[[argparse.Namespace], int]) -> None:
+        module = types.ModuleType("uav_vslam.cli.bench")
+        module.HELP = "do what the test says"
+        module.add_arguments = lambda parser: parser.add_argument("--times", type=int, default=1)
+        module.run = run
+        monkeypatch.setitem(sys.modules, "uav_vslam.cli.bench", module)
+
+    return replace
+
+
+def test_the_verbs_exit_code_is_the_commands(install: Install) -> None:
+    install(lambda args: args.times)
+    assert command.main(["bench", "--times", "3"]) == 3
+
+
+def test_our_errors_are_one_line_and_exit_code_2(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail(_: argparse.Namespace) -> int:
+        raise BagError("out/flight: no such recording")
+
+    install(fail)
+    assert command.main(["bench"]) == 2
+    assert capsys.readouterr().err == "uav-vslam: out/flight: no such recording\n"
+
+
+def test_an_interrupt_is_exit_code_130(install: Install) -> None:
+    def interrupt(_: argparse.Namespace) -> int:
+        raise KeyboardInterrupt
+
+    install(interrupt)
+    assert command.main(["bench"]) == 130
+
+
+def test_a_bug_keeps_its_traceback(install: Install) -> None:
+    def stumble(_: argparse.Namespace) -> int:
+        raise ZeroDivisionError
+
+    install(stumble)
+    with pytest.raises(ZeroDivisionError):
+        command.main(["bench"])
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        command.main(["--version"])
+    assert leaving.value.code == 0
+    assert capsys.readouterr().out == f"uav-vslam {uav_vslam.__version__}\n"
+
+
+def test_help_lists_the_verbs_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        command.main(["--help"])
+    assert leaving.value.code == 0
+    text = capsys.readouterr().out
+    assert "examples:" in text
+    for verb in ("simulate", "launch", "topic"):
+        assert f"\n    {verb}" in text
+
+
+@pytest.mark.parametrize("arguments", [[], ["fly"]])
+def test_no_verb_or_an_unknown_one_is_wrong_input(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        command.main(arguments)
+    assert leaving.value.code == 2
+    assert "usage: uav-vslam" in capsys.readouterr().err
+
+
+def test_a_verb_that_is_not_installed_does_not_hide_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "VERBS", ("launch", "teleport"))
+    assert "launch" in command.build_parser([]).format_help()
+    assert "teleport" not in command.build_parser([]).format_help().partition("examples:")[0]
+
+
+def test_a_broken_verb_is_not_taken_for_a_missing_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def importing(name: str) -> types.ModuleType:
+        raise ModuleNotFoundError("No module named 'cv3'", name="cv3")
+
+    monkeypatch.setattr(command.importlib, "import_module", importing)
+    with pytest.raises(ModuleNotFoundError, match="cv3"):
+        command.build_parser(["launch"])
+
+
+def test_help_imports_neither_numpy_nor_ros() -> None:
+    program = (
+        "import sys\nfrom uav_vslam.cli.main import build_parser\nbuild_parser([])\n"
+        "print([m for m in ('numpy', 'cv2', 'scipy', 'rclpy') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("verb", command.VERBS)
+def test_every_verb_says_what_it_does(verb: str) -> None:
+    module = pytest.importorskip(f"uav_vslam.cli.{verb.replace('-', '_')}", reason="verb not installed")
+    assert module.HELP[0].islower()
+    assert not module.HELP.endswith(".")
+    parser = command.build_parser([verb])
+    assert module.HELP in parser.format_help()
+
+
+def test_a_missing_recording_is_told_before_anything_is_started(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text("vehicles: {uav1: {}}\nreplay: {bags: [nowhere]}\n")
+    assert command.main(["launch", str(fleet)]) == 2
+    error = capsys.readouterr().err
+    assert "nowhere" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("domain", ["-1", "102"])
+def test_a_domain_that_dds_can_not_use_is_refused(
+    tmp_path: Path, domain: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text("vehicles: {uav1: {}}\n")
+    assert command.main(["launch", str(fleet), f"--domain={domain}"]) == 2
+    assert "use 0 to 101" in capsys.readouterr().err

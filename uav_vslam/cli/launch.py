@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam launch`: start a fleet's node graph, one process a node, and end it with its replay."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from uav_vslam.config import FleetConfig
+
+HELP = "start a fleet's node graph, one process a node"
+EXAMPLES = """examples:
+  uav-vslam launch config/fleet_demo.yaml                                 replay what the file names, in lock-step
+  uav-vslam launch config/fleet_demo.yaml --bag flight --rate 1           another recording, in real time
+  uav-vslam launch config/fleet_demo.yaml --mode none --record out/alone  without cooperation, estimates recorded
+
+The end of the replay ends the fleet; so does a node that dies, SIGINT and SIGTERM.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("fleet", type=Path, metavar="FLEET.yaml", help="vehicles, what is replayed, and the mode")
+    parser.add_argument("--bag", type=Path, action="append", metavar="BAG", help="replay this instead; may be repeated")
+    parser.add_argument(
+        "--rate", type=float, metavar="R", help="multiple of real time; 0: paced by the graph (lock-step)"
+    )
+    parser.add_argument("--mode", choices=["wideband", "none"], help="how the vehicles communicate")
+    parser.add_argument("--record", type=Path, metavar="DIR", help="record the estimates into this new bag")
+    parser.add_argument("--log-dir", type=Path, metavar="DIR", help="also keep each process's output in a file here")
+    parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain, 0 to 101 (default: ROS_DOMAIN_ID)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Launch and return the exit code of the first process that failed, or 0."""
+    fleet = read_fleet(args.fleet, bags=args.bag, rate=args.rate, mode=args.mode)
+    return launch(fleet, record=args.record, log_dir=args.log_dir, domain_id=args.domain)
+
+
+def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, mode: str | None) -> FleetConfig:
+    """Read a fleet file; what is given here replaces what it says.
+
+    Raises:
+        ConfigError: the file or a value is wrong.
+        BagError: there is no such recording.
+    """
+    from uav_vslam.config import load_fleet
+    from uav_vslam.errors import BagError
+
+    fleet = load_fleet(path)
+    replay = fleet.replay
+    if bags:
+        replay = dataclasses.replace(replay, bags=tuple(bags))
+    if rate is not None:
+        replay = dataclasses.replace(replay, rate=rate)
+    for bag in replay.bags:
+        if not bag.exists():
+            raise BagError(f"{bag}: no such recording; give an existing one in the fleet file or with --bag")
+    vehicles = fleet.vehicles
+    if mode is not None:
+        vehicles = {
+            name: dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, mode=mode))
+            for name, config in vehicles.items()
+        }
+    return dataclasses.replace(fleet, vehicles=vehicles, replay=replay)
+
+
+def launch(
+    fleet: FleetConfig,
+    *,
+    record: Path | None = None,
+    log_dir: Path | None = None,
+    domain_id: int | None = None,
+    on_line: Callable[[str, str], None] | None = None,
+) -> int:
+    """Run a fleet's processes to their end.
+
+    Args:
+        fleet: what to start.
+        record: bag to record the estimates into.
+        log_dir: folder for the output of each process.
+        domain_id: ROS domain; None takes the environment's.
+        on_line: called with (process, line) for each line of output; the default prints it.
+
+    Returns:
+        The exit code of the first process that failed, 128 + the signal that ended the run, or 0.
+    """
+    from uav_vslam.errors import ConfigError
+    from uav_vslam.ros.fleet_commands import NodeSpec, node_specs
+    from uav_vslam.ros.supervisor import MAX_DOMAIN_ID, Supervisor, node_command
+
+    if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
+        raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
+    specs = node_specs(fleet)
+    if record is not None:
+        parameters = {"output": str(record), "vehicles": list(fleet.vehicles)}
+        specs.insert(0, NodeSpec("recorder", "recorder", "/", parameters))
+    environment = {} if domain_id is None else {"ROS_DOMAIN_ID": str(domain_id)}
+    if log_dir is not None:
+        environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")
+    return Supervisor(environment, log_dir=log_dir, on_line=on_line).run(map(node_command, specs))

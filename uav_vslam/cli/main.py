@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The `uav-vslam` command: picks the verb's module, and turns what it raises into one line and an exit code.
+
+A verb is a module of this package with HELP, `add_arguments(parser)` and `run(args) -> int`. Only what is asked for is
+imported, and the verbs themselves import late, so that `--help` is quick.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+from uav_vslam import __version__
+from uav_vslam.errors import UavVslamError
+
+VERBS = ("simulate", "import-euroc", "run", "launch", "evaluate", "demo", "study", "bench", "topic")
+EXAMPLES = """examples:
+  uav-vslam demo                                     replay two vehicles' sample recordings and report
+  uav-vslam launch config/fleet_demo.yaml            the same node graph, nothing evaluated
+  uav-vslam run config/fleet_demo.yaml               the same stages in one process, without ROS
+  uav-vslam simulate out/flight --frames 60          record a simulated flight of two vehicles
+  uav-vslam VERB --help                              arguments and examples of one verb
+
+exit codes: 0 done, 1 the run failed, 2 wrong input or configuration, 130 interrupted
+"""
+FAILURE, WRONG_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        args = build_parser(arguments).parse_args(arguments)
+        return int(args.run(args))
+    except UavVslamError as error:
+        print(f"uav-vslam: {error}", file=sys.stderr)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has left; Python would complain while it flushes at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+
+
+def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser for the verb in `arguments`; it knows all verbs if there is none."""
+    parser = argparse.ArgumentParser(
+        prog="uav-vslam",
+        description="Cooperative stereo-inertial SLAM for several UAVs.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"uav-vslam {__version__}")
+    chosen = [arguments[0]] if arguments and arguments[0] in VERBS else VERBS
+    subparsers = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
+    for verb in chosen:
+        module = _load(verb)
+        if module is not None:
+            _add_verb(subparsers, verb, module)
+    return parser
+
+
+def _add_verb(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]", verb: str, module: ModuleType) -> None:
+    summary = str(module.HELP)
+    description = summary[:1].upper() + summary[1:].rstrip(".") + "."
+    subparser = subparsers.add_parser(verb, help=summary, description=description)
+    subparser.formatter_class = argparse.RawDescriptionHelpFormatter
+    subparser.epilog = getattr(module, "EXAMPLES", None)
+    module.add_arguments(subparser)
+    subparser.set_defaults(run=module.run)
+
+
+def _load(verb: str) -> ModuleType | None:
+    """Import a verb's module; None where this installation is without it."""
+    name = f"uav_vslam.cli.{verb.replace('-', '_')}"
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name == name:
+            return None
+        raise
+
+
+if __name__ == "__main__":
+    sys.exit(main())

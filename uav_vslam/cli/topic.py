@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam topic`: look at live topics where ROS came from PyPI, without its `ros2` command."""
+
+import argparse
+
+HELP = "list, print or measure live topics"
+EXAMPLES = """examples:
+  uav-vslam topic list
+  uav-vslam topic echo /uav1/odometry --count 1
+  uav-vslam topic hz /uav1/stereo_features
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
+    parser.add_argument(
+        "--wait", type=float, default=2.0, metavar="S", help="time to discover the graph [s] (default 2)"
+    )
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    actions.add_parser("list", help="print every topic with its type")
+    for action, text in (("echo", "print messages, long arrays shortened"), ("hz", "print the rate once a second")):
+        command = actions.add_parser(action, help=text)
+        command.add_argument("topic", metavar="TOPIC")
+        command.add_argument("--count", type=int, default=0, metavar="N", help="end after N messages or reports")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look at the graph until there is nothing more to say or Ctrl-C."""
+    from uav_vslam.ros import topic_tools
+
+    with topic_tools.observer(args.domain) as node:
+        if args.action == "list":
+            return topic_tools.print_topics(node, wait_s=args.wait)
+        act = topic_tools.echo if args.action == "echo" else topic_tools.print_rate
+        return act(node, args.topic, wait_s=args.wait, count=args.count)

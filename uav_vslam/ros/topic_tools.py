@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lists, prints and measures live topics; for `uav-vslam topic`."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from uav_vslam.errors import UavVslamError
+
+LONGEST = 8  # elements of an array that are printed
+SPIN_S = 0.1
+
+
+class Observer(Node):
+    """A node that only listens."""
+
+    def __init__(self, context: rclpy.Context) -> None:
+        super().__init__("uav_vslam_topic", context=context, start_parameter_services=False, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self)
+
+    def spin_until(self, done: Callable[[], bool], timeout_s: float = float("inf")) -> bool:
+        """Take in messages until something is so; return whether it came to be in time."""
+        end_s = time.monotonic() + timeout_s
+        while not done():
+            if time.monotonic() >= end_s:
+                return False
+            self._executor.spin_once(timeout_sec=SPIN_S)
+        return True
+
+
+@contextmanager
+def observer(domain_id: int | None) -> Iterator[Observer]:
+    """Join a ROS domain as a listener."""
+    context = rclpy.Context()
+    context.init(domain_id=domain_id)
+    node = Observer(context)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def print_topics(node: Observer, *, wait_s: float) -> int:
+    """Print every topic with its type."""
+    node.spin_until(lambda: False, wait_s)
+    for topic, types in sorted(node.get_topic_names_and_types()):
+        print(f"{topic}  [{', '.join(types)}]")
+    return 0
+
+
+def echo(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
+    """Print a topic's messages, as many as `count` or (0) for ever."""
+    printed: list[None] = []
+
+    def show(message: Any) -> None:
+        print("\n".join(format_message(message)), "---", sep="\n", flush=True)
+        printed.append(None)
+
+    _subscribe(node, topic, show, wait_s=wait_s, raw=False)
+    node.spin_until(lambda: 0 < count <= len(printed))
+    return 0
+
+
+def print_rate(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
+    """Print a topic's rate and bandwidth once a second, `count` times or (0) for ever."""
+    sizes: list[int] = []
+    _subscribe(node, topic, lambda data: sizes.append(len(data)), wait_s=wait_s, raw=True)
+    reports = 0
+    while not count or reports < count:
+        begin_s = time.monotonic()
+        sizes.clear()
+        node.spin_until(lambda: False, 1.0)
+        elapsed_s = time.monotonic() - begin_s
+        print(f"{len(sizes) / elapsed_s:.2f} Hz, {sum(sizes) / elapsed_s / 1e3:.2f} kB/s", flush=True)
+        reports += 1
+    return 0
+
+
+def format_message(message: Any, indent: str = "") -> list[str]:
+    """Return a message as indented lines; arrays longer than `LONGEST` are cut and their length is told."""
+    lines = []
+    for name in message.get_fields_and_field_types():
+        lines += _format_value(name, getattr(message, name), indent)
+    return lines
+
+
+def _format_value(name: str, value: Any, indent: str) -> list[str]:
+    if hasattr(value, "get_fields_and_field_types"):
+        return [f"{indent}{name}:", *format_message(value, indent + "  ")]
+    if isinstance(value, str | bytes) or not hasattr(value, "__len__"):
+        return [f"{indent}{name}: {value!r}" if isinstance(value, str) else f"{indent}{name}: {value}"]
+    rest = f" ... {len(value)} in all" if len(value) > LONGEST else ""
+    head = list(value[:LONGEST])
+    if head and hasattr(head[0], "get_fields_and_field_types"):
+        items = [line for item in head for line in ["- ", *format_message(item, indent + "  ")]]
+        return [f"{indent}{name}:{rest}", *(indent + line if line == "- " else line for line in items)]
+    return [f"{indent}{name}: [{', '.join(_format_scalar(item) for item in head)}]{rest}"]
+
+
+def _format_scalar(value: Any) -> str:
+    return f"{value:.6g}" if hasattr(value, "hex") else repr(value)
+
+
+def _subscribe(node: Observer, topic: str, callback: Callable[[Any], None], *, wait_s: float, raw: bool) -> None:
+    """Subscribe as the publishers offer it.
+
+    Raises:
+        UavVslamError: nobody publishes the topic, or its type is not installed.
+    """
+    absolute = topic if topic.startswith("/") else f"/{topic}"
+    if not node.spin_until(lambda: node.count_publishers(absolute) > 0, wait_s):
+        raise UavVslamError(f"{absolute}: nobody publishes it; see `uav-vslam topic list` and check ROS_DOMAIN_ID")
+    offers = [info.qos_profile for info in node.get_publishers_info_by_topic(absolute)]
+    reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
+    latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    qos = QoSProfile(
+        depth=100,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+    node.create_subscription(_message_type(node, absolute), absolute, callback, qos, raw=raw)
+
+
+def _message_type(node: Observer, topic: str) -> Any:
+    name = dict(node.get_topic_names_and_types())[topic][0]
+    package, _, message = name.split("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), message)
+    except (ImportError, AttributeError):
+        raise UavVslamError(f"{topic}: {name} is not installed here; build it and source its workspace") from None
