@@ -2,6 +2,7 @@
 """An ASL folder becomes a flight whose truth, readings and images belong together."""
 
 import argparse
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -147,7 +148,7 @@ def test_real_readings_carry_the_start_state_along_the_truth(imported: Path) -> 
     R, p, v = truth.R_world_body[start], truth.positions_world[start], truth.velocities_world[start]
     samples = [e for e in flight.iter_events() if isinstance(e, ImuSample)]
     samples = [s for s in samples if truth.stamps_ns[start] <= s.stamp_ns <= truth.stamps_ns[start + 20]]
-    for a, b in zip(samples[:-1], samples[1:], strict=True):
+    for a, b in itertools.pairwise(samples):
         dt = (b.stamp_ns - a.stamp_ns) * 1e-9
         rate = 0.5 * (a.gyro + b.gyro) - state.gyro_bias
         force = 0.5 * (a.accel + b.accel) - state.accel_bias

@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from uav_vslam.cli.simulate import record
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw, message, topics_of, typestore
 from uav_vslam.errors import BagError
+from uav_vslam.simulation.scenario import Scenario
 
 OWN_MESSAGES = sorted((Path(__file__).resolve().parents[2] / "uav_vslam_msgs" / "msg").glob("*.msg"))
 
@@ -24,6 +26,12 @@ def test_raw_bytes_survive_a_copy(tiny_bag: Path, tmp_path: Path, storage: str) 
     key = lambda raw: (raw.stamp_ns, raw.topic, raw.data)  # noqa: E731
     assert sorted(copied, key=key) == sorted(original, key=key)
     assert topics_of([tmp_path / "copy"]) == topics_of([tiny_bag])
+
+
+def test_compressed_chunks_hold_the_same_messages(tiny: Scenario, tiny_bag: Path, tmp_path: Path) -> None:
+    record(tiny, tmp_path / "tiny", zstd=True)
+    assert list(iter_raw([tmp_path / "tiny"])) == list(iter_raw([tiny_bag]))
+    assert (tmp_path / "tiny" / "tiny.mcap").stat().st_size < 0.8 * (tiny_bag / "tiny.mcap").stat().st_size
 
 
 def test_topics_filter_and_stamps_rise(tiny_bag: Path) -> None:

@@ -16,8 +16,6 @@ Gravity in EuRoC's world is 9.81 m/s^2: set imu.gravity accordingly.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = EXAMPLES
     parser.add_argument("mav0", type=Path, metavar="MAV0_DIR", help="folder with cam0, cam1, imu0 and the ground truth")
     parser.add_argument("out", type=Path, metavar="OUT", help="bag folder to make")
     parser.add_argument("--vehicle", default="uav1", help="ROS namespace (default uav1)")

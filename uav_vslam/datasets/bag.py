@@ -191,11 +191,11 @@ def _calibration(bags: Sequence[Path], name: str, *, has_initial: bool) -> tuple
 
 
 def _reaches(edges: dict[str, tuple[str, Pose]], found: dict[str, Any], name: str, infos: Sequence[str]) -> bool:
-    return all(_walk(edges, found[t].header.frame_id, f"{name}/base_link") is not None for t in infos)
+    return all(walk(edges, found[t].header.frame_id, f"{name}/base_link") is not None for t in infos)
 
 
 def _extrinsics(edges: dict[str, tuple[str, Pose]], frame_id: str, name: str) -> Pose:
-    pose = _walk(edges, frame_id, f"{name}/base_link")
+    pose = walk(edges, frame_id, f"{name}/base_link")
     if pose is None:
         there = ", ".join(f"{parent} -> {child}" for child, (parent, _) in sorted(edges.items())) or "nothing"
         raise BagError(
@@ -205,7 +205,7 @@ def _extrinsics(edges: dict[str, tuple[str, Pose]], frame_id: str, name: str) ->
     return pose
 
 
-def _walk(edges: dict[str, tuple[str, Pose]], frame_id: str, base: str) -> Pose | None:
+def walk(edges: dict[str, tuple[str, Pose]], frame_id: str, base: str) -> Pose | None:
     """Return T_base_frame along a tree of child -> (parent, T_parent_child), or None if it does not lead there."""
     frame, pose = frame_id.lstrip("/"), Pose.identity()
     for _ in range(len(edges) + 1):

@@ -94,6 +94,7 @@ def write_flights(
     *,
     coding: ImageCoding | None = None,
     storage: str = "mcap",
+    zstd: bool = False,
     on_frame: Callable[[], None] | None = None,
 ) -> None:
     """Record one or more vehicles into one bag, in stamp order.
@@ -103,13 +104,14 @@ def write_flights(
         flights: the vehicles.
         coding: how images are stored; frames that are encoded already stay as they are.
         storage: "mcap" or "sqlite3".
+        zstd: compress the chunks of an mcap file.
         on_frame: called after each image pair, for a progress bar.
 
     Raises:
         BagError: the folder exists, or our message definitions are not found.
     """
     coding = coding or ImageCoding()
-    with RawRecorder(path, storage=storage) as recorder:
+    with RawRecorder(path, storage=storage, zstd=zstd) as recorder:
         first = True
         streams = [_events(flight, coding) for flight in flights]
         for stamp_ns, rank, make in heapq.merge(*streams, key=lambda event: event[:2]):

@@ -24,7 +24,7 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -140,22 +140,27 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
 class RawRecorder:
     """Writes a bag from CDR bytes; a context manager. A topic is declared by its first message."""
 
-    def __init__(self, path: Path, *, storage: str = "mcap") -> None:
+    def __init__(self, path: Path, *, storage: str = "mcap", zstd: bool = False) -> None:
         """Create the bag.
 
         Args:
             path: folder to make; it must not exist.
             storage: "mcap" or "sqlite3".
+            zstd: compress the chunks of an mcap file, as `ros2 bag` can, too.
 
         Raises:
             BagError: the folder exists or can't be made.
         """
-        if storage not in STORAGE:
-            raise BagError(f"bag storage {storage!r} is not known; use {' or '.join(STORAGE)}")
+        if storage not in STORAGE or (zstd and storage != "mcap"):
+            raise BagError(
+                f"bag storage {storage!r} can't be used; use mcap (which alone may be compressed) or sqlite3"
+            )
         self.path = path
         self._connections: dict[str, Connection] = {}
         try:
             self._writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
+            if zstd:
+                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except (WriterError, OSError) as error:
             raise BagError(f"can't record to {path}: {error}; choose a folder that does not exist yet") from None

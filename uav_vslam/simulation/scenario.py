@@ -105,7 +105,7 @@ class Scenario:
 
 SCENARIOS = {
     "kagaru": Scenario(),
-    "sample": Scenario(name="sample", frames=64, scale=0.5),
+    "sample": Scenario(name="sample", frames=64, scale=0.375, noise_sigma=1.0, imu="consumer"),
     "long": Scenario(name="long", frames=1000, pattern="lawnmower"),
 }
 

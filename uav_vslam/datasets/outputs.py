@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads what a fleet estimated from the bags that recorded it, and the truth from the bags that were replayed."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_vslam.datasets.messages import stamp_ns_of, truth_of
+from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw, topics_of
+from uav_vslam.errors import BagError
+from uav_vslam.types import PoseEstimate
+
+ODOMETRY = {
+    "odometry": "own_only",
+    "fused/odometry": "fused",
+    "ins/dead_reckoning": "dead_reckoning",
+    "ground_truth/odometry": "truth",
+}
+STATUS = "fusion/status"
+FRAMES = "left/camera_info"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkRecord:
+    """The last status of a vehicle's fusion node.
+
+    Attributes:
+        mode: communication mode.
+        packets_sent: since the start.
+        sent_bytes_per_s: mean rate since the first packet [B/s].
+        packets_received, packets_used: over all peers.
+        dropped: packets dropped, by reason, over all peers.
+        peers: names of the peers that were heard.
+    """
+
+    mode: str
+    packets_sent: int
+    sent_bytes_per_s: float
+    packets_received: int
+    packets_used: int
+    dropped: dict[str, int]
+    peers: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class RecordedOutputs:
+    """What the bags hold of one vehicle.
+
+    Attributes:
+        own_only, fused, dead_reckoning, truth: pose estimates in the order of recording.
+        link: the last fusion status, or None.
+        frames_in: image pairs that were replayed, or None where the bags hold none.
+    """
+
+    own_only: list[PoseEstimate] = field(default_factory=list)
+    fused: list[PoseEstimate] = field(default_factory=list)
+    dead_reckoning: list[PoseEstimate] = field(default_factory=list)
+    truth: list[PoseEstimate] = field(default_factory=list)
+    link: LinkRecord | None = None
+    frames_in: int | None = None
+
+
+def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], BagError | None]:
+    """Read every vehicle that has an own-only track.
+
+    Args:
+        paths: bags that together hold the estimates and, if there is one, the truth.
+
+    Returns:
+        The outputs by vehicle, in the order of names; and, where a bag is damaged, what was wrong: the outputs then
+        reach up to the break.
+
+    Raises:
+        BagError: a bag is missing or is none, a message can't be decoded, or no bag holds an own-only track.
+    """
+    topics = topics_of(paths)
+    names = sorted({topic.split("/")[1] for topic in topics if topic.count("/") == 2 and topic.endswith("/odometry")})
+    if not names:
+        held = ", ".join(sorted(topics)) or "nothing"
+        raise BagError(
+            f"{', '.join(map(str, paths))} hold no /<vehicle>/odometry but {held}; give the bag of the estimates"
+        )
+    outputs = {name: RecordedOutputs() for name in names}
+    for name in names:
+        if f"/{name}/{FRAMES}" in topics:
+            outputs[name].frames_in = topics[f"/{name}/{FRAMES}"].count
+    wanted = [f"/{name}/{ending}" for name in names for ending in (*ODOMETRY, STATUS)]
+    messages = _Readable(iter_raw(paths, wanted))
+    for raw in messages:
+        _, name, ending = raw.topic.split("/", 2)
+        _take(outputs[name], ending, raw)
+    return outputs, messages.error
+
+
+class _Readable:
+    """The messages before a break, and then the error that the break raised."""
+
+    def __init__(self, messages: Iterator[RawMessage]) -> None:
+        self._messages = messages
+        self.error: BagError | None = None
+
+    def __iter__(self) -> Iterator[RawMessage]:
+        try:
+            yield from self._messages
+        except BagError as error:
+            self.error = error
+
+
+def _take(outputs: RecordedOutputs, ending: str, raw: RawMessage) -> None:
+    built = decode(raw)
+    if ending == STATUS:
+        outputs.link = _link(built)
+        return
+    track: list[PoseEstimate] = getattr(outputs, ODOMETRY[ending])
+    track.append(_pose_estimate(built, raw.topic))
+
+
+def _pose_estimate(built: Any, topic: str) -> PoseEstimate:
+    covariance = np.array(built.pose.covariance, dtype=float).reshape(6, 6)
+    try:
+        pose = truth_of(built).T_world_body
+    except ValueError as error:
+        raise BagError(f"{topic} at {stamp_ns_of(built)} ns holds no pose: {error}") from None
+    return PoseEstimate(stamp_ns_of(built), pose, covariance)
+
+
+def _link(built: Any) -> LinkRecord:
+    dropped: dict[str, int] = {}
+    for peer in built.peers:
+        for reason, count in zip(peer.drop_reasons, peer.drop_counts, strict=True):
+            dropped[reason] = dropped.get(reason, 0) + int(count)
+    return LinkRecord(
+        mode=built.mode,
+        packets_sent=int(built.packets_sent),
+        sent_bytes_per_s=float(built.sent_bytes_per_s),
+        packets_received=sum(int(peer.packets_received) for peer in built.peers),
+        packets_used=sum(int(peer.packets_used) for peer in built.peers),
+        dropped=dropped,
+        peers=tuple(peer.peer for peer in built.peers),
+    )
