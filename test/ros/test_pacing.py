@@ -2,6 +2,7 @@
 """Lock-step never loses a frame and never waits for what can't come; it is tested against graphs that only answer."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -119,6 +120,17 @@ def test_half_a_stereo_pair_is_not_waited_for() -> None:
     recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10))
     graph = Graph([m for m in recorded if (m.kind, m.stamp_ns) != (Kind.RIGHT, 0)])
     graph.advance()
+    assert graph.frames("uav1") == [0, 100]
+
+
+def test_a_pair_of_slightly_different_stamps_is_answered_at_the_left_ones() -> None:
+    recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10))
+    late = [replace(m, stamp_ns=m.stamp_ns + MS) if m.kind is Kind.RIGHT else m for m in recorded]
+    graph = Graph(merged(late))
+    graph.advance()
+    assert graph.frames("uav1") == [0]
+    assert {stamp for _, stamp in graph.answers.missing()} == {0}
+    graph.answer("uav1", 0)
     assert graph.frames("uav1") == [0, 100]
 
 

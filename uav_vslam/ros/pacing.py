@@ -17,6 +17,7 @@ from typing import Protocol
 from uav_vslam.types import NS_PER_S
 
 OVERLAP_NS = NS_PER_S // 10
+PAIR_NS = 2_000_000  # left and right of one frame differ by no more than this
 IMU_AHEAD = 250  # unanswered readings: half of the subscriber's queue
 IMU_GAP_NS = 3 * NS_PER_S  # images are held in memory while a reading is looked for no farther than this
 
@@ -55,28 +56,35 @@ class Recorded:
 
 
 class Answers:
-    """Which frames the graph still owes an answer, for every topic on which each vehicle answers."""
+    """Which frames the graph still owes an answer, for every topic on which each vehicle answers.
+
+    Attributes:
+        frames: complete frames published, by vehicle.
+    """
 
     def __init__(self, starts_ns: dict[str, int], topics: Iterable[str]) -> None:
         """Await answers on `topics` to each frame not before its vehicle's start; earlier ones the backend drops."""
         self._topics = tuple(topics)
         self._starts_ns = starts_ns
-        self._parts: dict[str, tuple[int, set[Kind]]] = {}
+        self._parts: dict[str, dict[Kind, int]] = {vehicle: {} for vehicle in starts_ns}  # stamps of the newest frame
         self._newest_ns = dict.fromkeys(starts_ns, -1)
         self._open: dict[str, dict[int, set[str]]] = {vehicle: {} for vehicle in starts_ns}
         self.frames = dict.fromkeys(starts_ns, 0)
 
     def published(self, message: Recorded) -> None:
         """Note a part of a frame; the last part makes the frame one to be answered."""
-        before = set() if self.begins_frame(message) else self._parts[message.vehicle][1]
-        parts = before | {message.kind}
-        self._parts[message.vehicle] = message.stamp_ns, parts
-        if before != FRAME_PARTS and parts == FRAME_PARTS:
-            self._complete(message.vehicle, message.stamp_ns)
+        if self.begins_frame(message):
+            self._parts[message.vehicle] = {}
+        parts = self._parts[message.vehicle]
+        if message.kind not in parts:
+            parts[message.kind] = message.stamp_ns
+            if parts.keys() == FRAME_PARTS:
+                self._complete(message.vehicle, parts[Kind.LEFT])
 
     def begins_frame(self, message: Recorded) -> bool:
         """Say whether this is the first part of a frame."""
-        return message.vehicle not in self._parts or self._parts[message.vehicle][0] != message.stamp_ns
+        stamps = self._parts[message.vehicle].values()
+        return not stamps or any(abs(message.stamp_ns - stamp_ns) > PAIR_NS for stamp_ns in stamps)
 
     def answered(self, vehicle: str, topic: str, stamp_ns: int) -> None:
         """Note an answer; one that nobody waits for changes nothing."""

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The replay and the recorder as processes, between a written bag and a vehicle that only answers."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from nav_msgs.msg import Odometry  # noqa: E402
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Image, Imu  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from uav_vslam.datasets.flight_writer import FlightRecording, write_flights  # noqa: E402
+from uav_vslam.datasets.rosbag import iter_raw, topics_of  # noqa: E402
+from uav_vslam.geometry.camera import PinholeCamera  # noqa: E402
+from uav_vslam.geometry.pose import Pose  # noqa: E402
+from uav_vslam.geometry.stereo import StereoRig  # noqa: E402
+from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE  # noqa: E402
+from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
+from uav_vslam.types import ImuSample, NavEstimate, NavState, StereoFrame  # noqa: E402
+from uav_vslam_msgs.msg import NavigationState  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+START_NS, FRAME_NS, IMU_NS = 5_000_000_000, 100_000_000, 10_000_000
+FRAMES, FRAMES_BEFORE_START = 12, 2
+SIZE = 16
+
+
+def flight(vehicle: str) -> FlightRecording:
+    """A second of a vehicle at rest, with two frames before its start state."""
+    camera = PinholeCamera(SIZE, SIZE, 10.0, 10.0, 8.0, 8.0, np.zeros(5))
+    rig = StereoRig(camera, camera, Pose.identity(), Pose(np.eye(3), np.array([0.1, 0.0, 0.0])))
+    first = START_NS - FRAMES_BEFORE_START * FRAME_NS
+    image = np.zeros((SIZE, SIZE), np.uint8)
+    stamps = range(first, first + FRAMES * FRAME_NS, FRAME_NS)
+    start = NavState(START_NS, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+    readings = range(first, stamps[-1] + FRAME_NS, IMU_NS)
+    return FlightRecording(
+        vehicle=vehicle,
+        rig=rig,
+        imu=[ImuSample(stamp, np.zeros(3), np.array([0.0, 0.0, 9.8])) for stamp in readings],
+        truth=[],
+        frames=[StereoFrame(stamp, image, image) for stamp in stamps],
+        initial=NavEstimate(start, np.eye(15)),
+    )
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("bags")
+    for vehicle in ("uav1", "uav2"):
+        write_flights(folder / vehicle, [flight(vehicle)])
+    return [folder / "uav1", folder / "uav2"]
+
+
+class Vehicle:
+    """Reads what a vehicle's nodes read and answers as they do."""
+
+    def __init__(self, node, name: str, answers: Callable[[int], bool]) -> None:
+        self.readings: list[int] = []
+        self.frames: dict[int, set[str]] = {}
+        self.starts: list[int] = []
+        self.early: list[int] = []
+        self.answered: set[int] = set()
+        self._answers = answers
+        self._publishers = [
+            node.create_publisher(Odometry, f"/{name}/{t}", STATE) for t in ("odometry", "fused/odometry")
+        ]
+        self._ins = node.create_publisher(Odometry, f"/{name}/ins/odometry", STATE)
+        node.create_subscription(NavigationState, f"/{name}/initial_state", self._on_start, LATCHED)
+        node.create_subscription(Imu, f"/{name}/imu/data_raw", self._on_imu, SENSOR)
+        for side in ("left", "right"):
+            for topic, kind, qos in (("image_raw", Image, IMAGE), ("camera_info", CameraInfo, STATE)):
+                what = f"{side} {topic}"
+                node.create_subscription(
+                    kind, f"/{name}/{side}/{topic}", lambda m, what=what: self._on_part(what, m), qos
+                )
+
+    def _on_start(self, message: NavigationState) -> None:
+        self.starts.append(ns(message))
+
+    def _on_imu(self, message: Imu) -> None:
+        self.readings.append(ns(message))
+        self._ins.publish(Odometry(header=message.header))
+        self._answer()
+
+    def _on_part(self, what: str, message: Image | CameraInfo) -> None:
+        open_frames = [
+            s for s, parts in self.frames.items() if s >= START_NS and len(parts) == 4 and s not in self.answered
+        ]
+        self.early += [stamp for stamp in open_frames if stamp != ns(message)]
+        self.frames.setdefault(ns(message), set()).add(what)
+        self._answer()
+
+    def _answer(self) -> None:
+        for stamp_ns, parts in self.frames.items():
+            covered = bool(self.readings) and self.readings[-1] >= stamp_ns
+            if stamp_ns not in self.answered and stamp_ns >= START_NS and len(parts) == 4 and covered:
+                if not self._answers(stamp_ns):
+                    continue
+                self.answered.add(stamp_ns)
+                message = Odometry()
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+                for publisher in self._publishers:
+                    publisher.publish(message)
+
+
+class Fleet:
+    """Two such vehicles on a ROS domain of their own, spun in a thread."""
+
+    def __init__(self) -> None:
+        self.domain_id = free_domain_id()
+        self.answers: Callable[[int], bool] = lambda stamp_ns: True
+        self.clock: list[int] = []
+        self.static: list[TFMessage] = []
+        self._context = rclpy.Context()
+        self._context.init(domain_id=self.domain_id)
+        self.node = rclpy.create_node("fleet", context=self._context)
+        self.vehicles = {name: Vehicle(self.node, name, lambda s: self.answers(s)) for name in ("uav1", "uav2")}
+        self.node.create_subscription(Clock, "/clock", lambda m: self.clock.append(m.clock.sec), STATE)
+        self.node.create_subscription(TFMessage, "/tf_static", self.static.append, LATCHED)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def replay(self, bags: list[Path], **parameters: str) -> subprocess.CompletedProcess[str]:
+        arguments = [f"bags:=[{', '.join(map(str, bags))}]", *(f"{key}:={value}" for key, value in parameters.items())]
+        return run_node("replay", arguments, self.domain_id)
+
+    def close(self) -> None:
+        self._context.try_shutdown()
+        self._thread.join()
+        self.node.destroy_node()
+
+
+def ns(message) -> int:
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def node_command(name: str, parameters: list[str]) -> list[str]:
+    pairs = [argument for parameter in parameters for argument in ("-p", parameter)]
+    return [sys.executable, "-m", f"uav_vslam.ros.{name}_node", "--ros-args", *pairs]
+
+
+def run_node(name: str, parameters: list[str], domain_id: int) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        node_command(name, parameters), env=environment(domain_id), capture_output=True, text=True, timeout=60
+    )
+
+
+def environment(domain_id: int) -> dict[str, str]:
+    return os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
+
+
+@pytest.fixture
+def fleet() -> Iterator[Fleet]:
+    started = Fleet()
+    yield started
+    started.close()
+
+
+def test_lock_step_delivers_everything_once_and_each_frame_after_the_answer_to_the_last(
+    fleet: Fleet, bags: list[Path]
+) -> None:
+    done = fleet.replay(bags)
+    assert done.returncode == 0, done.stderr
+    for vehicle in fleet.vehicles.values():
+        assert len(vehicle.frames) == FRAMES
+        assert all(len(parts) == 4 for parts in vehicle.frames.values())
+        assert len(vehicle.answered) == FRAMES - FRAMES_BEFORE_START
+        assert len(vehicle.readings) == FRAMES * FRAME_NS // IMU_NS
+        assert vehicle.starts == [START_NS]
+        assert vehicle.early == []
+    assert fleet.clock[-1] == 5
+
+
+def test_the_static_transforms_of_all_bags_come_as_one_message(fleet: Fleet, bags: list[Path]) -> None:
+    fleet.replay(bags)
+    children = [transform.child_frame_id for transform in fleet.static[-1].transforms]
+    assert sorted(children) == [f"{name}/{side}_optical" for name in ("uav1", "uav2") for side in ("left", "right")]
+
+
+def test_a_vehicle_that_stops_answering_is_named_with_topic_and_stamp(fleet: Fleet, bags: list[Path]) -> None:
+    fleet.answers = lambda stamp_ns: stamp_ns < START_NS + 3 * FRAME_NS
+    done = fleet.replay(bags, timeout_s="6.0")
+    assert done.returncode == 1
+    assert f"/uav1/odometry at {START_NS + 3 * FRAME_NS} ns" in done.stderr
+
+
+def test_in_real_time_nobody_is_waited_for(fleet: Fleet, bags: list[Path]) -> None:
+    fleet.answers = lambda stamp_ns: False
+    begin_s = time.monotonic()
+    done = fleet.replay(bags, rate="2.0")
+    assert done.returncode == 0, done.stderr
+    assert time.monotonic() - begin_s > FRAMES * FRAME_NS / 2e9
+    assert "frames were not answered" in done.stderr
+    assert all(len(vehicle.frames) == FRAMES for vehicle in fleet.vehicles.values())
+
+
+def test_a_cut_bag_is_replayed_up_to_the_break_and_is_a_failure(fleet: Fleet, bags: list[Path], tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    (source,) = bags[0].glob("*.mcap")
+    data = source.read_bytes()
+    (cut / source.name).write_bytes(data[: len(data) * 7 // 10])
+    done = fleet.replay([cut, bags[1]])
+    assert done.returncode == 1
+    assert "is damaged" in done.stderr
+    assert len(fleet.vehicles["uav2"].frames) == FRAMES
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [(["bags:=[nowhere]"], "nowhere"), ([], "bags"), (["bags:=[BAG]", "vehicles:=[ghost]"], "vehicle ghost")],
+)
+def test_what_can_not_be_replayed_is_one_line_and_exit_code_2(
+    bags: list[Path], parameters: list[str], said: str
+) -> None:
+    given = [parameter.replace("BAG", str(bags[0])) for parameter in parameters]
+    done = run_node("replay", given, free_domain_id())
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_without_consumers_it_gives_up_and_names_the_topics(bags: list[Path]) -> None:
+    done = run_node("replay", [f"bags:=[{bags[0]}]", "timeout_s:=1.0"], free_domain_id())
+    assert done.returncode == 1
+    assert "/uav1/imu/data_raw has no subscriber" in done.stderr
+    assert "/uav1/fused/odometry has no publisher" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_recorder_leaves_a_whole_bag_at_a_signal(
+    fleet: Fleet, bags: list[Path], tmp_path: Path, number: signal.Signals
+) -> None:
+    out = tmp_path / "out"
+    command = node_command("recorder", [f"output:={out}", "vehicles:=[uav1, uav2]"])
+    recorder = subprocess.Popen(command, env=environment(fleet.domain_id), stderr=subprocess.PIPE, text=True)
+    try:
+        assert recorder.stderr is not None
+        assert "recording to" in recorder.stderr.readline()
+        time.sleep(1.0)
+        assert fleet.replay(bags).returncode == 0
+        time.sleep(0.5)
+        recorder.send_signal(number)
+        assert recorder.wait(3.0) == 0
+    finally:
+        recorder.kill()
+        recorder.communicate()
+    topics = topics_of([out])
+    for name in ("uav1", "uav2"):
+        assert topics[f"/{name}/odometry"].count == FRAMES - FRAMES_BEFORE_START
+    stamps = [raw.stamp_ns for raw in iter_raw([out], ["/uav1/fused/odometry"])]
+    assert stamps == sorted(fleet.vehicles["uav1"].answered)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a fleet's bags hold that is to be replayed; bytes only, messages are never built."""
+
+import heapq
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from uav_vslam.datasets.rosbag import RawMessage, iter_raw, topics_of
+from uav_vslam.errors import BagError
+from uav_vslam.ros.pacing import Kind, Recorded
+from uav_vslam.types import NS_PER_S
+
+TF_STATIC = "/tf_static"
+INITIAL_STATE = "initial_state"
+IMAGES = ("image_raw", "image_raw/compressed")
+KINDS = {
+    **{f"left/{image}": Kind.LEFT for image in IMAGES},
+    **{f"right/{image}": Kind.RIGHT for image in IMAGES},
+    "left/camera_info": Kind.INFO,
+    "imu/data_raw": Kind.IMU,
+}
+# What the nodes themselves publish: a recording of a whole run is replayed without it.
+OUTPUTS = ("odometry", "path", "landmarks", "stereo_features", "joint_information", "landmark_information")
+OUTPUT_FOLDERS = ("ins/", "slam/", "fused/", "fusion/")
+
+
+class Recording:
+    """The bags of a fleet.
+
+    Attributes:
+        vehicles: names, in the order asked for.
+        topics: what is replayed, by name.
+        starts_ns: stamp of each vehicle's start state [ns]; absent where none was recorded.
+        damage: what was met instead of the end of a bag.
+    """
+
+    def __init__(self, paths: Sequence[Path], vehicles: Sequence[str] = ()) -> None:
+        """Look at the bags; replay `vehicles`, or all that have images.
+
+        Raises:
+            BagError: a bag is missing or none, or lacks what a vehicle needs.
+        """
+        if not paths:
+            raise BagError("no recording to replay; set the parameter bags, or give --bag")
+        self._paths, known = tuple(paths), topics_of(paths)
+        self.vehicles = tuple(vehicles) or _with_images(known)
+        self.topics = {topic: info for topic, info in known.items() if self._is_input(topic)}
+        self.damage: list[str] = []
+        for vehicle in self.vehicles:
+            self._require(vehicle)
+        self.latched = self._read_latched()
+        self.starts_ns = {
+            vehicle: header_stamp_ns(raw.data)
+            for vehicle in self.vehicles
+            for raw in self.latched
+            if raw.topic == f"/{vehicle}/{INITIAL_STATE}"
+        }
+
+    def frames(self, vehicle: str) -> int:
+        """Return how many left images were recorded."""
+        return max(info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, Kind.LEFT))
+
+    def classify(self, topic: str) -> tuple[str, Kind]:
+        """Return the vehicle ("" for the fleet's own topics) and what the topic is to the pacing."""
+        for vehicle in self.vehicles:
+            if topic.startswith(f"/{vehicle}/"):
+                return vehicle, KINDS.get(topic.removeprefix(f"/{vehicle}/"), Kind.OTHER)
+        return "", Kind.OTHER
+
+    def consumed(self, vehicle: str) -> list[str]:
+        """Return the topics without a reader of which a vehicle can't work."""
+        named = (*KINDS, "right/camera_info")
+        return [f"/{vehicle}/{name}" for name in named if f"/{vehicle}/{name}" in self.topics]
+
+    def messages(self) -> Iterator[Recorded]:
+        """Yield all but the latched messages in the order of recording; a damaged bag ends early."""
+        latched = {raw.topic for raw in self.latched}
+        topics = [topic for topic in self.topics if topic not in latched]
+        streams = [self._until_broken(path, topics) for path in self._paths]
+        for raw in heapq.merge(*streams, key=lambda raw: raw.stamp_ns):
+            vehicle, kind = self.classify(raw.topic)
+            stamp_ns = raw.stamp_ns if kind is Kind.OTHER else header_stamp_ns(raw.data)
+            yield Recorded(raw.topic, raw.msgtype, vehicle, kind, stamp_ns, raw.data)
+
+    def _until_broken(self, path: Path, topics: Sequence[str]) -> Iterator[RawMessage]:
+        try:
+            yield from iter_raw([path], topics)
+        except BagError as error:
+            self.damage.append(str(error))
+
+    def _read_latched(self) -> list[RawMessage]:
+        topics = [topic for topic, info in self.topics.items() if info.latched or _is_latched(topic)]
+        newest: dict[tuple[Path, str], RawMessage] = {}
+        for path in self._paths:
+            for raw in self._until_broken(path, topics):
+                newest[path, raw.topic] = raw
+        self.damage.clear()  # the replay meets it again
+        return list(newest.values())
+
+    def _is_input(self, topic: str) -> bool:
+        vehicle, _ = self.classify(topic)
+        name = topic.removeprefix(f"/{vehicle}/")
+        return topic == TF_STATIC or (vehicle != "" and name not in OUTPUTS and not name.startswith(OUTPUT_FOLDERS))
+
+    def _require(self, vehicle: str) -> None:
+        recorded = {self.classify(topic) for topic in self.topics}
+        for kind in (Kind.LEFT, Kind.RIGHT, Kind.INFO, Kind.IMU):
+            if (vehicle, kind) not in recorded:
+                names = " or ".join(f"/{vehicle}/{name}" for name, known in KINDS.items() if known is kind)
+                held = ", ".join(_with_images(topics_of(self._paths))) or "none"
+                bags = ", ".join(map(str, self._paths))
+                raise BagError(f"{bags}: no {names} for vehicle {vehicle}; vehicles recorded: {held}")
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """Return the stamp of a serialised message that begins with a std_msgs/Header [ns].
+
+    Raises:
+        BagError: the bytes are too few.
+    """
+    if len(data) < 12:
+        raise BagError(f"a message of {len(data)} bytes has no header; record the topic again")
+    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    return int(sec) * NS_PER_S + int(nanosec)
+
+
+def _is_latched(topic: str) -> bool:
+    return topic == TF_STATIC or topic.endswith(f"/{INITIAL_STATE}")
+
+
+def _with_images(topics: Iterable[str]) -> tuple[str, ...]:
+    endings = [f"/left/{image}" for image in IMAGES]
+    names = {topic.removesuffix(end).strip("/") for topic in topics for end in endings if topic.endswith(end)}
+    return tuple(sorted(names))

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""replay: the fleet's recordings as live topics under one clock.
+
+in   /<vehicle>/<each of wait_for>    answers to a frame, by stamp; they pace lock-step (rate 0)
+     /<vehicle>/ins/odometry          nav_msgs/Odometry, tells how many readings the INS has yet to take in
+out  /<vehicle>/...                   the recorded inputs, byte for byte
+     /<vehicle>/initial_state         uav_vslam_msgs/NavigationState, latched, before all else
+     /tf_static                       tf2_msgs/TFMessage, latched, of all bags together
+     /clock                           rosgraph_msgs/Clock
+
+Exit code 0 at the end; 1 if a consumer or an answer is missing or a bag is damaged; 2 if a bag can't be replayed.
+"""
+
+import time
+from collections.abc import Iterator
+from importlib import import_module
+
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock as ClockMsg
+from tf2_msgs.msg import TFMessage
+
+from uav_vslam.config import ReplayConfig
+from uav_vslam.errors import BagError
+from uav_vslam.ros.convert import stamp_from_ns
+from uav_vslam.ros.pacing import IMU_AHEAD, Answers, Kind, LockStep, Pacer, Readings, RealTime, Recorded
+from uav_vslam.ros.params import declare
+from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
+from uav_vslam.ros.recording import TF_STATIC, Recording, header_stamp_ns
+from uav_vslam.ros.runtime import run_node
+
+INS_ANSWER = "ins/odometry"
+QOS = {Kind.LEFT: IMAGE, Kind.RIGHT: IMAGE, Kind.IMU: SENSOR}
+STEP_S = 0.004
+BURST = 50  # messages published before answers are looked at again
+SETTLE_S = 1.0  # after all ends are seen: the nodes must find each other, too
+LINGER_S = 3.0  # real time: the last answers may take as long
+REPORT_S = 3.0
+LISTED = 6  # missing ends named while waiting; all are when giving up
+CLOCK_NS = 20_000_000
+
+
+class ReplayNode(Node):
+    """Publishes what a `Pacer` releases. The replay is one generator, which a timer and every answer resume."""
+
+    def __init__(self) -> None:
+        super().__init__("replay")
+        self._config = declare(self, ReplayConfig)
+        names = [name for name in self.declare_parameter("vehicles", [""]).value if name]
+        wait_for = self.declare_parameter("wait_for", ["odometry", "fused/odometry"]).value
+        self._wait_for = [topic for topic in wait_for if topic]
+        self._recording = Recording(self._config.bags, names)
+        self._starts_ns = {name: self._start_ns(name) for name in self._recording.vehicles}
+        self._answers = Answers(self._starts_ns, self._wait_for)
+        self._readings = Readings(self._starts_ns, IMU_AHEAD if self._wait_for else None)
+        self._progress_s = self._begin_s = time.monotonic()
+        self._clock_ns = -CLOCK_NS
+        self._publishers_by_topic = {topic: self._advertise(topic) for topic in self._recording.topics}
+        self._clock_publisher = self.create_publisher(ClockMsg, "/clock", STATE)
+        self._publish_latched()
+        for vehicle in self._recording.vehicles:
+            for topic in {*self._wait_for, INS_ANSWER}:
+                self._listen(vehicle, topic)
+        self._steps = self._replay()
+        self.create_timer(STEP_S, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def _lockstep(self) -> bool:
+        return self._config.rate == 0
+
+    def _start_ns(self, vehicle: str) -> int:
+        if vehicle not in self._recording.starts_ns and self._lockstep and self._wait_for:
+            raise BagError(
+                f"/{vehicle}/initial_state was not recorded, and lock-step can't tell which frames will be answered; "
+                "record it, or set rate to 1.0"
+            )
+        return self._recording.starts_ns.get(vehicle, 0)
+
+    def _advertise(self, topic: str):
+        package, _, name = self._recording.topics[topic].msgtype.split("/")
+        try:
+            message_type = getattr(import_module(f"{package}.msg"), name)
+        except (ImportError, AttributeError):
+            raise BagError(f"{topic}: {package}/{name} is not installed; build it and source its workspace") from None
+        _, kind = self._recording.classify(topic)
+        latched = any(raw.topic == topic for raw in self._recording.latched)
+        return self.create_publisher(message_type, topic, LATCHED if latched else QOS.get(kind, STATE))
+
+    def _listen(self, vehicle: str, topic: str) -> None:
+        def on_answer(data: bytes) -> None:
+            stamp_ns = header_stamp_ns(data)
+            if topic == INS_ANSWER:
+                self._readings.answered(vehicle, stamp_ns)
+            self._answers.answered(vehicle, topic, stamp_ns)
+            self._progress_s = time.monotonic()
+            self._step()
+
+        self.create_subscription(Odometry, f"/{vehicle}/{topic}", on_answer, SENSOR, raw=True)
+
+    def _publish_latched(self) -> None:
+        """Publish what latecomers get too, /tf_static of all bags as one message: only the newest is kept for them."""
+        merged = TFMessage()
+        for raw in self._recording.latched:
+            if raw.topic == TF_STATIC:
+                merged.transforms += deserialize_message(raw.data, TFMessage).transforms
+            else:
+                self._publishers_by_topic[raw.topic].publish(raw.data)
+        if merged.transforms:
+            self._publishers_by_topic[TF_STATIC].publish(merged)
+
+    def _step(self) -> None:
+        """Go on until there is something to wait for."""
+        for _ in range(BURST):
+            if not next(self._steps):
+                return
+
+    def _replay(self) -> Iterator[bool]:
+        """The whole replay; yields False where it has to wait, True after each message."""
+        yield from self._await_ends()
+        self._begin_s = self._report_s = self._progress_s = time.monotonic()
+        for message in self._pacer().order(self._recording.messages()):
+            if message is None:
+                self._keep_patience()
+            else:
+                self._publish(message)
+            self._report()
+            yield message is not None
+        yield from self._linger()
+        self._finish()
+
+    def _pacer(self) -> Pacer:
+        return LockStep(self._answers, self._readings) if self._lockstep else RealTime(self._answers, self._config.rate)
+
+    def _await_ends(self) -> Iterator[bool]:
+        """Wait until every topic has its reader and every answer its writer."""
+        while missing := self._missing_ends():
+            if time.monotonic() - self._begin_s > self._config.timeout_s:
+                text = ", ".join(missing)
+                self._fail(f"gave up after {self._config.timeout_s:g} s: {text}; are the vehicle's nodes running?")
+            more = f" and {len(missing) - LISTED} more" if len(missing) > LISTED else ""
+            self.get_logger().info(f"waiting: {', '.join(missing[:LISTED])}{more}", throttle_duration_sec=REPORT_S)
+            yield False
+        settled_s = time.monotonic() + SETTLE_S
+        while time.monotonic() < settled_s:
+            yield False
+
+    def _missing_ends(self) -> list[str]:
+        vehicles = self._recording.vehicles
+        answers = [f"/{vehicle}/{topic}" for vehicle in vehicles for topic in self._wait_for]
+        consumed = [topic for vehicle in vehicles for topic in self._recording.consumed(vehicle)]
+        unread = [t for t in consumed if self._publishers_by_topic[t].get_subscription_count() == 0]
+        unwritten = [t for t in answers if self._lockstep and self.count_publishers(t) == 0]
+        return [f"{t} has no subscriber" for t in unread] + [f"{t} has no publisher" for t in unwritten]
+
+    def _publish(self, message: Recorded) -> None:
+        if message.stamp_ns - self._clock_ns >= CLOCK_NS:
+            self._clock_ns = message.stamp_ns
+            self._clock_publisher.publish(ClockMsg(clock=stamp_from_ns(message.stamp_ns)))
+        self._publishers_by_topic[message.topic].publish(message.payload)
+        self._progress_s = time.monotonic()
+
+    def _keep_patience(self) -> None:
+        if self._lockstep and time.monotonic() - self._progress_s > self._config.timeout_s:
+            behind = [(f"/{vehicle}/{INS_ANSWER}", stamp_ns) for vehicle, stamp_ns in self._readings.backlog()]
+            missing = ", ".join(f"{topic} at {stamp_ns} ns" for topic, stamp_ns in self._answers.missing() + behind)
+            self._fail(f"no answer for {self._config.timeout_s:g} s: {missing}")
+
+    def _linger(self) -> Iterator[bool]:
+        while self._answers.open() and time.monotonic() - self._progress_s < LINGER_S:
+            yield False
+
+    def _report(self) -> None:
+        if time.monotonic() - self._report_s >= REPORT_S:
+            self._report_s = time.monotonic()
+            self.get_logger().info(self._summary())
+
+    def _summary(self) -> str:
+        counts = [f"{name} {count}/{self._recording.frames(name)}" for name, count in self._answers.frames.items()]
+        return f"frames replayed: {', '.join(counts)} in {time.monotonic() - self._begin_s:.1f} s"
+
+    def _finish(self) -> None:
+        self.get_logger().info(self._summary())
+        if unanswered := len(self._answers.open()):
+            self.get_logger().warning(f"{unanswered} frames were not answered: the graph is slower than the replay")
+        for text in self._recording.damage:
+            self.get_logger().error(text)
+        raise SystemExit(1 if self._recording.damage else 0)
+
+    def _fail(self, text: str) -> None:
+        self.get_logger().error(text)
+        raise SystemExit(1)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point."""
+    return run_node(ReplayNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
