@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests share: the recordings outside the repository."""
+"""What the tests share: the recordings outside the repository, and repeatable property tests."""
 
 import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The same examples every time, no file beside the code, and no deadline: a busy host is no failure.
+settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
+settings.load_profile("repeatable")
 
 ROOT = Path(__file__).parents[1]
 

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Projection, its Jacobian, and the lens's distortion there and back."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.camera import PinholeCamera
+
+STEP_M = 1e-5  # central differences at some metres' depth
+DIFFERENCE = 1e-5  # [px/m] rounding of pixels of order 1000 divided by the step
+ROUNDING_PX = 1e-9  # pixels of order 1000 in double precision
+UNDISTORTED_PX = 1e-4  # the fixed point's rest after 20 iterations, in the very corner of a wide lens
+CAMERA = PinholeCamera(1280, 960, 1642.0, 1640.0, 642.0, 470.0)
+EUROC = PinholeCamera(
+    752, 480, 458.654, 457.296, 367.215, 248.375, np.array([-0.28340811, 0.07395907, 0.00019359, 1.76e-05, 0.0])
+)
+
+POINTS = st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(2, 200)).map(np.array)
+
+
+@given(POINTS)
+def test_projection_jacobian_is_the_numerical_one(point) -> None:
+    steps = STEP_M * np.eye(3)
+    numeric = (CAMERA.project(point + steps) - CAMERA.project(point - steps)).T / (2 * STEP_M)
+    np.testing.assert_allclose(CAMERA.project_jacobian(point), numeric, atol=DIFFERENCE, rtol=1e-6)
+
+
+@given(POINTS)
+def test_a_bearing_leads_back_to_its_point(point) -> None:
+    np.testing.assert_allclose(CAMERA.bearings(CAMERA.project(point)) * point[2], point, atol=1e-9)
+
+
+@given(st.floats(0, EUROC.width - 1), st.floats(0, EUROC.height - 1))
+def test_distortion_is_undone_everywhere_in_the_image(u: float, v: float) -> None:
+    np.testing.assert_allclose(EUROC.distort(EUROC.undistort([u, v])), [u, v], atol=UNDISTORTED_PX)
+
+
+def test_distortion_is_opencvs() -> None:
+    rays = np.random.default_rng(1).uniform([-0.7, -0.5], [0.7, 0.5], (50, 2))
+    points = np.column_stack([rays, np.ones(50)])
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), EUROC.K, EUROC.distortion)
+    np.testing.assert_allclose(EUROC.distort(EUROC.project(points)), expected[:, 0], atol=ROUNDING_PX)
+
+
+def test_a_lens_without_distortion_changes_nothing_and_shares_no_memory() -> None:
+    pixels = np.array([[3.0, 4.0], [900.0, 800.0]])
+    ideal = CAMERA.undistort(pixels)
+    np.testing.assert_array_equal(ideal, pixels)
+    assert not np.shares_memory(ideal, pixels)
+
+
+@pytest.mark.parametrize("method", ["project", "bearings", "distort", "undistort", "project_jacobian"])
+@pytest.mark.parametrize("camera", [CAMERA, EUROC], ids=["plain", "distorted"])
+def test_no_points_in_gives_none_out(camera: PinholeCamera, method: str) -> None:
+    width = 3 if method.startswith("project") else 2
+    assert len(getattr(camera, method)(np.zeros((0, width)))) == 0
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ((0, 480, 400.0, 400.0, 300.0, 200.0), "image size 0x480"),
+        ((640, -1, 400.0, 400.0, 300.0, 200.0), "image size"),
+        ((640, 480, 0.0, 400.0, 300.0, 200.0), "focal length"),
+        ((640, 480, 400.0, -1.0, 300.0, 200.0), "focal length"),
+        ((640, 480, 400.0, float("nan"), 300.0, 200.0), "focal length"),
+        ((640, 480, 400.0, float("inf"), 300.0, 200.0), "focal length"),
+        ((640, 480, 400.0, 400.0, 300.0, 200.0, np.zeros(4)), "distortion needs 5 values"),
+    ],
+)
+def test_an_impossible_calibration_is_refused(values, text: str) -> None:
+    with pytest.raises(CalibrationError, match=text):
+        PinholeCamera(*values)
