@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
-import os
 from pathlib import Path
 
 import cv2
@@ -19,11 +18,6 @@ from uav_vslam.vision.stereo_points import StereoFrontend
 CONFIG = FrontendConfig()
 LARGEST_WRONG_SHARE = 0.01  # measured 0 above ground and 0.007 indoors; 0.02 there without the disparity filter
 LARGEST_DISPARITY_SIGMA_PX = 0.35  # half-resolution SIFT: 0.22 to 0.26 px measured
-
-
-def data_folder() -> Path:
-    root = Path(__file__).resolve().parents[2]
-    return Path(os.environ.get("UAV_VSLAM_DATA", root.parent / "shared" / "data")) / "euroc_v101_keyframes" / "mav0"
 
 
 def test_wrong_matches_are_rare_and_right_ones_many(scene):
@@ -131,10 +125,8 @@ def read_camera(folder: Path) -> tuple[PinholeCamera, Pose]:
 
 
 @pytest.mark.data
-def test_real_pairs_of_a_room_give_plausible_points():
-    folder = data_folder()
-    if not folder.is_dir():
-        pytest.skip(f"no EuRoC keyframes at {folder}; set UAV_VSLAM_DATA")
+def test_real_pairs_of_a_room_give_plausible_points(data_root):
+    folder = data_root / "euroc_v101_keyframes" / "mav0"
     (left, T_body_left), (right, T_body_right) = read_camera(folder / "cam0"), read_camera(folder / "cam1")
     rig = StereoRig(left, right, T_body_left, T_body_right)
     frontend = StereoFrontend(rig, dataclasses.replace(CONFIG, scale=1.0))

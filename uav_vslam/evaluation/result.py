@@ -35,7 +35,7 @@ class VehicleResult:
         ins: dead reckoning from the start state, never corrected.
         s_slam: own-only SLAM; its stamps are the ones at which everything is scored.
         c_slam: fused with peers; None for a vehicle without peers.
-        frames_in: stereo pairs offered.
+        frames_in: stereo pairs offered, or None where nobody counted them.
         frames_processed: stereo pairs that became an estimate.
         link: radio counters.
     """
@@ -45,7 +45,7 @@ class VehicleResult:
     ins: Trajectory
     s_slam: Trajectory
     c_slam: Trajectory | None
-    frames_in: int
+    frames_in: int | None
     frames_processed: int
     link: LinkCounters = field(default_factory=LinkCounters)
 

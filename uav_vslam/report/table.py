@@ -43,7 +43,8 @@ def summary_table(summary: Figures) -> Table:
 def link_line(name: str, vehicle: Figures) -> str:
     """Return distance, frames and what went over the radio, in one line."""
     link = vehicle["link"]
-    flown = f"{name}: {vehicle['distance_m']:.0f} m, {vehicle['frames_processed']} of {vehicle['frames_in']} frames"
+    offered = "" if vehicle["frames_in"] is None else f" of {vehicle['frames_in']}"
+    flown = f"{name}: {vehicle['distance_m']:.0f} m, {vehicle['frames_processed']}{offered} frames"
     if vehicle["c_slam"] is None and link["packets_sent"] == 0:
         return f"{flown}; no peer"
     dropped = ", ".join(f"{count} {reason}" for reason, count in link["dropped"].items()) or "none"

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The evaluate verb scores what the recorder wrote, made up here with known errors."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_vslam.cli import evaluate
+from uav_vslam.datasets.messages import TruthSample, camera_info_message, truth_message
+from uav_vslam.datasets.outputs import read_outputs
+from uav_vslam.datasets.rosbag import RawRecorder, encode, message
+from uav_vslam.errors import BagError
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+
+START_NS = 1_283_212_800_000_000_007
+FRAMES = 60
+CAMERA = PinholeCamera(64, 48, 80.0, 80.0, 32.0, 24.0)
+
+
+def odometry(k, north_error_m, sigma_m):
+    pose = Pose(so3_exp([0.0, 0.0, 0.01 * k]), np.array([2.0 * k, north_error_m, 70.0]))
+    sample = TruthSample(START_NS + 100_000_000 * k, pose, np.zeros(3), np.zeros(3))
+    built = truth_message(sample, frame_id="map", child_frame_id="base_link")
+    built.pose.covariance[:] = np.diag([sigma_m**2] * 3 + [1e-4] * 3).ravel()
+    return sample.stamp_ns, built
+
+
+def status(vehicle, k, mode, peers):
+    header = odometry(k, 0.0, 0.0)[1].header
+    links = [
+        message(
+            "uav_vslam_msgs/msg/PeerLink", peer=peer, session=1, last_sequence=k, packets_received=k,
+            packets_used=k - 1, drop_reasons=["stale"], drop_counts=np.array([1], np.uint64),
+            common_landmarks=9, age_s=0.1,
+        )
+        for peer in peers
+    ]  # fmt: skip
+    return message(
+        "uav_vslam_msgs/msg/FusionStatus", header=header, vehicle=vehicle, mode=mode, own_weight=1.0, packets_sent=k,
+        bytes_sent=1000 * k, sent_bytes_per_s=1234.5, peers=links,
+    )  # fmt: skip
+
+
+def write_flight(folder, fleet=("uav1", "uav2"), mode="wideband"):
+    """Write estimates and inputs bags; S-SLAM errs by 1 m, C-SLAM by 0.5 m, the INS up to 30 m."""
+    with RawRecorder(folder / "estimates") as out, RawRecorder(folder / "inputs") as inputs:
+        for vehicle in fleet:
+            for k in range(FRAMES):
+                tracks = {"odometry": 1.0, "fused/odometry": 0.5, "ins/dead_reckoning": 30.0 * k / (FRAMES - 1)}
+                for topic, error_m in tracks.items():
+                    stamp_ns, built = odometry(k, error_m, 0.5)
+                    out.write(f"/{vehicle}/{topic}", "nav_msgs/msg/Odometry", encode(built), stamp_ns)
+                stamp_ns, built = odometry(k, 0.0, 0.0)
+                inputs.write(f"/{vehicle}/ground_truth/odometry", "nav_msgs/msg/Odometry", encode(built), stamp_ns)
+                info = encode(camera_info_message(stamp_ns, "left", CAMERA))
+                inputs.write(f"/{vehicle}/left/camera_info", "sensor_msgs/msg/CameraInfo", info, stamp_ns)
+            peers = [name for name in fleet if name != vehicle] if mode != "none" else []
+            for k in (10, 20):
+                data = encode(status(vehicle, k, mode, peers))
+                stamp_ns = START_NS + 100_000_000 * k
+                out.write(f"/{vehicle}/fusion/status", "uav_vslam_msgs/msg/FusionStatus", data, stamp_ns)
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("pair")
+    write_flight(folder)
+    return folder
+
+
+def run(*arguments) -> int:
+    parser = argparse.ArgumentParser()
+    evaluate.add_arguments(parser)
+    return evaluate.run(parser.parse_args([str(argument) for argument in arguments]))
+
+
+def test_known_errors_come_out_as_figures(pair, tmp_path, capsys):
+    assert run(pair / "estimates", pair / "inputs", "--root", tmp_path, "--name", "made up") == 0
+    summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
+    vehicle = summary["vehicles"]["uav2"]
+    assert (vehicle["frames_in"], vehicle["frames_processed"]) == (FRAMES, FRAMES)
+    assert vehicle["distance_m"] == pytest.approx(2.0 * (FRAMES - 1))
+    assert vehicle["ins"]["end_m"] == pytest.approx(30.0)
+    assert vehicle["s_slam"]["ate_m"] == pytest.approx(1.0)
+    assert vehicle["c_slam"]["ate_m"] == pytest.approx(0.5)
+    assert vehicle["s_slam"]["nees_position"] == pytest.approx((1.0 / 0.5) ** 2 / 3)
+    assert vehicle["link"] == {
+        "sent_bytes_per_s": 1234.5, "packets_sent": 20, "packets_received": 20, "packets_used": 19,
+        "dropped": {"stale": 1},
+    }  # fmt: skip
+    assert (summary["name"], summary["mode"], summary["realtime_factor"]) == ("made up", "wideband", None)
+    assert summary["duration_s"] == pytest.approx(0.1 * (FRAMES - 1))
+    printed = capsys.readouterr().out
+    assert "C-SLAM" in printed
+    assert str((tmp_path / "latest").resolve().name) in printed
+
+
+def test_plots_and_tracks_are_written(pair, tmp_path):
+    run(pair / "estimates", pair / "inputs", "--root", tmp_path)
+    names = {path.name for path in (tmp_path / "latest").iterdir()}
+    assert {"plan_view.png", "view_3d.png", "errors.png", "uav1_c_slam.tum", "uav2_truth.tum", "config.yaml"} <= names
+
+
+def test_estimates_alone_are_evaluated_without_truth(pair, tmp_path):
+    assert run(pair / "estimates", "--root", tmp_path, "--no-plots") == 0
+    vehicle = json.loads((tmp_path / "latest" / "summary.json").read_text())["vehicles"]["uav1"]
+    assert vehicle["s_slam"]["ate_m"] is None
+    assert vehicle["frames_in"] is None
+    assert not list((tmp_path / "latest").glob("*.png"))
+
+
+@pytest.mark.parametrize(("fleet", "mode"), [(("uav1", "uav2"), "none"), (("uav1",), "wideband")])
+def test_a_vehicle_without_peer_has_no_cooperative_track(tmp_path, fleet, mode):
+    write_flight(tmp_path, fleet, mode)
+    run(tmp_path / "estimates", tmp_path / "inputs", "--root", tmp_path / "results", "--no-plots")
+    summary = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())
+    assert summary["vehicles"]["uav1"]["c_slam"] is None
+    assert summary["pooled"]["c_slam"] is None
+    assert summary["mode"] == mode
+
+
+def test_a_recording_without_estimates_says_what_it_holds(pair):
+    with pytest.raises(BagError, match=r"/uav1/ground_truth/odometry.*give the bag of the estimates"):
+        read_outputs([pair / "inputs"])
+
+
+def test_a_cut_recording_is_evaluated_up_to_the_break_and_reported(pair, tmp_path, capsys):
+    whole = next((pair / "estimates").glob("*.mcap")).read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) * 5 // 8])  # uav1 was written first
+    assert run(cut, pair / "inputs", "--root", tmp_path / "results", "--no-plots") == 1
+    assert "up to a break" in capsys.readouterr().err
+    vehicle = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())["vehicles"]["uav2"]
+    assert 0 < vehicle["frames_processed"] < FRAMES
+    assert vehicle["s_slam"]["ate_m"] == pytest.approx(1.0)
+
+
+def test_an_odometry_without_attitude_is_named(tmp_path):
+    _, built = odometry(0, 0.0, 1.0)
+    for axis in "xyzw":
+        setattr(built.pose.pose.orientation, axis, 0.0)
+    with RawRecorder(tmp_path / "bad") as bag:
+        bag.write("/uav1/odometry", "nav_msgs/msg/Odometry", encode(built), START_NS)
+    with pytest.raises(BagError, match=f"/uav1/odometry at {START_NS} ns holds no pose"):
+        read_outputs([tmp_path / "bad"])
