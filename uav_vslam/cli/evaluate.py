@@ -17,7 +17,7 @@ HELP = "score recorded estimates against the recorded truth"
 EXAMPLES = """examples:
   uav-vslam evaluate out/estimates bags/sample                 estimates and truth lie in different bags
   uav-vslam evaluate out/estimates --alignment yaw             forgive yaw and position of the start
-  uav-vslam evaluate out/estimates bags/sample --no-plots --root /tmp/results
+  uav-vslam evaluate out/estimates bags/sample --no-plots --root out/results
 
 Writes summary.json, TUM trajectories and plots into a new folder below results/, to which results/latest leads, and
 prints the table. ATE and end error need no alignment where the start state was given in the frame of the truth.
