@@ -58,6 +58,17 @@ def test_wrong_matches_are_marked_and_as_many_as_asked() -> None:
     assert np.mean(shares) == pytest.approx(0.2, abs=0.02)
 
 
+def test_a_wrong_match_is_seen_where_another_landmark_is() -> None:
+    noise = LandmarkNoise(sigma_px=0.1, wrong_share=0.2)
+    features, ids = next(observe(FLEET[0], FIELD, noise=noise))
+    wrong = features.descriptors[ids == -1].astype(float)
+    owner = np.array([np.argmin(np.linalg.norm(FIELD.descriptors - row, axis=1)) for row in wrong])
+    offset = features.pixels[ids == -1] - expected_pixels(FLEET[0], 0, owner)
+    assert len(wrong) > 3
+    assert np.linalg.norm(offset[:, :2], axis=1).min() > 5.0
+    assert FLEET[0].rig.epipolar_distance(features.pixels).max() < 1.0  # the stereo pair itself is sound
+
+
 def test_a_turned_right_camera_moves_only_right_pixels() -> None:
     biased = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], extrinsic_bias_deg=(0.02, 0.0, 0.0)))[0]
     noise = LandmarkNoise(sigma_px=1e-6)

@@ -9,7 +9,8 @@ import pytest
 from uav_vslam.errors import ConfigError
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.rig import kagaru_rig
-from uav_vslam.simulation.scenario import SCENARIOS, Scenario, simulate_fleet, simulate_vehicle
+from uav_vslam.simulation.scenario import SCENARIOS, Scenario, initial_estimate, simulate_fleet, simulate_vehicle
+from uav_vslam.simulation.trajectory import Trajectory
 
 SHORT = dataclasses.replace(SCENARIOS["kagaru"], frames=20)
 
@@ -55,6 +56,16 @@ def test_the_initial_error_has_the_stated_covariance() -> None:
         )
     sigma = np.sqrt(np.diag(v.initial.covariance))
     np.testing.assert_allclose(np.std(errors, axis=0) / sigma, 1.0, atol=0.15)
+
+
+def test_the_initial_attitude_error_is_about_the_maps_axes() -> None:
+    banked = np.tile([1.0, 0.3, 2.0], (20, 1))
+    truth = Trajectory(0, np.arange(-1.0, 1.0, 0.1), np.zeros((20, 3)), banked)
+    rng = np.random.default_rng(1)
+    estimates = [initial_estimate(SHORT, truth, rng=rng).state.T_map_body.R for _ in range(500)]
+    xi = so3_log(truth.rotation(0.0) @ np.swapaxes(estimates, -1, -2))
+    expected = np.diag(np.deg2rad([SHORT.sigma_tilt_deg, SHORT.sigma_tilt_deg, SHORT.sigma_yaw_deg]) ** 2)
+    np.testing.assert_allclose(np.cov(xi.T), expected, atol=0.1 * expected.max())
 
 
 def test_readings_enclose_all_frames() -> None:
