@@ -57,10 +57,11 @@ def preintegrate(
 
     left = t_s[-1] - t_s[1:]  # time that remains after each interval
     M = dR[1:] @ so3_left_jacobian(-omega * dt[:, None]) * dt[:, None, None]
+    turned = 0.5 * dt[:, None] * accel_start[1:]  # velocity that interval j itself gains after its own rotation
     G = np.zeros((len(dt), 9, 6))
     G[:, 0:3, 0:3] = dR[-1].T @ M
-    G[:, 3:6, 0:3] = -skew(dv[-1] - dv[1:]) @ M
-    G[:, 6:9, 0:3] = -skew(dp[-1] - dp[1:] - dv[1:] * left[:, None]) @ M
+    G[:, 3:6, 0:3] = -skew(dv[-1] - dv[1:] + turned) @ M
+    G[:, 6:9, 0:3] = -skew(dp[-1] - dp[1:] - dv[1:] * left[:, None] + turned * (left + 0.5 * dt)[:, None]) @ M
     R_mid_dt = 0.5 * (dR[1:] + dR[:-1]) * dt[:, None, None]
     G[:, 3:6, 3:6] = R_mid_dt
     G[:, 6:9, 3:6] = R_mid_dt * (left + 0.5 * dt)[:, None, None]

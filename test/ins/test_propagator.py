@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One increment an image, complete as soon as the readings are there; and the output at the unit's own rate."""
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_log
+from uav_vslam.ins.propagator import InsOdometry, InsPropagator
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
+
+IMU = ImuConfig()
+MS = 1_000_000
+LEVEL = NavState(0, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+START = NavEstimate(LEVEL, 1e-4 * np.eye(15))
+
+
+def hovering(stamp_ns: int) -> ImuSample:
+    return ImuSample(stamp_ns, np.zeros(3), np.array([0.0, 0.0, IMU.gravity]))
+
+
+def test_an_increment_is_complete_when_a_reading_at_or_after_the_image_has_come() -> None:
+    ins = InsPropagator(START, IMU)
+    ins.add_imu(hovering(0))
+    ins.add_frame_stamp(10 * MS)
+    assert ins.increments() == []
+    ins.add_imu(hovering(9 * MS))
+    assert ins.increments() == []
+    ins.add_imu(hovering(11 * MS))
+    ((increment, reckoned),) = ins.increments()
+    assert (increment.start_ns, increment.stamp_ns) == (0, 10 * MS)
+    assert reckoned.state.stamp_ns == 10 * MS
+    assert ins.increments() == []
+
+
+def test_increments_join_without_gap_and_do_not_depend_on_when_they_are_asked_for() -> None:
+    eager, lazy = InsPropagator(START, IMU), InsPropagator(START, IMU)
+    rng = np.random.default_rng(5)
+    events: list[ImuSample | int] = []
+    for k in range(40):
+        events.append(ImuSample(k * 5 * MS, rng.normal(0, 0.1, 3), rng.normal(0, 1.0, 3)))
+        if k % 7 == 6:
+            events.append((k * 5 - 2) * MS)
+    got = []
+    for event in events:
+        for ins in (eager, lazy):
+            ins.add_imu(event) if isinstance(event, ImuSample) else ins.add_frame_stamp(event)
+        got += eager.increments()
+    late = lazy.increments()
+    assert len(got) == len(late) == 5
+    assert [i.start_ns for i, _ in got] == [0, *[i.stamp_ns for i, _ in got[:-1]]]
+    for (a, reckoned_a), (b, reckoned_b) in zip(got, late, strict=True):
+        np.testing.assert_array_equal(a.delta_p, b.delta_p)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
+        np.testing.assert_array_equal(reckoned_a.covariance, reckoned_b.covariance)
+
+
+def test_a_flush_completes_the_rest_with_what_there_is() -> None:
+    ins = InsPropagator(START, IMU)
+    ins.add_imu(hovering(0))
+    ins.add_imu(hovering(8 * MS))
+    for stamp_ms in (10, 20):
+        ins.add_frame_stamp(stamp_ms * MS)
+    (first, _), (second, reckoned) = ins.increments(flush=True)
+    assert first.samples > 0
+    assert second.samples == 0  # no reading touches it
+    assert np.sqrt(reckoned.covariance[3, 3]) > np.sqrt(START.covariance[3, 3])
+
+
+@pytest.mark.parametrize("stamp_ms", [0, 10, 9])
+def test_an_image_stamp_that_does_not_come_later_is_refused(stamp_ms: int) -> None:
+    ins = InsPropagator(START, IMU)
+    ins.add_frame_stamp(10 * MS)
+    with pytest.raises(ValueError, match="not after"):
+        ins.add_frame_stamp(stamp_ms * MS)
+
+
+def test_dead_reckoning_of_a_hover_stays_and_its_covariance_grows() -> None:
+    ins = InsPropagator(START, IMU)
+    for k in range(0, 1001, 5):
+        ins.add_imu(hovering(k * MS))
+    traces = []
+    for stamp_ms in range(100, 1001, 100):
+        ins.add_frame_stamp(stamp_ms * MS)
+        ((_, reckoned),) = ins.increments()
+        np.testing.assert_allclose(reckoned.state.T_map_body.matrix, np.eye(4), atol=1e-12)
+        assert np.linalg.eigvalsh(reckoned.covariance)[0] > 0
+        traces.append(np.trace(reckoned.covariance[:3, :3]))
+    assert np.all(np.diff(traces) > 0)
+
+
+def test_output_at_the_units_rate_follows_the_true_flight(flight) -> None:
+    """Readings are held for 5 ms, half of it too long: with 1 m/s^2 and 0.2 rad/s of change, centimetres in 4 s."""
+    stamp_ns = int(flight.imu.stamps_ns[100])
+    true = flight.true_state(stamp_ns)
+    odometry = InsOdometry(NavEstimate(true, np.eye(15)), flight.scenario.imu_config)
+    for sample in flight.imu.samples()[:900]:
+        state = odometry.add_imu(sample)
+    expected = flight.true_state(state.stamp_ns)
+    assert state.stamp_ns == flight.imu.stamps_ns[899]
+    assert np.linalg.norm(state.T_map_body.t - expected.T_map_body.t) < 0.3
+    assert np.linalg.norm(so3_log(state.T_map_body.R.T @ expected.T_map_body.R)) < 2e-3
+
+
+def test_a_correction_replays_the_readings_since_its_stamp(flight) -> None:
+    samples = flight.imu.samples()[:200]
+    first = flight.true_state(samples[0].stamp_ns)
+    middle = NavEstimate(flight.true_state(samples[120].stamp_ns), 0.5 * np.eye(15))
+    late, direct = (InsOdometry(NavEstimate(s, np.eye(15)), IMU) for s in (first, middle.state))
+    for sample in samples:
+        late.add_imu(sample)
+        direct.add_imu(sample)
+    late.correct(middle)
+    np.testing.assert_array_equal(late.state.T_map_body.matrix, direct.state.T_map_body.matrix)
+    np.testing.assert_array_equal(late.state.v_map, direct.state.v_map)
+    np.testing.assert_array_equal(late.pose.covariance, middle.pose.covariance)
+
+
+def test_readings_from_before_the_start_change_nothing() -> None:
+    state = NavState(1 * NS_PER_S, Pose.identity(), np.ones(3), np.zeros(3), np.zeros(3))
+    odometry = InsOdometry(NavEstimate(state, np.eye(15)), IMU)
+    assert odometry.add_imu(hovering(1 * NS_PER_S - 1)) == state
+    assert odometry.pose.stamp_ns == 1 * NS_PER_S
