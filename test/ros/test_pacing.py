@@ -31,8 +31,9 @@ class Graph:
 
     def __init__(self, recorded: list[Recorded], *, starts_ms: dict[str, int] | None = None, ins: bool = True) -> None:
         vehicles = sorted({m.vehicle for m in recorded})
-        starts = {vehicle: (starts_ms or {}).get(vehicle, 0) * MS for vehicle in vehicles}
-        self.answers, self.readings = Answers(starts, TOPICS), Readings(starts)
+        given = dict.fromkeys(vehicles, 0) if starts_ms is None else starts_ms
+        self.starts = starts = {vehicle: start_ms * MS for vehicle, start_ms in given.items()}
+        self.answers, self.readings = Answers(vehicles, starts, TOPICS), Readings(vehicles, starts)
         self._ins = ins
         self._order = LockStep(self.answers, self.readings).order(iter(recorded))
         self.published: list[Recorded] = []
@@ -116,6 +117,17 @@ def test_frames_before_the_start_state_are_not_waited_for() -> None:
     assert {stamp // MS for _, stamp in graph.answers.missing()} == {200}
 
 
+def test_until_the_start_state_is_known_the_front_end_paces() -> None:
+    graph = Graph(flight("uav1", frames=range(0, 500, 100), imu=range(0, 600, 10)), starts_ms={}, ins=False)
+    graph.advance()
+    assert graph.answers.missing() == [("/uav1/stereo_features", 0)]
+    graph.answer("uav1", 0, ("stereo_features",))
+    assert graph.answers.missing() == [("/uav1/stereo_features", 100 * MS)]
+    graph.starts["uav1"] = 50 * MS
+    graph.answer("uav1", 100, ("stereo_features",))
+    assert {topic for topic, _ in graph.answers.missing()} == {f"/uav1/{topic}" for topic in TOPICS}
+
+
 def test_half_a_stereo_pair_is_not_waited_for() -> None:
     recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10))
     graph = Graph([m for m in recorded if (m.kind, m.stamp_ns) != (Kind.RIGHT, 0)])
@@ -194,7 +206,7 @@ def test_readings_never_run_farther_ahead_than_the_ins_can_queue() -> None:
 
 
 def test_where_nobody_answers_readings_they_flow_freely() -> None:
-    answers, readings = Answers({"uav1": 0}, ()), Readings({"uav1": 0}, None)
+    answers, readings = Answers(["uav1"], {}, ()), Readings(["uav1"], {}, None)
     recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 10_000, 5))
     assert list(LockStep(answers, readings).order(recorded)) == recorded
 
@@ -224,7 +236,7 @@ def test_every_message_is_published_once_and_each_topic_keeps_its_order() -> Non
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
 def test_real_time_publishes_when_the_clock_says_so(rate: float) -> None:
     now = [0.0]
-    answers = Answers({"uav1": 0}, TOPICS)
+    answers = Answers(["uav1"], {"uav1": 0}, TOPICS)
     recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10))
     published: list[tuple[float, int]] = []
     for released in stepping(RealTime(answers, rate, clock=lambda: now[0]).order(recorded), now):

@@ -5,6 +5,7 @@ A pacer's `order` turns recorded messages into those that may be published now; 
 Lock-step allows each vehicle one unanswered frame, so that the vehicles compute side by side, and
 no vehicle runs ahead of another's unanswered frame by `OVERLAP_NS` or more, so that what one hears of the other at an
 epoch doesn't depend on the machine's speed. Inertial readings go on while a frame that is waited for still needs them.
+Start states come from `starts_ns`, which may grow: while a vehicle's is unknown, its front end's answer has to do.
 """
 
 import time
@@ -17,6 +18,7 @@ from typing import Protocol
 from uav_vslam.types import NS_PER_S
 
 OVERLAP_NS = NS_PER_S // 10
+EARLY_ANSWER = "stereo_features"
 PAIR_NS = 2_000_000  # left and right of one frame differ by no more than this
 IMU_AHEAD = 250  # unanswered readings: half of the subscriber's queue
 IMU_GAP_NS = 3 * NS_PER_S  # images are held in memory while a reading is looked for no farther than this
@@ -62,14 +64,14 @@ class Answers:
         frames: complete frames published, by vehicle.
     """
 
-    def __init__(self, starts_ns: dict[str, int], topics: Iterable[str]) -> None:
+    def __init__(self, vehicles: Iterable[str], starts_ns: dict[str, int], topics: Iterable[str]) -> None:
         """Await answers on `topics` to each frame not before its vehicle's start; earlier ones the backend drops."""
-        self._topics = tuple(topics)
+        names, self._topics = tuple(vehicles), tuple(topics)
         self._starts_ns = starts_ns
-        self._parts: dict[str, dict[Kind, int]] = {vehicle: {} for vehicle in starts_ns}  # stamps of the newest frame
-        self._newest_ns = dict.fromkeys(starts_ns, -1)
-        self._open: dict[str, dict[int, set[str]]] = {vehicle: {} for vehicle in starts_ns}
-        self.frames = dict.fromkeys(starts_ns, 0)
+        self._parts: dict[str, dict[Kind, int]] = {name: {} for name in names}  # stamps of the newest frame
+        self._newest_ns = dict.fromkeys(names, -1)
+        self._open: dict[str, dict[int, set[str]]] = {name: {} for name in names}
+        self.frames = dict.fromkeys(names, 0)
 
     def published(self, message: Recorded) -> None:
         """Note a part of a frame; the last part makes the frame one to be answered."""
@@ -108,33 +110,34 @@ class Answers:
         return [
             (f"/{vehicle}/{topic}", stamp_ns)
             for vehicle, stamp_ns in self.open()
-            for topic in self._topics
-            if topic in self._open[vehicle][stamp_ns]
+            for topic in sorted(self._open[vehicle][stamp_ns], reverse=True)
         ]
 
     def _complete(self, vehicle: str, stamp_ns: int) -> None:
         self.frames[vehicle] += 1
-        if stamp_ns < self._starts_ns[vehicle] or stamp_ns <= self._newest_ns[vehicle]:
+        start_ns = self._starts_ns.get(vehicle)
+        topics = {EARLY_ANSWER} if start_ns is None else set(self._topics)
+        if not self._topics or stamp_ns <= self._newest_ns[vehicle] or stamp_ns < (start_ns or 0):
             return
         self._newest_ns[vehicle] = stamp_ns
-        if self._topics:
-            self._open[vehicle][stamp_ns] = set(self._topics)
+        self._open[vehicle][stamp_ns] = topics
 
 
 class Readings:
     """How far each vehicle's inertial readings have been published, and how many its INS has yet to take in."""
 
-    def __init__(self, starts_ns: dict[str, int], ahead: int | None = IMU_AHEAD) -> None:
+    def __init__(self, vehicles: Iterable[str], starts_ns: dict[str, int], ahead: int | None = IMU_AHEAD) -> None:
         """Let `ahead` readings be unanswered; None where nobody answers them."""
-        self._starts_ns, self._ahead = starts_ns, ahead
-        self._unanswered: dict[str, deque[int]] = {vehicle: deque() for vehicle in starts_ns}
-        self._newest_ns = dict.fromkeys(starts_ns, -1)
+        names, self._starts_ns, self._ahead = tuple(vehicles), starts_ns, ahead
+        self._unanswered: dict[str, deque[int]] = {name: deque() for name in names}
+        self._newest_ns = dict.fromkeys(names, -1)
 
     def published(self, message: Recorded) -> None:
         """Note a reading; those before the start are never answered."""
-        self._newest_ns[message.vehicle] = max(message.stamp_ns, self._newest_ns[message.vehicle])
-        if self._ahead is not None and message.stamp_ns > self._starts_ns[message.vehicle]:
-            self._unanswered[message.vehicle].append(message.stamp_ns)
+        vehicle, stamp_ns = message.vehicle, message.stamp_ns
+        self._newest_ns[vehicle] = max(stamp_ns, self._newest_ns[vehicle])
+        if self._ahead is not None and vehicle in self._starts_ns and stamp_ns > self._starts_ns[vehicle]:
+            self._unanswered[vehicle].append(stamp_ns)
 
     def answered(self, vehicle: str, stamp_ns: int) -> None:
         """Note that the INS has taken in the readings up to a stamp."""

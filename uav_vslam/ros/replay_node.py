@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """replay: the fleet's recordings as live topics under one clock.
 
-in   /<vehicle>/<each of wait_for>    answers to a frame, by stamp; they pace lock-step (rate 0)
+in   /<vehicle>/<each of wait_for>    nav_msgs/Odometry, answers to a frame by its stamp; they pace lock-step (rate 0)
      /<vehicle>/ins/odometry          nav_msgs/Odometry, tells how many readings the INS has yet to take in
+     /<vehicle>/initial_state, stereo_features    where no start state was recorded: found by the vehicle itself
 out  /<vehicle>/...                   the recorded inputs, byte for byte
      /<vehicle>/initial_state         uav_vslam_msgs/NavigationState, latched, before all else
      /tf_static                       tf2_msgs/TFMessage, latched, of all bags together
@@ -13,7 +14,9 @@ Exit code 0 at the end; 1 if a consumer or an answer is missing or a bag is dama
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from importlib import import_module
+from typing import Any
 
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
@@ -25,11 +28,12 @@ from tf2_msgs.msg import TFMessage
 from uav_vslam.config import ReplayConfig
 from uav_vslam.errors import BagError
 from uav_vslam.ros.convert import stamp_from_ns
-from uav_vslam.ros.pacing import IMU_AHEAD, Answers, Kind, LockStep, Pacer, Readings, RealTime, Recorded
+from uav_vslam.ros.pacing import EARLY_ANSWER, IMU_AHEAD, Answers, Kind, LockStep, Pacer, Readings, RealTime, Recorded
 from uav_vslam.ros.params import declare
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
-from uav_vslam.ros.recording import TF_STATIC, Recording, header_stamp_ns
+from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording, header_stamp_ns
 from uav_vslam.ros.runtime import run_node
+from uav_vslam_msgs.msg import NavigationState, StereoFeatures
 
 INS_ANSWER = "ins/odometry"
 QOS = {Kind.LEFT: IMAGE, Kind.RIGHT: IMAGE, Kind.IMU: SENSOR}
@@ -52,31 +56,22 @@ class ReplayNode(Node):
         wait_for = self.declare_parameter("wait_for", ["odometry", "fused/odometry"]).value
         self._wait_for = [topic for topic in wait_for if topic]
         self._recording = Recording(self._config.bags, names)
-        self._starts_ns = {name: self._start_ns(name) for name in self._recording.vehicles}
-        self._answers = Answers(self._starts_ns, self._wait_for)
-        self._readings = Readings(self._starts_ns, IMU_AHEAD if self._wait_for else None)
+        self._vehicles, self._starts_ns = self._recording.vehicles, dict(self._recording.starts_ns)
+        self._answers = Answers(self._vehicles, self._starts_ns, self._wait_for)
+        self._readings = Readings(self._vehicles, self._starts_ns, IMU_AHEAD if self._wait_for else None)
         self._progress_s = self._begin_s = time.monotonic()
         self._clock_ns = -CLOCK_NS
         self._publishers_by_topic = {topic: self._advertise(topic) for topic in self._recording.topics}
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", STATE)
         self._publish_latched()
-        for vehicle in self._recording.vehicles:
-            for topic in {*self._wait_for, INS_ANSWER}:
-                self._listen(vehicle, topic)
+        for vehicle in self._vehicles:
+            self._listen_to(vehicle)
         self._steps = self._replay()
         self.create_timer(STEP_S, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
     def _lockstep(self) -> bool:
         return self._config.rate == 0
-
-    def _start_ns(self, vehicle: str) -> int:
-        if vehicle not in self._recording.starts_ns and self._lockstep and self._wait_for:
-            raise BagError(
-                f"/{vehicle}/initial_state was not recorded, and lock-step can't tell which frames will be answered; "
-                "record it, or set rate to 1.0"
-            )
-        return self._recording.starts_ns.get(vehicle, 0)
 
     def _advertise(self, topic: str):
         package, _, name = self._recording.topics[topic].msgtype.split("/")
@@ -88,16 +83,27 @@ class ReplayNode(Node):
         latched = any(raw.topic == topic for raw in self._recording.latched)
         return self.create_publisher(message_type, topic, LATCHED if latched else QOS.get(kind, STATE))
 
-    def _listen(self, vehicle: str, topic: str) -> None:
-        def on_answer(data: bytes) -> None:
-            stamp_ns = header_stamp_ns(data)
-            if topic == INS_ANSWER:
-                self._readings.answered(vehicle, stamp_ns)
-            self._answers.answered(vehicle, topic, stamp_ns)
-            self._progress_s = time.monotonic()
-            self._step()
+    def _listen_to(self, vehicle: str) -> None:
+        topics: dict[str, Any] = dict.fromkeys([*self._wait_for, INS_ANSWER], Odometry)
+        if vehicle not in self._starts_ns:  # the vehicle finds its start state itself
+            topics[EARLY_ANSWER] = StereoFeatures
+            self.create_subscription(
+                NavigationState, f"/{vehicle}/{INITIAL_STATE}", partial(self._on_start, vehicle), LATCHED, raw=True
+            )
+        for topic, kind in topics.items():
+            answer = partial(self._on_answer, vehicle, topic)
+            self.create_subscription(kind, f"/{vehicle}/{topic}", answer, SENSOR, raw=True)
 
-        self.create_subscription(Odometry, f"/{vehicle}/{topic}", on_answer, SENSOR, raw=True)
+    def _on_start(self, vehicle: str, data: bytes) -> None:
+        self._starts_ns.setdefault(vehicle, header_stamp_ns(data))
+
+    def _on_answer(self, vehicle: str, topic: str, data: bytes) -> None:
+        stamp_ns = header_stamp_ns(data)
+        if topic == INS_ANSWER:
+            self._readings.answered(vehicle, stamp_ns)
+        self._answers.answered(vehicle, topic, stamp_ns)
+        self._progress_s = time.monotonic()
+        self._step()
 
     def _publish_latched(self) -> None:
         """Publish what latecomers get too, /tf_static of all bags as one message: only the newest is kept for them."""
@@ -147,9 +153,8 @@ class ReplayNode(Node):
             yield False
 
     def _missing_ends(self) -> list[str]:
-        vehicles = self._recording.vehicles
-        answers = [f"/{vehicle}/{topic}" for vehicle in vehicles for topic in self._wait_for]
-        consumed = [topic for vehicle in vehicles for topic in self._recording.consumed(vehicle)]
+        answers = [f"/{vehicle}/{topic}" for vehicle in self._vehicles for topic in self._wait_for]
+        consumed = [topic for vehicle in self._vehicles for topic in self._recording.consumed(vehicle)]
         unread = [t for t in consumed if self._publishers_by_topic[t].get_subscription_count() == 0]
         unwritten = [t for t in answers if self._lockstep and self.count_publishers(t) == 0]
         return [f"{t} has no subscriber" for t in unread] + [f"{t} has no publisher" for t in unwritten]

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam demo`: replay two vehicles' sample recordings through the node graph and report."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import tempfile
+from pathlib import Path
+
+HELP = "replay two vehicles' sample recordings through the node graph and report"
+EXAMPLES = """examples:
+  uav-vslam demo
+  uav-vslam demo --mode none               without cooperation
+  uav-vslam demo --keep out/demo           keep the recorded estimates and each process's output
+
+One process a node, over DDS on a ROS domain of its own; nothing is left running. Results go below results/.
+"""
+FLEET = "fleet_demo.yaml"
+SERIOUS = re.compile(r"\[(WARN|ERROR|FATAL)\]|Error|Traceback")
+STAMPED = re.compile(r"^\[(\w+)\] \[[\d.]+\] \[[\w./]+\]: ")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("--mode", choices=["wideband", "none"], help="how the vehicles communicate (default wideband)")
+    parser.add_argument("--rate", type=float, metavar="R", help="multiple of real time (default 0: lock-step)")
+    parser.add_argument("--root", type=Path, default=Path("results"), help="folder of all results (default results)")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep estimates and output in this new folder")
+    parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
+    parser.add_argument("--verbose", action="store_true", help="print all output of all processes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Launch, evaluate, print; return the exit code of the first process that failed, or 0."""
+    if args.keep is not None:
+        args.keep.mkdir(parents=True, exist_ok=True)
+        return _run_in(args.keep, args)
+    with tempfile.TemporaryDirectory(prefix="uav_vslam_demo_") as folder:
+        return _run_in(Path(folder), args)
+
+
+def _run_in(folder: Path, args: argparse.Namespace) -> int:
+    from uav_vslam.cli import evaluate
+    from uav_vslam.cli.launch import launch, read_fleet
+    from uav_vslam.config import find_config
+    from uav_vslam.ros.supervisor import free_domain_id, print_line
+
+    fleet = read_fleet(find_config(FLEET), bags=None, rate=args.rate, mode=args.mode)
+    estimates, domain_id = folder / "demo", free_domain_id()
+    print(f"starting {', '.join(fleet.vehicles)} and their replay on ROS domain {domain_id}", flush=True)
+    on_line = print_line if args.verbose else print_progress
+    code = launch(fleet, record=estimates, log_dir=folder / "log", domain_id=domain_id, on_line=on_line)
+    if code != 0:
+        hint = "; see --verbose" if args.keep is None else f"; each process's output is in {folder / 'log'}"
+        print(f"uav-vslam: the node graph failed (exit code {code}){hint}", file=sys.stderr)
+        return code
+    bags = [estimates, *fleet.replay.bags]
+    return evaluate.run(
+        argparse.Namespace(bags=bags, name="demo", alignment="none", root=args.root, no_plots=args.no_plots)
+    )
+
+
+def print_progress(name: str, line: str) -> None:
+    """Print what the replay says, and of all others only what is serious; who still waits, the replay tells."""
+    if name == "replay" or (SERIOUS.search(line) and "waiting for" not in line):
+        print(f"[{name}] {STAMPED.sub('', line)}", flush=True)
