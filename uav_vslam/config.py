@@ -7,6 +7,7 @@ An unknown key, a wrong type or a value out of range raises `ConfigError` that n
 
 import dataclasses
 import difflib
+import os
 import types
 import typing
 from dataclasses import dataclass, field
@@ -135,9 +136,22 @@ class FusionConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class StartConfig:
+    """How a vehicle gets its start state."""
+
+    method: str = "given"  # given: on the topic initial_state; static: aligned to gravity at rest
+    rest_s: float = 1.0  # readings that static alignment averages [s]
+
+    def __post_init__(self) -> None:
+        _require(self.method in {"given", "static"}, self, "method", "given or static")
+        _require(self.rest_s > 0, self, "rest_s", "a positive time [s]")
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleConfig:
     """Everything that one vehicle's nodes, or its offline twin, need besides calibration and start state."""
 
+    start: StartConfig = field(default_factory=StartConfig)
     imu: ImuConfig = field(default_factory=ImuConfig)
     frontend: FrontendConfig = field(default_factory=FrontendConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
@@ -172,6 +186,22 @@ class FleetConfig:
     replay: ReplayConfig
 
 
+def find_config(name: str) -> Path:
+    """Return the file that a name stands for: a path, or the name of a file in this project's `config` folder.
+
+    Raises:
+        ConfigError: there is neither.
+    """
+    beside = Path(__file__).resolve().parents[1] / "config"
+    prefixes = [Path(prefix) / "share/uav_vslam/config" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":")]
+    candidates = [Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in [beside, *prefixes])]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    known = ", ".join(sorted(file.stem for file in beside.glob("*.yaml")))
+    raise ConfigError(f"configuration {name!r} is neither a file nor one of ours ({known})")
+
+
 def load_vehicle(path: Path | None, *, overrides: dict[str, Any] | None = None) -> VehicleConfig:
     """Read a vehicle's YAML file; keys that are absent keep their defaults.
 
@@ -189,10 +219,10 @@ def load_vehicle(path: Path | None, *, overrides: dict[str, Any] | None = None) 
     return typing.cast(VehicleConfig, build(VehicleConfig, tree, where=str(path or "overrides")))
 
 
-def load_fleet(path: Path) -> FleetConfig:
+def load_fleet(path: Path, *, overrides: dict[str, Any] | None = None) -> FleetConfig:
     """Read a fleet file: `vehicles: {uav1: {config: kagaru.yaml}}`, `replay: {bags: [...], rate: 0}`, `mode: wideband`.
 
-    Paths in it are relative to the file.
+    Paths in it are relative to the file; overrides such as {"backend.sigma_px": 0.5} reach every vehicle.
 
     Raises:
         ConfigError: the file can't be read, a key or value is wrong, or a vehicle's name is used twice.
@@ -209,8 +239,8 @@ def load_fleet(path: Path) -> FleetConfig:
         entry = entry or {}
         _reject_unknown(set(entry), {"config"}, where=str(path), prefix=f"vehicles.{name}.")
         file = path.parent / entry["config"] if entry.get("config") else None
-        overrides = {"fusion.mode": tree["mode"]} if "mode" in tree else None
-        vehicles[name], files[name] = load_vehicle(file, overrides=overrides), file
+        shared = {"fusion.mode": tree["mode"]} if "mode" in tree else {}
+        vehicles[name], files[name] = load_vehicle(file, overrides={**shared, **(overrides or {})}), file
     replay_tree = dict(tree.get("replay") or {})
     replay_tree["bags"] = tuple(path.parent / str(bag) for bag in replay_tree.get("bags", ()))
     return FleetConfig(vehicles, files, build(ReplayConfig, replay_tree, where=f"{path}: replay"))

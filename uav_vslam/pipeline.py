@@ -43,12 +43,14 @@ class VehicleTrack:
         frames_in: stereo pairs offered.
         outputs: one per frame processed, in stamp order.
         dropped: frames that were not processed, by reason.
+        broken: why the recording ended early; empty if it did not.
     """
 
     vehicle: str
     frames_in: int = 0
     outputs: list[FrameOutput] = field(default_factory=list)
     dropped: dict[str, int] = field(default_factory=dict)
+    broken: str = ""
 
 
 class VehiclePipeline:

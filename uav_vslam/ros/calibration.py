@@ -5,11 +5,13 @@ from rclpy.logging import get_logger
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
+from uav_vslam.datasets.bag import walk
+from uav_vslam.datasets.messages import transforms_of
 from uav_vslam.errors import CalibrationError, InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ros.convert import camera_from_msg, transform_from_msg
+from uav_vslam.ros.convert import camera_from_msg
 from uav_vslam.ros.qos import LATCHED, STATE
 from uav_vslam.ros.runtime import VehicleNode
 
@@ -38,15 +40,16 @@ class RigListener:
         self._assemble()
 
     def _on_transforms(self, message: TFMessage) -> None:
-        for transform in message.transforms:
-            self._transforms[transform.child_frame_id] = (transform.header.frame_id, transform_from_msg(transform))
+        for parent, child, T_parent_child in transforms_of(message):
+            self._transforms[child] = (parent, T_parent_child)
         self._assemble()
 
     def _assemble(self) -> None:
         if self.rig is not None or len(self._cameras) < 2:
             return
         (left, left_frame), (right, right_frame) = self._cameras["left"], self._cameras["right"]
-        T_body_left, T_body_right = self._from_base(left_frame), self._from_base(right_frame)
+        base = self._node.base_frame
+        T_body_left, T_body_right = (walk(self._transforms, f, base) for f in (left_frame, right_frame))
         if T_body_left is None or T_body_right is None:
             return
         try:
@@ -54,13 +57,3 @@ class RigListener:
         except CalibrationError as error:
             raise InvalidMessage("calibration", str(error)) from None
         get_logger(self._node.get_name()).info(f"rig complete: baseline {self.rig.baseline_m:.3f} m")
-
-    def _from_base(self, frame: str) -> Pose | None:
-        """Return T_base_frame by walking up the tree; None while an edge is unknown."""
-        pose, steps = Pose.identity(), 0
-        while frame != self._node.base_frame:
-            if frame not in self._transforms or steps > len(self._transforms):
-                return None
-            frame, T_parent_child = self._transforms[frame]
-            pose, steps = T_parent_child @ pose, steps + 1
-        return pose

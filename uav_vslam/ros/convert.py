@@ -14,10 +14,11 @@ from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image, Imu, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from uav_vslam.errors import InvalidMessage
+from uav_vslam.datasets.messages import camera_of, image_of, imu_of, navigation_state_of, stamp_ns_of
+from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import (
@@ -27,7 +28,6 @@ from uav_vslam.types import (
     JointInformation,
     LandmarkPacket,
     NavEstimate,
-    NavState,
     PoseEstimate,
     StereoFeatures,
 )
@@ -42,7 +42,6 @@ from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
 Array = NDArray[np.float64]
 
 TYPECODES = {np.dtype(np.uint8): "B", np.dtype(np.uint32): "I", np.dtype(np.float32): "f", np.dtype(np.float64): "d"}
-CHANNELS = {"mono8": (np.uint8, 1), "mono16": (np.uint16, 1), "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3)}
 
 
 def flat(values: NDArray[Any]) -> array:  # type: ignore[type-arg]
@@ -51,11 +50,6 @@ def flat(values: NDArray[Any]) -> array:  # type: ignore[type-arg]
     out = array(TYPECODES[contiguous.dtype])
     out.frombytes(contiguous.tobytes())
     return out
-
-
-def stamp_to_ns(stamp: Time) -> int:
-    """Return nanoseconds."""
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def stamp_from_ns(stamp_ns: int) -> Time:
@@ -86,46 +80,26 @@ def pose_from_msg(message: PoseMsg) -> Pose:
 
 def imu_from_msg(message: Imu) -> ImuSample:
     """Return an inertial reading."""
-    w, a = message.angular_velocity, message.linear_acceleration
-    return ImuSample(
-        stamp_to_ns(message.header.stamp),
-        _finite([w.x, w.y, w.z], "angular_velocity"),
-        _finite([a.x, a.y, a.z], "linear_acceleration"),
-    )
+    sample = imu_of(message)
+    _finite(sample.gyro, "angular_velocity")
+    _finite(sample.accel, "linear_acceleration")
+    return sample
 
 
-def image_from_msg(message: Image) -> NDArray[Any]:
-    """Return (H, W) or (H, W, 3) BGR pixels without a copy where the encoding allows."""
-    if message.encoding not in CHANNELS:
-        known = ", ".join(CHANNELS)
-        raise InvalidMessage("encoding", f"image encoding {message.encoding!r} can't be used; send one of {known}")
-    dtype, channels = CHANNELS[message.encoding]
-    expected = message.height * message.width * channels * np.dtype(dtype).itemsize
-    if len(message.data) != expected or expected == 0:
-        raise InvalidMessage("size", f"an image of {message.width}x{message.height} holds {len(message.data)} bytes")
-    pixels = np.frombuffer(message.data, dtype)
-    if message.is_bigendian and dtype is np.uint16:
-        pixels = pixels.byteswap()
-    if channels == 1:
-        return pixels.reshape(message.height, message.width)
-    colour = pixels.reshape(message.height, message.width, channels)
-    return colour[:, :, ::-1] if message.encoding == "rgb8" else colour
+def image_from_msg(message: Image | CompressedImage) -> NDArray[Any]:
+    """Return (H, W) or (H, W, 3) BGR pixels, without a copy where the encoding allows."""
+    try:
+        return image_of(message)
+    except BagError as error:
+        raise InvalidMessage("image", str(error)) from None
 
 
 def camera_from_msg(message: CameraInfo) -> PinholeCamera:
     """Return intrinsics from K and D; P and R are not used: the rig need not be rectified."""
-    if message.distortion_model not in ("", "plumb_bob"):
-        raise InvalidMessage("distortion_model", f"{message.distortion_model!r} can't be used; calibrate as plumb_bob")
-    k = message.k
-    distortion = np.zeros(5)
-    distortion[: len(message.d)] = np.asarray(message.d)[:5]
-    return PinholeCamera(message.width, message.height, k[0], k[4], k[2], k[5], distortion)
-
-
-def transform_from_msg(message: TransformStamped) -> Pose:
-    """Return T_parent_child."""
-    t, q = message.transform.translation, message.transform.rotation
-    return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], [t.x, t.y, t.z])
+    try:
+        return camera_of(message)
+    except (BagError, CalibrationError) as error:
+        raise InvalidMessage("calibration", str(error)) from None
 
 
 def transform_to_msg(pose: Pose, *, stamp_ns: int, parent: str, child: str) -> TransformStamped:
@@ -155,7 +129,7 @@ def features_from_msg(message: StereoFeaturesMsg) -> StereoFeatures:
     if len(pixels) != len(descriptors):
         raise InvalidMessage("shape", f"{len(pixels)} points but {len(descriptors)} descriptors")
     _finite(pixels, "pixels")
-    return StereoFeatures(stamp_to_ns(message.header.stamp), pixels, descriptors)
+    return StereoFeatures(stamp_ns_of(message), pixels, descriptors)
 
 
 def increment_to_msg(increment: ImuIncrement, *, frame_id: str) -> InsIncrement:
@@ -176,7 +150,7 @@ def increment_to_msg(increment: ImuIncrement, *, frame_id: str) -> InsIncrement:
 
 def increment_from_msg(message: InsIncrement) -> ImuIncrement:
     """Return a preintegrated increment."""
-    start_ns, stamp_ns = stamp_to_ns(message.start), stamp_to_ns(message.header.stamp)
+    start_ns, stamp_ns = int(message.start.sec) * NS_PER_S + int(message.start.nanosec), stamp_ns_of(message)
     if stamp_ns <= start_ns:
         raise InvalidMessage("stamp", f"an increment from {start_ns} to {stamp_ns} ns has no length")
     return ImuIncrement(
@@ -209,17 +183,16 @@ def navigation_to_msg(nav: NavEstimate, *, frame_id: str, child_frame_id: str) -
 
 def navigation_from_msg(message: NavigationState) -> NavEstimate:
     """Return a navigation estimate."""
-    state = NavState(
-        stamp_ns=stamp_to_ns(message.header.stamp),
-        T_map_body=pose_from_msg(message.pose),
-        v_map=_vector(message.velocity, "velocity"),
-        gyro_bias=_vector(message.gyro_bias, "gyro_bias"),
-        accel_bias=_vector(message.accel_bias, "accel_bias"),
-    )
-    covariance = _finite(message.covariance, "covariance").reshape(15, 15)
-    if not np.linalg.eigvalsh(covariance)[0] > 0:
+    try:
+        nav = navigation_state_of(message)
+    except ValueError as error:
+        raise InvalidMessage("orientation", str(error)) from None
+    for what in ("v_map", "gyro_bias", "accel_bias"):
+        _finite(getattr(nav.state, what), what)
+    _finite(nav.state.T_map_body.t, "position")
+    if not np.linalg.eigvalsh(_finite(nav.covariance, "covariance"))[0] > 0:
         raise InvalidMessage("covariance", "the covariance of a navigation state must be positive definite")
-    return NavEstimate(state, covariance)
+    return nav
 
 
 def odometry_to_msg(
@@ -237,7 +210,7 @@ def odometry_to_msg(
 def odometry_from_msg(message: Odometry) -> PoseEstimate:
     """Return pose and covariance of nav_msgs/Odometry."""
     covariance = _finite(message.pose.covariance, "pose.covariance").reshape(6, 6)
-    return PoseEstimate(stamp_to_ns(message.header.stamp), pose_from_msg(message.pose.pose), covariance)
+    return PoseEstimate(stamp_ns_of(message), pose_from_msg(message.pose.pose), covariance)
 
 
 def joint_to_msg(joint: JointInformation, *, frame_id: str) -> JointInformationMsg:
@@ -265,7 +238,7 @@ def joint_from_msg(message: JointInformationMsg) -> JointInformation:
     information = np.zeros((n, n))
     information[np.triu_indices(n)] = _finite(upper, "information")
     return JointInformation(
-        stamp_ns=stamp_to_ns(message.header.stamp),
+        stamp_ns=stamp_ns_of(message),
         vehicle=message.vehicle,
         session=int(message.session),
         T_map_body=pose_from_msg(message.pose),
@@ -305,7 +278,7 @@ def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
     if message.form != LandmarkInformation.FORM_DENSE:
         raise InvalidMessage("form", f"packet form {message.form} is not known")
     return LandmarkPacket(
-        stamp_ns=stamp_to_ns(message.header.stamp),
+        stamp_ns=stamp_ns_of(message),
         vehicle=message.vehicle,
         session=int(message.session),
         sequence=int(message.sequence),
@@ -339,10 +312,6 @@ def cloud_to_msg(points: Array, *, stamp_ns: int, frame_id: str) -> PointCloud2:
 def _xyz(vector: Array) -> dict[str, float]:
     x, y, z = (float(v) for v in vector)
     return {"x": x, "y": y, "z": z}
-
-
-def _vector(message: Vector3, what: str) -> Array:
-    return _finite([message.x, message.y, message.z], what)
 
 
 def _finite(values: Any, what: str) -> Array:

@@ -15,13 +15,13 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
+from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.ins.propagator import InsOdometry, InsPropagator
 from uav_vslam.ros.convert import (
     imu_from_msg,
     increment_to_msg,
     navigation_from_msg,
     odometry_to_msg,
-    stamp_to_ns,
     transform_to_msg,
 )
 from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
@@ -45,7 +45,7 @@ class InsPropagatorNode(VehicleNode):
         self._tf = self.create_publisher(TFMessage, "/tf", STATE)
         self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
         self.listen(Imu, "imu/data_raw", lambda m: self._feed(imu_from_msg(m)), SENSOR)
-        self.listen(CameraInfo, "left/camera_info", lambda m: self._feed(stamp_to_ns(m.header.stamp)), STATE)
+        self.listen(CameraInfo, "left/camera_info", lambda m: self._feed(stamp_ns_of(m)), STATE)
         self.listen(NavigationState, "slam/correction", self._on_correction, STATE)
 
     def _on_initial_state(self, message: NavigationState) -> None:

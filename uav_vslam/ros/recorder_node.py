@@ -4,6 +4,7 @@
 in   /<vehicle>/odometry, fused/odometry, ins/dead_reckoning, ground_truth/odometry    nav_msgs/Odometry
      /<vehicle>/fusion/status                                                          uav_vslam_msgs/FusionStatus
      /diagnostics                                                                      diagnostic_msgs/DiagnosticArray
+out  /diagnostics                                                                      the recorder's own state
 
 Messages are written byte for byte, stamped as in their headers. The bag is complete after SIGINT or SIGTERM.
 """
@@ -11,7 +12,7 @@ Messages are written byte for byte, stamped as in their headers. The bag is comp
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -20,7 +21,7 @@ from uav_vslam.datasets.rosbag import RawRecorder
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.recording import header_stamp_ns
-from uav_vslam.ros.runtime import run_node
+from uav_vslam.ros.runtime import UNMATCHED, run_node, unmatched
 from uav_vslam_msgs.msg import FusionStatus
 
 VEHICLE_TOPICS = {
@@ -30,7 +31,7 @@ VEHICLE_TOPICS = {
     "ground_truth/odometry": Odometry,
     "fusion/status": FusionStatus,
 }
-REPORT_S = 10.0
+REPORT_S = 1.0
 WAKE_S = 0.2  # Python sees a signal only when the executor wakes
 
 
@@ -49,6 +50,8 @@ class RecorderNode(Node):
         Path(output).parent.mkdir(parents=True, exist_ok=True)
         self._bag = RawRecorder(Path(output))
         self._written = 0
+        self._inputs: dict[str, list[Any]] = {}
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for vehicle in vehicles:
             for name, message_type in VEHICLE_TOPICS.items():
                 self._record(f"/{vehicle}/{name}", message_type)
@@ -61,6 +64,7 @@ class RecorderNode(Node):
     def destroy_node(self) -> None:
         """Close the bag, then leave."""
         self._bag.close()
+        self.get_logger().info(f"{self._written} messages recorded")
         super().destroy_node()
 
     def _record(self, topic: str, message_type: Any) -> None:
@@ -75,10 +79,15 @@ class RecorderNode(Node):
             except BagError as error:
                 self.get_logger().warning(f"not recorded: {error}", throttle_duration_sec=5.0)
 
-        self.create_subscription(message_type, topic, write, SENSOR, raw=True)
+        self._inputs[topic] = [self.create_subscription(message_type, topic, write, SENSOR, raw=True)]
 
     def _report(self) -> None:
-        self.get_logger().info(f"{self._written} messages recorded")
+        values = [
+            KeyValue(key=UNMATCHED, value=unmatched(self._inputs)),
+            KeyValue(key="written", value=str(self._written)),
+        ]
+        status = DiagnosticStatus(level=DiagnosticStatus.OK, name="fleet: recorder", message="recording", values=values)
+        self._diagnostics.publish(DiagnosticArray(status=[status]))
 
 
 def main(args: list[str] | None = None) -> int:

@@ -31,6 +31,7 @@ from uav_vslam.ros.convert import stamp_from_ns
 from uav_vslam.ros.pacing import EARLY_ANSWER, IMU_AHEAD, Answers, Kind, LockStep, Pacer, Readings, RealTime, Recorded
 from uav_vslam.ros.params import declare
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
+from uav_vslam.ros.readiness import Readiness
 from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording, header_stamp_ns
 from uav_vslam.ros.runtime import run_node
 from uav_vslam_msgs.msg import NavigationState, StereoFeatures
@@ -39,7 +40,7 @@ INS_ANSWER = "ins/odometry"
 QOS = {Kind.LEFT: IMAGE, Kind.RIGHT: IMAGE, Kind.IMU: SENSOR}
 STEP_S = 0.004
 BURST = 50  # messages published before answers are looked at again
-SETTLE_S = 1.0  # after all ends are seen: the nodes must find each other, too
+SETTLE_S = 15.0  # nodes that have not found each other after so long are not waited for
 LINGER_S = 3.0  # real time: the last answers may take as long
 REPORT_S = 3.0
 LISTED = 6  # missing ends named while waiting; all are when giving up
@@ -66,6 +67,7 @@ class ReplayNode(Node):
         self._publish_latched()
         for vehicle in self._vehicles:
             self._listen_to(vehicle)
+        self._readiness = Readiness(self, self._vehicles)
         self._steps = self._replay()
         self.create_timer(STEP_S, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -148,8 +150,15 @@ class ReplayNode(Node):
             more = f" and {len(missing) - LISTED} more" if len(missing) > LISTED else ""
             self.get_logger().info(f"waiting: {', '.join(missing[:LISTED])}{more}", throttle_duration_sec=REPORT_S)
             yield False
-        settled_s = time.monotonic() + SETTLE_S
-        while time.monotonic() < settled_s:
+        yield from self._await_each_other()
+
+    def _await_each_other(self) -> Iterator[bool]:
+        """Wait until the nodes have found each other, too: the first frame passes through them all."""
+        give_up_s = time.monotonic() + SETTLE_S
+        while missing := self._readiness.missing():
+            if time.monotonic() > give_up_s:
+                self.get_logger().warning(f"starting, although {', '.join(missing)}")
+                return
             yield False
 
     def _missing_ends(self) -> list[str]:

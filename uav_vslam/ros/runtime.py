@@ -14,11 +14,18 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.errors import FilterDivergence, InvalidMessage, UavVslamError
+from uav_vslam.errors import UavVslamError
 from uav_vslam.ros.params import declare
 
 DIAGNOSTICS_PERIOD_S = 1.0
+UNMATCHED = "unmatched"  # key in diagnostics: inputs without a publisher as yet; the replay waits for them
 QUIET_AFTER_S = 5.0  # without a first message for so long, say which topic is missing
+
+
+def unmatched(inputs: dict[str, list[Any]]) -> str:
+    """Return the topics for which none of the subscriptions has found a publisher, for diagnostics."""
+    found = {topic: any(one.get_publisher_count() for one in subscriptions) for topic, subscriptions in inputs.items()}
+    return " ".join(subscriptions[0].topic_name for topic, subscriptions in inputs.items() if not found[topic])
 
 
 class VehicleNode(Node):
@@ -35,6 +42,7 @@ class VehicleNode(Node):
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
         self._awaited: dict[str, bool] = {}
+        self._inputs: dict[str, list[Any]] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=wall_clock)
@@ -62,7 +70,7 @@ class VehicleNode(Node):
 
         Args:
             message_type, topic, qos: as for create_subscription.
-            callback: may raise InvalidMessage, ValueError or FilterDivergence.
+            callback: may raise ValueError or an error of ours.
             instead_of: another topic that this one can stand in for: the node misses only one of them.
         """
         awaited = instead_of or topic
@@ -72,12 +80,12 @@ class VehicleNode(Node):
             self._awaited[awaited] = False
             try:
                 callback(message)
-            except InvalidMessage as error:
-                self.drop(error.reason, f"{topic}: {error}")
-            except (ValueError, FilterDivergence) as error:
-                self.drop("refused", f"{topic}: {error}")
+            except (ValueError, UavVslamError) as error:
+                self.drop(getattr(error, "reason", "refused"), f"{topic}: {error}")
 
-        return self.create_subscription(message_type, topic, guarded, qos)
+        subscription = self.create_subscription(message_type, topic, guarded, qos)
+        self._inputs.setdefault(awaited, []).append(subscription)
+        return subscription
 
     def drop(self, reason: str, detail: str) -> None:
         """Count a dropped message and say so, not too often."""
@@ -100,7 +108,7 @@ class VehicleNode(Node):
             level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"
         elif dropped:
             level, text = DiagnosticStatus.WARN, f"{dropped} messages dropped"
-        values = {**{key: str(count) for key, count in sorted(self.counts.items())}, **self.notes}
+        values = {UNMATCHED: unmatched(self._inputs), **{key: str(count) for key, count in sorted(self.counts.items())}, **self.notes}
         status = DiagnosticStatus(
             level=level,
             name=f"{self.vehicle}: {self.get_name()}",

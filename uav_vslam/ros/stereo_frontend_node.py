@@ -9,21 +9,24 @@ out  stereo_features                             uav_vslam_msgs/StereoFeatures, 
 """
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
-from uav_vslam.datasets.stereo_sync import StereoPairer
+from uav_vslam.datasets.messages import stamp_ns_of
+from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.ros.calibration import RigListener
-from uav_vslam.ros.convert import features_to_msg, image_from_msg, stamp_to_ns
+from uav_vslam.ros.convert import features_to_msg, image_from_msg
 from uav_vslam.ros.qos import IMAGE, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.types import StereoFrame
-from uav_vslam.vision.images import decode
 from uav_vslam.vision.stereo_points import StereoFrontend
 from uav_vslam_msgs.msg import StereoFeatures
+
+Pixels = NDArray[Any]
+AddImage = Callable[[int, Pixels], StereoPair[Pixels] | None]
 
 MAX_WAITING = 10  # pairs held until the calibration is known
 
@@ -35,27 +38,21 @@ class StereoFrontendNode(VehicleNode):
         super().__init__("stereo_frontend")
         self._rig = RigListener(self)
         self._frontend: StereoFrontend | None = None
-        self._pairer = StereoPairer()
+        self._pairer: StereoPairer[Pixels] = StereoPairer()
         self._waiting: deque[StereoFrame] = deque()
         self._publisher = self.create_publisher(StereoFeatures, "stereo_features", STATE)
-        for side in ("left", "right"):
+        for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
             raw = f"{side}/image_raw"
-            self.listen(Image, raw, lambda m, s=side: self._on_image(s, m, image_from_msg(m)), IMAGE)
-            self.listen(
-                CompressedImage,
-                f"{raw}/compressed",
-                lambda m, s=side: self._on_image(s, m, decode(m.data)),
-                IMAGE,
-                instead_of=raw,
-            )
+            self.listen(Image, raw, lambda m, a=add: self._on_image(a, m), IMAGE)
+            self.listen(CompressedImage, f"{raw}/compressed", lambda m, a=add: self._on_image(a, m), IMAGE, instead_of=raw)
 
-    def _on_image(self, side: str, message: Any, pixels: NDArray[np.generic]) -> None:
-        frame = self._pairer.add(side, stamp_to_ns(message.header.stamp), pixels)
-        self.counts["dropped/unpaired"] = self._pairer.unpaired
-        if frame is None:
+    def _on_image(self, add: AddImage, message: Image | CompressedImage) -> None:
+        pair = add(stamp_ns_of(message), image_from_msg(message))
+        self.counts["dropped/unpaired"] = self._pairer.dropped
+        if pair is None:
             return
         self.counts["pairs"] += 1
-        self._waiting.append(frame)
+        self._waiting.append(StereoFrame(pair.stamp_ns, pair.left, pair.right))
         if len(self._waiting) > MAX_WAITING:
             self._waiting.popleft()
             self.drop("no_calibration", "image pairs come, but camera_info or /tf_static does not")

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam run`: recordings through the whole graph in this process, without ROS, as fast as the machine allows."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from uav_vslam.config import VehicleConfig
+    from uav_vslam.evaluation.trajectory import Trajectory
+
+HELP = "run recordings through the graph offline, without ROS, and evaluate"
+EXAMPLES = """examples:
+  uav-vslam run config/fleet_demo.yaml                a fleet file: vehicles, configurations, recordings
+  uav-vslam run /tmp/flight --config kagaru           every vehicle of a bag, one configuration for all
+  uav-vslam run /tmp/v101 --config euroc --set backend.sigma_px=0.8
+  uav-vslam run /tmp/uav1 /tmp/uav2 --config kagaru --mode none
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("inputs", nargs="+", type=Path, metavar="BAG|FLEET.yaml", help="bags, or one fleet file")
+    parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/ (bags only)")
+    parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting (bags only)")
+    parser.add_argument("--mode", choices=["wideband", "none"], help="communication mode")
+    parser.add_argument("--name", help="of the results folder (default: that of the input)")
+    parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
+    parser.add_argument("--workers", type=int, default=2, help="processes, one a vehicle at most (default 2)")
+    parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run, evaluate, write; return 1 where a recording broke off."""
+    import sys
+    import time
+
+    from rich.progress import Progress
+
+    from uav_vslam.datasets.bag import open_flight
+    from uav_vslam.datasets.source import BagSource, truth_trajectory
+    from uav_vslam.evaluation.output import write_results
+    from uav_vslam.evaluation.summary import build_summary
+    from uav_vslam.offline import flight_result, fly
+    from uav_vslam.report.plots import write_plots
+    from uav_vslam.report.table import print_summary
+
+    bags, configs = _inputs(args)
+    flights = {name: open_flight(bags, name) for name in configs}
+    started = time.monotonic()
+    with Progress(transient=True) as progress:
+        task = progress.add_task("flying", total=sum(flight.frame_count for flight in flights.values()))
+        sources = [BagSource(flight) for flight in flights.values()]
+        tracks, fleet = fly(sources, configs, workers=args.workers, on_frame=lambda n: progress.advance(task, n))
+    truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
+    name = args.name or args.inputs[0].stem
+    result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started)
+    folder = write_results(result, args.results, plot=None if args.no_plots else write_plots)
+    print_summary(build_summary(result, git=None))
+    print(f"results: {folder}")
+    broken = [track.broken for track in tracks.values() if track.broken]
+    for reason in broken:
+        print(f"uav-vslam: warning: {reason}", file=sys.stderr)
+    return 1 if broken else 0
+
+
+def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
+    """Return the bags and each vehicle's configuration."""
+    from uav_vslam.config import find_config, load_fleet, load_vehicle
+    from uav_vslam.datasets.bag import vehicles
+    from uav_vslam.errors import BagError, ConfigError
+
+    overrides = dict(_override(item) for item in args.set)
+    if args.mode:
+        overrides["fusion.mode"] = args.mode
+    if args.inputs[0].suffix in {".yaml", ".yml"}:
+        fleet = load_fleet(args.inputs[0], overrides=overrides)
+        if not fleet.replay.bags:
+            raise ConfigError(f"{args.inputs[0]}: replay.bags is empty; name the recordings to run")
+        return fleet.replay.bags, fleet.vehicles
+    bags = tuple(args.inputs)
+    names = args.vehicles or vehicles(bags)
+    if not names:
+        raise BagError(f"bag {', '.join(map(str, bags))} holds no <vehicle>/left/image_raw; record or remap the images")
+    if len(set(names)) < len(names):
+        raise ConfigError(f"--vehicles {' '.join(names)} names one twice; each vehicle has one namespace")
+    file = find_config(args.config) if args.config else None
+    return bags, {name: load_vehicle(file, overrides=overrides) for name in names}
+
+
+def _override(item: str) -> tuple[str, object]:
+    import yaml
+
+    from uav_vslam.errors import ConfigError
+
+    key, separator, value = item.partition("=")
+    if not separator:
+        raise ConfigError(f"--set {item!r} must have the form backend.sigma_px=0.5")
+    return key, yaml.safe_load(value)

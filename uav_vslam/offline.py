@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole graph offline: every source through its vehicle's pipeline, then packets and fusion, as fast as it goes.
+
+Own-only tracks know nothing of each other, so each vehicle has a worker process where cores allow. The result is the
+same, bit for bit, however many workers there are.
+"""
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ProcessPoolExecutor
+from typing import Any, Protocol
+
+import cv2
+
+from uav_vslam.config import VehicleConfig, to_tree
+from uav_vslam.errors import BagError, UavVslamError
+from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.fleet import CooperativeTrack, cooperate
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures, StereoFrame
+
+POLL_S = 0.2
+
+
+class FlightSource(Protocol):
+    """One vehicle's sensor data, recorded or simulated; it travels to a worker process."""
+
+    @property
+    def vehicle(self) -> str:
+        """Name."""
+
+    @property
+    def rig(self) -> StereoRig:
+        """Calibration."""
+
+    @property
+    def initial_state(self) -> NavEstimate | None:
+        """Start state, None where nobody gave one."""
+
+    def iter_events(self) -> Iterable[ImuSample | StereoFrame | StereoFeatures]:
+        """Yield sensor data in stamp order."""
+
+
+def track_vehicle(
+    source: FlightSource, config: VehicleConfig, on_frame: Callable[[], None] = lambda: None
+) -> VehicleTrack:
+    """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the break.
+
+    Raises:
+        UavVslamError: the source has no start state and the configuration does not say `start.method: static`.
+    """
+    cv2.setNumThreads(1)
+    pipeline = VehiclePipeline(
+        _start(source, config), rig=source.rig, config=config, vehicle=source.vehicle, session=1
+    )
+    try:
+        for _ in pipeline.run(source.iter_events()):
+            on_frame()
+    except BagError as error:
+        pipeline.track.broken = str(error)
+    return pipeline.track
+
+
+def fly(
+    sources: list[FlightSource],
+    configs: dict[str, VehicleConfig],
+    *,
+    workers: int = 1,
+    on_frame: Callable[[int], None] = lambda _: None,
+) -> tuple[dict[str, VehicleTrack], dict[str, CooperativeTrack]]:
+    """Run a fleet.
+
+    Args:
+        sources: one per vehicle.
+        configs: by vehicle.
+        workers: processes; 1 runs everything in this one.
+        on_frame: told how many frames have been processed since the last call.
+    """
+    if workers == 1 or len(sources) == 1:
+        tracks = [track_vehicle(s, configs[s.vehicle], lambda: on_frame(1)) for s in sources]
+    else:
+        tracks = _track_in_workers(sources, configs, workers, on_frame)
+    by_name = {track.vehicle: track for track in tracks}
+    return by_name, cooperate(by_name, configs)
+
+
+def flight_result(
+    name: str,
+    tracks: dict[str, VehicleTrack],
+    fleet: dict[str, CooperativeTrack],
+    truths: dict[str, Trajectory | None],
+    configs: dict[str, VehicleConfig],
+    *,
+    seed: int | None = None,
+    wall_s: float = 0.0,
+) -> FlightResult:
+    """Gather what evaluation needs."""
+    alone = len(tracks) == 1
+    vehicles = {
+        vehicle: _vehicle_result(track, None if alone else fleet[vehicle], truths[vehicle])
+        for vehicle, track in tracks.items()
+    }
+    stamps = [output.report.pose.stamp_ns for track in tracks.values() for output in track.outputs]
+    return FlightResult(
+        name=name,
+        seed=seed,
+        mode="none" if alone else next(iter(configs.values())).fusion.mode,
+        duration_s=(max(stamps) - min(stamps)) / NS_PER_S if stamps else 0.0,
+        wall_s=wall_s,
+        vehicles=vehicles,
+        config={vehicle: to_tree(config) for vehicle, config in configs.items()},
+    )
+
+
+def link_counters(fleet_member: CooperativeTrack, duration_s: float) -> LinkCounters:
+    """Return what a vehicle's radio did."""
+    fusion = fleet_member.fusion
+    peers = fusion.inbox.peers.values()
+    dropped: dict[str, int] = {}
+    for record in peers:
+        for reason, count in record.dropped.items():
+            dropped[reason] = dropped.get(reason, 0) + count
+    return LinkCounters(
+        sent_bytes_per_s=fusion.bytes_sent / duration_s if duration_s else 0.0,
+        packets_sent=fusion.packets_sent,
+        packets_received=sum(record.received for record in peers),
+        packets_used=sum(len(record.used) for record in peers),
+        dropped=dropped,
+    )
+
+
+def _vehicle_result(track: VehicleTrack, member: CooperativeTrack | None, truth: Trajectory | None) -> VehicleResult:
+    own = [output.report.pose for output in track.outputs]
+    duration_s = (own[-1].stamp_ns - own[0].stamp_ns) / NS_PER_S if own else 0.0
+    return VehicleResult(
+        name=track.vehicle,
+        truth=truth,
+        ins=Trajectory.from_estimates([output.dead_reckoning.pose for output in track.outputs]),
+        s_slam=Trajectory.from_estimates(own),
+        c_slam=Trajectory.from_estimates(member.poses) if member else None,
+        frames_in=track.frames_in,
+        frames_processed=len(track.outputs),
+        link=link_counters(member, duration_s) if member else LinkCounters(),
+    )
+
+
+def _start(source: FlightSource, config: VehicleConfig) -> NavEstimate:
+    if config.start.method == "given":
+        if source.initial_state is None:
+            raise UavVslamError(
+                f"{source.vehicle}: the recording has no {source.vehicle}/initial_state; record one, or set "
+                "start.method: static for a vehicle that starts at rest"
+            )
+        return source.initial_state
+    samples = []
+    for event in source.iter_events():
+        if not isinstance(event, ImuSample):
+            continue
+        samples.append(event)
+        if event.stamp_ns - samples[0].stamp_ns >= config.start.rest_s * NS_PER_S:
+            break
+    return static_alignment(samples, samples[-1].stamp_ns if samples else 0, config.imu)
+
+
+_progress: Any = None  # a worker's way to say that it finished a frame
+
+
+def _adopt(queue: Any) -> None:
+    global _progress
+    _progress = queue
+
+
+def _track_for_pool(source: FlightSource, config: VehicleConfig) -> VehicleTrack:
+    return track_vehicle(source, config, lambda: _progress.put(1))
+
+
+def _track_in_workers(
+    sources: list[FlightSource], configs: dict[str, VehicleConfig], workers: int, on_frame: Callable[[int], None]
+) -> list[VehicleTrack]:
+    context = multiprocessing.get_context("spawn")
+    queue = context.Queue()
+    with ProcessPoolExecutor(min(workers, len(sources)), context, initializer=_adopt, initargs=(queue,)) as pool:
+        futures: list[Future[VehicleTrack]] = [pool.submit(_track_for_pool, s, configs[s.vehicle]) for s in sources]
+        while not all(future.done() for future in futures):
+            time.sleep(POLL_S)
+            on_frame(_drain(queue))
+        return [future.result() for future in futures]
+
+
+def _drain(queue: Any) -> int:
+    count = 0
+    while not queue.empty():
+        count += queue.get()
+    return count

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the fleet's nodes have found each other: nothing else tells a replay that its first frame won't be lost."""
+
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from uav_vslam.ros.runtime import UNMATCHED
+
+DIAGNOSTICS = "/diagnostics"
+FLEET = "fleet"  # what is in no vehicle's namespace
+
+
+class Readiness:
+    """Listens to what the nodes say about their own inputs. A publisher that they don't know of is still unread."""
+
+    def __init__(self, node: Node, vehicles: Sequence[str]) -> None:
+        """Listen on behalf of a node for those of `vehicles` and for the recorder."""
+        self._node, self._vehicles = node, tuple(vehicles)
+        self._unmatched: dict[str, list[str]] = {}
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
+
+    def missing(self) -> list[str]:
+        """Return what is not yet connected, in words."""
+        silent = [f"{name} has not reported" for name in self._expected() if name not in self._unmatched]
+        deaf = [
+            f"{name} has not found the publisher of {topic}"
+            for name, topics in self._unmatched.items()
+            for topic in topics
+            if self._node.count_publishers(topic)
+        ]
+        return silent + deaf
+
+    def _expected(self) -> list[str]:
+        infos = self._node.get_publishers_info_by_topic(DIAGNOSTICS)
+        found = [(info.node_namespace.strip("/") or FLEET, info.node_name) for info in infos]
+        return [
+            f"{owner}: {name}"
+            for owner, name in found
+            if owner in self._vehicles or (owner, name) == (FLEET, "recorder")
+        ]
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            for entry in status.values:
+                if entry.key == UNMATCHED:
+                    self._unmatched[status.name] = entry.value.split()
