@@ -119,7 +119,7 @@ def test_bias_jacobian_is_the_numerical_one_however_few_the_readings(readings, c
     assert relative(reference.bias_jacobian, np.column_stack(columns)) < DIFFERENCE
 
 
-@pytest.mark.parametrize(("count", "tolerance"), [(28, 0.1), (200, 0.015)])
+@pytest.mark.parametrize(("count", "tolerance"), [(28, 0.1), (100, 0.03)])
 def test_covariance_is_the_sum_over_the_readings_errors(readings, count: int, tolerance: float) -> None:
     """Perturb each reading: sum G sigma^2/dt G^T. The two end readings count half in it, so 3 / count is allowed."""
     samples = readings(START_S, FRAME_S, count)
@@ -141,8 +141,8 @@ def test_an_increment_moved_to_another_bias_is_nearly_the_one_integrated_there(r
     at_zero = integrate(samples, np.zeros(3), np.zeros(3))
     delta_R, delta_v, delta_p = corrected(at_zero, GYRO_BIAS, ACCEL_BIAS)
     there = integrate(samples)
-    # First order in a gyro bias of 0.03 rad/s and an accelerometer bias of 0.24 m/s^2 over 0.14 s: their product is left,
-    # 0.03 * 0.24 * 0.14^2 / 2, and the former's square.
+    # First order in a gyro bias of 0.03 rad/s and an accelerometer bias of 0.24 m/s^2 over 0.14 s: their product,
+    # 0.03 * 0.24 * 0.14^2 / 2, is left, and the former's square.
     np.testing.assert_allclose(so3_log(there.delta_R.T @ delta_R), 0.0, atol=1e-5)
     np.testing.assert_allclose(delta_v, there.delta_v, atol=1e-4)
     np.testing.assert_allclose(delta_p, there.delta_p, atol=1e-5)

@@ -24,10 +24,10 @@ def cholesky(A: Array, what: str) -> Array:
         what: named in the error, e.g. "information at 12.3 s".
 
     Raises:
-        FilterDivergence: A is not positive definite; the text names the smallest eigenvalue.
+        FilterDivergence: A is not positive definite or not finite; the text names the smallest eigenvalue.
     """
     L, failed = dpotrf(A, lower=1, clean=1)
-    if failed:
+    if failed or not np.isfinite(np.diagonal(L)).all():  # OpenBLAS lets NaN pass
         smallest = float(np.linalg.eigvalsh(A)[0]) if np.isfinite(A).all() else float("nan")
         raise FilterDivergence(f"{what} is not positive definite: smallest eigenvalue {smallest:.3e} of {len(A)} rows")
     return np.asarray(L)

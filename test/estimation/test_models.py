@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each model's coordinates agree with its retraction; the right-invariant one is the exponential of a matrix group."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from uav_vslam.estimation.models import MODELS, RightInvariant15, difference, retangent
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import skew, so3_exp, so3_log
+from uav_vslam.ins.propagation import NAV_DIM, POSITION, ROTATION, VELOCITY
+from uav_vslam.types import NavState
+
+Array = NDArray[np.float64]
+
+STEP = 1e-6  # of each coordinate, central differences
+DIFFERENCE = 1e-7  # such a derivative of numbers of order 20
+ROUNDING = 1e-11  # of positions of order 100 m
+
+NAV = NavState(
+    7,
+    Pose(so3_exp([0.3, -0.2, 1.1]), np.array([40.0, -15.0, 70.0])),
+    np.array([19.0, 4.0, -1.0]),
+    *np.full((2, 3), 0.01),
+)
+LANDMARKS = np.array([[45.0, -10.0, 1.0], [20.0, -30.0, -2.0], [60.0, 5.0, 0.5]])
+
+
+def map_error(to: NavState, nav: NavState) -> Array:
+    """Return the map-frame error: plain differences, and xi with R_to = Exp(xi) R."""
+    return np.concatenate(
+        [
+            to.T_map_body.t - nav.T_map_body.t,
+            to.v_map - nav.v_map,
+            so3_log(to.T_map_body.R @ nav.T_map_body.R.T),
+            to.gyro_bias - nav.gyro_bias,
+            to.accel_bias - nav.accel_bias,
+        ]
+    )
+
+
+@pytest.fixture(params=sorted(MODELS))
+def model(request: pytest.FixtureRequest):
+    return MODELS[request.param]()
+
+
+def test_to_map_is_the_derivative_of_the_retraction(model) -> None:
+    m = model.nav_dim
+    numeric = np.zeros((NAV_DIM, m))
+    for k in range(m):
+        step = np.zeros(m + 9)
+        step[k] = STEP
+        plus, _ = model.retract(NAV, LANDMARKS, step)
+        minus, _ = model.retract(NAV, LANDMARKS, -step)
+        numeric[:, k] = (map_error(plus, NAV) - map_error(minus, NAV)) / (2 * STEP)
+    np.testing.assert_allclose(model.to_map(NAV), numeric, atol=DIFFERENCE)
+
+
+def test_landmark_coordinates_are_plain_differences_to_first_order(model) -> None:
+    m = model.nav_dim
+    for k in range(m + 9):
+        step = np.zeros(m + 9)
+        step[k] = STEP
+        _, plus = model.retract(NAV, LANDMARKS, step)
+        _, minus = model.retract(NAV, LANDMARKS, -step)
+        expected = np.eye(m + 9)[m:, k].reshape(-1, 3)
+        np.testing.assert_allclose((plus - minus) / (2 * STEP), expected, atol=DIFFERENCE)
+
+
+def test_from_map_undoes_to_map(model) -> None:
+    np.testing.assert_allclose(model.from_map(NAV) @ model.to_map(NAV), np.eye(model.nav_dim), atol=1e-13)
+
+
+def test_no_correction_moves_nothing(model) -> None:
+    nav, landmarks = model.retract(NAV, LANDMARKS, np.zeros(model.nav_dim + 9))
+    np.testing.assert_allclose(nav.T_map_body.matrix, NAV.T_map_body.matrix, atol=1e-13)
+    np.testing.assert_allclose(nav.v_map, NAV.v_map, atol=1e-13)
+    np.testing.assert_allclose(landmarks, LANDMARKS, atol=1e-13)
+
+
+def test_a_state_without_landmarks_is_moved_as_well(model) -> None:
+    _, landmarks = model.retract(NAV, np.zeros((0, 3)), np.full(model.nav_dim, 0.01))
+    assert landmarks.shape == (0, 3)
+
+
+def test_retraction_modifies_no_input(model) -> None:
+    delta = np.full(model.nav_dim + 9, 0.1)
+    before = NAV.T_map_body.matrix.copy(), LANDMARKS.copy(), delta.copy()
+    model.retract(NAV, LANDMARKS, delta)
+    for then, now in zip(before, (NAV.T_map_body.matrix, LANDMARKS, delta), strict=True):
+        np.testing.assert_array_equal(then, now)
+
+
+# The group SE_{2+N}(3): rotation and 2+N vectors (position, velocity, landmarks), as (5+N) x (5+N) matrices.
+
+
+def group_element(nav: NavState, landmarks: Array) -> Array:
+    X = np.eye(5 + len(landmarks))
+    X[:3, :3] = nav.T_map_body.R
+    X[:3, 3:] = np.column_stack([nav.T_map_body.t, nav.v_map, *landmarks])
+    return X
+
+
+def algebra_element(nav: NavState, landmarks: Array, delta: Array) -> Array:
+    """Return the right-invariant error with the plain differences `delta`: dx = rho + xi x x for each vector x."""
+    xi = delta[ROTATION]
+    vectors = np.vstack([nav.T_map_body.t, nav.v_map, landmarks])
+    plain = np.vstack([delta[POSITION], delta[VELOCITY], delta[NAV_DIM:].reshape(-1, 3)])
+    A = np.zeros((5 + len(landmarks),) * 2)
+    A[:3, :3] = skew(xi)
+    A[:3, 3:] = (plain - np.cross(xi, vectors)).T
+    return A
+
+
+DELTAS = st.builds(
+    lambda xi, rest: np.concatenate([rest[:6], xi, rest[6:]]),
+    st.one_of(
+        st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3).map(np.array),
+        st.lists(st.floats(-1e-7, 1e-7), min_size=3, max_size=3).map(np.array),
+    ),
+    st.lists(st.floats(-5.0, 5.0), min_size=21, max_size=21).map(np.array),
+)
+
+
+@given(DELTAS)
+def test_right_invariant_retraction_is_the_exponential_of_the_group(delta: Array) -> None:
+    expected = expm(algebra_element(NAV, LANDMARKS, delta)) @ group_element(NAV, LANDMARKS)
+    nav, landmarks = RightInvariant15().retract(NAV, LANDMARKS, delta)
+    np.testing.assert_allclose(group_element(nav, landmarks), expected, atol=ROUNDING)
+    np.testing.assert_allclose(nav.gyro_bias - NAV.gyro_bias, delta[9:12], atol=ROUNDING)
+    np.testing.assert_allclose(nav.accel_bias - NAV.accel_bias, delta[12:15], atol=ROUNDING)
+
+
+@given(DELTAS)
+def test_difference_undoes_the_right_invariant_retraction(delta: Array) -> None:
+    nav, landmarks = RightInvariant15().retract(NAV, LANDMARKS, delta)
+    np.testing.assert_allclose(difference(NAV, LANDMARKS, nav, landmarks), delta, atol=100 * ROUNDING)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_retangent_is_the_congruence_by_the_shear(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    moved_p, moved_v, moved_l = rng.normal(0, 2, 3), rng.normal(0, 1, 3), rng.normal(0, 2, (3, 3))
+    A = rng.normal(size=(24, 24))
+    Y = A @ A.T
+    T = np.eye(24)  # dx+ = dx - [x+ - x]x xi
+    T[POSITION, ROTATION] = -skew(moved_p)
+    T[VELOCITY, ROTATION] = -skew(moved_v)
+    T[NAV_DIM:, ROTATION] = -skew(moved_l).reshape(-1, 3)
+    T_inv = np.linalg.inv(T)
+    before = Y.copy()
+    np.testing.assert_allclose(retangent(Y, moved_p, moved_v, moved_l), T_inv.T @ Y @ T_inv, atol=1e-10)
+    np.testing.assert_array_equal(Y, before)
+
+
+def test_retangent_without_landmarks_and_without_motion_changes_nothing() -> None:
+    Y = np.diag(np.arange(1.0, 16.0))
+    np.testing.assert_array_equal(retangent(Y, np.zeros(3), np.zeros(3), np.zeros((0, 3))), Y)
+
+
+def test_euler9_singles_out_the_thesis_states() -> None:
+    model = MODELS["euler9"]()
+    delta = np.zeros(9)
+    delta[3:6] = [1.0, 0.0, 0.0]  # one metre a second more along the body's x axis
+    nav, _ = model.retract(NAV, np.zeros((0, 3)), delta)
+    np.testing.assert_allclose(nav.v_map - NAV.v_map, NAV.T_map_body.R[:, 0], atol=1e-13)
+    assert nav == dataclasses.replace(nav, gyro_bias=NAV.gyro_bias, accel_bias=NAV.accel_bias)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cholesky-based algebra, and what a matrix that is not positive definite gets."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation.numerics import cholesky, inverse_spd, marginalise_information, solve_spd, symmetrise
+
+Array = NDArray[np.float64]
+
+RELATIVE = 1e-9  # condition numbers here stay below 1e6
+
+
+def random_spd(seed: int, n: int, decades: float = 4.0) -> Array:
+    rng = np.random.default_rng(seed)
+    Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    return symmetrise((Q * 10.0 ** rng.uniform(-decades / 2, decades / 2, n)) @ Q.T)
+
+
+SPD = st.builds(random_spd, st.integers(0, 2**32 - 1), st.integers(1, 12))
+
+
+@given(SPD)
+def test_inverse_and_solve_agree_with_the_definition(A: Array) -> None:
+    inverse = inverse_spd(A, "A")
+    np.testing.assert_array_equal(inverse, inverse.T)
+    np.testing.assert_allclose(A @ inverse, np.eye(len(A)), atol=RELATIVE)
+    b = np.arange(1.0, len(A) + 1.0)
+    np.testing.assert_allclose(A @ solve_spd(A, b, "A"), b, rtol=RELATIVE, atol=RELATIVE)
+    L = cholesky(A, "A")
+    np.testing.assert_array_equal(L, np.tril(L))
+    np.testing.assert_allclose(L @ L.T, A, rtol=RELATIVE, atol=RELATIVE)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 12), st.data())
+def test_marginal_information_is_the_inverse_of_the_covariances_rows(seed: int, n: int, data: st.DataObject) -> None:
+    Y = random_spd(seed, n)
+    order = np.array(data.draw(st.permutations(range(n))))
+    kept = data.draw(st.integers(1, n))
+    keep, drop = order[:kept], order[kept:]
+    marginal = marginalise_information(Y, keep, drop, "Y")
+    expected = np.linalg.inv(np.linalg.inv(Y)[np.ix_(keep, keep)])
+    np.testing.assert_allclose(marginal, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_lost_definiteness_names_the_place_the_eigenvalue_and_the_size() -> None:
+    A = np.diag([4.0, -0.25, 1.0])
+    for call in (
+        lambda: cholesky(A, "information at 12.300 s"),
+        lambda: inverse_spd(A, "information at 12.300 s"),
+        lambda: solve_spd(A, np.ones(3), "information at 12.300 s"),
+        lambda: marginalise_information(
+            np.eye(4) - 1.25 * np.diag([0, 1.0, 0, 0]), [0], [1, 2, 3], "information at 12.300 s"
+        ),
+    ):
+        with pytest.raises(
+            FilterDivergence, match=r"information at 12\.300 s .* smallest eigenvalue -2\.500e-01 of 3 rows"
+        ):
+            call()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("entry", [(0, 0), (3, 1), (3, 3)])
+def test_a_matrix_that_is_not_finite_is_refused_as_well(value: float, entry: tuple[int, int]) -> None:
+    A = np.eye(4)
+    A[entry] = A[entry[::-1]] = value
+    for call in (cholesky, inverse_spd, lambda A, what: solve_spd(A, np.ones(4), what)):
+        with pytest.raises(FilterDivergence, match=r"information .* smallest eigenvalue nan of 4 rows"):
+            call(A, "information")
+
+
+def test_nothing_to_marginalise_returns_a_copy() -> None:
+    Y = random_spd(1, 3)
+    out = marginalise_information(Y, np.arange(3), np.zeros(0, np.int64), "Y")
+    np.testing.assert_array_equal(out, Y)
+    assert not np.shares_memory(out, Y)
+
+
+def test_symmetrise_works_on_stacks() -> None:
+    A = np.random.default_rng(0).normal(size=(4, 3, 3))
+    S = symmetrise(A)
+    np.testing.assert_array_equal(S, np.swapaxes(S, 1, 2))
+    np.testing.assert_allclose(S + 0.5 * (A - np.swapaxes(A, 1, 2)), A)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Derivatives of what the cameras see, in every model's own coordinates; smoothed depth; what can be seen at all."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.models import MODELS
+from uav_vslam.estimation.observation import (
+    MIN_DEPTH_M,
+    point_jacobian,
+    projectable,
+    smoothed,
+    triangulation_covariance,
+)
+
+Array = NDArray[np.float64]
+
+STEP = 1e-6  # of each coordinate, central differences
+DIFFERENCE = 2e-5  # relative to 1600 px a radian: rounding of pixels of order 1000 over the step is 1e-7 px
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_observation_jacobian_is_the_numerical_one_in_each_models_coordinates(course, name: str) -> None:
+    f = course.flown(name)
+    rows = np.array([4, 0, 7])
+    predicted = f.predict_observations(rows)
+    model, m = MODELS[name](), len(f.P) - 3 * len(f.landmarks)
+    numeric = np.zeros((3, 4, len(f.P)))
+    for k in range(len(f.P)):
+        step = np.zeros(len(f.P))
+        step[k] = STEP
+        z = []
+        for sign in (1.0, -1.0):
+            nav, landmarks = model.retract(f.nav, f.landmarks, sign * step)
+            z.append(course.rig.project(point_jacobian(course.rig, nav, landmarks[rows]).points_left))
+        numeric[:, :, k] = (z[0] - z[1]) / (2 * STEP)
+    scale = np.abs(numeric).max()
+    np.testing.assert_allclose(predicted.H_nav / scale, numeric[:, :, :m] / scale, atol=DIFFERENCE)
+    for n, row in enumerate(rows):
+        own = numeric[n, :, m + 3 * row : m + 3 * row + 3]
+        np.testing.assert_allclose(predicted.H_landmark[n] / scale, own / scale, atol=DIFFERENCE)
+        others = np.delete(numeric[n, :, m:], np.arange(3 * row, 3 * row + 3), axis=1)
+        np.testing.assert_array_equal(others, 0.0)
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_innovation_covariance_is_that_of_the_dense_jacobian(course, name: str) -> None:
+    f = course.flown(name)
+    rows = np.array([2, 9])
+    predicted = f.predict_observations(rows)
+    m = len(f.P) - 3 * len(f.landmarks)
+    for n, row in enumerate(rows):
+        H = np.zeros((4, len(f.P)))
+        H[:, :m] = predicted.H_nav[n]
+        H[:, m + 3 * row : m + 3 * row + 3] = predicted.H_landmark[n]
+        np.testing.assert_allclose(predicted.S[n], H @ f.P @ H.T + np.eye(4), rtol=1e-9, atol=1e-9)
+
+
+def test_smoothing_draws_vague_depths_to_the_ground_and_leaves_sure_ones() -> None:
+    points = np.array([[1.0, 2.0, 60.0], [1.0, 2.0, 70.0], [1.0, 2.0, 80.0]])
+    sure = smoothed(points, np.zeros(3), depth_sigma_ratio=0.05)
+    np.testing.assert_allclose(sure, points, rtol=1e-12)
+    vague = smoothed(points, np.full(3, 1e9), depth_sigma_ratio=0.05)
+    np.testing.assert_allclose(vague[:, 2], 70.0, rtol=1e-6)
+    np.testing.assert_allclose(vague[:, :2] / vague[:, 2:], points[:, :2] / points[:, 2:], rtol=1e-12)
+    even = smoothed(points, np.full(3, (0.05 * 70.0) ** 2), depth_sigma_ratio=0.05)  # as vague as the relief
+    np.testing.assert_allclose(even[:, 2], [65.0, 70.0, 75.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "points", [np.zeros((0, 3)), np.array([[0.0, 0.0, -5.0]]), np.array([[0.0, 0.0, MIN_DEPTH_M]])]
+)
+def test_smoothing_leaves_alone_what_is_not_ahead(points: Array) -> None:
+    np.testing.assert_array_equal(smoothed(points, np.ones(len(points)), depth_sigma_ratio=0.05), points)
+
+
+def test_smoothing_off_changes_nothing() -> None:
+    points = np.array([[1.0, 2.0, 60.0], [1.0, 2.0, 90.0]])
+    np.testing.assert_array_equal(smoothed(points, np.full(2, 1e9), depth_sigma_ratio=0.0), points)
+
+
+def test_a_point_must_be_before_both_cameras_and_inside_both_images(course) -> None:
+    rig = course.rig
+    centre, front_edge = rig.left.bearings([640.0, 480.0]), rig.left.bearings([640.0, 5.0])
+    points = np.vstack(
+        [70.0 * centre, -70.0 * centre, 0.5 * MIN_DEPTH_M * centre, 70.0 * rig.left.bearings([-5.0, 480.0])]
+    )
+    assert projectable(rig, points).tolist() == [True, False, False, False]
+    assert projectable(rig, points, margin_px=6.0).tolist() == [True, False, False, True]
+    # The right camera sits behind the left one: what the left one sees at its front edge, near by, it can't see.
+    assert projectable(rig, np.vstack([5.0 * front_edge, 5.0 * centre])).tolist() == [False, True]
+    assert projectable(rig, np.zeros((0, 3))).shape == (0,)
+
+
+def test_triangulation_covariance_is_that_of_noisy_pixels(course) -> None:
+    """Linear prediction against 4000 draws: 3 / sqrt(4000) of spread, and a little of the depth's skewness."""
+    rig = course.rig
+    point = rig.left.bearings([[300.0, 600.0]]) * 20.0
+    pixels = rig.project(point) + np.random.default_rng(0).normal(0, 0.5, (4000, 4))
+    spread = np.cov(rig.triangulate(pixels).T)
+    expected = triangulation_covariance(rig, point, 0.5)[0]
+    L = np.linalg.cholesky(expected)
+    whitened = np.linalg.solve(L, np.linalg.solve(L, spread).T)
+    np.testing.assert_allclose(whitened, np.eye(3), atol=0.08)
