@@ -64,7 +64,6 @@ class ReplayNode(Node):
         self._clock_ns = -CLOCK_NS
         self._publishers_by_topic = {topic: self._advertise(topic) for topic in self._recording.topics}
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", STATE)
-        self._publish_latched()
         for vehicle in self._vehicles:
             self._listen_to(vehicle)
         self._readiness = Readiness(self, self._vehicles)
@@ -127,6 +126,7 @@ class ReplayNode(Node):
     def _replay(self) -> Iterator[bool]:
         """The whole replay; yields False where it has to wait, True after each message."""
         yield from self._await_ends()
+        self._publish_latched()
         self._begin_s = self._report_s = self._progress_s = time.monotonic()
         for message in self._pacer().order(self._recording.messages()):
             if message is None:

@@ -108,7 +108,11 @@ class VehicleNode(Node):
             level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"
         elif dropped:
             level, text = DiagnosticStatus.WARN, f"{dropped} messages dropped"
-        values = {UNMATCHED: unmatched(self._inputs), **{key: str(count) for key, count in sorted(self.counts.items())}, **self.notes}
+        values = {
+            UNMATCHED: unmatched(self._inputs),
+            **{key: str(count) for key, count in sorted(self.counts.items())},
+            **self.notes,
+        }
         status = DiagnosticStatus(
             level=level,
             name=f"{self.vehicle}: {self.get_name()}",
