@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests share: the recordings outside the repository, and repeatable property tests."""
+"""What the tests share: the recordings outside the repository, repeatable property tests, and made-up beliefs."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
+from numpy.typing import ArrayLike, NDArray
+
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.types import JointInformation
 
 # The same examples every time, no file beside the code, and no deadline: a busy host is no failure.
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -32,3 +38,42 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def data_root() -> Path:
     """Folder of the shared recordings; a test that uses it carries the marker `data`."""
     return _data_root()
+
+
+def _descriptors(identities: ArrayLike) -> NDArray[np.uint8]:
+    """Return (N, 128) descriptors; the same identity looks the same to every vehicle."""
+    looks = [np.random.default_rng(int(k)).integers(0, 256, 128, np.uint8) for k in np.atleast_1d(identities)]
+    return np.array(looks, np.uint8).reshape(-1, 128)
+
+
+@pytest.fixture(scope="session")
+def make_joint() -> Callable[..., JointInformation]:
+    """Return a maker of beliefs over a pose and landmarks, from positions (N, 3) and a covariance (6+3N, 6+3N).
+
+    `identities` say which landmarks of two vehicles are the same; by default they are the row numbers.
+    """
+
+    def make(
+        positions: ArrayLike,
+        covariance: ArrayLike,
+        *,
+        vehicle: str = "uav1",
+        session: int = 1,
+        stamp_ns: int = 10_000_000_000,
+        T_map_body: Pose | None = None,
+        identities: ArrayLike | None = None,
+    ) -> JointInformation:
+        points = np.asarray(positions, dtype=float).reshape(-1, 3)
+        Y = np.linalg.inv(np.asarray(covariance, dtype=float))
+        return JointInformation(
+            stamp_ns=stamp_ns,
+            vehicle=vehicle,
+            session=session,
+            T_map_body=T_map_body or Pose(np.eye(3), np.array([0.0, 0.0, 70.0])),
+            ids=np.arange(1, len(points) + 1, dtype=np.uint32),
+            positions=points,
+            information=0.5 * (Y + Y.T),
+            descriptors=_descriptors(range(len(points)) if identities is None else identities),
+        )
+
+    return make

@@ -2,8 +2,8 @@
 """The landmark information packet: made from the sender's belief, checked by the receiver.
 
 The sender marginalises its pose (the joint covariance of the chosen landmarks is kept whole), rounds the Cholesky
-factor to float32, and then inflates: with R the coded covariance and P the exact one, `s = max(1, lambda_max(R^-1 P))`
-makes `s R - P` positive semidefinite, so no receiver is told more than the sender knows.
+factor to float32, and inflates until R, the covariance as it is coded, bounds the exact one: `lambda_max(R^-1 P) <= 1`
+makes `R - P` positive semidefinite, so no receiver is told more than the sender knows.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
+from scipy.linalg import solve_triangular
 
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.estimation.numerics import cholesky, inverse_spd, symmetrise
@@ -24,7 +24,9 @@ Array = NDArray[np.float64]
 
 POSE_DIM = 6
 MAX_LANDMARKS = 1000  # a packet that claims more is not believed
-ROUNDING_MARGIN = 1e-6  # float32 rounds the inflated factor once more
+MAX_SIGMA_M = 1e5  # nor one that knows so little: such numbers would only break the receiver's algebra
+EIGENVALUE_MARGIN = 1e-9  # error of the computed largest eigenvalue
+INFLATION_STEP = 2.4e-7  # the least that changes a float32 factor
 HEADER_BYTES = 120  # fixed part with CDR lengths and padding; sources and strings come on top
 
 
@@ -96,11 +98,15 @@ def code_covariance(P: Array) -> tuple[NDArray[np.float32], float]:
     if len(P) == 0:
         return np.zeros(0, np.float32), 1.0
     tril = np.tril_indices(len(P))
-    rounded = np.zeros_like(P)
-    rounded[tril] = cholesky(symmetrise(P), "covariance of a packet")[tril].astype(np.float32)
-    largest = float(eigh(P, rounded @ rounded.T, eigvals_only=True, subset_by_index=[len(P) - 1, len(P) - 1])[0])
-    scale = max(1.0, largest) * (1.0 + ROUNDING_MARGIN)
-    return (np.sqrt(scale) * rounded[tril]).astype(np.float32), scale
+    exact = cholesky(symmetrise(P), "covariance of a packet")
+    coded, scale = np.zeros_like(P), 1.0
+    while True:
+        coded[tril] = (np.sqrt(scale) * exact[tril]).astype(np.float32)
+        half = solve_triangular(coded, P, lower=True)
+        largest = float(np.linalg.eigvalsh(solve_triangular(coded, half.T, lower=True))[-1])
+        if largest <= 1.0 - EIGENVALUE_MARGIN:
+            return coded[tril].astype(np.float32), scale
+        scale *= 1.0 + 2.0 * max(largest - 1.0, 0.0) + INFLATION_STEP  # the next rounding errs as much as this one
 
 
 def checksum(packet: LandmarkPacket) -> int:
@@ -129,7 +135,11 @@ def validate(packet: LandmarkPacket) -> None:
     n = len(packet.ids)
     if not n <= MAX_LANDMARKS:
         raise InvalidMessage("shape", f"{n} landmarks; at most {MAX_LANDMARKS} are accepted")
-    if packet.offsets.shape != (n, 3) or packet.covariance_factor.shape != (3 * n * (3 * n + 1) // 2,):
+    if (
+        packet.origin.shape != (3,)
+        or packet.offsets.shape != (n, 3)
+        or packet.covariance_factor.shape != (3 * n * (3 * n + 1) // 2,)
+    ):
         raise InvalidMessage(
             "shape", f"{n} ids, offsets {packet.offsets.shape}, factor {packet.covariance_factor.shape} don't fit"
         )
@@ -143,5 +153,9 @@ def validate(packet: LandmarkPacket) -> None:
     diagonal = packet.covariance_factor[np.cumsum(np.arange(1, 3 * n + 1)) - 1]
     if not (diagonal > 0).all() or not packet.covariance_scale >= 1:
         raise InvalidMessage("covariance", f"packet {packet.sequence} of {packet.source} is not positive definite")
+    if not (np.abs(packet.covariance_factor) <= MAX_SIGMA_M).all():
+        raise InvalidMessage(
+            "covariance", f"packet {packet.sequence} of {packet.source} doubts by over {MAX_SIGMA_M} m"
+        )
     if len(np.unique(packet.ids)) != n:
         raise InvalidMessage("duplicate_id", f"packet {packet.sequence} of {packet.source} repeats a landmark")

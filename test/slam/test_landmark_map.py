@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Identifiers are never reused, and rows stay in step."""
+
+import numpy as np
+
+from uav_vslam.slam.landmark_map import LandmarkMap
+
+
+def looks(*values: int) -> np.ndarray:
+    return np.array([[v] * 128 for v in values], np.uint8).reshape(-1, 128)
+
+
+def test_new_landmarks_get_fresh_identifiers_even_after_a_removal() -> None:
+    marks = LandmarkMap()
+    marks.append(looks(1, 2, 3), 0)
+    marks.remove(np.array([1, 2]))
+    marks.append(looks(4), 5)
+    assert marks.ids.tolist() == [1, 4]
+    assert marks.born.tolist() == [0, 5]
+    assert marks.descriptors[:, 0].tolist() == [1, 4]
+    assert len(marks) == 2
+
+
+def test_an_observation_renews_the_look_and_counts() -> None:
+    marks = LandmarkMap()
+    marks.append(looks(1, 2, 3), 0)
+    marks.observe(np.array([2, 0]), looks(9, 8), 7)
+    assert marks.descriptors[:, 0].tolist() == [8, 2, 9]
+    assert marks.seen.tolist() == [7, 0, 7]
+    assert marks.born.tolist() == [0, 0, 0]
+    assert marks.observations.tolist() == [2, 1, 2]
+
+
+def test_nothing_appended_seen_or_removed_changes_nothing() -> None:
+    marks = LandmarkMap()
+    none = np.zeros(0, np.intp)
+    for size in (0, 2):
+        marks.append(looks(*range(size)), 0)
+        marks.append(looks(), 1)
+        marks.observe(none, looks(), 1)
+        marks.remove(none)
+        assert len(marks) == len(marks.descriptors) == len(marks.seen) == size
+
+
+def test_the_first_landmarks_decide_the_descriptors_length() -> None:
+    marks = LandmarkMap()
+    marks.append(np.ones((2, 64), np.uint8), 0)
+    assert marks.descriptors.shape == (2, 64)
+
+
+def test_identifiers_stay_32_bit() -> None:
+    marks = LandmarkMap()
+    marks.append(looks(1, 2), 0)
+    assert marks.ids.dtype == np.uint32

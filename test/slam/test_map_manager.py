@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who leaves the map: failed landmarks, each policy's choice, and what exceeds the cap."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import BackendConfig
+from uav_vslam.slam.landmark_map import LandmarkMap
+from uav_vslam.slam.map_manager import FAILED_AFTER_FRAMES, RETENTION, MapView, leaving
+
+CONFIG = BackendConfig()
+FRAME = 100
+
+
+def view_of(
+    *,
+    positions=None,
+    in_view=None,
+    observations=None,
+    born=None,
+    seen=None,
+    variance=None,
+    count: int = 0,
+) -> MapView:
+    given = [g for g in (positions, in_view, observations, born, seen, variance) if g is not None]
+    n = len(given[0]) if given else count
+    marks = LandmarkMap()
+    marks.append(np.zeros((n, 128), np.uint8), 0)
+    marks.observations = np.full(n, 10) if observations is None else np.array(observations)
+    marks.born = np.zeros(n, np.intp) if born is None else np.array(born)
+    marks.seen = np.full(n, FRAME) if seen is None else np.array(seen)
+    return MapView(
+        marks,
+        np.column_stack([np.arange(n) * 100.0, np.zeros((n, 2))]) if positions is None else np.array(positions, float),
+        np.ones(n) if variance is None else np.array(variance),
+        np.ones(n, bool) if in_view is None else np.array(in_view, bool),
+        FRAME,
+    )
+
+
+@pytest.mark.parametrize("policy", sorted(RETENTION))
+def test_an_empty_map_gives_up_nothing(policy: str) -> None:
+    config = dataclasses.replace(CONFIG, retention=policy)
+    assert leaving(view_of(count=0), config).tolist() == []
+
+
+@pytest.mark.parametrize("policy", sorted(RETENTION))
+def test_rows_are_unique_ascending_integers_and_nothing_is_modified(policy: str) -> None:
+    rng = np.random.default_rng(1)
+    n = 300
+    view = view_of(
+        positions=rng.uniform(-100, 100, (n, 3)),
+        in_view=rng.random(n) < 0.4,
+        observations=rng.integers(1, 9, n),
+        born=rng.integers(0, FRAME, n),
+        seen=rng.integers(FRAME - 20, FRAME + 1, n),
+        variance=rng.random(n),
+    )
+    before = [view.positions.copy(), view.landmarks.observations.copy(), view.landmarks.ids.copy()]
+    gone = leaving(view, dataclasses.replace(CONFIG, retention=policy))
+    assert gone.dtype == np.intp
+    assert (np.diff(gone) > 0).all()
+    assert n - len(gone) <= CONFIG.max_landmarks
+    for then, now in zip(before, (view.positions, view.landmarks.observations, view.landmarks.ids), strict=True):
+        np.testing.assert_array_equal(then, now)
+
+
+def test_a_hardly_ever_seen_landmark_fails_when_it_is_looked_at_in_vain() -> None:
+    long_ago = FRAME - FAILED_AFTER_FRAMES
+    view = view_of(
+        in_view=[True, True, True, True],
+        observations=[2, 2, 3, 1],
+        seen=[long_ago, long_ago + 1, long_ago, FRAME],
+    )
+    assert leaving(view, CONFIG).tolist() == [0]
+
+
+def test_out_of_view_each_cell_keeps_its_most_observed_landmark() -> None:
+    view = view_of(
+        positions=[[1, 1, 0], [2, 2, 0], [24, 24, 0], [26, 1, 0], [3, 3, 0], [-1, 1, 0]],
+        in_view=[False, False, False, False, True, False],
+        observations=[4, 9, 9, 3, 99, 2],
+    )
+    # rows 0 to 2 share a cell of 25 m, where 1 is the first of the most observed; 5 is not established
+    assert leaving(view, CONFIG).tolist() == [0, 2, 5]
+
+
+def test_without_retention_only_what_is_in_view_stays() -> None:
+    view = view_of(in_view=[True, False, True, False])
+    assert leaving(view, dataclasses.replace(CONFIG, retention="none")).tolist() == [1, 3]
+
+
+def test_first_and_last_gives_up_the_middle_of_the_flight() -> None:
+    config = dataclasses.replace(CONFIG, retention="first_last", max_in_view=4, max_landmarks=6)
+    view = view_of(born=[0, 10, 20, 30, 40, 50, 60, 70], in_view=[False] * 8)
+    assert leaving(view, config).tolist() == [3, 4]
+    assert leaving(view_of(born=[0, 10, 20]), config).tolist() == []
+
+
+def test_the_twentieth_with_the_largest_covariance_goes_but_no_newborn() -> None:
+    config = dataclasses.replace(CONFIG, retention="largest_covariance")
+    variance = np.arange(42.0)
+    born = np.zeros(42, int)
+    born[41] = FRAME  # the vaguest was born this very frame
+    assert leaving(view_of(variance=variance, born=born), config).tolist() == [39, 40]
+
+
+def test_the_cap_takes_the_longest_unseen_mature_landmarks() -> None:
+    config = dataclasses.replace(CONFIG, max_in_view=3, max_landmarks=3, young_frames=5)
+    view = view_of(
+        in_view=[True] * 6,
+        seen=[90, 80, 80, 70, FRAME, FRAME],
+        observations=[9, 9, 8, 9, 9, 9],
+        born=[0, 0, 0, FRAME - 4, 0, 0],
+    )
+    # 3 is young; of the rest 2 and 1 were unseen the longest, then 0
+    assert leaving(view, config).tolist() == [0, 1, 2]
+
+
+def test_young_landmarks_stay_even_above_the_cap() -> None:
+    config = dataclasses.replace(CONFIG, max_in_view=2, max_landmarks=2)
+    assert leaving(view_of(born=[FRAME - 1] * 5), config).tolist() == []
