@@ -54,9 +54,7 @@ def track_vehicle(
         UavVslamError: the source has no start state and the configuration does not say `start.method: static`.
     """
     cv2.setNumThreads(1)
-    pipeline = VehiclePipeline(
-        _start(source, config), rig=source.rig, config=config, vehicle=source.vehicle, session=1
-    )
+    pipeline = VehiclePipeline(_start(source, config), rig=source.rig, config=config, vehicle=source.vehicle, session=1)
     try:
         for _ in pipeline.run(source.iter_events()):
             on_frame()

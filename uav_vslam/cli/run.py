@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("inputs", nargs="+", type=Path, metavar="BAG|FLEET.yaml", help="bags, or one fleet file")
     parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/ (bags only)")
     parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting (bags only)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting (bags only)"
+    )
     parser.add_argument("--mode", choices=["wideband", "none"], help="communication mode")
     parser.add_argument("--name", help="of the results folder (default: that of the input)")
     parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated vehicles as the offline graph wants them, without a bag in between."""
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.simulation.camera_render import RenderedFlight
+from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, observe
+from uav_vslam.simulation.scenario import SimulatedVehicle
+from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures, StereoFrame
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedSource:
+    """A simulated vehicle whose cameras see rendered images, or points where a field of landmarks is given.
+
+    Attributes:
+        simulated: the flight.
+        field: landmarks for the image-free path, None for rendered images.
+        noise: quality of the image-free features.
+    """
+
+    simulated: SimulatedVehicle
+    field: LandmarkField | None = None
+    noise: LandmarkNoise | None = None
+
+    @property
+    def vehicle(self) -> str:
+        """Name."""
+        return self.simulated.name
+
+    @property
+    def rig(self) -> StereoRig:
+        """The calibration that the vehicle is given."""
+        return self.simulated.rig
+
+    @property
+    def initial_state(self) -> NavEstimate:
+        """Start state with its errors."""
+        return self.simulated.initial
+
+    def frames(self) -> Iterator[StereoFrame | StereoFeatures]:
+        """Yield what the cameras give."""
+        if self.field is None:
+            return iter(RenderedFlight(self.simulated))
+        return (features for features, _ in observe(self.simulated, self.field, noise=self.noise))
+
+    def iter_events(self) -> Iterator[ImuSample | StereoFrame | StereoFeatures]:
+        """Yield sensor data in stamp order."""
+        return heapq.merge(self.simulated.imu.samples(), self.frames(), key=lambda event: event.stamp_ns)

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every study does: fly a simulated fleet per seed and method, and pool the figures over seeds and vehicles."""
+
+import dataclasses
+import multiprocessing
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.summary import build_summary
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
+from uav_vslam.offline import FlightSource, flight_result, fly
+from uav_vslam.simulation.landmarks import scatter_landmarks
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
+from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.types import ImuSample, StereoFeatures, StereoFrame
+from uav_vslam.vision.stereo_points import StereoFrontend
+
+Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
+LABELS = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
+TRACKS = tuple(LABELS)
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A named configuration under a named condition.
+
+    Attributes:
+        name, condition: labels of its rows.
+        scenario: the flight; the seed is replaced.
+        config: of every vehicle; its `imu` is replaced by the scenario's.
+        rendered: images through the front end, else simulated features.
+    """
+
+    name: str
+    condition: str
+    scenario: Scenario
+    config: VehicleConfig = field(default_factory=VehicleConfig)
+    rendered: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One seed of one method; `figures` is None where the filter diverged."""
+
+    method: Method
+    seed: int
+    figures: Figures | None
+    ms_per_frame: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Replayed:
+    """A source whose frames have been through the front end already."""
+
+    source: SimulatedSource
+    features: list[StereoFeatures]
+
+    @property
+    def vehicle(self) -> str:
+        return self.source.vehicle
+
+    @property
+    def rig(self) -> Any:
+        return self.source.rig
+
+    @property
+    def initial_state(self) -> Any:
+        return self.source.initial_state
+
+    def iter_events(self) -> Iterable[ImuSample | StereoFrame | StereoFeatures]:
+        imu = self.source.simulated.imu.samples()
+        return sorted([*imu, *self.features], key=lambda event: event.stamp_ns)
+
+
+def run_seed(methods: list[Method], seed: int) -> list[Outcome]:
+    """Fly all methods on one seed; rendered images are made and searched for features only once for all of them."""
+    cache: dict[Any, list[FlightSource]] = {}
+    return [_run(method, seed, cache) for method in methods]
+
+
+def run_study(
+    methods: list[Method], seeds: list[int], *, workers: int, on_seed: Callable[[], None] = lambda: None
+) -> list[dict[str, Any]]:
+    """Fly every method on every seed and return the rows of `study.json`.
+
+    Args:
+        methods: what to compare.
+        seeds: of the flights; every method flies the same ones.
+        workers: processes.
+        on_seed: called when a seed is done.
+    """
+    outcomes: list[Outcome] = []
+    for result in _in_pool(methods, seeds, workers):
+        outcomes += result
+        on_seed()
+    outcomes.sort(key=lambda outcome: outcome.seed)
+    rows = []
+    for number, method in enumerate(methods):
+        first = method.condition not in {earlier.condition for earlier in methods[:number]}
+        tracks = TRACKS if first else TRACKS[1:]  # the INS is the same whatever the method
+        rows += _rows(method, [o for o in outcomes if o.method == method], tracks)
+    return rows
+
+
+def _in_pool(methods: list[Method], seeds: list[int], workers: int) -> Iterator[list[Outcome]]:
+    if workers == 1:
+        yield from (run_seed(methods, seed) for seed in seeds)
+        return
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(run_seed, methods, seed) for seed in seeds]):
+            yield future.result()
+
+
+def _run(method: Method, seed: int, cache: dict[Any, list[FlightSource]]) -> Outcome:
+    scenario = dataclasses.replace(method.scenario, seed=seed)
+    config = dataclasses.replace(method.config, imu=scenario.imu_config)
+    vehicles = simulate_fleet(scenario)
+    sources = _sources(method, scenario, vehicles, cache)
+    configs = {vehicle.name: config for vehicle in vehicles}
+    started = time.process_time()
+    try:
+        tracks, fleet = fly(sources, configs)
+    except UavVslamError:
+        return Outcome(method, seed, None, float("nan"))
+    ms = 1e3 * (time.process_time() - started) / (scenario.frames * scenario.vehicles)
+    truths: dict[str, Trajectory | None] = {vehicle.name: _truth(vehicle) for vehicle in vehicles}
+    summary = build_summary(flight_result(scenario.name, tracks, fleet, truths, configs, seed=seed), git=None)
+    figures = {track: {name: v[track] for name, v in summary["vehicles"].items() if v[track]} for track in TRACKS}
+    return Outcome(method, seed, figures, ms)
+
+
+def _sources(
+    method: Method, scenario: Scenario, vehicles: list[SimulatedVehicle], cache: dict[Any, list[FlightSource]]
+) -> list[FlightSource]:
+    if not method.rendered:
+        landmarks = scatter_landmarks(vehicles)
+        return [SimulatedSource(vehicle, landmarks) for vehicle in vehicles]
+    look = dataclasses.replace(scenario, imu="adis16480")  # the images don't depend on the inertial unit
+    key = (look, method.config.frontend)
+    if key not in cache:
+        cache[key] = [_searched(SimulatedSource(vehicle), method.config) for vehicle in vehicles]
+    seen: list[FlightSource] = []
+    for vehicle, earlier in zip(vehicles, cache[key], strict=True):
+        assert isinstance(earlier, _Replayed)
+        seen.append(_Replayed(SimulatedSource(vehicle), earlier.features))
+    return seen
+
+
+def _searched(source: SimulatedSource, config: VehicleConfig) -> _Replayed:
+    frontend = StereoFrontend(source.rig, config.frontend)
+    features = [frontend.process(frame) for frame in source.frames() if isinstance(frame, StereoFrame)]
+    return _Replayed(source, features)
+
+
+def _truth(vehicle: SimulatedVehicle) -> Trajectory:
+    times = vehicle.frame_times_s
+    return Trajectory(
+        vehicle.frame_stamps_ns,
+        vehicle.truth.position(times),
+        quaternion_wxyz_from_rotation(vehicle.truth.rotation(times)),
+    )
+
+
+def _rows(method: Method, outcomes: list[Outcome], tracks: Sequence[str]) -> list[dict[str, Any]]:
+    """Return one row per track; the INS's covariance is not scored."""
+    good = [outcome for outcome in outcomes if outcome.figures]
+    rms = {(track, key): _rms(_values(good, track, key)) for track in TRACKS for key in ("ate_m", "end_m")}
+    rows = []
+    for track in tracks:
+        nees = _values(good, track, "nees_position")
+        rows.append(
+            {
+                "method": LABELS[track] if track == "ins" else f"{LABELS[track]} {method.name}",
+                "condition": method.condition,
+                "end_rms_m": rms[track, "end_m"],
+                "ate_rms_m": rms[track, "ate_m"],
+                "ratio_to_s_slam": _ratio(rms[track, "ate_m"], rms["s_slam", "ate_m"]),
+                "end_ratio_to_ins": _ratio(rms[track, "end_m"], rms["ins", "end_m"]),
+                "nees_position": float(np.mean(nees)) if nees else None,
+                "failures": len(outcomes) - len(good),
+                "ms_per_frame": float(np.mean([o.ms_per_frame for o in good])) if good and track != "ins" else None,
+            }
+        )
+    return rows
+
+
+def _values(outcomes: list[Outcome], track: str, key: str) -> list[float]:
+    found = [v.get(key) for o in outcomes for v in (o.figures or {}).get(track, {}).values()]
+    return [float(value) for value in found if value is not None]
+
+
+def _rms(values: list[float]) -> float | None:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else None
+
+
+def _ratio(a: float | None, b: float | None) -> float | None:
+    return a / b if a is not None and b else None
+
+
+def with_backend(config: VehicleConfig, **changes: Any) -> VehicleConfig:
+    """Return a configuration with other backend settings."""
+    return dataclasses.replace(config, backend=dataclasses.replace(config.backend, **changes))
