@@ -165,7 +165,7 @@ class ReplayNode(Node):
         answers = [f"/{vehicle}/{topic}" for vehicle in self._vehicles for topic in self._wait_for]
         consumed = [topic for vehicle in self._vehicles for topic in self._recording.consumed(vehicle)]
         unread = [t for t in consumed if self._publishers_by_topic[t].get_subscription_count() == 0]
-        unwritten = [t for t in answers if self._lockstep and self.count_publishers(t) == 0]
+        unwritten = [t for t in answers if self.count_publishers(t) == 0]
         return [f"{t} has no subscriber" for t in unread] + [f"{t} has no publisher" for t in unwritten]
 
     def _publish(self, message: Recorded) -> None:
