@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frame loop on a simulated flight without images: what it keeps, refuses and survives."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.ins.preintegration import preintegrate
+from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
+from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
+from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
+from uav_vslam.types import NS_PER_S, ImuIncrement, StereoFeatures
+
+FRAMES = 25
+
+
+@dataclasses.dataclass(frozen=True)
+class Flight:
+    vehicle: SimulatedVehicle
+    features: list[StereoFeatures]
+    increments: list[ImuIncrement | None]  # number k leads to frame k; none leads to the first
+
+    def backend(self, **options) -> SlamBackend:
+        config = VehicleConfig(imu=self.vehicle.scenario.imu_config, backend=BackendConfig(**options))
+        return SlamBackend(self.vehicle.initial, rig=self.vehicle.rig, config=config, vehicle="uav1", session=4)
+
+    def fly(self, backend: SlamBackend, features: list[StereoFeatures] | None = None) -> list[FrameReport]:
+        return [backend.process(f, i) for f, i in zip(features or self.features, self.increments, strict=True)]
+
+    def position_error_m(self, report: FrameReport) -> float:
+        truth = self.vehicle.true_state(report.pose.stamp_ns)
+        return float(np.linalg.norm(report.pose.T_map_body.t - truth.T_map_body.t))
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    vehicle = simulate_vehicle(dataclasses.replace(SCENARIOS["kagaru"], frames=FRAMES, vehicles=1, seed=3), 0)
+    noise = LandmarkNoise(wrong_share=0.1)
+    features = [f for f, _ in observe(vehicle, scatter_landmarks([vehicle]), noise=noise)]
+    samples, zero = vehicle.imu.samples(), np.zeros(3)
+    increments = [
+        preintegrate(samples, int(a), int(b), gyro_bias=zero, accel_bias=zero, imu=vehicle.scenario.imu_config)
+        for a, b in itertools.pairwise(vehicle.frame_stamps_ns)
+    ]
+    return Flight(vehicle, features, [None, *increments])
+
+
+def test_the_first_frame_fills_the_map_and_moves_nothing(flight: Flight) -> None:
+    backend = flight.backend()
+    report = backend.process(flight.features[0], None)
+    assert report.associated == 0
+    assert report.innovation is None
+    assert not report.relocalised
+    assert report.features == len(flight.features[0])
+    assert 0 < report.landmarks <= BackendConfig().max_new_landmarks
+    np.testing.assert_array_equal(report.pose.T_map_body.matrix, flight.vehicle.initial.state.T_map_body.matrix)
+    ids, positions = backend.landmarks
+    assert len(ids) == len(positions) == report.landmarks
+
+
+def test_a_flight_with_a_tenth_of_wrong_matches_stays_on_its_track(flight: Flight) -> None:
+    reports = flight.fly(flight.backend())
+    assert min(r.associated for r in reports[1:]) >= 10
+    assert not any(r.relocalised for r in reports)
+    # 3.4 s after a start with 0.1 m/s and 0.5 degrees of error: half a metre is three times the usual
+    assert flight.position_error_m(reports[-1]) < 0.5
+    nis = sum(r.innovation.nis for r in reports[1:]) / sum(r.innovation.dof for r in reports[1:])
+    assert 0.7 < nis < 1.1  # gated at 99 %, so a little below one; some thousand degrees of freedom
+
+
+def test_frames_that_show_nothing_are_coasted_and_their_doubt_grows(flight: Flight) -> None:
+    backend = flight.backend()
+    dark = [StereoFeatures.empty(f.stamp_ns) if 8 <= k < 12 else f for k, f in enumerate(flight.features)]
+    reports = flight.fly(backend, dark)
+    assert [r.associated for r in reports[8:12]] == [0] * 4
+    assert all(r.innovation is None for r in reports[8:12])
+    sigma = [np.sqrt(np.trace(r.pose.covariance[:3, :3])) for r in reports]
+    assert sigma[7] < sigma[8] < sigma[9] < sigma[10] < sigma[11]
+    assert reports[12].associated > 0
+    assert flight.position_error_m(reports[-1]) < 0.6
+
+
+def test_a_start_in_the_dark_is_possible(flight: Flight) -> None:
+    dark = [StereoFeatures.empty(f.stamp_ns) if k < 3 else f for k, f in enumerate(flight.features)]
+    reports = flight.fly(flight.backend(), dark)
+    assert [r.landmarks for r in reports[:3]] == [0, 0, 0]
+    assert reports[-1].associated > 0
+
+
+def test_features_of_another_place_correct_nothing(flight: Flight) -> None:
+    backend = flight.backend()
+    backend.process(flight.features[0], None)
+    strange = np.random.default_rng(0).integers(0, 256, flight.features[1].descriptors.shape, np.uint8)
+    report = backend.process(dataclasses.replace(flight.features[1], descriptors=strange), flight.increments[1])
+    assert report.associated == 0
+
+
+def test_the_state_never_holds_more_landmarks_than_allowed(flight: Flight) -> None:
+    for options in ({"max_landmarks": 30, "max_in_view": 30}, {"max_landmarks": 60, "max_in_view": 45}):
+        reports = flight.fly(flight.backend(**options))
+        assert max(r.landmarks for r in reports) <= options["max_landmarks"]
+        assert reports[-1].associated > 0
+
+
+@pytest.mark.parametrize("retention", ["grid", "none", "first_last", "largest_covariance"])
+def test_every_retention_policy_flies(flight: Flight, retention: str) -> None:
+    reports = flight.fly(flight.backend(retention=retention, max_in_view=40, max_landmarks=50))
+    assert max(r.landmarks for r in reports) <= 50
+    assert flight.position_error_m(reports[-1]) < 0.6
+
+
+def test_updates_of_a_frame_are_capped(flight: Flight) -> None:
+    reports = flight.fly(flight.backend(max_observations=9))
+    assert max(r.associated for r in reports) == 9
+
+
+def test_an_increment_that_does_not_join_is_refused_and_changes_nothing(flight: Flight) -> None:
+    backend = flight.backend()
+    backend.process(flight.features[0], None)
+    before = backend.stamp_ns
+    with pytest.raises(ValueError, match="does not lead from the estimate"):
+        backend.process(flight.features[2], flight.increments[2])  # starts at frame 1
+    with pytest.raises(ValueError, match="does not lead from the estimate"):
+        backend.process(flight.features[2], flight.increments[1])  # ends at frame 1
+    with pytest.raises(ValueError, match="needs the motion since"):
+        backend.process(flight.features[1], None)
+    assert backend.stamp_ns == before
+    assert backend.process(flight.features[1], flight.increments[1]).associated > 0
+
+
+def test_joint_information_is_a_belief_of_its_own(flight: Flight) -> None:
+    backend = flight.backend()
+    reports = flight.fly(backend)
+    joint = backend.joint_information()
+    n = len(joint.ids)
+    assert (joint.vehicle, joint.session, joint.stamp_ns) == ("uav1", 4, flight.features[-1].stamp_ns)
+    assert joint.information.shape == (6 + 3 * n, 6 + 3 * n)
+    assert len(joint.positions) == len(joint.descriptors) == n == reports[-1].landmarks
+    P = np.linalg.inv(joint.information)
+    # The pose's share is the backend's own, to what inverting twice costs (a condition of about 1e7).
+    np.testing.assert_allclose(P[:6, :6], reports[-1].pose.covariance, rtol=1e-5, atol=1e-12)
+    joint.positions[:] = np.nan
+    joint.descriptors[:] = 0
+    assert np.isfinite(backend.landmarks[1]).all()
+    assert backend.joint_information().descriptors.any()
+
+
+def test_a_frame_and_its_motion_are_not_modified(flight: Flight) -> None:
+    pixels, descriptors = flight.features[1].pixels.copy(), flight.features[1].descriptors.copy()
+    jacobian = flight.increments[1].bias_jacobian.copy()
+    backend = flight.backend()
+    flight.fly(backend)
+    np.testing.assert_array_equal(flight.features[1].pixels, pixels)
+    np.testing.assert_array_equal(flight.features[1].descriptors, descriptors)
+    np.testing.assert_array_equal(flight.increments[1].bias_jacobian, jacobian)
+
+
+def test_a_lost_vehicle_finds_itself_in_its_map(flight: Flight) -> None:
+    """The start's velocity is wrong by 60 sigma: no gate holds the truth, but the whole map does."""
+    initial = flight.vehicle.initial
+    state = dataclasses.replace(initial.state, v_map=initial.state.v_map + np.array([0.0, 40.0, 0.0]))
+    config = VehicleConfig(imu=flight.vehicle.scenario.imu_config)
+    backend = SlamBackend(
+        dataclasses.replace(initial, state=state), rig=flight.vehicle.rig, config=config, vehicle="uav1"
+    )
+    backend.process(flight.features[0], None)
+    report = backend.process(flight.features[1], flight.increments[1])
+    assert report.relocalised
+    assert report.associated >= config.backend.min_relocalisation_inliers
+
+
+@pytest.mark.parametrize(
+    ("previous_s", "now_s", "epoch_s", "crossed"),
+    [
+        (0.9, 1.0, 1.0, True),
+        (0.9, 1.1, 1.0, True),
+        (1.0, 1.1, 1.0, False),
+        (1.0, 1.9, 1.0, False),
+        (0.9, 3.5, 1.0, True),
+        (1.2, 1.3, 0.25, True),
+        (1.26, 1.3, 0.25, False),
+    ],
+)
+def test_an_epoch_is_crossed_by_the_first_stamp_at_or_after_its_multiple(previous_s, now_s, epoch_s, crossed) -> None:
+    day = 1_283_212_800 * NS_PER_S
+    previous, now = (day + round(t * NS_PER_S) for t in (previous_s, now_s))
+    assert crosses_epoch(previous, now, epoch_s) is crossed
+
+
+def test_the_first_frame_crosses_no_epoch() -> None:
+    assert not crosses_epoch(None, 5 * NS_PER_S, 1.0)
