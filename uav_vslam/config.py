@@ -127,7 +127,7 @@ class FusionConfig:
     def __post_init__(self) -> None:
         _require(self.mode in {"wideband", "none"}, self, "mode", "wideband or none")
         _require(self.epoch_s > 0, self, "epoch_s", "a positive time [s]")
-        _require(0 <= self.min_delay_s, self, "min_delay_s", "zero or more [s]")
+        _require(self.min_delay_s >= 0, self, "min_delay_s", "zero or more [s]")
         _require(self.max_packet_landmarks > 0, self, "max_packet_landmarks", "a positive count")
         _require(0 < self.ratio <= 1, self, "ratio", "a number in (0, 1]")
         _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
@@ -193,7 +193,9 @@ def find_config(name: str) -> Path:
         ConfigError: there is neither.
     """
     beside = Path(__file__).resolve().parents[1] / "config"
-    prefixes = [Path(prefix) / "share/uav_vslam/config" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":")]
+    prefixes = [
+        Path(prefix) / "share/uav_vslam/config" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":")
+    ]
     candidates = [Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in [beside, *prefixes])]
     for candidate in candidates:
         if candidate.is_file():
@@ -231,11 +233,15 @@ def load_fleet(path: Path, *, overrides: dict[str, Any] | None = None) -> FleetC
     known = {"vehicles", "replay", "mode"}
     _reject_unknown(set(tree), known, where=str(path), prefix="")
     if not isinstance(tree.get("vehicles"), dict) or not tree["vehicles"]:
-        raise ConfigError(f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}")
+        raise ConfigError(
+            f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}"
+        )
     vehicles, files = {}, {}
     for name, entry in tree["vehicles"].items():
         if not (isinstance(name, str) and name.isidentifier()):
-            raise ConfigError(f"{path}: vehicle name {name!r} must be a valid ROS namespace: letters, digits, underscores")
+            raise ConfigError(
+                f"{path}: vehicle name {name!r} must be a valid ROS namespace: letters, digits, underscores"
+            )
         entry = entry or {}
         _reject_unknown(set(entry), {"config"}, where=str(path), prefix=f"vehicles.{name}.")
         file = path.parent / entry["config"] if entry.get("config") else None
@@ -317,9 +323,11 @@ class _UniqueKeyLoader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)  # type: ignore[no-untyped-call]
+            key = self.construct_object(key_node, deep=True)
             if key in seen:
-                raise ConfigError(f"{node.start_mark.name}: key {key!r} is used twice (line {key_node.start_mark.line + 1})")
+                raise ConfigError(
+                    f"{node.start_mark.name}: key {key!r} is used twice (line {key_node.start_mark.line + 1})"
+                )
             seen.add(key)
         return super().construct_mapping(node, deep)
 

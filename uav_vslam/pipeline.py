@@ -8,6 +8,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagator import InsPropagator
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
+from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.types import (
     ImuIncrement,
     ImuSample,
@@ -59,11 +60,12 @@ class VehiclePipeline:
     def __init__(
         self, initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig, vehicle: str, session: int = 1
     ) -> None:
-        self._initial, self._epoch_s = initial, config.fusion.epoch_s
+        self._epoch_s = config.fusion.epoch_s
         self._frontend = StereoFrontend(rig, config.frontend)
         self._ins = InsPropagator(initial, config.imu)
         self._backend = SlamBackend(initial, rig=rig, config=config, vehicle=vehicle, session=session)
-        self._waiting: dict[int, StereoFeatures] = {}
+        self._queue = FrameQueue(initial.state.stamp_ns)
+        self._reckoned = {initial.state.stamp_ns: initial}  # dead reckoning of frames that are not complete
         self._previous_ns: int | None = None
         self.track = VehicleTrack(vehicle)
 
@@ -81,26 +83,26 @@ class VehiclePipeline:
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
         """Take in a frame, or its features where they are simulated; frames before the start state are dropped."""
         self.track.frames_in += 1
-        if frame.stamp_ns < self._initial.state.stamp_ns:
-            self.track.dropped["before_start"] = self.track.dropped.get("before_start", 0) + 1
-            return []
-        features = self._frontend.process(frame) if isinstance(frame, StereoFrame) else frame
-        if frame.stamp_ns == self._initial.state.stamp_ns:
-            return [self._process(features, None, self._initial)]
-        self._waiting[frame.stamp_ns] = features
-        self._ins.add_frame_stamp(frame.stamp_ns)
+        self._queue.add_features(self._frontend.process(frame) if isinstance(frame, StereoFrame) else frame)
+        if frame.stamp_ns > self._ins.start_ns:
+            self._ins.add_frame_stamp(frame.stamp_ns)
         return self._complete(self._ins.increments())
 
     def _complete(self, increments: list[tuple[ImuIncrement, NavEstimate]]) -> list[FrameOutput]:
-        return [self._process(self._waiting.pop(step.stamp_ns), step, reckoned) for step, reckoned in increments]
+        for increment, reckoned in increments:
+            self._queue.add_increment(increment)
+            self._reckoned[increment.stamp_ns] = reckoned
+        outputs = []
+        while (frame := self._queue.pop()) is not None:
+            outputs.append(self._process(*frame))
+        self.track.dropped = {"before_start": self._queue.before_start} if self._queue.before_start else {}
+        return outputs
 
-    def _process(
-        self, features: StereoFeatures, increment: ImuIncrement | None, dead_reckoning: NavEstimate
-    ) -> FrameOutput:
+    def _process(self, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._epoch_s)
         self._previous_ns = features.stamp_ns
         joint = self._backend.joint_information() if at_epoch else None
-        output = FrameOutput(report, dead_reckoning, joint)
+        output = FrameOutput(report, self._reckoned.pop(features.stamp_ns), joint)
         self.track.outputs.append(output)
         return output

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The records that stages exchange; each one has a message in `uav_vslam_msgs` or a standard message of the same content.
+"""The records that stages exchange; each has a message of the same content in `uav_vslam_msgs` or a standard one.
 
 Frames: `map` is the vehicle's local ENU frame (z up, gravity along -z), shared by a fleet that starts from a common
 origin; `body` is FLU at the IMU. Stamps are nanoseconds since the epoch of the recording. Records are never modified.
@@ -80,7 +80,8 @@ class ImuIncrement:
         delta_v: (3,) velocity gained without gravity, in the start body frame [m/s].
         delta_p: (3,) displacement gained without gravity and initial velocity, in the start body frame [m].
         gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
-        bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); rotation is a right perturbation.
+        bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); the rotation perturbs from
+            the right.
         covariance: (9, 9) of (rotation, velocity, position), from white noise of the readings.
     """
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
     from uav_vslam.evaluation.trajectory import Trajectory
+    from uav_vslam.offline import FlightSource
 
 HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     started = time.monotonic()
     with Progress(transient=True) as progress:
         task = progress.add_task("flying", total=sum(flight.frame_count for flight in flights.values()))
-        sources = [BagSource(flight) for flight in flights.values()]
+        sources: list[FlightSource] = [BagSource(flight) for flight in flights.values()]
         tracks, fleet = fly(sources, configs, workers=args.workers, on_frame=lambda n: progress.advance(task, n))
     truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     name = args.name or args.inputs[0].stem

@@ -131,7 +131,9 @@ class Euler9:
 def _rotation_per_rpy(R: Array) -> Array:
     """Return E (3, 3) with xi = E d(roll, pitch, yaw) for R = Rz Ry Rx and a map-frame rotation vector xi."""
     _, pitch, yaw = rpy_from_rotation(R)
-    return np.column_stack([rotation_from_rpy(0.0, pitch, yaw)[:, 0], rotation_from_rpy(0.0, 0.0, yaw)[:, 1], [0, 0, 1]])
+    return np.column_stack(
+        [rotation_from_rpy(0.0, pitch, yaw)[:, 0], rotation_from_rpy(0.0, 0.0, yaw)[:, 1], [0, 0, 1]]
+    )
 
 
 def difference(nav: NavState, landmarks: Array, nav_to: NavState, landmarks_to: Array) -> Array:

@@ -33,7 +33,9 @@ class PinholeCamera:
         if not (self.width > 0 and self.height > 0):
             raise CalibrationError(f"image size {self.width}x{self.height} is empty; is CameraInfo filled in?")
         if not (self.fx > 0 and self.fy > 0 and np.isfinite([self.fx, self.fy, self.cx, self.cy]).all()):
-            raise CalibrationError(f"focal length ({self.fx}, {self.fy}) px must be positive; is CameraInfo.K filled in?")
+            raise CalibrationError(
+                f"focal length ({self.fx}, {self.fy}) px must be positive; is CameraInfo.K filled in?"
+            )
         if np.shape(self.distortion) != (5,):
             raise CalibrationError(f"distortion needs 5 values (k1 k2 p1 p2 k3), not {np.shape(self.distortion)}")
 

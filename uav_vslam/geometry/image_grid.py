@@ -7,13 +7,13 @@ from numpy.typing import ArrayLike, NDArray
 CELLS_PER_AXIS = 8
 
 
-def spread(pixels: ArrayLike, count: int, *, size: tuple[int, int], taken: ArrayLike = ()) -> NDArray[np.intp]:
+def spread(pixels: ArrayLike, count: int, *, size: tuple[float, float], taken: ArrayLike = ()) -> NDArray[np.intp]:
     """Choose points cell by cell: each grid cell gives its first one, then each its second one, and so on.
 
     Args:
         pixels: (N, 2) points in order of preference [px].
         count: how many are wanted.
-        size: image width and height [px].
+        size: width and height of the area, an image's as a rule [px].
         taken: (M, 2) points chosen before; they count against their cells.
 
     Returns:
@@ -30,7 +30,7 @@ def spread(pixels: ArrayLike, count: int, *, size: tuple[int, int], taken: Array
     return np.argsort(rank[len(before) :], kind="stable")[:count]
 
 
-def _cells(points: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.intp]:
+def _cells(points: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.intp]:
     index = np.floor(points / np.asarray(size, dtype=float) * CELLS_PER_AXIS).astype(np.intp)
     index = np.clip(index, 0, CELLS_PER_AXIS - 1)
     return np.asarray(index[:, 0] * CELLS_PER_AXIS + index[:, 1])

@@ -107,7 +107,7 @@ class StereoRig:
         return points
 
     def epipolar_distance(self, pixels: ArrayLike) -> Array:
-        """Return (N,) distances [px] of the right pixels from the epipolar lines of the left ones, for (N, 4) pixels."""
+        """Return (N,) distances [px] of right pixels from the epipolar lines of the left ones, for (N, 4) pixels."""
         z = np.asarray(pixels, dtype=float).reshape(-1, 4)
         ones = np.ones((len(z), 1))
         lines = np.hstack([z[:, :2], ones]) @ self.fundamental.T

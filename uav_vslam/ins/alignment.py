@@ -32,7 +32,9 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
     """
     gyro, accel = np.array([s.gyro for s in samples]), np.array([s.accel for s in samples])
     if len(samples) < 10:
-        raise UavVslamError(f"static alignment needs a second of IMU readings before the first frame, got {len(samples)}")
+        raise UavVslamError(
+            f"static alignment needs a second of IMU readings before the first frame, got {len(samples)}"
+        )
     rate_std, accel_std = float(gyro.std(axis=0).max()), float(accel.std(axis=0).max())
     if rate_std > MAX_RATE_STD or accel_std > MAX_ACCEL_STD:
         raise UavVslamError(

@@ -105,9 +105,7 @@ UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] what an airframe may turn while nobody looks
 UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] what it may accelerate meanwhile
 
 
-def _unknown_motion(
-    start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: Array, imu: ImuConfig
-) -> ImuIncrement:
+def _unknown_motion(start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: Array, imu: ImuConfig) -> ImuIncrement:
     """Return a level, unaccelerated flight with a very wide covariance: the inertial unit was silent."""
     dt = (stamp_ns - start_ns) / NS_PER_S
     hover = np.array([0.0, 0.0, imu.gravity])

@@ -117,5 +117,7 @@ class InsOdometry:
             return state
         R, v = state.T_map_body.R, state.v_map
         accel_map = R @ (sample.accel - state.accel_bias) + self._gravity
-        pose = Pose(R @ so3_exp((sample.gyro - state.gyro_bias) * dt), state.T_map_body.t + (v + 0.5 * accel_map * dt) * dt)
+        pose = Pose(
+            R @ so3_exp((sample.gyro - state.gyro_bias) * dt), state.T_map_body.t + (v + 0.5 * accel_map * dt) * dt
+        )
         return NavState(sample.stamp_ns, pose, v + accel_map * dt, state.gyro_bias, state.accel_bias)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stereo rig as a node learns it: intrinsics from camera_info, extrinsics from /tf_static."""
 
+from functools import partial
+
 from rclpy.logging import get_logger
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
@@ -25,7 +27,7 @@ class RigListener:
         self._transforms: dict[str, tuple[str, Pose]] = {}  # child frame -> (parent frame, T_parent_child)
         self.rig: StereoRig | None = None
         for side in ("left", "right"):
-            node.listen(CameraInfo, f"{side}/camera_info", lambda m, s=side: self._on_camera(s, m), STATE)
+            node.listen(CameraInfo, f"{side}/camera_info", partial(self._on_camera, side), STATE)
         node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED)
 
     @property

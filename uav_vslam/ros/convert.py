@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 TYPECODES = {np.dtype(np.uint8): "B", np.dtype(np.uint32): "I", np.dtype(np.float32): "f", np.dtype(np.float64): "d"}
 
 
-def flat(values: NDArray[Any]) -> array:  # type: ignore[type-arg]
+def flat(values: NDArray[Any]) -> array:
     """Return an ndarray's numbers as the `array.array` that a message field takes without a walk."""
     contiguous = np.ascontiguousarray(values)
     out = array(TYPECODES[contiguous.dtype])
@@ -274,7 +274,9 @@ def packet_to_msg(packet: LandmarkPacket, *, frame_id: str) -> LandmarkInformati
 def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
     """Return a packet; its contents are checked later by `slam.packet.validate`."""
     if message.version != LandmarkInformation.VERSION:
-        raise InvalidMessage("version", f"packet version {message.version}; this one reads {LandmarkInformation.VERSION}")
+        raise InvalidMessage(
+            "version", f"packet version {message.version}; this one reads {LandmarkInformation.VERSION}"
+        )
     if message.form != LandmarkInformation.FORM_DENSE:
         raise InvalidMessage("form", f"packet form {message.form} is not known")
     return LandmarkPacket(

@@ -15,6 +15,7 @@ out  odometry                              nav_msgs/Odometry per frame, map fram
 
 import time
 from collections import deque
+from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
@@ -38,26 +39,32 @@ from uav_vslam.ros.convert import (
 from uav_vslam.ros.qos import LATCHED, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
+from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.types import ImuIncrement, NavEstimate, NavState, StereoFeatures
+from uav_vslam.types import JointInformation as Joint
 from uav_vslam_msgs.msg import InsIncrement, JointInformation, NavigationState
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
 
-MAX_WAITING = 100  # frames or increments held for their counterpart
 MAX_PATH = 2000  # poses in a published path
 
 
+@dataclass(slots=True)
+class _Running:
+    """What exists once start state and rig are known."""
+
+    backend: SlamBackend
+    reckoned: NavState  # dead reckoning, for the edge map -> odom
+
+
 class SlamBackendNode(VehicleNode):
-    """Joins features with increments by stamp and runs `SlamBackend`."""
+    """Joins features with increments and runs `SlamBackend`."""
 
     def __init__(self) -> None:
         super().__init__("slam_backend")
         self._session: int = self.declare_parameter("session", 0).value or time.time_ns() // 1_000_000
-        self._rig = RigListener(self)
         self._initial: NavEstimate | None = None
-        self._backend: SlamBackend | None = None
-        self._features: deque[StereoFeatures] = deque(maxlen=MAX_WAITING)
-        self._increments: deque[ImuIncrement] = deque(maxlen=MAX_WAITING)
-        self._reckoned: NavState | None = None  # dead reckoning, for the edge map -> odom
+        self._running: _Running | None = None
+        self._queue = FrameQueue()
         self._previous_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._odometry = self.create_publisher(Odometry, "odometry", STATE)
@@ -66,6 +73,7 @@ class SlamBackendNode(VehicleNode):
         self._joint = self.create_publisher(JointInformation, "joint_information", STATE)
         self._correction = self.create_publisher(NavigationState, "slam/correction", STATE)
         self._tf = self.create_publisher(TFMessage, "/tf", STATE)
+        self._rig = RigListener(self)
         self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
         self.listen(InsIncrement, "ins/increment", self._on_increment, STATE)
         self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, STATE)
@@ -73,77 +81,56 @@ class SlamBackendNode(VehicleNode):
     def _on_initial_state(self, message: NavigationState) -> None:
         if self._initial is None:
             self._initial = navigation_from_msg(message)
-            self._reckoned = self._initial.state
+            self._queue.start_ns = self._initial.state.stamp_ns
             self._work()
 
     def _on_increment(self, message: InsIncrement) -> None:
-        self._increments.append(increment_from_msg(message))
+        self._queue.add_increment(increment_from_msg(message))
         self._work()
 
     def _on_features(self, message: StereoFeaturesMsg) -> None:
-        self._features.append(features_from_msg(message))
+        self._queue.add_features(features_from_msg(message))
         self._work()
 
     def _work(self) -> None:
         """Process every frame whose features and motion have both come."""
-        if self._backend is None:
+        if self._running is None:
             if self._initial is None or self._rig.rig is None:
                 return
-            self._backend = SlamBackend(
+            backend = SlamBackend(
                 self._initial, rig=self._rig.rig, config=self.config, vehicle=self.vehicle, session=self._session
             )
-        while self._features:
-            features = self._features[0]
-            if features.stamp_ns < self._initial.state.stamp_ns:
-                self._features.popleft()
-                self.drop("before_start", f"frame at {features.stamp_ns} ns is older than the start state")
-            elif features.stamp_ns == self._initial.state.stamp_ns:
-                self._process(self._features.popleft(), None)
-            elif not self._bridge_to(features.stamp_ns):
-                return
-            else:
-                self._process(self._features.popleft(), self._increments.popleft())
+            self._running = _Running(backend, self._initial.state)
+        while (frame := self._queue.pop()) is not None:
+            self._process(self._running, *frame)
+        self.counts["dropped/before_start"] = self._queue.before_start
+        self.counts["dropped/frame_lost"] = self._queue.lost
 
-    def _bridge_to(self, stamp_ns: int) -> bool:
-        """Coast over images whose features got lost; tell whether the increment to the stamp has come."""
-        while self._increments and self._increments[0].stamp_ns < stamp_ns:
-            increment = self._increments.popleft()
-            self.drop("frame_lost", f"no features came for the image at {increment.stamp_ns} ns")
-            self._process(StereoFeatures.empty(increment.stamp_ns), increment)
-        return bool(self._increments) and self._increments[0].stamp_ns == stamp_ns
-
-    def _process(self, features: StereoFeatures, increment: ImuIncrement | None) -> None:
-        report = self._backend.process(features, increment)
+    def _process(self, running: _Running, features: StereoFeatures, increment: ImuIncrement | None) -> None:
+        report = running.backend.process(features, increment)
         if increment is not None:
-            self._reckoned = propagate(self._reckoned, increment, gravity=self.config.imu.gravity)
+            running.reckoned = propagate(running.reckoned, increment, gravity=self.config.imu.gravity)
         self._count(report)
         if crosses_epoch(self._previous_ns, features.stamp_ns, self.config.fusion.epoch_s):
-            self._publish_epoch()
+            self._publish_epoch(running.backend.joint_information())
         self._previous_ns = features.stamp_ns
-        self._publish_frame(report)
+        self._publish_frame(report, running.reckoned)
 
-    def _publish_epoch(self) -> None:
+    def _publish_epoch(self, joint: Joint) -> None:
         """Publish what is large, before the frame's odometry, for which the fusion waits with it."""
-        joint = self._backend.joint_information()
         self._joint.publish(joint_to_msg(joint, frame_id=self.map_frame))
         self._landmarks.publish(cloud_to_msg(joint.positions, stamp_ns=joint.stamp_ns, frame_id=self.map_frame))
         self._paths.publish(Path(header=header(joint.stamp_ns, self.map_frame), poses=list(self._path)))
 
-    def _publish_frame(self, report: FrameReport) -> None:
+    def _publish_frame(self, report: FrameReport, reckoned: NavState) -> None:
         pose, state = report.pose, report.nav.state
-        self._correction.publish(
-            navigation_to_msg(report.nav, frame_id=self.map_frame, child_frame_id=self.base_frame)
-        )
-        T_map_odom = pose.T_map_body @ self._reckoned.T_map_body.inverse()
+        self._correction.publish(navigation_to_msg(report.nav, frame_id=self.map_frame, child_frame_id=self.base_frame))
+        T_map_odom = pose.T_map_body @ reckoned.T_map_body.inverse()
         edge = transform_to_msg(T_map_odom, stamp_ns=pose.stamp_ns, parent=self.map_frame, child=self.odom_frame)
         self._tf.publish(TFMessage(transforms=[edge]))
-        self._path.append(
-            PoseStamped(header=header(pose.stamp_ns, self.map_frame), pose=pose_to_msg(pose.T_map_body))
-        )
+        self._path.append(PoseStamped(header=header(pose.stamp_ns, self.map_frame), pose=pose_to_msg(pose.T_map_body)))
         self._odometry.publish(
-            odometry_to_msg(
-                pose, frame_id=self.map_frame, child_frame_id=self.base_frame, velocity_map=state.v_map
-            )
+            odometry_to_msg(pose, frame_id=self.map_frame, child_frame_id=self.base_frame, velocity_map=state.v_map)
         )
 
     def _count(self, report: FrameReport) -> None:

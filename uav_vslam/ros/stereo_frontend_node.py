@@ -10,6 +10,7 @@ out  stereo_features                             uav_vslam_msgs/StereoFeatures, 
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from numpy.typing import NDArray
@@ -43,8 +44,9 @@ class StereoFrontendNode(VehicleNode):
         self._publisher = self.create_publisher(StereoFeatures, "stereo_features", STATE)
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
             raw = f"{side}/image_raw"
-            self.listen(Image, raw, lambda m, a=add: self._on_image(a, m), IMAGE)
-            self.listen(CompressedImage, f"{raw}/compressed", lambda m, a=add: self._on_image(a, m), IMAGE, instead_of=raw)
+            on_image = partial(self._on_image, add)
+            self.listen(Image, raw, on_image, IMAGE)
+            self.listen(CompressedImage, f"{raw}/compressed", on_image, IMAGE, instead_of=raw)
 
     def _on_image(self, add: AddImage, message: Image | CompressedImage) -> None:
         pair = add(stamp_ns_of(message), image_from_msg(message))
@@ -59,13 +61,13 @@ class StereoFrontendNode(VehicleNode):
         self._work()
 
     def _work(self) -> None:
-        if self._frontend is None:
-            if self._rig.rig is None:
-                return
-            self._frontend = StereoFrontend(self._rig.rig, self.config.frontend)
-        size = (self._rig.rig.left.width, self._rig.rig.left.height)
+        rig = self._rig.rig
+        if rig is None:
+            return
+        self._frontend = self._frontend or StereoFrontend(rig, self.config.frontend)
         while self._waiting:
             features = self._frontend.process(self._waiting.popleft())
+            size = (rig.left.width, rig.left.height)
             self._publisher.publish(features_to_msg(features, frame_id=self._rig.left_frame, size=size))
             self.counts["features"] += len(features)
 
