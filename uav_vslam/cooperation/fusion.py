@@ -83,6 +83,9 @@ class Fusion:
             packet = self.inbox.newest(peer, not_after_ns)
             if packet is None or self._config.mode == "none":
                 continue
+            if packet.descriptors.shape[1] != joint.descriptors.shape[1]:
+                self.inbox.peers[peer].dropped["descriptor_size"] += 1
+                continue
             total = belief.total
             pairs = find_common(
                 positions, total[POSE_DIM:, POSE_DIM:], joint.descriptors, packet, config=self._config

@@ -143,8 +143,8 @@ def validate(packet: LandmarkPacket) -> None:
         raise InvalidMessage(
             "shape", f"{n} ids, offsets {packet.offsets.shape}, factor {packet.covariance_factor.shape} don't fit"
         )
-    if len(packet.descriptors) != n:
-        raise InvalidMessage("shape", f"{n} ids but {len(packet.descriptors)} descriptors")
+    if packet.descriptors.ndim != 2 or len(packet.descriptors) != n:
+        raise InvalidMessage("shape", f"{n} ids but descriptors {packet.descriptors.shape}")
     if checksum(packet) != packet.checksum:
         raise InvalidMessage("checksum", f"packet {packet.sequence} of {packet.source} was damaged on its way")
     numbers = (packet.origin, packet.offsets, packet.covariance_factor, packet.covariance_scale)

@@ -1,0 +1,356 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fusion adds what is independent, intersects what is not, counts nothing twice, and writes nothing back."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.fusion import FusedEpoch, Fusion, carried, move
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp, so3_log
+from uav_vslam.slam.packet import POSE_DIM, checksum, make_packet
+from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
+
+Array = NDArray[np.float64]
+
+COUNT = 6
+NOW_NS = 10_000_000_000
+EXACT = FusionConfig(floor_sigma_m=0.0)
+RELATIVE = 1e-5  # packets carry float32 covariances and offsets
+TRUTH = np.column_stack([np.random.default_rng(1).uniform(-30, 30, (COUNT, 2)), np.zeros(COUNT)])
+
+
+def belief_covariance(drift_m: float, *, yaw_rad: float = 0.01, own_m: float = 0.1) -> Array:
+    """Return (6+3N, 6+3N): position drift and yaw that pose and landmarks share, and each one's own error."""
+    shared = np.zeros((POSE_DIM + 3 * COUNT, 4))
+    shared[:3, :3] = np.eye(3)
+    shared[6:, :3] = np.tile(np.eye(3), (COUNT, 1))
+    shared[5, 3] = 1.0
+    shared[6:, 3] = np.cross([0.0, 0.0, 1.0], TRUTH).ravel()
+    scale = np.array([drift_m, drift_m, drift_m, yaw_rad])
+    return (shared * scale) @ (shared * scale).T + np.diag([1e-3] * 6 + [own_m**2] * (3 * COUNT))
+
+
+@pytest.fixture
+def own(make_joint) -> JointInformation:
+    return make_joint(TRUTH + np.array([0.6, -0.4, 0.3]), belief_covariance(1.0), stamp_ns=NOW_NS)
+
+
+@pytest.fixture
+def peer_packet(make_joint):
+    """Return a maker of packets over the same landmarks, a second old."""
+
+    def make(vehicle: str = "uav2", *, shift=(-0.5, 0.2, 0.1), drift_m: float = 0.8, **options) -> LandmarkPacket:
+        joint = make_joint(
+            TRUTH + np.asarray(shift), belief_covariance(drift_m), vehicle=vehicle, stamp_ns=NOW_NS - 1_000_000_000
+        )
+        return make_packet(joint, sequence=options.pop("sequence", 1), max_landmarks=COUNT, **options)
+
+    return make
+
+
+def from_sources(packet: LandmarkPacket, *sources: str) -> LandmarkPacket:
+    changed = dataclasses.replace(packet, sources=sources)
+    return dataclasses.replace(changed, checksum=checksum(changed))
+
+
+def fuse(
+    own: JointInformation, *packets: LandmarkPacket, config: FusionConfig = EXACT, prior_id: str = ""
+) -> FusedEpoch:
+    fusion = Fusion("uav1", config, prior_id=prior_id)
+    for packet in packets:
+        fusion.inbox.add(packet)
+    return fusion.fuse(own)
+
+
+def own_covariance(own: JointInformation) -> Array:
+    return np.linalg.inv(own.information)
+
+
+def assert_belief(epoch: FusedEpoch, own: JointInformation, Y: Array, gradient: Array) -> None:
+    """Check a result against information Y (over pose and landmarks) and delta = Y^-1 gradient."""
+    pose, positions = move(own.T_map_body, own.positions, np.linalg.solve(Y, gradient))
+    np.testing.assert_allclose(epoch.pose.T_map_body.matrix, pose.matrix, atol=1e-4)
+    np.testing.assert_allclose(epoch.positions, positions, atol=1e-4)
+    expected = np.linalg.inv(Y)[:POSE_DIM, :POSE_DIM]
+    sigma = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        epoch.pose.covariance / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-3
+    )
+
+
+def landmark_information(packet: LandmarkPacket) -> Array:
+    """Return the packet's information at the place of its landmarks in the joint state."""
+    Y = np.zeros((POSE_DIM + 3 * COUNT,) * 2)
+    Y[POSE_DIM:, POSE_DIM:] = np.linalg.inv(packet.covariance)
+    return Y
+
+
+def gradient_of(own: JointInformation, packet: LandmarkPacket) -> Array:
+    innovation = np.concatenate([np.zeros(POSE_DIM), (packet.positions - own.positions).ravel()])
+    return landmark_information(packet) @ innovation
+
+
+def test_two_independent_vehicles_give_the_centralised_estimate(own, peer_packet) -> None:
+    """One filter over both vehicles' poses and the landmarks they share, the peer's pose marginalised out."""
+    packet = peer_packet()
+    epoch = fuse(own, packet)
+    assert epoch.common == {"uav2": COUNT}
+    assert epoch.weight == 1.0
+    n = 3 * COUNT
+    central = np.zeros((2 * POSE_DIM + n,) * 2)  # own pose, landmarks, peer's pose
+    central[: POSE_DIM + n, : POSE_DIM + n] += own.information
+    peer_rows = np.r_[POSE_DIM + n : 2 * POSE_DIM + n, POSE_DIM : POSE_DIM + n]
+    central[np.ix_(peer_rows, peer_rows)] += np.linalg.inv(belief_covariance(0.8))
+    P = np.linalg.inv(central)[: POSE_DIM + n, : POSE_DIM + n]
+    assert_belief(epoch, own, np.linalg.inv(P), gradient_of(own, packet))
+
+
+def test_three_independent_vehicles_add(own, peer_packet) -> None:
+    """The second addition is linearised where the first one led, so the agreement is to a turn of 1e-4 rad."""
+    packets = peer_packet("uav2"), peer_packet("uav3", shift=(0.1, 0.3, -0.2), drift_m=1.2)
+    epoch = fuse(own, *packets)
+    Y = own.information + sum(landmark_information(p) for p in packets)
+    gradient = sum(gradient_of(own, p) for p in packets)
+    pose, _ = move(own.T_map_body, own.positions, np.linalg.solve(Y, gradient))
+    np.testing.assert_allclose(epoch.pose.T_map_body.t, pose.t, atol=5e-3)
+    np.testing.assert_allclose(epoch.pose.covariance, np.linalg.inv(Y)[:6, :6], atol=2e-3)
+    assert epoch.weight == 1.0
+
+
+def test_the_floor_is_added_to_each_landmark(own, peer_packet) -> None:
+    packet = peer_packet()
+    epoch = fuse(own, packet, config=FusionConfig(floor_sigma_m=0.3))
+    widened = np.zeros_like(own.information)
+    widened[POSE_DIM:, POSE_DIM:] = np.linalg.inv(packet.covariance + 0.09 * np.eye(3 * COUNT))
+    innovation = np.concatenate([np.zeros(POSE_DIM), (packet.positions - own.positions).ravel()])
+    assert_belief(epoch, own, own.information + widened, widened @ innovation)
+
+
+def test_a_peers_help_reduces_the_doubt_of_the_pose(own, peer_packet) -> None:
+    epoch = fuse(own, peer_packet())
+    assert np.trace(epoch.pose.covariance[:3, :3]) < 0.7 * np.trace(epoch.own.covariance[:3, :3])
+    assert np.linalg.norm(epoch.pose.T_map_body.t - own.T_map_body.t) > 0.1
+    assert epoch.matched_ids == frozenset(own.ids.tolist())
+
+
+def test_the_same_source_in_two_packets_is_not_counted_twice(own, peer_packet) -> None:
+    """What uav3 sends on holds nothing but uav2's measurements: fusing both must not beat uav2 alone."""
+    direct = peer_packet("uav2")
+    echo = from_sources(peer_packet("uav3"), "uav3/1", "uav2/1")
+    once, both = fuse(own, direct), fuse(own, direct, echo)
+    assert np.trace(both.pose.covariance[:3, :3]) >= np.trace(once.pose.covariance[:3, :3]) * (1 - RELATIVE)
+    unmarked = fuse(own, direct, peer_packet("uav3"))
+    assert np.trace(unmarked.pose.covariance[:3, :3]) < 0.9 * np.trace(once.pose.covariance[:3, :3])
+
+
+def test_own_measurements_that_come_back_do_not_sharpen_the_own_estimate(own) -> None:
+    joint = dataclasses.replace(own, vehicle="uav2", stamp_ns=NOW_NS - 1_000_000_000)
+    echo = from_sources(make_packet(joint, sequence=1, max_landmarks=COUNT), "uav2/1", "uav1/1")
+    epoch = fuse(own, echo)
+    assert np.trace(epoch.pose.covariance[:3, :3]) >= np.trace(epoch.own.covariance[:3, :3]) * (1 - RELATIVE)
+
+
+@pytest.mark.parametrize(
+    ("own_prior", "peer_prior", "dependent"),
+    [("", "", False), ("map", "", False), ("", "map", False), ("map", "survey", False), ("map", "map", True)],
+)
+def test_only_a_common_prior_makes_a_packet_dependent(own, peer_packet, own_prior, peer_prior, dependent) -> None:
+    packet = peer_packet(prior_id=peer_prior, drift_m=0.5)
+    epoch = fuse(own, packet, prior_id=own_prior)
+    assert (epoch.weight < 1.0) is dependent
+    if dependent:  # all of it: covariance intersection, Eq. (7.1) of [thesis]
+        w = epoch.weight
+        Y = w * own.information + (1 - w) * landmark_information(packet)
+        assert_belief(epoch, own, Y, (1 - w) * gradient_of(own, packet))
+
+
+def test_two_peers_with_one_prior_depend_on_each_other(own, peer_packet) -> None:
+    packets = [peer_packet(v, prior_id="map", drift_m=0.5) for v in ("uav2", "uav3")]
+    once, both = fuse(own, packets[0]), fuse(own, *packets)
+    summed = own.information + sum(landmark_information(p) for p in packets)
+    assert np.trace(both.pose.covariance[:3, :3]) > np.trace(np.linalg.inv(summed)[:3, :3]) * 1.05
+    assert np.trace(both.pose.covariance[:3, :3]) <= np.trace(once.pose.covariance[:3, :3]) * (1 + RELATIVE)
+
+
+def test_ten_packets_of_one_vehicle_count_as_its_newest_alone(own, peer_packet) -> None:
+    packets = [peer_packet(sequence=k) for k in range(1, 11)]
+    repeated, single = fuse(own, *packets), fuse(own, packets[-1])
+    np.testing.assert_array_equal(repeated.pose.covariance, single.pose.covariance)
+    np.testing.assert_array_equal(repeated.pose.T_map_body.matrix, single.pose.T_map_body.matrix)
+    # The naive sum of the ten claims this much; as the ten share one error, the truth is that much.
+    Y_peer = landmark_information(packets[-1])
+    claimed = np.linalg.inv(own.information + 10 * Y_peer)
+    true = claimed @ (own.information + 100 * Y_peer) @ claimed
+    assert true[0, 0] > 3 * claimed[0, 0]
+    ours_claimed = np.linalg.inv(own.information + Y_peer)
+    assert repeated.pose.covariance[0, 0] == pytest.approx(ours_claimed[0, 0], rel=1e-3)
+
+
+def test_without_cooperation_the_fused_track_is_the_own_one(own, peer_packet) -> None:
+    epoch = fuse(own, peer_packet(), config=FusionConfig(mode="none"))
+    np.testing.assert_array_equal(epoch.pose.T_map_body.matrix, own.T_map_body.matrix)
+    np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
+    np.testing.assert_array_equal(epoch.positions, own.positions)
+    assert epoch.common == {}
+
+
+def test_a_packet_too_young_for_the_epoch_waits(own, peer_packet) -> None:
+    packet = peer_packet()
+    config = FusionConfig(floor_sigma_m=0.0, min_delay_s=1.5)  # the packet is one second old
+    assert fuse(own, packet, config=config).common == {}
+    assert fuse(own, packet, config=FusionConfig(min_delay_s=1.0)).common == {"uav2": COUNT}
+
+
+def test_fusion_writes_nothing_back(own, peer_packet) -> None:
+    fusion = Fusion("uav1", EXACT)
+    fusion.inbox.add(peer_packet())
+    before = own.information.copy(), own.positions.copy()
+    first = fusion.fuse(own)
+    np.testing.assert_array_equal(own.information, before[0])
+    np.testing.assert_array_equal(own.positions, before[1])
+    second = fusion.fuse(own)  # the same packet again, on the same own belief: the overlay is made anew
+    np.testing.assert_array_equal(first.pose.covariance, second.pose.covariance)
+    np.testing.assert_array_equal(first.positions, second.positions)
+
+
+def test_what_is_sent_is_own_only_and_offers_shared_landmarks_first(own, peer_packet) -> None:
+    config = dataclasses.replace(EXACT, max_packet_landmarks=3, min_common=1)
+    fusion, alone = Fusion("uav1", config), Fusion("uav1", config)
+    lonely = peer_packet()
+    keep = make_packet_of_rows(lonely, [4])
+    fusion.inbox.add(keep)
+    fusion.fuse(own)
+    packet = fusion.packet(own)
+    assert packet.sources == ("uav1/1",)
+    assert 5 in packet.ids
+    row = packet.ids.tolist().index(5)
+    np.testing.assert_allclose(packet.positions[row], own.positions[4], atol=1e-5)
+    assert (packet.sequence, fusion.packet(own).sequence) == (1, 2)
+    assert fusion.packets_sent == 2
+    assert fusion.bytes_sent > 2 * 3 * 128
+    assert alone.packet(own).sequence == 1
+
+
+def make_packet_of_rows(packet: LandmarkPacket, rows: list[int]) -> LandmarkPacket:
+    """Return a packet over some of another's landmarks."""
+    columns = (3 * np.array(rows)[:, None] + np.arange(3)).ravel()
+    L = np.linalg.cholesky(packet.covariance[np.ix_(columns, columns)])
+    changed = dataclasses.replace(
+        packet,
+        ids=packet.ids[rows],
+        offsets=packet.offsets[rows],
+        descriptors=packet.descriptors[rows],
+        covariance_factor=L[np.tril_indices(len(L))].astype(np.float32),
+    )
+    return dataclasses.replace(changed, checksum=checksum(changed))
+
+
+def test_descriptors_of_another_size_are_counted_and_change_nothing(own, peer_packet) -> None:
+    fusion = Fusion("uav1", EXACT)
+    packet = peer_packet()
+    short = dataclasses.replace(packet, descriptors=packet.descriptors[:, :32])
+    fusion.inbox.add(dataclasses.replace(short, checksum=checksum(short)))
+    epoch = fusion.fuse(own)
+    np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
+    assert fusion.inbox.peers["uav2"].dropped["descriptor_size"] == 1
+
+
+@pytest.mark.parametrize("sigma_m", [1e-20, 1e5])
+def test_a_valid_packet_of_extreme_certainty_breaks_nothing(own, peer_packet, sigma_m: float) -> None:
+    packet = peer_packet()
+    L = np.full((3 * COUNT, 3 * COUNT), sigma_m) if sigma_m > 1 else sigma_m * np.eye(3 * COUNT)
+    extreme = dataclasses.replace(packet, covariance_factor=L[np.tril_indices(len(L))].astype(np.float32))
+    epoch = fuse(own, dataclasses.replace(extreme, checksum=checksum(extreme)), config=FusionConfig())
+    assert np.isfinite(epoch.pose.T_map_body.matrix).all()
+    assert np.linalg.eigvalsh(epoch.pose.covariance)[0] > 0
+
+
+def test_a_peer_that_sees_other_landmarks_changes_nothing(make_joint, own) -> None:
+    other = make_joint(TRUTH, belief_covariance(1.0), vehicle="uav2", stamp_ns=0, identities=np.arange(COUNT) + 500)
+    epoch = fuse(own, make_packet(other, sequence=1, max_landmarks=COUNT))
+    assert epoch.common == {"uav2": 0}
+    np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
+    assert epoch.matched_ids == frozenset()
+
+
+def test_a_belief_without_landmarks_stays_its_own(make_joint, peer_packet) -> None:
+    blind = make_joint(np.zeros((0, 3)), 0.1 * np.eye(6), stamp_ns=NOW_NS)
+    epoch = fuse(blind, peer_packet())
+    np.testing.assert_allclose(epoch.pose.covariance, 0.1 * np.eye(6))
+    assert epoch.positions.shape == (0, 3)
+
+
+# Between epochs the fused pose is carried by the own-only motion.
+
+
+def pose_estimate(xi, t, covariance: Array, stamp_ns: int = NOW_NS) -> PoseEstimate:
+    return PoseEstimate(stamp_ns, Pose(so3_exp(xi), np.asarray(t, float)), covariance)
+
+
+def epoch_of(own: PoseEstimate, fused: PoseEstimate) -> FusedEpoch:
+    return FusedEpoch(own, fused, np.zeros(0, np.uint32), np.zeros((0, 3)), 1.0, {}, frozenset())
+
+
+COVARIANCES = st.builds(
+    lambda seed, log: (
+        10.0**log * (lambda A: A @ A.T + 1e-3 * np.eye(6))(np.random.default_rng(seed).normal(size=(6, 6)))
+    ),
+    st.integers(0, 2**32 - 1),
+    st.floats(-4, 1),
+)
+
+
+@given(COVARIANCES, COVARIANCES)
+def test_carrying_without_motion_changes_nothing(own_P: Array, fused_P: Array) -> None:
+    own = pose_estimate([0.1, 0.2, 0.3], [1, 2, 70], own_P)
+    fused = pose_estimate([0.1, 0.2, 0.35], [1.5, 2, 70], fused_P)
+    there = carried(epoch_of(own, fused), own)
+    np.testing.assert_allclose(there.T_map_body.matrix, fused.T_map_body.matrix, atol=1e-13)
+    np.testing.assert_allclose(
+        there.covariance, fused_P, atol=1e-12 * np.abs(own_P).max() + 1e-12 * np.abs(fused_P).max()
+    )
+
+
+@settings(max_examples=50)
+@given(COVARIANCES, COVARIANCES, COVARIANCES, st.lists(st.floats(-50, 50), min_size=3, max_size=3))
+def test_a_carried_covariance_stays_positive_and_never_shrinks(own_P, fused_P, later_P, moved) -> None:
+    own = pose_estimate([0.1, 0.2, 0.3], [1, 2, 70], own_P)
+    fused = pose_estimate([0.1, 0.2, 0.35], [1.5, 2, 70], fused_P)
+    later = pose_estimate([0.15, 0.2, 0.5], np.array([1, 2, 70]) + moved, later_P, NOW_NS + 1)
+    there = carried(epoch_of(own, fused), later)
+    assert there.stamp_ns == NOW_NS + 1
+    np.testing.assert_array_equal(there.covariance, there.covariance.T)
+    assert np.linalg.eigvalsh(there.covariance)[0] > -1e-12 * np.abs(there.covariance).max()
+    assert np.linalg.eigvalsh(there.covariance[3:, 3:] - fused_P[3:, 3:])[0] > -1e-9 * np.abs(there.covariance).max()
+
+
+def test_a_carried_pose_keeps_the_own_motion_between_stamps() -> None:
+    own = pose_estimate([0, 0, 0.3], [1, 2, 70], 0.1 * np.eye(6))
+    fused = pose_estimate([0, 0, 0.4], [4, 2, 69], 0.05 * np.eye(6))
+    later = pose_estimate([0.05, 0.1, 0.8], [11, 5, 71], 0.2 * np.eye(6), NOW_NS + 1)
+    there = carried(epoch_of(own, fused), later)
+    seen = fused.T_map_body.inverse() @ there.T_map_body
+    expected = own.T_map_body.inverse() @ later.T_map_body
+    np.testing.assert_allclose(seen.matrix, expected.matrix, atol=1e-12)
+
+
+def test_a_vehicle_that_never_fused_carries_its_own_pose() -> None:
+    own = pose_estimate([0, 0, 0.3], [1, 2, 70], 0.1 * np.eye(6))
+    assert Fusion("uav1", EXACT).carry(own) is own
+
+
+def test_moving_is_the_exponential_without_velocity() -> None:
+    """A turn about the map's origin moves pose and landmarks alike, as one rigid body."""
+    pose, landmarks = Pose(so3_exp([0.1, 0.0, 0.2]), np.array([5.0, -3.0, 70.0])), TRUTH
+    xi = np.array([0.02, -0.01, 0.3])
+    delta = np.concatenate([np.cross(xi, pose.t), xi, np.cross(xi, landmarks).ravel()])
+    moved_pose, moved_landmarks = move(pose, landmarks, delta)
+    np.testing.assert_allclose(moved_landmarks, landmarks @ so3_exp(xi).T, atol=1e-12)
+    np.testing.assert_allclose(moved_pose.t, so3_exp(xi) @ pose.t, atol=1e-12)
+    np.testing.assert_allclose(so3_log(moved_pose.R @ pose.R.T), xi, atol=1e-12)
