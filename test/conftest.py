@@ -77,3 +77,60 @@ def make_joint() -> Callable[..., JointInformation]:
         )
 
     return make
+
+
+MARK = "UAV_VSLAM_TEST_RUN"  # in the environment of a launcher and so of all that it starts
+
+
+@dataclass
+class Graph:
+    """A fleet's node graph, started by `uav-vslam launch` on a ROS domain of its own.
+
+    Attributes:
+        process: the launcher.
+        domain_id: its ROS domain.
+        mark: value of `MARK` by which its processes are found.
+    """
+
+    process: subprocess.Popen[str]
+    domain_id: int
+    mark: str = field(default_factory=lambda: uuid.uuid4().hex)
+
+    def left_running(self, within_s: float = 0.0) -> list[str]:
+        """Command lines of the launcher and of what it started, once none is left or time is up."""
+        end_s = time.monotonic() + within_s
+        while (found := _marked(self.mark)) and time.monotonic() < end_s:
+            time.sleep(0.05)
+        return found
+
+
+def _marked(mark: str) -> list[str]:
+    needle, found = f"{MARK}={mark}".encode(), []
+    for process in Path("/proc").iterdir():
+        try:
+            if process.name.isdigit() and needle in (process / "environ").read_bytes():
+                found.append((process / "cmdline").read_text().replace("\0", " "))
+        except OSError:  # gone, or not ours
+            continue
+    return found
+
+
+@contextmanager
+def launched(*arguments: str, stderr: IO[str] | int | None = subprocess.STDOUT) -> Iterator[Graph]:
+    """Run `uav-vslam launch` with its output piped; whatever a failing test leaves is killed."""
+    from uav_vslam.ros.supervisor import free_domain_id
+
+    domain_id, mark = free_domain_id(), uuid.uuid4().hex
+    command = [sys.executable, "-m", "uav_vslam.cli.main", "launch", *arguments, "--domain", str(domain_id)]
+    process = subprocess.Popen(command, env=os.environ | {MARK: mark}, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    try:
+        yield Graph(process, domain_id, mark)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="session")
+def launch_graph():
+    """What starts a node graph: `with launch_graph("fleet.yaml") as graph`."""
+    return launched

@@ -7,9 +7,11 @@ An unknown key, a wrong type or a value out of range raises `ConfigError` that n
 
 import dataclasses
 import difflib
+import math
 import os
 import types
 import typing
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -78,6 +80,10 @@ class FrontendConfig:
         _require(self.max_matches > 0, self, "max_matches", "a positive count")
 
 
+STATE_MODELS = ("ri15", "so15", "euler9")  # the names in estimation.models.MODELS
+RETENTION_POLICIES = ("grid", "none", "first_last", "largest_covariance")  # the names in slam.map_manager.RETENTION
+
+
 @dataclass(frozen=True, slots=True)
 class BackendConfig:
     """The own-only filter and its map."""
@@ -102,10 +108,19 @@ class BackendConfig:
     young_frames: int = 5  # younger landmarks are not removed for space
 
     def __post_init__(self) -> None:
+        _require(self.model in STATE_MODELS, self, "model", f"one of {', '.join(STATE_MODELS)}")
+        _require(self.retention in RETENTION_POLICIES, self, "retention", f"one of {', '.join(RETENTION_POLICIES)}")
         _require(self.sigma_px > 0, self, "sigma_px", "a positive number of pixels")
         _require(self.depth_sigma_ratio >= 0, self, "depth_sigma_ratio", "zero (off) or more")
         _require(0 < self.min_descriptor_ratio <= 1, self, "min_descriptor_ratio", "a number in (0, 1]")
         _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
+        for key in ("pnp_px", "pnp_beyond_px", "iterate_beyond_m"):
+            _require(getattr(self, key) > 0, self, key, "a positive number")
+        for key in ("max_observations", "max_in_view", "young_frames"):
+            _require(getattr(self, key) > 0, self, key, "a positive count")
+        _require(self.max_new_landmarks >= 0, self, "max_new_landmarks", "zero or more")
+        for key in ("min_pnp_inliers", "min_relocalisation_inliers"):
+            _require(getattr(self, key) >= 4, self, key, "4 or more, as a pose takes three points and one to check it")
         _require(self.max_landmarks >= self.max_in_view, self, "max_landmarks", "at least max_in_view")
         _require(self.retention_cell_m > 0, self, "retention_cell_m", "a positive length [m]")
 
@@ -217,7 +232,8 @@ def load_vehicle(path: Path | None, *, overrides: dict[str, Any] | None = None) 
     tree = {} if path is None else _read_yaml(path)
     for dotted, value in (overrides or {}).items():
         section, _, key = dotted.partition(".")
-        tree.setdefault(section, {})[key] = value
+        if isinstance(tree.setdefault(section, {}) or {}, dict):  # anything else is for `build` to refuse
+            tree[section] = {**(tree[section] or {}), key: value}
     return typing.cast(VehicleConfig, build(VehicleConfig, tree, where=str(path or "overrides")))
 
 
@@ -238,17 +254,24 @@ def load_fleet(path: Path, *, overrides: dict[str, Any] | None = None) -> FleetC
         )
     vehicles, files = {}, {}
     for name, entry in tree["vehicles"].items():
-        if not (isinstance(name, str) and name.isidentifier()):
+        if not (isinstance(name, str) and name.isascii() and name.isidentifier()):
             raise ConfigError(
                 f"{path}: vehicle name {name!r} must be a valid ROS namespace: letters, digits, underscores"
             )
         entry = entry or {}
+        if not (isinstance(entry, dict) and isinstance(entry.get("config") or "", str)):
+            raise ConfigError(f"{path}: vehicles.{name} = {entry!r} must look like {{config: kagaru.yaml}}")
         _reject_unknown(set(entry), {"config"}, where=str(path), prefix=f"vehicles.{name}.")
         file = path.parent / entry["config"] if entry.get("config") else None
         shared = {"fusion.mode": tree["mode"]} if "mode" in tree else {}
         vehicles[name], files[name] = load_vehicle(file, overrides={**shared, **(overrides or {})}), file
-    replay_tree = dict(tree.get("replay") or {})
-    replay_tree["bags"] = tuple(path.parent / str(bag) for bag in replay_tree.get("bags", ()))
+    replay_tree = tree.get("replay") or {}
+    if not isinstance(replay_tree, dict):
+        raise ConfigError(f"{path}: replay must hold keys and values, not {replay_tree!r}")
+    bags = replay_tree.get("bags") or ()
+    if not (isinstance(bags, list | tuple) and all(isinstance(bag, str) for bag in bags)):
+        raise ConfigError(f"{path}: replay.bags = {bags!r} must be a list of paths, e.g. [flight]")
+    replay_tree = {**replay_tree, "bags": tuple(path.parent / bag for bag in bags)}
     return FleetConfig(vehicles, files, build(ReplayConfig, replay_tree, where=f"{path}: replay"))
 
 
@@ -266,7 +289,8 @@ def build(cls: type, tree: Any, *, where: str, prefix: str = "") -> Any:
     for key, value in tree.items():
         hint = hints[key]
         if dataclasses.is_dataclass(hint):
-            values[key] = build(typing.cast(type, hint), value, where=where, prefix=f"{prefix}{key}.")
+            section = {} if value is None else value  # `backend:` with nothing below it changes nothing
+            values[key] = build(typing.cast(type, hint), section, where=where, prefix=f"{prefix}{key}.")
         else:
             values[key] = _checked(value, hint, where=f"{where}: {prefix}{key}")
     try:
@@ -307,6 +331,8 @@ def _checked(value: Any, hint: Any, *, where: str) -> Any:
         return tuple(value)
     if not isinstance(value, hint) or (hint in {int, float} and isinstance(value, bool)):
         raise ConfigError(f"{where} = {value!r} must be of type {hint.__name__}")
+    if hint is float and not math.isfinite(value):
+        raise ConfigError(f"{where} = {value!r} must be finite")
     return value
 
 
@@ -324,6 +350,10 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         seen: set[Any] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                raise ConfigError(
+                    f"{node.start_mark.name}: key {key!r} must be a word (line {key_node.start_mark.line + 1})"
+                )
             if key in seen:
                 raise ConfigError(
                     f"{node.start_mark.name}: key {key!r} is used twice (line {key_node.start_mark.line + 1})"
@@ -338,7 +368,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
             tree = yaml.load(stream, Loader=_UniqueKeyLoader)
     except OSError as error:
         raise ConfigError(f"{path}: can't be read ({error.strerror}); give the path of a YAML file") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid YAML ({error})") from None
     if tree is not None and not isinstance(tree, dict):
         raise ConfigError(f"{path}: must hold keys and values, not {type(tree).__name__}")

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import cv2
 
 from uav_vslam.config import VehicleConfig, to_tree
+from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -114,16 +115,15 @@ def flight_result(
     )
 
 
-def link_counters(fleet_member: CooperativeTrack, duration_s: float) -> LinkCounters:
+def link_counters(fusion: Fusion) -> LinkCounters:
     """Return what a vehicle's radio did."""
-    fusion = fleet_member.fusion
     peers = fusion.inbox.peers.values()
     dropped: dict[str, int] = {}
     for record in peers:
         for reason, count in record.dropped.items():
             dropped[reason] = dropped.get(reason, 0) + count
     return LinkCounters(
-        sent_bytes_per_s=fusion.bytes_sent / duration_s if duration_s else 0.0,
+        sent_bytes_per_s=fusion.sent_bytes_per_s,
         packets_sent=fusion.packets_sent,
         packets_received=sum(record.received for record in peers),
         packets_used=sum(len(record.used) for record in peers),
@@ -133,7 +133,6 @@ def link_counters(fleet_member: CooperativeTrack, duration_s: float) -> LinkCoun
 
 def _vehicle_result(track: VehicleTrack, member: CooperativeTrack | None, truth: Trajectory | None) -> VehicleResult:
     own = [output.report.pose for output in track.outputs]
-    duration_s = (own[-1].stamp_ns - own[0].stamp_ns) / NS_PER_S if own else 0.0
     return VehicleResult(
         name=track.vehicle,
         truth=truth,
@@ -142,7 +141,7 @@ def _vehicle_result(track: VehicleTrack, member: CooperativeTrack | None, truth:
         c_slam=Trajectory.from_estimates(member.poses) if member else None,
         frames_in=track.frames_in,
         frames_processed=len(track.outputs),
-        link=link_counters(member, duration_s) if member else LinkCounters(),
+        link=link_counters(member.fusion) if member else LinkCounters(),
     )
 
 

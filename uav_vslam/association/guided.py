@@ -3,7 +3,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from uav_vslam.vision.matching.nn_ratio import match_gated
 
@@ -28,7 +28,7 @@ def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> 
         return np.zeros((len(predicted), len(observed)), bool)
     nu = (observed[None, :, :] - predicted[:, None, :]).transpose(0, 2, 1)
     whitened = np.linalg.solve(np.linalg.cholesky(S), nu)
-    return np.asarray(np.sum(whitened**2, axis=1) <= chi2.ppf(probability, STEREO_DOF))
+    return np.asarray(np.sum(whitened**2, axis=1) <= chdtri(STEREO_DOF, 1.0 - probability))
 
 
 def associate(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 HELP = "turn a sequence in EuRoC's ASL layout into a bag"
 EXAMPLES = """examples:
-  uav-vslam import-euroc V1_01_easy/mav0 /tmp/v101
-  uav-vslam import-euroc V1_01_easy/mav0 /tmp/v101 --vehicle uav2 --initial-sigma 0.05 0.1 0.5 0.002 0.05
+  uav-vslam import-euroc V1_01_easy/mav0 v101
+  uav-vslam import-euroc V1_01_easy/mav0 v101 --vehicle uav2 --initial-sigma 0.05 0.1 0.5 0.002 0.05
 
 Images are recorded byte for byte, lens distortion included. The start state is the truth at the first image pair.
 Gravity in EuRoC's world is 9.81 m/s^2: set imu.gravity accordingly.

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
   uav-vslam run config/fleet_demo.yaml                a fleet file: vehicles, configurations, recordings
-  uav-vslam run /tmp/flight --config kagaru           every vehicle of a bag, one configuration for all
-  uav-vslam run /tmp/v101 --config euroc --set backend.sigma_px=0.8
-  uav-vslam run /tmp/uav1 /tmp/uav2 --config kagaru --mode none
+  uav-vslam run flight --config kagaru           every vehicle of a bag, one configuration for all
+  uav-vslam run v101 --config euroc --set backend.sigma_px=0.8
+  uav-vslam run uav1_bag uav2_bag --config kagaru --mode none
 """
 
 

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 HELP = "fly a fleet over rendered farmland and record it as a bag"
 EXAMPLES = """examples:
-  uav-vslam simulate /tmp/flight                               two vehicles, 22 s, 1280x960: 790 MB
-  uav-vslam simulate /tmp/flight --compressed jpeg             the same in 170 MB
-  uav-vslam simulate /tmp/flight --scale 0.5 --frames 60 --seed 7
-  uav-vslam simulate /tmp/flight --imu consumer --texture fields.jpg --texture-pixel 0.05
+  uav-vslam simulate flight                               two vehicles, 22 s, 1280x960: 790 MB
+  uav-vslam simulate flight --compressed jpeg             the same in 170 MB
+  uav-vslam simulate flight --scale 0.5 --frames 60 --seed 7
+  uav-vslam simulate flight --imu consumer --texture fields.jpg --texture-pixel 0.05
 """
 TRUTH_RATE_HZ = 50
 

@@ -8,7 +8,7 @@ not against a wrong match, so what remains must be pairwise consistent, cf. [man
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.types import LandmarkPacket
@@ -58,7 +58,7 @@ def _gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: flo
     """Return the rows of pairs whose landmarks coincide within E P E^T + R + floor."""
     a, b = pairs[:, 0], pairs[:, 1]
     S = blocks(P)[a, a] + blocks(R)[b, b] + floor * np.eye(3)
-    return np.flatnonzero(_mahalanobis2(peer[b] - own[a], S) <= chi2.ppf(config.gate_probability, POINT_DOF))
+    return np.flatnonzero(_mahalanobis2(peer[b] - own[a], S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability))
 
 
 def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: float, config: FusionConfig) -> Pairs:
@@ -69,7 +69,7 @@ def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor
     a, b = pairs[:, 0], pairs[:, 1]
     offset = (peer[b[j]] - peer[b[i]]) - (own[a[j]] - own[a[i]])
     S = _offset_covariance(P, a[i], a[j]) + _offset_covariance(R, b[i], b[j]) + 2 * floor * np.eye(3)
-    agree = _mahalanobis2(offset, S) <= chi2.ppf(config.gate_probability, POINT_DOF)
+    agree = _mahalanobis2(offset, S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability)
     graph = nx.Graph()
     graph.add_nodes_from(range(len(pairs)))
     graph.add_edges_from(zip(i[agree].tolist(), j[agree].tolist(), strict=True))

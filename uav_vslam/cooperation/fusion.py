@@ -56,6 +56,12 @@ class Fusion:
         self.epoch: FusedEpoch | None = None
         self.packets_sent = 0
         self.bytes_sent = 0
+        self._first_packet_ns = self._last_packet_ns = 0
+
+    @property
+    def sent_bytes_per_s(self) -> float:
+        """Mean payload rate since the first packet; each packet counts for one epoch [B/s]."""
+        return self.bytes_sent / ((self._last_packet_ns - self._first_packet_ns) / NS_PER_S + self._config.epoch_s)
 
     def packet(self, joint: JointInformation) -> LandmarkPacket:
         """Make the next packet from the own-only belief; fused numbers are never sent as own."""
@@ -68,6 +74,8 @@ class Fusion:
         )
         self.packets_sent += 1
         self.bytes_sent += payload_bytes(packet)
+        self._first_packet_ns = self._first_packet_ns or joint.stamp_ns
+        self._last_packet_ns = joint.stamp_ns
         return packet
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
@@ -87,9 +95,7 @@ class Fusion:
                 self.inbox.peers[peer].dropped["descriptor_size"] += 1
                 continue
             total = belief.total
-            pairs = find_common(
-                positions, total[POSE_DIM:, POSE_DIM:], joint.descriptors, packet, config=self._config
-            )
+            pairs = find_common(positions, total[POSE_DIM:, POSE_DIM:], joint.descriptors, packet, config=self._config)
             self._note(peer, packet, len(pairs))
             common[peer] = len(pairs)
             matched |= set(joint.ids[pairs[:, 0]].tolist())

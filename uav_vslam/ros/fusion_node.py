@@ -52,7 +52,6 @@ class FusionNode(VehicleNode):
         self._joints: dict[int, JointInformation] = {}
         self._waiting: deque[PoseEstimate] = deque()
         self._previous_ns: int | None = None
-        self._first_packet_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._packets = self.create_publisher(LandmarkInformation, "landmark_information", WIDEBAND)
         self._odometry = self.create_publisher(Odometry, "fused/odometry", STATE)
@@ -95,7 +94,6 @@ class FusionNode(VehicleNode):
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
         if self.config.fusion.mode != "none":
-            self._first_packet_ns = self._first_packet_ns or joint.stamp_ns
             self._packets.publish(packet_to_msg(self._fusion.packet(joint), frame_id=self.map_frame))
         stamp_ns = joint.stamp_ns
         self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=WORLD))
@@ -110,7 +108,6 @@ class FusionNode(VehicleNode):
         self._odometry.publish(odometry_to_msg(fused, frame_id=WORLD, child_frame_id=self.base_frame))
 
     def _status_message(self, stamp_ns: int, weight: float) -> FusionStatus:
-        elapsed_s = (stamp_ns - (self._first_packet_ns or stamp_ns)) / NS_PER_S + self.config.fusion.epoch_s
         self.notes["peers"] = str(len(self._fusion.inbox.peers))
         return FusionStatus(
             header=header(stamp_ns, WORLD),
@@ -119,7 +116,7 @@ class FusionNode(VehicleNode):
             own_weight=weight,
             packets_sent=self._fusion.packets_sent,
             bytes_sent=self._fusion.bytes_sent,
-            sent_bytes_per_s=self._fusion.bytes_sent / elapsed_s,
+            sent_bytes_per_s=self._fusion.sent_bytes_per_s,
             peers=[self._peer_message(name, stamp_ns) for name in sorted(self._fusion.inbox.peers)],
         )
 

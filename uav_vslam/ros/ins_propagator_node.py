@@ -86,9 +86,7 @@ class InsPropagatorNode(VehicleNode):
         self._dead_reckoning.publish(
             odometry_to_msg(pose, frame_id=self.odom_frame, child_frame_id=self.base_frame, velocity_map=velocity)
         )
-        edge = transform_to_msg(
-            pose.T_map_body, stamp_ns=pose.stamp_ns, parent=self.odom_frame, child=self.base_frame
-        )
+        edge = transform_to_msg(pose.T_map_body, stamp_ns=pose.stamp_ns, parent=self.odom_frame, child=self.base_frame)
         self._tf.publish(TFMessage(transforms=[edge]))
 
     def _publish_odometry(self, sample: ImuSample) -> None:
