@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests share: the recordings outside the repository, repeatable property tests, and made-up beliefs."""
+"""What the tests share: recordings outside the repository, repeatable property tests, made-up beliefs, a node graph."""
 
 import os
-from collections.abc import Callable
+import subprocess
+import sys
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -82,55 +87,50 @@ def make_joint() -> Callable[..., JointInformation]:
 MARK = "UAV_VSLAM_TEST_RUN"  # in the environment of a launcher and so of all that it starts
 
 
-@dataclass
+@dataclass(frozen=True)
 class Graph:
     """A fleet's node graph, started by `uav-vslam launch` on a ROS domain of its own.
 
     Attributes:
-        process: the launcher.
+        process: the launcher; its output and that of the nodes are in one pipe.
         domain_id: its ROS domain.
         mark: value of `MARK` by which its processes are found.
     """
 
     process: subprocess.Popen[str]
     domain_id: int
-    mark: str = field(default_factory=lambda: uuid.uuid4().hex)
+    mark: str
 
-    def left_running(self, within_s: float = 0.0) -> list[str]:
-        """Command lines of the launcher and of what it started, once none is left or time is up."""
-        end_s = time.monotonic() + within_s
-        while (found := _marked(self.mark)) and time.monotonic() < end_s:
-            time.sleep(0.05)
+    def running(self) -> list[str]:
+        """Command lines of the launcher and of whatever it started, as far as they live."""
+        needle, found = f"{MARK}={self.mark}".encode(), []
+        for process in Path("/proc").iterdir():
+            try:
+                if process.name.isdigit() and needle in (process / "environ").read_bytes():
+                    found.append((process / "cmdline").read_text().replace("\0", " "))
+            except OSError:  # gone, or not ours
+                continue
         return found
 
 
-def _marked(mark: str) -> list[str]:
-    needle, found = f"{MARK}={mark}".encode(), []
-    for process in Path("/proc").iterdir():
-        try:
-            if process.name.isdigit() and needle in (process / "environ").read_bytes():
-                found.append((process / "cmdline").read_text().replace("\0", " "))
-        except OSError:  # gone, or not ours
-            continue
-    return found
-
-
 @contextmanager
-def launched(*arguments: str, stderr: IO[str] | int | None = subprocess.STDOUT) -> Iterator[Graph]:
-    """Run `uav-vslam launch` with its output piped; whatever a failing test leaves is killed."""
+def _launched(*arguments: str) -> Iterator[Graph]:
+    """Run `uav-vslam launch`; whatever a failing test leaves is killed."""
     from uav_vslam.ros.supervisor import free_domain_id
 
     domain_id, mark = free_domain_id(), uuid.uuid4().hex
     command = [sys.executable, "-m", "uav_vslam.cli.main", "launch", *arguments, "--domain", str(domain_id)]
-    process = subprocess.Popen(command, env=os.environ | {MARK: mark}, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    process = subprocess.Popen(
+        command, env=os.environ | {MARK: mark}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
     try:
         yield Graph(process, domain_id, mark)
     finally:
-        process.kill()
+        process.kill()  # takes the nodes with it
         process.communicate()
 
 
 @pytest.fixture(scope="session")
-def launch_graph():
-    """What starts a node graph: `with launch_graph("fleet.yaml") as graph`."""
-    return launched
+def launched() -> Callable[..., AbstractContextManager[Graph]]:
+    """What starts a node graph: `with launched("fleet.yaml") as graph`."""
+    return _launched
