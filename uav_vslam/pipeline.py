@@ -95,7 +95,8 @@ class VehiclePipeline:
         outputs = []
         while (frame := self._queue.pop()) is not None:
             outputs.append(self._process(*frame))
-        self.track.dropped = {"before_start": self._queue.before_start} if self._queue.before_start else {}
+        dropped = {"before_start": self._queue.before_start, "without_motion": self._queue.without_motion}
+        self.track.dropped = {reason: count for reason, count in dropped.items() if count}
         return outputs
 
     def _process(self, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:

@@ -15,12 +15,15 @@ class FrameQueue:
         start_ns: stamp of the start state; None until it is known, and nothing is ready before.
         before_start: frames dropped because they are older than the start state.
         lost: images whose features never came; they are bridged by an empty frame.
+        without_motion: frames dropped because no increment will ever lead to them, or because they came twice.
     """
 
     def __init__(self, start_ns: int | None = None) -> None:
         self.start_ns = start_ns
         self.before_start = 0
         self.lost = 0
+        self.without_motion = 0
+        self._reached_ns: int | None = None
         self._features: deque[StereoFeatures] = deque(maxlen=MAX_WAITING)
         self._increments: deque[ImuIncrement] = deque(maxlen=MAX_WAITING)
 
@@ -42,14 +45,22 @@ class FrameQueue:
             if stamp_ns < self.start_ns:
                 self._features.popleft()
                 self.before_start += 1
+            elif self._reached_ns is not None and stamp_ns <= self._reached_ns:
+                self._features.popleft()
+                self.without_motion += 1
             elif stamp_ns == self.start_ns:
+                self._reached_ns = stamp_ns
                 return self._features.popleft(), None
-            elif not self._increments or self._increments[0].stamp_ns > stamp_ns:
+            elif not self._increments:
                 return None
-            elif self._increments[0].stamp_ns == stamp_ns:
-                return self._features.popleft(), self._increments.popleft()
+            elif self._increments[0].stamp_ns > stamp_ns:  # increments come in order: none will end at this frame
+                self._features.popleft()
+                self.without_motion += 1
             else:
-                self.lost += 1
                 increment = self._increments.popleft()
+                self._reached_ns = increment.stamp_ns
+                if increment.stamp_ns == stamp_ns:
+                    return self._features.popleft(), increment
+                self.lost += 1
                 return StereoFeatures.empty(increment.stamp_ns), increment
         return None
