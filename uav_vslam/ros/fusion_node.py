@@ -53,12 +53,12 @@ class FusionNode(VehicleNode):
         self._waiting: deque[PoseEstimate] = deque()
         self._previous_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
-        self._packets = self.create_publisher(LandmarkInformation, "landmark_information", WIDEBAND)
-        self._odometry = self.create_publisher(Odometry, "fused/odometry", STATE)
-        self._paths = self.create_publisher(Path, "fused/path", STATE)
-        self._landmarks = self.create_publisher(PointCloud2, "fused/landmarks", STATE)
-        self._status = self.create_publisher(FusionStatus, "fusion/status", STATE)
-        self._tf = self.create_publisher(TFMessage, "/tf", STATE)
+        self._packets = self.advertise(LandmarkInformation, "landmark_information", WIDEBAND)
+        self._odometry = self.advertise(Odometry, "fused/odometry", STATE)
+        self._paths = self.advertise(Path, "fused/path", STATE)
+        self._landmarks = self.advertise(PointCloud2, "fused/landmarks", STATE)
+        self._status = self.advertise(FusionStatus, "fusion/status", STATE)
+        self._tf = self.advertise(TFMessage, "/tf", STATE)
         self.listen(JointInformationMsg, "joint_information", self._on_joint, STATE)
         self.listen(Odometry, "odometry", self._on_odometry, STATE)
         if self.config.fusion.mode != "none":

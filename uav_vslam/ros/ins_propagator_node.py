@@ -3,7 +3,7 @@
 
 in   imu/data_raw         sensor_msgs/Imu, body frame
      left/camera_info     sensor_msgs/CameraInfo; its stamps say when an image was taken
-     initial_state        uav_vslam_msgs/NavigationState, latched
+     initial_state        uav_vslam_msgs/NavigationState, latched; an output instead with start.method static
      slam/correction      uav_vslam_msgs/NavigationState, from the backend
 out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
      ins/dead_reckoning   nav_msgs/Odometry per image, odom frame, never corrected: the INS baseline
@@ -16,17 +16,19 @@ from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.datasets.messages import stamp_ns_of
+from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.propagator import InsOdometry, InsPropagator
 from uav_vslam.ros.convert import (
     imu_from_msg,
     increment_to_msg,
     navigation_from_msg,
+    navigation_to_msg,
     odometry_to_msg,
     transform_to_msg,
 )
 from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
-from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate
+from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
 
 MAX_EARLY = 2000  # readings and image stamps held until the start state is known
@@ -39,11 +41,15 @@ class InsPropagatorNode(VehicleNode):
         super().__init__("ins_propagator")
         self._ins: InsPropagator | None = None
         self._early: list[ImuSample | int] = []
-        self._increments = self.create_publisher(InsIncrement, "ins/increment", STATE)
-        self._dead_reckoning = self.create_publisher(Odometry, "ins/dead_reckoning", STATE)
-        self._odometry = self.create_publisher(Odometry, "ins/odometry", STATE)
-        self._tf = self.create_publisher(TFMessage, "/tf", STATE)
-        self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
+        self._increments = self.advertise(InsIncrement, "ins/increment", STATE)
+        self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
+        self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
+        self._tf = self.advertise(TFMessage, "/tf", STATE)
+        self._aligns = self.config.start.method == "static"
+        if self._aligns:
+            self._initial_state = self.advertise(NavigationState, "initial_state", LATCHED)
+        else:
+            self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
         self.listen(Imu, "imu/data_raw", lambda m: self._feed(imu_from_msg(m)), SENSOR)
         self.listen(CameraInfo, "left/camera_info", lambda m: self._feed(stamp_ns_of(m)), STATE)
         self.listen(NavigationState, "slam/correction", self._on_correction, STATE)
@@ -66,6 +72,8 @@ class InsPropagatorNode(VehicleNode):
         if self._ins is None:
             self._early.append(item)
             del self._early[:-MAX_EARLY]
+            if self._aligns:
+                self._align([early for early in self._early if isinstance(early, ImuSample)])
             return
         if isinstance(item, ImuSample):
             self._ins.add_imu(item)
@@ -74,6 +82,14 @@ class InsPropagatorNode(VehicleNode):
             self._ins.add_frame_stamp(item)
         for increment, reckoned in self._ins.increments():
             self._publish_increment(increment, reckoned)
+
+    def _align(self, samples: list[ImuSample]) -> None:
+        """Find the start state from readings at rest and tell the backend."""
+        if len(samples) < 2 or samples[-1].stamp_ns - samples[0].stamp_ns < self.config.start.rest_s * NS_PER_S:
+            return
+        initial = static_alignment(samples, samples[-1].stamp_ns, self.config.imu)
+        self._initial_state.publish(navigation_to_msg(initial, frame_id=self.map_frame, child_frame_id=self.base_frame))
+        self._start(initial)
 
     def _publish_increment(self, increment: ImuIncrement, reckoned: NavEstimate) -> None:
         self.counts["increments"] += 1

@@ -21,7 +21,7 @@ from uav_vslam.datasets.rosbag import RawRecorder
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.recording import header_stamp_ns
-from uav_vslam.ros.runtime import UNMATCHED, run_node, unmatched
+from uav_vslam.ros.runtime import UNMATCHED, run_node
 from uav_vslam_msgs.msg import FusionStatus
 
 VEHICLE_TOPICS = {
@@ -50,7 +50,7 @@ class RecorderNode(Node):
         Path(output).parent.mkdir(parents=True, exist_ok=True)
         self._bag = RawRecorder(Path(output))
         self._written = 0
-        self._inputs: dict[str, list[Any]] = {}
+        self._inputs: list[Any] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for vehicle in vehicles:
             for name, message_type in VEHICLE_TOPICS.items():
@@ -79,11 +79,12 @@ class RecorderNode(Node):
             except BagError as error:
                 self.get_logger().warning(f"not recorded: {error}", throttle_duration_sec=5.0)
 
-        self._inputs[topic] = [self.create_subscription(message_type, topic, write, SENSOR, raw=True)]
+        self._inputs.append(self.create_subscription(message_type, topic, write, SENSOR, raw=True))
 
     def _report(self) -> None:
+        unmatched = [one.topic_name for one in self._inputs if one.get_publisher_count() == 0]
         values = [
-            KeyValue(key=UNMATCHED, value=unmatched(self._inputs)),
+            KeyValue(key=UNMATCHED, value=" ".join(unmatched)),
             KeyValue(key="written", value=str(self._written)),
         ]
         status = DiagnosticStatus(level=DiagnosticStatus.OK, name="fleet: recorder", message="recording", values=values)

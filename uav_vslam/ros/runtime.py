@@ -11,21 +11,19 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import UavVslamError
+from uav_vslam.ros.inputs import Input, silent, unmatched
 from uav_vslam.ros.params import declare
 
 DIAGNOSTICS_PERIOD_S = 1.0
 UNMATCHED = "unmatched"  # key in diagnostics: inputs without a publisher as yet; the replay waits for them
+FOLLOW_PERIOD_S = 0.5  # how often inputs look for what reliability is offered
 QUIET_AFTER_S = 5.0  # without a first message for so long, say which topic is missing
-
-
-def unmatched(inputs: dict[str, list[Any]]) -> str:
-    """Return the topics for which none of the subscriptions has found a publisher, for diagnostics."""
-    found = {topic: any(one.get_publisher_count() for one in subscriptions) for topic, subscriptions in inputs.items()}
-    return " ".join(subscriptions[0].topic_name for topic, subscriptions in inputs.items() if not found[topic])
 
 
 class VehicleNode(Node):
@@ -41,11 +39,11 @@ class VehicleNode(Node):
         self.config: VehicleConfig = declare(self, VehicleConfig)
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
-        self._awaited: dict[str, bool] = {}
-        self._inputs: dict[str, list[Any]] = {}
+        self._inputs: list[Input] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=wall_clock)
+        self.create_timer(FOLLOW_PERIOD_S, self._follow_reliability, clock=wall_clock)
         self.create_timer(QUIET_AFTER_S, self._report_missing, clock=wall_clock)
 
     @property
@@ -64,8 +62,8 @@ class VehicleNode(Node):
         return f"{self.vehicle}/base_link"
 
     def listen(
-        self, message_type: Any, topic: str, callback: Callable[[Any], None], qos: Any, *, instead_of: str = ""
-    ) -> Any:
+        self, message_type: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, *, instead_of: str = ""
+    ) -> None:
         """Subscribe; a message that the callback refuses is dropped, counted by reason, and stops nothing.
 
         Args:
@@ -73,35 +71,40 @@ class VehicleNode(Node):
             callback: may raise ValueError or an error of ours.
             instead_of: another topic that this one can stand in for: the node misses only one of them.
         """
-        awaited = instead_of or topic
-        self._awaited[awaited] = True
 
         def guarded(message: Any) -> None:
-            self._awaited[awaited] = False
             try:
                 callback(message)
             except (ValueError, UavVslamError) as error:
                 self.drop(getattr(error, "reason", "refused"), f"{topic}: {error}")
 
-        subscription = self.create_subscription(message_type, topic, guarded, qos)
-        self._inputs.setdefault(awaited, []).append(subscription)
-        return subscription
+        self._inputs.append(Input(message_type, topic, guarded, qos, instead_of or topic))
+        self._inputs[-1].subscribe(self)
+
+    def advertise(self, message_type: Any, topic: str, qos: QoSProfile) -> Any:
+        """Create a publisher whose policies can be overridden by parameters qos_overrides.<topic>.publisher."""
+        overrides = QoSOverridingOptions.with_default_policies()
+        return self.create_publisher(message_type, topic, qos, qos_overriding_options=overrides)
 
     def drop(self, reason: str, detail: str) -> None:
         """Count a dropped message and say so, not too often."""
         self.counts[f"dropped/{reason}"] += 1
         self.get_logger().warning(f"dropped a message: {detail}", throttle_duration_sec=5.0)
 
+    def _follow_reliability(self) -> None:
+        for one in self._inputs:
+            if one.follow(self):
+                self.get_logger().info(f"{one.subscription.topic_name} is offered as best effort: taking it so")
+
     def _report_missing(self) -> None:
-        for topic, missing in self._awaited.items():
-            if missing:
-                resolved = self.resolve_topic_name(topic)
-                publishers = self.count_publishers(resolved)
-                why = "nobody publishes it" if publishers == 0 else "it has a publisher, but nothing has arrived"
-                self.get_logger().warning(f"waiting for {resolved}: {why}", throttle_duration_sec=20.0)
+        for topic in silent(self._inputs):
+            resolved = self.resolve_topic_name(topic)
+            publishers = self.count_publishers(resolved)
+            why = "nobody publishes it" if publishers == 0 else "it has a publisher, but nothing has arrived"
+            self.get_logger().warning(f"waiting for {resolved}: {why}", throttle_duration_sec=20.0)
 
     def _publish_diagnostics(self) -> None:
-        missing = [topic for topic, waiting in self._awaited.items() if waiting]
+        missing = silent(self._inputs)
         dropped = sum(count for reason, count in self.counts.items() if reason.startswith("dropped/"))
         level, text = DiagnosticStatus.OK, "running"
         if missing:
@@ -109,7 +112,7 @@ class VehicleNode(Node):
         elif dropped:
             level, text = DiagnosticStatus.WARN, f"{dropped} messages dropped"
         values = {
-            UNMATCHED: unmatched(self._inputs),
+            UNMATCHED: " ".join(unmatched(self._inputs)),
             **{key: str(count) for key, count in sorted(self.counts.items())},
             **self.notes,
         }

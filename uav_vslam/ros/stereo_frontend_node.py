@@ -41,7 +41,7 @@ class StereoFrontendNode(VehicleNode):
         self._frontend: StereoFrontend | None = None
         self._pairer: StereoPairer[Pixels] = StereoPairer()
         self._waiting: deque[StereoFrame] = deque()
-        self._publisher = self.create_publisher(StereoFeatures, "stereo_features", STATE)
+        self._publisher = self.advertise(StereoFeatures, "stereo_features", STATE)
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
             raw = f"{side}/image_raw"
             on_image = partial(self._on_image, add)
