@@ -98,7 +98,8 @@ def flight_result(
     wall_s: float = 0.0,
 ) -> FlightResult:
     """Gather what evaluation needs."""
-    alone = len(tracks) == 1
+    mode = next(iter(configs.values())).fusion.mode
+    alone = len(tracks) == 1 or mode == "none"
     vehicles = {
         vehicle: _vehicle_result(track, None if alone else fleet[vehicle], truths[vehicle])
         for vehicle, track in tracks.items()
@@ -107,7 +108,7 @@ def flight_result(
     return FlightResult(
         name=name,
         seed=seed,
-        mode="none" if alone else next(iter(configs.values())).fusion.mode,
+        mode="none" if alone else mode,
         duration_s=(max(stamps) - min(stamps)) / NS_PER_S if stamps else 0.0,
         wall_s=wall_s,
         vehicles=vehicles,

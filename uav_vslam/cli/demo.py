@@ -7,6 +7,7 @@ import argparse
 import re
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 HELP = "replay two vehicles' sample recordings through the node graph and report"
@@ -44,21 +45,25 @@ def run(args: argparse.Namespace) -> int:
 def _run_in(folder: Path, args: argparse.Namespace) -> int:
     from uav_vslam.cli import evaluate
     from uav_vslam.cli.launch import launch, read_fleet
-    from uav_vslam.config import find_config
+    from uav_vslam.config import find_config, to_tree
     from uav_vslam.ros.supervisor import free_domain_id, print_line
 
     fleet = read_fleet(find_config(FLEET), bags=None, rate=args.rate, mode=args.mode)
     estimates, domain_id = folder / "demo", free_domain_id()
     print(f"starting {', '.join(fleet.vehicles)} and their replay on ROS domain {domain_id}", flush=True)
     on_line = print_line if args.verbose else print_progress
+    started = time.monotonic()
     code = launch(fleet, record=estimates, log_dir=folder / "log", domain_id=domain_id, on_line=on_line)
     if code != 0:
         hint = "; see --verbose" if args.keep is None else f"; each process's output is in {folder / 'log'}"
         print(f"uav-vslam: the node graph failed (exit code {code}){hint}", file=sys.stderr)
         return code
-    bags = [estimates, *fleet.replay.bags]
-    return evaluate.run(
-        argparse.Namespace(bags=bags, name="demo", alignment="none", root=args.root, no_plots=args.no_plots)
+    return evaluate.evaluate(
+        argparse.Namespace(
+            bags=[estimates, *fleet.replay.bags], name="demo", alignment="none", root=args.root, no_plots=args.no_plots
+        ),
+        config={name: to_tree(config) for name, config in fleet.vehicles.items()},
+        wall_s=time.monotonic() - started,
     )
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from uav_vslam.datasets.outputs import RecordedOutputs
@@ -44,6 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, write and print; return 1 if a recording is damaged, after evaluating what can be read."""
+    return evaluate(args)
+
+
+def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, wall_s: float = 0.0) -> int:
+    """Evaluate as `run` does; one who made the recordings adds their configuration and how long that took [s]."""
     from uav_vslam.datasets.outputs import read_outputs
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
@@ -51,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.table import print_summary
 
     outputs, damage = read_outputs(args.bags)
-    result = flight_result(args.name or args.bags[0].stem, outputs, bags=args.bags)
+    config = config or {"evaluated": [str(bag) for bag in args.bags]}
+    result = flight_result(args.name or args.bags[0].stem, outputs, config=config, wall_s=wall_s)
     plot = None if args.no_plots else write_plots
     folder = write_results(result, args.root, plot=plot, alignment=args.alignment)
     print_summary(build_summary(result, git=None, alignment=args.alignment))
@@ -61,8 +66,10 @@ def run(args: argparse.Namespace) -> int:
     return 0 if damage is None else 1
 
 
-def flight_result(name: str, outputs: dict[str, RecordedOutputs], *, bags: Sequence[Path]) -> FlightResult:
-    """Return recorded outputs as a flight; how long the processing took isn't recorded."""
+def flight_result(
+    name: str, outputs: dict[str, RecordedOutputs], *, config: dict[str, Any], wall_s: float
+) -> FlightResult:
+    """Return recorded outputs as a flight."""
     from uav_vslam.evaluation.result import FlightResult
 
     vehicles = {vehicle: _vehicle_result(vehicle, recorded, outputs) for vehicle, recorded in outputs.items()}
@@ -73,9 +80,9 @@ def flight_result(name: str, outputs: dict[str, RecordedOutputs], *, bags: Seque
         seed=None,
         mode=modes.pop() if len(modes) == 1 else "mixed" if modes else "none",
         duration_s=(max(stamps) - min(stamps)) * 1e-9 if stamps else 0.0,
-        wall_s=0.0,
+        wall_s=wall_s,
         vehicles=vehicles,
-        config={"evaluated": [str(bag) for bag in bags]},
+        config=config,
     )
 
 
