@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder tree is the block diagram: who may import whom, and where each outside library stays at home."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "uav_vslam"
+
+# What each part may import, beside itself and `errors`. `types` and `config` come first and may be used by all.
+EARLY = {"types", "config", "geometry"}
+ESTIMATOR = EARLY | {"ins", "estimation", "vision", "association", "slam", "cooperation"}
+ALLOWED: dict[str, set[str]] = {
+    "errors": set(),
+    "types": {"geometry"},  # a record holds a Pose
+    "config": set(),
+    "geometry": set(),
+    # the estimator, in its order
+    "ins": EARLY,
+    "estimation": EARLY | {"ins"},  # the filter predicts by increments
+    "vision": EARLY,
+    "association": EARLY | {"estimation", "vision"},
+    "slam": EARLY | {"ins", "estimation", "vision", "association"},
+    "cooperation": EARLY | {"estimation", "vision", "association", "slam"},
+    "pipeline": ESTIMATOR,
+    "fleet": ESTIMATOR | {"pipeline"},
+    # the side branches
+    "simulation": EARLY,
+    "evaluation": EARLY | {"estimation"},
+    "datasets": EARLY | {"evaluation"},  # recorded truth and outputs become trajectories
+    "mapping": EARLY | {"vision"},
+    "report": {"types", "evaluation"},
+    # what puts them together without ROS
+    "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation"},
+    "studies": ESTIMATOR | {"pipeline", "fleet", "evaluation", "simulation", "offline"},
+    # the top
+    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "mapping"},
+    "cli": ESTIMATOR
+    | {"pipeline", "fleet", "datasets", "mapping", "evaluation", "simulation", "report"}
+    | {"offline", "studies"},
+}
+ROS_STARTERS = {"launch", "demo", "topic"}  # the verbs that start or look at ROS processes may import `ros`
+
+MESSAGES = "messages of ROS"
+AT_HOME = {
+    "cv2": {"vision", "mapping", "datasets", "simulation"},
+    "rclpy": {"ros"},
+    "rosbags": {"datasets"},
+    "mcap": {"datasets"},
+    "matplotlib": {"report", "mapping"},
+    MESSAGES: {"ros"},
+}
+# cv2.setNumThreads(1) belongs where a process begins, not in a library.
+AT_HOME_FILES = {"cv2": {"offline.py", "cli/simulate.py"}}
+
+
+def modules() -> list[Path]:
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def part_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def imports_of(path: Path) -> Iterator[tuple[str, int]]:
+    """Yield each absolute module that a file imports anywhere, in functions and for type checks too, and its line."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: relative import"
+            assert node.module is not None
+            if node.module == "uav_vslam":
+                yield from ((f"uav_vslam.{alias.name}", node.lineno) for alias in node.names)
+            else:
+                yield node.module, node.lineno
+
+
+def wrong_layers(path: Path) -> list[str]:
+    part, found = part_of(path), []
+    if part == "__init__":
+        return [f"{path}:{line}: the package itself imports {name}" for name, line in imports_of(path)]
+    allowed = ALLOWED[part] | {part, "errors", "__version__"}
+    if part == "cli" and path.stem in ROS_STARTERS:
+        allowed = allowed | {"ros"}
+    for name, line in imports_of(path):
+        top, _, rest = name.partition(".")
+        if top == "uav_vslam" and rest.partition(".")[0] not in allowed:
+            found.append(f"{path.relative_to(ROOT)}:{line}: {part} must not import {name}")
+    return found
+
+
+def library_of(name: str) -> str:
+    top = name.partition(".")[0]
+    return MESSAGES if top.endswith(("_msgs", "_interfaces")) else top
+
+
+def strays(path: Path) -> list[str]:
+    part, inside, found = part_of(path), path.relative_to(PACKAGE).as_posix(), []
+    for name, line in imports_of(path):
+        library = library_of(name)
+        if library in AT_HOME and part not in AT_HOME[library] and inside not in AT_HOME_FILES.get(library, set()):
+            found.append(f"{path.relative_to(ROOT)}:{line}: {name} belongs into {', '.join(sorted(AT_HOME[library]))}")
+    return found
+
+
+def test_every_part_of_the_package_has_its_place_in_the_order() -> None:
+    parts = {part_of(path) for path in modules()} - {"__init__"}
+    assert parts <= set(ALLOWED)
+
+
+def test_later_layers_import_earlier_ones_and_never_the_reverse() -> None:
+    assert [line for path in modules() for line in wrong_layers(path)] == []
+
+
+def test_outside_libraries_stay_at_home() -> None:
+    assert [line for path in modules() for line in strays(path)] == []
+
+
+def test_the_order_has_no_cycle() -> None:
+    placed: set[str] = {"errors"}
+    rest = {part: needs - {part} for part, needs in ALLOWED.items() if part != "errors"}
+    while rest:
+        ready = {part for part, needs in rest.items() if needs <= placed}
+        assert ready, f"a cycle among {sorted(rest)}"
+        placed |= ready
+        rest = {part: needs for part, needs in rest.items() if part not in ready}
+
+
+@pytest.mark.parametrize(
+    ("place", "text", "wrong"),
+    [
+        ("geometry/pose.py", "from uav_vslam.slam.packet import validate", "layers"),
+        ("estimation/eif.py", "def f():\n    import uav_vslam.vision.pnp", "layers"),
+        ("slam/backend.py", "from uav_vslam import cooperation", "layers"),
+        ("cli/run.py", "from uav_vslam.ros import convert", "layers"),
+        ("ros/convert.py", "from uav_vslam.cli import main", "layers"),
+        ("slam/packet.py", "import cv2", "libraries"),
+        ("pipeline.py", "from sensor_msgs.msg import Image", "libraries"),
+        ("cooperation/inbox.py", "import rclpy.node", "libraries"),
+        ("ros/recording.py", "from rosbags.highlevel import AnyReader", "libraries"),
+    ],
+)
+def test_the_checks_notice_a_wrong_import(tmp_path: Path, monkeypatch, place: str, text: str, wrong: str) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
+    monkeypatch.setattr(sys.modules[__name__], "PACKAGE", tmp_path)
+    path = tmp_path / place
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text)
+    assert len((wrong_layers if wrong == "layers" else strays)(path)) == 1
+
+
+CORE = ("errors", "types", "config", "geometry", "ins", "estimation", "vision", "association", "slam", "cooperation")
+CORE += ("pipeline", "fleet", "simulation", "datasets", "evaluation", "report", "mapping", "offline", "studies", "cli")
+
+BLOCKED_IMPORT = """
+import importlib, sys
+
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top in {"rclpy", "rcl_interfaces", "builtin_interfaces"} or top.endswith("_msgs"):
+            raise ImportError(f"{name} is blocked")
+
+
+sys.meta_path.insert(0, Refuse())
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+print(len(sys.argv) - 1)
+"""
+
+
+def test_everything_but_the_nodes_works_without_ros() -> None:
+    """One process imports every module of the core with rclpy and all message packages refused."""
+    names = [
+        ".".join(("uav_vslam", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
+        for path in modules()
+        if part_of(path) in CORE
+    ]
+    done = subprocess.run([sys.executable, "-c", BLOCKED_IMPORT, *names], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) == len(names) > 40
