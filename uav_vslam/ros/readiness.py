@@ -6,19 +6,24 @@ from collections.abc import Sequence
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from uav_vslam.ros.runtime import UNMATCHED
+from uav_vslam.ros.runtime import READERS, UNMATCHED
 
 DIAGNOSTICS = "/diagnostics"
 FLEET = "fleet"  # what is in no vehicle's namespace
 
 
 class Readiness:
-    """Listens to what the nodes say about their own inputs. A publisher that they don't know of is still unread."""
+    """Listens to what the nodes say about their own inputs and outputs.
+
+    Discovery has two sides, and neither waits for the other: a publisher that a reader doesn't know of is still unread,
+    and what is published before the publisher knows of a reader never reaches it.
+    """
 
     def __init__(self, node: Node, vehicles: Sequence[str]) -> None:
         """Listen on behalf of a node for those of `vehicles` and for the recorder."""
         self._node, self._vehicles = node, tuple(vehicles)
         self._unmatched: dict[str, list[str]] = {}
+        self._readers: dict[str, dict[str, int]] = {}
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def missing(self) -> list[str]:
@@ -30,7 +35,13 @@ class Readiness:
             for topic in topics
             if self._node.count_publishers(topic)
         ]
-        return silent + deaf
+        unheard = [
+            f"{name} has not found every reader of {topic}"
+            for name, counts in self._readers.items()
+            for topic, count in counts.items()
+            if self._node.count_subscribers(topic) > count
+        ]
+        return silent + deaf + unheard
 
     def _expected(self) -> list[str]:
         infos = self._node.get_publishers_info_by_topic(DIAGNOSTICS)
@@ -46,3 +57,6 @@ class Readiness:
             for entry in status.values:
                 if entry.key == UNMATCHED:
                     self._unmatched[status.name] = entry.value.split()
+                elif entry.key == READERS:
+                    pairs = (item.rpartition("=") for item in entry.value.split())
+                    self._readers[status.name] = {topic: int(count) for topic, _, count in pairs}

@@ -10,6 +10,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -22,6 +23,7 @@ from uav_vslam.ros.params import declare
 
 DIAGNOSTICS_PERIOD_S = 1.0
 UNMATCHED = "unmatched"  # key in diagnostics: inputs without a publisher as yet; the replay waits for them
+READERS = "readers"  # key in diagnostics: how many readers each output has found, "topic=count ..."; likewise
 FOLLOW_PERIOD_S = 0.5  # how often inputs look for what reliability is offered
 QUIET_AFTER_S = 5.0  # without a first message for so long, say which topic is missing
 
@@ -113,6 +115,7 @@ class VehicleNode(Node):
             level, text = DiagnosticStatus.WARN, f"{dropped} messages dropped"
         values = {
             UNMATCHED: " ".join(unmatched(self._inputs)),
+            READERS: " ".join(f"{p.topic_name}={p.get_subscription_count()}" for p in self.publishers),
             **{key: str(count) for key, count in sorted(self.counts.items())},
             **self.notes,
         }
@@ -144,6 +147,9 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
         executor.spin()
     except (ExternalShutdownException, KeyboardInterrupt):
         pass
+    except rclpy_implementation.RCLError:
+        if rclpy.ok():
+            raise  # else the signal came while the node was still being made
     except UavVslamError as error:
         print(f"{getattr(node, 'get_name', lambda: 'uav_vslam')()}: {error}", file=sys.stderr)
         return 2

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node leaves cleanly, whenever it is told to, and a real error is still seen."""
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from uav_vslam.ros.supervisor import free_domain_id
+
+pytestmark = pytest.mark.ros
+
+PROGRAM = """
+    import os, signal, sys
+    from rclpy.node import Node
+    from std_msgs.msg import String
+    from uav_vslam.errors import ConfigError
+    from uav_vslam.ros.runtime import run_node
+
+    def factory():
+        node = Node("unlucky")
+        {act}
+        node.create_publisher(String, "said", 10)
+        return node
+
+    sys.exit(run_node(factory))
+"""
+
+
+def run(act: str) -> subprocess.CompletedProcess[str]:
+    program = textwrap.dedent(PROGRAM).format(act=act)
+    environment = os.environ | {"ROS_DOMAIN_ID": str(free_domain_id())}
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=30)
+
+
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+def test_a_signal_while_a_node_is_still_being_made_ends_it_without_a_traceback(number: str) -> None:
+    done = run(f"os.kill(os.getpid(), signal.{number})")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_error_of_ours_is_one_line_and_exit_code_2() -> None:
+    done = run("raise ConfigError('epoch_s = -1 is not allowed')")
+    assert (done.returncode, done.stderr) == (2, "uav_vslam: epoch_s = -1 is not allowed\n")
+
+
+def test_an_error_of_ros_keeps_its_traceback() -> None:
+    done = run("node.destroy_node()")
+    assert done.returncode == 1
+    assert "Traceback" in done.stderr
