@@ -48,12 +48,13 @@ class Method:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One seed of one method; `figures` is None where the filter diverged."""
+    """One seed of one method; `figures` is None where the filter diverged, `processed` the share of frames."""
 
     method: Method
     seed: int
     figures: Figures | None
     ms_per_frame: float
+    processed: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +132,12 @@ def _run(method: Method, seed: int, cache: dict[Any, list[FlightSource]]) -> Out
     except UavVslamError:
         return Outcome(method, seed, None, float("nan"))
     ms = 1e3 * (time.process_time() - started) / (scenario.frames * scenario.vehicles)
-    truths: dict[str, Trajectory | None] = {vehicle.name: _truth(vehicle) for vehicle in vehicles}
+    truths: dict[str, Trajectory | None] = {vehicle.name: true_trajectory(vehicle) for vehicle in vehicles}
     summary = build_summary(flight_result(scenario.name, tracks, fleet, truths, configs, seed=seed), git=None)
-    figures = {track: {name: v[track] for name, v in summary["vehicles"].items() if v[track]} for track in TRACKS}
-    return Outcome(method, seed, figures, ms)
+    reports = summary["vehicles"]
+    figures = {track: {name: report[track] for name, report in reports.items() if report[track]} for track in TRACKS}
+    processed = [report["frames_processed"] / report["frames_in"] for report in reports.values()]
+    return Outcome(method, seed, figures, ms, float(np.mean(processed)))
 
 
 def _sources(
@@ -160,7 +163,8 @@ def _searched(source: SimulatedSource, config: VehicleConfig) -> _Replayed:
     return _Replayed(source, features)
 
 
-def _truth(vehicle: SimulatedVehicle) -> Trajectory:
+def true_trajectory(vehicle: SimulatedVehicle) -> Trajectory:
+    """Return the true poses at a simulated vehicle's frames."""
     times = vehicle.frame_times_s
     return Trajectory(
         vehicle.frame_stamps_ns,
@@ -185,6 +189,7 @@ def _rows(method: Method, outcomes: list[Outcome], tracks: Sequence[str]) -> lis
                 "ratio_to_s_slam": _ratio(rms[track, "ate_m"], rms["s_slam", "ate_m"]),
                 "end_ratio_to_ins": _ratio(rms[track, "end_m"], rms["ins", "end_m"]),
                 "nees_position": float(np.mean(nees)) if nees else None,
+                "frames_processed": float(np.mean([o.processed for o in good])) if good else None,
                 "failures": len(outcomes) - len(good),
                 "ms_per_frame": float(np.mean([o.ms_per_frame for o in good])) if good and track != "ins" else None,
             }
