@@ -110,7 +110,7 @@ def test_without_cooperation_the_fused_track_is_the_own_one() -> None:
         assert member.fusion.packets_sent == 0
         assert member.fusion.inbox.peers == {}
         for own, fused in zip((o.report.pose for o in tracks[name].outputs), member.poses, strict=True):
-            np.testing.assert_allclose(fused.T_map_body.t, own.T_map_body.t, atol=1e-9)
+            np.testing.assert_allclose(fused.T_map_body.t, own.T_map_body.t, rtol=0, atol=1e-9)
             # Between epochs the fused covariance grows with the own one but does not shrink with it.
             assert np.linalg.eigvalsh(fused.covariance - own.covariance)[0] > -1e-6 * np.trace(own.covariance)
             assert np.trace(fused.covariance[:3, :3]) < 1.1 * np.trace(own.covariance[:3, :3])

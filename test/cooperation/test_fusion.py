@@ -75,12 +75,12 @@ def own_covariance(own: JointInformation) -> Array:
 def assert_belief(epoch: FusedEpoch, own: JointInformation, Y: Array, gradient: Array) -> None:
     """Check a result against information Y (over pose and landmarks) and delta = Y^-1 gradient."""
     pose, positions = move(own.T_map_body, own.positions, np.linalg.solve(Y, gradient))
-    np.testing.assert_allclose(epoch.pose.T_map_body.matrix, pose.matrix, atol=1e-4)
-    np.testing.assert_allclose(epoch.positions, positions, atol=1e-4)
+    np.testing.assert_allclose(epoch.pose.T_map_body.matrix, pose.matrix, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(epoch.positions, positions, rtol=0, atol=1e-4)
     expected = np.linalg.inv(Y)[:POSE_DIM, :POSE_DIM]
     sigma = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
-        epoch.pose.covariance / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-3
+        epoch.pose.covariance / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), rtol=0, atol=1e-3
     )
 
 
@@ -118,8 +118,8 @@ def test_three_independent_vehicles_add(own, peer_packet) -> None:
     Y = own.information + sum(landmark_information(p) for p in packets)
     gradient = sum(gradient_of(own, p) for p in packets)
     pose, _ = move(own.T_map_body, own.positions, np.linalg.solve(Y, gradient))
-    np.testing.assert_allclose(epoch.pose.T_map_body.t, pose.t, atol=5e-3)
-    np.testing.assert_allclose(epoch.pose.covariance, np.linalg.inv(Y)[:6, :6], atol=2e-3)
+    np.testing.assert_allclose(epoch.pose.T_map_body.t, pose.t, rtol=0, atol=5e-3)
+    np.testing.assert_allclose(epoch.pose.covariance, np.linalg.inv(Y)[:6, :6], rtol=0, atol=2e-3)
     assert epoch.weight == 1.0
 
 
@@ -230,7 +230,7 @@ def test_what_is_sent_is_own_only_and_offers_shared_landmarks_first(own, peer_pa
     assert packet.sources == ("uav1/1",)
     assert 5 in packet.ids
     row = packet.ids.tolist().index(5)
-    np.testing.assert_allclose(packet.positions[row], own.positions[4], atol=1e-5)
+    np.testing.assert_allclose(packet.positions[row], own.positions[4], rtol=0, atol=1e-5)
     assert (packet.sequence, fusion.packet(own).sequence) == (1, 2)
     assert fusion.packets_sent == 2
     assert fusion.bytes_sent > 2 * 3 * 128
@@ -311,9 +311,9 @@ def test_carrying_without_motion_changes_nothing(own_P: Array, fused_P: Array) -
     own = pose_estimate([0.1, 0.2, 0.3], [1, 2, 70], own_P)
     fused = pose_estimate([0.1, 0.2, 0.35], [1.5, 2, 70], fused_P)
     there = carried(epoch_of(own, fused), own)
-    np.testing.assert_allclose(there.T_map_body.matrix, fused.T_map_body.matrix, atol=1e-13)
+    np.testing.assert_allclose(there.T_map_body.matrix, fused.T_map_body.matrix, rtol=0, atol=1e-13)
     np.testing.assert_allclose(
-        there.covariance, fused_P, atol=1e-12 * np.abs(own_P).max() + 1e-12 * np.abs(fused_P).max()
+        there.covariance, fused_P, rtol=0, atol=1e-12 * np.abs(own_P).max() + 1e-12 * np.abs(fused_P).max()
     )
 
 
@@ -337,7 +337,7 @@ def test_a_carried_pose_keeps_the_own_motion_between_stamps() -> None:
     there = carried(epoch_of(own, fused), later)
     seen = fused.T_map_body.inverse() @ there.T_map_body
     expected = own.T_map_body.inverse() @ later.T_map_body
-    np.testing.assert_allclose(seen.matrix, expected.matrix, atol=1e-12)
+    np.testing.assert_allclose(seen.matrix, expected.matrix, rtol=0, atol=1e-12)
 
 
 def test_a_vehicle_that_never_fused_carries_its_own_pose() -> None:
@@ -351,6 +351,6 @@ def test_moving_is_the_exponential_without_velocity() -> None:
     xi = np.array([0.02, -0.01, 0.3])
     delta = np.concatenate([np.cross(xi, pose.t), xi, np.cross(xi, landmarks).ravel()])
     moved_pose, moved_landmarks = move(pose, landmarks, delta)
-    np.testing.assert_allclose(moved_landmarks, landmarks @ so3_exp(xi).T, atol=1e-12)
-    np.testing.assert_allclose(moved_pose.t, so3_exp(xi) @ pose.t, atol=1e-12)
-    np.testing.assert_allclose(so3_log(moved_pose.R @ pose.R.T), xi, atol=1e-12)
+    np.testing.assert_allclose(moved_landmarks, landmarks @ so3_exp(xi).T, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(moved_pose.t, so3_exp(xi) @ pose.t, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(so3_log(moved_pose.R @ pose.R.T), xi, rtol=0, atol=1e-12)

@@ -105,7 +105,7 @@ def test_nothing_dependent_is_the_kalman_update() -> None:
     Y = np.linalg.inv(P) + E.T @ np.linalg.inv(R) @ E
     np.testing.assert_allclose(fused.P.total, np.linalg.inv(Y), rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(fused.delta, np.linalg.solve(Y, E.T @ np.linalg.solve(R, innovation)), rtol=1e-8)
-    np.testing.assert_allclose(fused.P.dependent, 0.0, atol=ROUNDING * trace(P))
+    np.testing.assert_allclose(fused.P.dependent, 0.0, rtol=0, atol=ROUNDING * trace(P))
     assert fused.weight == 1.0
 
 
@@ -121,7 +121,7 @@ def test_all_dependent_is_covariance_intersection(weight: float) -> None:
     np.testing.assert_allclose(fused.P.total, np.linalg.inv(Y), rtol=1e-8, atol=1e-10)
     expected = np.linalg.solve(Y, (1 - weight) * E.T @ np.linalg.solve(R, innovation))
     np.testing.assert_allclose(fused.delta, expected, rtol=1e-8)
-    np.testing.assert_allclose(fused.P.independent, 0.0, atol=ROUNDING * trace(P))
+    np.testing.assert_allclose(fused.P.independent, 0.0, rtol=0, atol=ROUNDING * trace(P))
     assert fused.weight == weight
 
 

@@ -14,20 +14,22 @@ POINTS_C = np.array([[0.1, 0.2, 0.3], [-1.0, 4.0, 2.0]])
 
 
 def test_composition_maps_points_through_both() -> None:
-    np.testing.assert_allclose((T_A_B @ T_B_C).apply(POINTS_C), T_A_B.apply(T_B_C.apply(POINTS_C)), atol=ROUNDING)
-    np.testing.assert_allclose((T_A_B @ T_B_C).matrix, T_A_B.matrix @ T_B_C.matrix, atol=ROUNDING)
+    np.testing.assert_allclose(
+        (T_A_B @ T_B_C).apply(POINTS_C), T_A_B.apply(T_B_C.apply(POINTS_C)), rtol=0, atol=ROUNDING
+    )
+    np.testing.assert_allclose((T_A_B @ T_B_C).matrix, T_A_B.matrix @ T_B_C.matrix, rtol=0, atol=ROUNDING)
 
 
 def test_a_transform_and_its_inverse_cancel() -> None:
-    np.testing.assert_allclose((T_A_B @ T_A_B.inverse()).matrix, np.eye(4), atol=ROUNDING)
-    np.testing.assert_allclose((T_A_B.inverse() @ T_A_B).matrix, np.eye(4), atol=ROUNDING)
+    np.testing.assert_allclose((T_A_B @ T_A_B.inverse()).matrix, np.eye(4), rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose((T_A_B.inverse() @ T_A_B).matrix, np.eye(4), rtol=0, atol=ROUNDING)
     np.testing.assert_array_equal(Pose.identity().matrix, np.eye(4))
 
 
 def test_matrix_and_quaternion_forms_return_the_same_transform() -> None:
     np.testing.assert_array_equal(Pose.from_matrix(T_A_B.matrix).matrix, T_A_B.matrix)
     back = Pose.from_quaternion_wxyz(T_A_B.quaternion_wxyz, T_A_B.t)
-    np.testing.assert_allclose(back.matrix, T_A_B.matrix, atol=ROUNDING)
+    np.testing.assert_allclose(back.matrix, T_A_B.matrix, rtol=0, atol=ROUNDING)
 
 
 def test_a_transform_built_from_a_matrix_does_not_share_its_memory() -> None:

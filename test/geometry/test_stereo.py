@@ -55,7 +55,7 @@ def test_projection_jacobian_is_the_numerical_one(name: str, u: float, v: float,
 def test_triangulation_undoes_projection(rig: StereoRig) -> None:
     points = scattered_points(rig, far_m=150.0)
     # One step of the pixels' last digit is about 1e-12 px; over depth^2 / (f b), at most 500 m/px, that is 1e-9 m.
-    np.testing.assert_allclose(rig.triangulate(rig.project(points)), points, atol=1e-8)
+    np.testing.assert_allclose(rig.triangulate(rig.project(points)), points, rtol=0, atol=1e-8)
 
 
 def test_triangulation_is_the_least_squares_point(rig: StereoRig) -> None:
@@ -84,7 +84,7 @@ def test_parallel_rays_and_points_behind_triangulate_to_nan() -> None:
     good = rig.project(rig.left.bearings([[300.0, 200.0]]) * 5.0)
     found = rig.triangulate(np.vstack([far, good, behind]))
     assert np.isnan(found[[0, 2]]).all()
-    np.testing.assert_allclose(found[1], rig.left.bearings([300.0, 200.0]) * 5.0, atol=1e-9)
+    np.testing.assert_allclose(found[1], rig.left.bearings([300.0, 200.0]) * 5.0, rtol=0, atol=1e-9)
 
 
 def test_no_pixels_give_no_points(rig: StereoRig) -> None:
@@ -116,7 +116,7 @@ def test_epipolar_distance_is_in_pixels() -> None:
 def test_right_left_transform_follows_from_the_extrinsics(rig: StereoRig) -> None:
     point = np.array([0.3, -0.2, 4.0])
     body = rig.T_body_left.apply(point)
-    np.testing.assert_allclose(rig.T_body_right.apply(rig.T_right_left.apply(point)), body, atol=1e-12)
+    np.testing.assert_allclose(rig.T_body_right.apply(rig.T_right_left.apply(point)), body, rtol=0, atol=1e-12)
 
 
 def test_cameras_of_different_size_are_refused() -> None:
