@@ -17,14 +17,21 @@ BACKEND = "uav1: slam_backend"
 class Observer:
     """What a node of the replay's sees of the graph."""
 
-    def __init__(self, *, publishers: dict[str, int], subscribers: dict[str, int]) -> None:
+    def __init__(
+        self,
+        *,
+        publishers: dict[str, int],
+        subscribers: dict[str, int],
+        node: tuple[str, str] = ("/uav1", "slam_backend"),
+    ) -> None:
         self._publishers, self._subscribers = publishers, subscribers
+        self._namespace, self._name = node
 
     def create_subscription(self, _kind, _topic, callback, _depth) -> None:
         self.receive = callback
 
     def get_publishers_info_by_topic(self, _topic: str) -> list[SimpleNamespace]:
-        return [SimpleNamespace(node_namespace="/uav1", node_name="slam_backend")]
+        return [SimpleNamespace(node_namespace=self._namespace, node_name=self._name)]
 
     def count_publishers(self, topic: str) -> int:
         return self._publishers.get(topic, 0)
@@ -43,6 +50,15 @@ def missing(observer: Observer, *reports: dict[str, str]) -> list[str]:
 
 def test_a_node_that_has_not_reported_is_waited_for() -> None:
     assert missing(Observer(publishers={}, subscribers={})) == [f"{BACKEND} has not reported"]
+
+
+def test_a_node_that_has_not_even_told_its_name_is_waited_for() -> None:
+    unnamed = Observer(publishers={}, subscribers={}, node=("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_"))
+    assert len(missing(unnamed)) == 1
+
+
+def test_other_peoples_nodes_are_not_waited_for() -> None:
+    assert missing(Observer(publishers={}, subscribers={}, node=("/gcs", "monitor"))) == []
 
 
 def test_a_publisher_that_a_node_has_not_found_is_waited_for_if_there_is_one() -> None:

@@ -10,6 +10,7 @@ from uav_vslam.ros.runtime import READERS, UNMATCHED
 
 DIAGNOSTICS = "/diagnostics"
 FLEET = "fleet"  # what is in no vehicle's namespace
+UNNAMED = "_NODE_NAMESPACE_UNKNOWN_"  # the middleware's word for an endpoint whose node it has yet to hear of
 
 
 class Readiness:
@@ -49,7 +50,7 @@ class Readiness:
         return [
             f"{owner}: {name}"
             for owner, name in found
-            if owner in self._vehicles or (owner, name) == (FLEET, "recorder")
+            if owner in self._vehicles or owner == UNNAMED or (owner, name) == (FLEET, "recorder")
         ]
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
