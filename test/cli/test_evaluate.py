@@ -133,7 +133,7 @@ def test_a_cut_recording_is_evaluated_up_to_the_break_and_reported(pair, tmp_pat
     whole = next((pair / "estimates").glob("*.mcap")).read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 5 // 8])  # uav1 was written first
-    assert run(cut, pair / "inputs", "--root", tmp_path / "results", "--no-plots") == 1
+    assert run(cut, pair / "inputs", "--root", tmp_path / "results", "--no-plots") == 2
     assert "up to a break" in capsys.readouterr().err
     vehicle = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())["vehicles"]["uav2"]
     assert 0 < vehicle["frames_processed"] < FRAMES

@@ -216,7 +216,7 @@ def test_images_of_another_size_than_calibrated_are_refused(tiny_bag: Path, tmp_
         return dataclasses.replace(raw, data=encode(built))
 
     flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")
-    with pytest.raises(CalibrationError, match="right images are 80x60 px but camera_info says 160x120"):
+    with pytest.raises(CalibrationError, match="right/image_raw are 80x60 px but camera_info says 160x120"):
         list(flight.iter_events())
 
 

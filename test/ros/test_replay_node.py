@@ -221,7 +221,7 @@ def test_a_cut_bag_is_replayed_up_to_the_break_and_is_a_failure(fleet: Fleet, ba
     data = source.read_bytes()
     (cut / source.name).write_bytes(data[: len(data) * 7 // 10])
     done = fleet.replay([cut, bags[1]])
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "is damaged" in done.stderr
     assert len(fleet.vehicles["uav2"].frames) == FRAMES
 

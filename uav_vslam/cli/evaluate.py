@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate, write and print; return 1 if a recording is damaged, after evaluating what can be read."""
+    """Evaluate, write and print; return 2 if a recording is damaged, after evaluating what can be read."""
     return evaluate(args)
 
 
@@ -63,7 +63,7 @@ def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, 
     print(f"written to {folder}")
     if damage is not None:
         print(f"uav-vslam: evaluated up to a break: {damage}", file=sys.stderr)
-    return 0 if damage is None else 1
+    return 0 if damage is None else 2
 
 
 def flight_result(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,10 +46,10 @@ def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, m
 
     Raises:
         ConfigError: the file or a value is wrong.
-        BagError: there is no such recording.
+        BagError: there is no such recording, or it lacks what a vehicle needs.
+        CalibrationError: a recorded calibration contradicts itself or the images.
     """
     from uav_vslam.config import load_fleet
-    from uav_vslam.errors import BagError
 
     fleet = load_fleet(path)
     replay = fleet.replay
@@ -57,16 +57,27 @@ def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, m
         replay = dataclasses.replace(replay, bags=tuple(bags))
     if rate is not None:
         replay = dataclasses.replace(replay, rate=rate)
-    for bag in replay.bags:
-        if not bag.exists():
-            raise BagError(f"{bag}: no such recording; give an existing one in the fleet file or with --bag")
     vehicles = fleet.vehicles
+    if replay.bags:
+        _check_recordings(replay.bags, vehicles)
     if mode is not None:
         vehicles = {
             name: dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, mode=mode))
             for name, config in vehicles.items()
         }
     return dataclasses.replace(fleet, vehicles=vehicles, replay=replay)
+
+
+def _check_recordings(bags: Sequence[Path], vehicles: Iterable[str]) -> None:
+    """Say before anything is started what no node could work with: each would only drop its messages."""
+    from uav_vslam.datasets.bag import open_flight
+    from uav_vslam.errors import BagError
+
+    for bag in bags:
+        if not bag.exists():
+            raise BagError(f"{bag}: no such recording; give an existing one in the fleet file or with --bag")
+    for vehicle in vehicles:
+        open_flight(bags, vehicle).check_images()
 
 
 def launch(

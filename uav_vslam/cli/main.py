@@ -23,7 +23,8 @@ EXAMPLES = """examples:
   uav-vslam simulate out/flight --frames 60          record a simulated flight of two vehicles
   uav-vslam VERB --help                              arguments and examples of one verb
 
-exit codes: 0 done, 1 the run failed, 2 wrong input or configuration, 130 interrupted
+exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (what can be read of a damaged recording is used
+before), 130 interrupted
 """
 FAILURE, WRONG_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run, evaluate, write; return 1 where a recording broke off."""
+    """Run, evaluate, write; return 2 where a recording broke off, after using what there is."""
     import sys
     import time
 
@@ -64,10 +64,10 @@ def run(args: argparse.Namespace) -> int:
     folder = write_results(result, args.results, plot=None if args.no_plots else write_plots)
     print_summary(build_summary(result, git=None))
     print(f"results: {folder}")
-    broken = [track.broken for track in tracks.values() if track.broken]
+    broken = sorted({track.broken for track in tracks.values() if track.broken})  # vehicles may share a bag
     for reason in broken:
         print(f"uav-vslam: warning: {reason}", file=sys.stderr)
-    return 1 if broken else 0
+    return 2 if broken else 0
 
 
 def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:

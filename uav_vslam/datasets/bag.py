@@ -24,6 +24,7 @@ from uav_vslam.datasets.messages import (
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, TopicInfo, decode, iter_raw, topics_of
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import ImuSample, NavEstimate, StereoFrame
@@ -113,16 +114,32 @@ class BagFlight:
             if pair is not None:
                 yield self._frame(pair)
 
+    def check_images(self) -> None:
+        """Decode the first image of each side, for whoever wants to know beforehand what `iter_events` would meet.
+
+        Raises:
+            BagError: there is none, or it can't be decoded.
+            CalibrationError: it is not of the size that camera_info states.
+        """
+        for topic in (self.left_topic, self.right_topic):
+            first = next(_readable(iter_raw(self.paths, [topic])), None)
+            if first is None:
+                raise BagError(f"bag {_names(self.paths)} holds no message on {topic}; record the images")
+            self._pixels(topic, decode(first))
+
     def _frame(self, pair: StereoPair[Any]) -> StereoFrame:
-        left, right = image_of(pair.left), image_of(pair.right)
-        for side, image in (("left", left), ("right", right)):
-            width, height = self.image_size
-            if image.shape[:2] != (height, width):
-                raise CalibrationError(
-                    f"/{self.vehicle}: {side} images are {image.shape[1]}x{image.shape[0]} px but camera_info says "
-                    f"{width}x{height}; calibrate at the recorded size"
-                )
+        left, right = self._pixels(self.left_topic, pair.left), self._pixels(self.right_topic, pair.right)
         return StereoFrame(pair.stamp_ns, left, right)
+
+    def _pixels(self, topic: str, built: Any) -> NDArray[Any]:
+        image = image_of(built)
+        width, height = self.image_size
+        if image.shape[:2] != (height, width):
+            raise CalibrationError(
+                f"bag {_names(self.paths)}: images on {topic} are {image.shape[1]}x{image.shape[0]} px but camera_info "
+                f"says {width}x{height}; calibrate at the recorded size"
+            )
+        return image
 
 
 def vehicles(paths: Sequence[Path]) -> list[str]:
@@ -164,7 +181,7 @@ def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str, 
 def _lacks(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str, topic: str) -> BagError:
     own = sorted(t for t in topics if t.startswith(f"/{name}/"))
     there = ", ".join(own or sorted(topics)) or "nothing"
-    return BagError(f"bag {', '.join(map(str, bags))} lacks {topic}; it holds {there}; record or remap that topic")
+    return BagError(f"bag {_names(bags)} lacks {topic}; it holds {there}; record or remap that topic")
 
 
 def _calibration(bags: Sequence[Path], name: str, *, has_initial: bool) -> tuple[StereoRig, NavEstimate | None]:
@@ -183,11 +200,26 @@ def _calibration(bags: Sequence[Path], name: str, *, has_initial: bool) -> tuple
             break
     for topic in (left_topic, right_topic):
         if topic not in found:
-            raise BagError(f"bag {', '.join(map(str, bags))} holds no message on {topic}; record it with the images")
+            raise BagError(f"bag {_names(bags)} holds no message on {topic}; record it with the images")
     poses = [_extrinsics(edges, found[t].header.frame_id, name) for t in (left_topic, right_topic)]
-    rig = StereoRig(camera_of(found[left_topic]), camera_of(found[right_topic]), poses[0], poses[1])
+    cameras = [_camera(bags, topic, found[topic]) for topic in (left_topic, right_topic)]
+    try:
+        rig = StereoRig(cameras[0], cameras[1], poses[0], poses[1])
+    except CalibrationError as error:
+        raise CalibrationError(f"bag {_names(bags)}, vehicle {name}: {error}") from None
     initial = navigation_state_of(found[initial_topic]) if initial_topic in found else None
     return rig, initial
+
+
+def _camera(bags: Sequence[Path], topic: str, info: Any) -> PinholeCamera:
+    try:
+        return camera_of(info)
+    except (BagError, CalibrationError) as error:
+        raise type(error)(f"bag {_names(bags)}, {topic}: {error}") from None
+
+
+def _names(bags: Sequence[Path]) -> str:
+    return ", ".join(map(str, bags))
 
 
 def _reaches(edges: dict[str, tuple[str, Pose]], found: dict[str, Any], name: str, infos: Sequence[str]) -> bool:

@@ -9,7 +9,7 @@ out  /<vehicle>/...                   the recorded inputs, byte for byte
      /tf_static                       tf2_msgs/TFMessage, latched, of all bags together
      /clock                           rosgraph_msgs/Clock
 
-Exit code 0 at the end; 1 if a consumer or an answer is missing or a bag is damaged; 2 if a bag can't be replayed.
+Exit code 0 at the end; 1 if a consumer or an answer is missing; 2 if a bag can't be replayed, or only up to a break.
 """
 
 import time
@@ -200,7 +200,7 @@ class ReplayNode(Node):
             self.get_logger().warning(f"{unanswered} frames were not answered: the graph is slower than the replay")
         for text in self._recording.damage:
             self.get_logger().error(text)
-        raise SystemExit(1 if self._recording.damage else 0)
+        raise SystemExit(2 if self._recording.damage else 0)
 
     def _fail(self, text: str) -> None:
         self.get_logger().error(text)

@@ -150,7 +150,8 @@ class Supervisor:
 
     def _end_all(self) -> None:
         """End what still runs, ever more firmly, and take note of who fails at it."""
-        if self._code == 0 and not self._signal:
+        led = any(child.command.leads and child.process.poll() is not None for child in self._children)
+        if led and not self._signal:
             self._relay_for(DRAIN_S)
         begin_s, steps = time.monotonic(), list(ESCALATION)
         while any(child.process.poll() is None for child in self._children):

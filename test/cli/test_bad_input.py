@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bad input ends in one line on stderr that says what is wrong, where, and what to do, and in exit code 2."""
+
+import dataclasses
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_vslam.cli.main import main
+from uav_vslam.cli.simulate import record
+from uav_vslam.datasets.outputs import read_outputs
+from uav_vslam.datasets.rosbag import RawRecorder, decode, encode, iter_raw, topics_of
+from uav_vslam.evaluation.output import LATEST
+from uav_vslam.simulation.scenario import SCENARIOS
+
+FRAMES = 8
+CUT = 0.6  # of the file's bytes
+
+Edit = Callable[[str, Any], Any]  # topic and message to message, or to None: leave it out
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny flight with which nothing is wrong."""
+    path = tmp_path_factory.mktemp("good") / "flight"
+    record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=FRAMES, scale=0.125, seed=3), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def cut(good: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same, truncated."""
+    path = tmp_path_factory.mktemp("cut") / "flight"
+    path.mkdir()
+    (source,) = good.glob("*.mcap")
+    data = source.read_bytes()
+    (path / source.name).write_bytes(data[: int(len(data) * CUT)])
+    return path
+
+
+def edited(source: Path, out: Path, edit: Edit) -> Path:
+    latched = {topic: info.latched for topic, info in topics_of([source]).items()}
+    with RawRecorder(out) as recorder:
+        for raw in iter_raw([source]):
+            message = edit(raw.topic, decode(raw))
+            if message is not None:
+                recorder.write(raw.topic, raw.msgtype, encode(message), raw.stamp_ns, latched=latched[raw.topic])
+    return out
+
+
+def without(name: str) -> Edit:
+    return lambda topic, message: None if topic == name else message
+
+
+def changed(name: str, **fields: Any) -> Edit:
+    return lambda topic, message: dataclasses.replace(message, **fields) if topic == name else message
+
+
+def half_as_high(topic: str, message: Any) -> Any:
+    if topic != "/uav1/right/image_raw":
+        return message
+    height = message.height // 2
+    return dataclasses.replace(message, height=height, data=message.data[: height * message.step])
+
+
+def fleet_file(folder: Path, text: str) -> Path:
+    path = folder / "fleet.yaml"
+    path.write_text(text)
+    return path
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """Run the command, which must refuse with exit code 2 and a single line; return the line."""
+    assert main([str(argument) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("uav-vslam: ")
+    assert error.count("\n") == 1, error
+    return error
+
+
+BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {
+    "no readings": (without("/uav1/imu/data_raw"), ["lacks /uav1/imu/data_raw", "record or remap"]),
+    "no right images": (without("/uav1/right/image_raw"), ["lacks /uav1/right/image_raw", "record or remap"]),
+    "no camera info": (without("/uav1/right/camera_info"), ["lacks /uav1/right/camera_info", "record or remap"]),
+    "no extrinsics": (without("/tf_static"), ["lacks /tf_static", "record or remap"]),
+    "extrinsics of another frame": (
+        changed("/uav1/left/camera_info", header=None),
+        ["/tf_static does not lead from uav1/base_link to nowhere", "publish the camera's extrinsics"],
+    ),
+    "uncalibrated camera": (
+        changed("/uav1/left/camera_info", k=np.zeros(9)),
+        ["/uav1/left/camera_info", "focal length", "K filled in"],
+    ),
+    "distortion model we don't know": (
+        changed("/uav1/right/camera_info", distortion_model="equidistant"),
+        ["/uav1/right/camera_info", "'equidistant'", "plumb_bob"],
+    ),
+    "cameras of two sizes": (
+        changed("/uav1/right/camera_info", width=320),
+        ["vehicle uav1", "160x120", "320x120", "same size"],
+    ),
+    "images of another size than calibrated": (
+        half_as_high,
+        ["/uav1/right/image_raw", "160x60", "160x120", "calibrate at the recorded size"],
+    ),
+}
+
+
+def bad_bag(case: str, good: Path, out: Path) -> Path:
+    edit, _ = BAD_BAGS[case]
+    if case == "extrinsics of another frame":
+        header = decode(next(iter_raw([good], ["/uav1/left/camera_info"]))).header
+        edit = changed("/uav1/left/camera_info", header=dataclasses.replace(header, frame_id="nowhere"))
+    return edited(good, out, edit)
+
+
+@pytest.mark.parametrize("case", BAD_BAGS)
+def test_a_bag_that_lacks_or_contradicts_something_is_refused_by_run_and_launch(
+    case: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = bad_bag(case, good, tmp_path / "bag")
+    fleet = fleet_file(tmp_path, "vehicles: {uav1: {}}\nreplay: {bags: [bag]}\n")
+    for line in (refused(capsys, "run", bag, "--results", tmp_path / "out"), refused(capsys, "launch", fleet)):
+        for said in [*BAD_BAGS[case][1], str(bag)] if "tf_static does" not in line else BAD_BAGS[case][1]:
+            assert said in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_start_state_that_nobody_gave_is_told_with_both_remedies(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, "run", edited(good, tmp_path / "bag", without("/uav1/initial_state")))
+    assert "no uav1/initial_state" in line
+    assert "start.method: static" in line
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [("nowhere", None, "does not exist"), ("text.mcap", "hello", "is damaged"), ("notes.txt", "hello", "is no bag")],
+)
+def test_what_is_no_bag_is_named(
+    name: str, content: str | None, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    line = refused(capsys, "run", tmp_path / name)
+    assert said in line
+    assert str(tmp_path / name) in line
+
+
+def test_a_vehicle_that_was_not_recorded_is_named_with_what_was(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fleet = fleet_file(tmp_path, f"vehicles: {{ghost: {{}}}}\nreplay: {{bags: [{good}]}}\n")
+    for arguments in (["run", fleet], ["launch", fleet], ["run", good, "--vehicles", "ghost"]):
+        line = refused(capsys, *arguments)
+        assert "/ghost/left/image_raw" in line
+        assert "/uav1/left/image_raw" in line
+
+
+@pytest.mark.parametrize("verb", ["run", "launch"])
+def test_an_unknown_key_is_told_with_file_and_the_nearest_known_one(
+    verb: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.yaml").write_text("backend: {sigma_pxx: 1.0}\n")
+    fleet = fleet_file(tmp_path, f"vehicles: {{uav1: {{config: mine.yaml}}}}\nreplay: {{bags: [{good}]}}\n")
+    line = refused(capsys, verb, fleet)
+    assert f"{tmp_path / 'mine.yaml'}: unknown key backend.sigma_pxx; did you mean backend.sigma_px?" in line
+
+
+@pytest.mark.parametrize("verb", ["run", "launch"])
+def test_a_vehicle_named_twice_is_told_with_its_line(
+    verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fleet = fleet_file(tmp_path, "vehicles:\n  uav1: {}\n  uav1: {}\n")
+    line = refused(capsys, verb, fleet)
+    assert f"{fleet}: key 'uav1' is used twice (line 3)" in line
+
+
+def test_a_vehicle_named_twice_on_the_command_line_is_told(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "names one twice" in refused(capsys, "run", good, "--vehicles", "uav1", "uav1")
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("backend.sigma_px=-1", "a positive number of pixels"),
+        ("backend.sigma_px=abc", "must be of type float"),
+        ("backend.nope=1", "unknown key backend.nope"),
+        ("backend", "must have the form backend.sigma_px=0.5"),
+    ],
+)
+def test_a_wrong_override_is_told(setting: str, said: str, good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said in refused(capsys, "run", good, "--set", setting)
+
+
+def test_a_truncated_bag_is_run_up_to_the_break(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "run", cut, "--results", tmp_path, "--no-plots")
+    assert f"bag {cut / 'flight.mcap'} is damaged" in line
+    assert "read up to the break after stamp" in line
+    poses = (tmp_path / LATEST / "uav1_s_slam.tum").read_text().splitlines()
+    assert 1 < len(poses) < FRAMES
+
+
+@pytest.mark.ros
+def test_a_truncated_bag_is_replayed_up_to_the_break(
+    cut: Path,
+    launched: Callable[..., AbstractContextManager[Any]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    fleet = fleet_file(tmp_path, f"vehicles: {{uav1: {{}}}}\nreplay: {{bags: [{cut}]}}\n")
+    refused(capsys, "run", fleet, "--results", tmp_path / "twin", "--no-plots")
+    with launched(str(fleet), "--record", str(tmp_path / "estimates")) as graph:
+        output, _ = graph.process.communicate(timeout=100.0)
+        assert graph.process.returncode == 2, output
+        assert graph.running() == []
+    assert f"bag {cut / 'flight.mcap'} is damaged: read up to the break" in output
+    assert "Traceback" not in output
+    outputs, _ = read_outputs([tmp_path / "estimates"])
+    poses = (tmp_path / "twin" / LATEST / "uav1_s_slam.tum").read_text().splitlines()
+    assert len(outputs["uav1"].own_only) == len(outputs["uav1"].fused) == len(poses) > 1
