@@ -99,11 +99,13 @@ class VehicleNode(Node):
                 self.get_logger().info(f"{one.subscription.topic_name} is offered as best effort: taking it so")
 
     def _report_missing(self) -> None:
+        waiting = []
         for topic in silent(self._inputs):
             resolved = self.resolve_topic_name(topic)
-            publishers = self.count_publishers(resolved)
-            why = "nobody publishes it" if publishers == 0 else "it has a publisher, but nothing has arrived"
-            self.get_logger().warning(f"waiting for {resolved}: {why}", throttle_duration_sec=20.0)
+            published = self.count_publishers(resolved) > 0
+            waiting.append(f"{resolved} ({'published, but nothing has come' if published else 'nobody publishes it'})")
+        if waiting:  # one line for all: the throttle counts lines of code, not texts
+            self.get_logger().warning(f"waiting for {', '.join(waiting)}", throttle_duration_sec=20.0)
 
     def _publish_diagnostics(self) -> None:
         missing = silent(self._inputs)

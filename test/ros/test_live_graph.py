@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node graph as its users meet it: their own nodes hear it, it says what it waits for, and Ctrl-C ends it."""
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+
+from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+ROOT = Path(__file__).parents[2]
+END_S = 5.0  # from SIGINT until nothing runs any more
+
+LISTENER = """
+import rclpy
+from nav_msgs.msg import Odometry
+from uav_vslam_msgs.msg import LandmarkInformation
+
+rclpy.init()
+node = rclpy.create_node("mine")
+heard = {}
+for topic, kind in (("/uav1/odometry", Odometry), ("/uav1/landmark_information", LandmarkInformation)):
+    node.create_subscription(kind, topic, lambda message, topic=topic: heard.setdefault(topic, message), 10)
+while len(heard) < 2:
+    rclpy.spin_once(node)
+print(heard["/uav1/odometry"].header.frame_id, heard["/uav1/odometry"].child_frame_id)
+print(heard["/uav1/landmark_information"].vehicle, len(heard["/uav1/landmark_information"].ids) > 0)
+"""
+
+
+def in_a_fresh_shell(program: str, domain_id: int) -> list[str]:
+    """Return the command that runs a Python program as a user would, with nothing but env.sh sourced."""
+    script = f". {shlex.quote(str(ROOT / 'env.sh'))} && exec python -c {shlex.quote(program)}"
+    home = f"HOME={os.environ.get('HOME', '/')}"
+    return ["env", "-i", "PATH=/usr/bin:/bin", home, f"ROS_DOMAIN_ID={domain_id}", "bash", "-c", script]
+
+
+def test_a_users_own_node_hears_the_graph_and_ctrl_c_ends_all_of_it(
+    launched: Callable[..., AbstractContextManager[Any]], tmp_path: Path
+) -> None:
+    with launched(str(ROOT / "config" / "fleet_demo.yaml"), "--log-dir", str(tmp_path)) as graph:
+        heard = subprocess.run(
+            in_a_fresh_shell(LISTENER, graph.domain_id), capture_output=True, text=True, timeout=100.0
+        )
+        assert heard.stdout.splitlines() == ["uav1/map uav1/base_link", "uav1 True"], heard.stderr
+        assert len(graph.running()) == 10  # the launcher, four nodes a vehicle, the replay
+        begin_s = time.monotonic()
+        graph.process.send_signal(signal.SIGINT)
+        output, _ = graph.process.communicate(timeout=END_S)
+        assert time.monotonic() - begin_s < END_S
+        assert graph.running() == []
+        assert graph.process.returncode == 128 + signal.SIGINT
+        assert "Traceback" not in output
+
+
+def diagnostics_until(domain_id: int, done: Callable[[DiagnosticStatus], bool], timeout_s: float) -> list[str]:
+    """Return the texts on /diagnostics up to the one wanted."""
+    texts: list[str] = []
+    found: list[None] = []
+
+    def note(message: DiagnosticArray) -> None:
+        for status in message.status:
+            texts.append(f"{status.name}: {status.message}")
+            if done(status):
+                found.append(None)
+
+    context = rclpy.Context()
+    context.init(domain_id=domain_id)
+    node = rclpy.create_node("listener", context=context)
+    node.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    end_s = time.monotonic() + timeout_s
+    while not found and time.monotonic() < end_s:
+        executor.spin_once(timeout_sec=0.1)
+    node.destroy_node()
+    context.try_shutdown()
+    return texts
+
+
+def test_a_node_that_waits_for_a_topic_nobody_publishes_says_which() -> None:
+    domain_id = free_domain_id()
+    command = [sys.executable, "-m", "uav_vslam.ros.slam_backend_node", "--ros-args", "-r", "__ns:=/uav1"]
+    node = subprocess.Popen(
+        command, env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)}, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        texts = diagnostics_until(domain_id, lambda s: s.level == DiagnosticStatus.WARN, 30.0)
+        assert texts[-1].startswith("uav1: slam_backend: waiting for ")
+        awaited = {"left/camera_info", "right/camera_info", "/tf_static", "initial_state", "ins/increment"}
+        assert awaited | {"stereo_features"} <= set(texts[-1].partition("waiting for ")[2].split(", "))
+        assert node.stderr is not None
+        said = next(line for line in node.stderr if "waiting for" in line)
+        for topic in (*awaited - {"/tf_static"}, "stereo_features"):
+            assert f"/uav1/{topic} (nobody publishes it)" in said
+        node.send_signal(signal.SIGINT)
+        assert node.wait(END_S) == 0
+    finally:
+        node.kill()
+        node.communicate()
