@@ -88,7 +88,6 @@ RETENTION_POLICIES = ("grid", "none", "first_last", "largest_covariance")  # the
 class BackendConfig:
     """The own-only filter and its map."""
 
-    filter: str = "eif"  # name in estimation.filter.FILTERS
     model: str = "ri15"  # name in estimation.models.MODELS: ri15 or the thesis's euler9
     sigma_px: float = 1.0  # standard deviation of each stereo pixel coordinate [px]
     depth_sigma_ratio: float = 0.043  # relief / height, smooths the depth in the Jacobian; 0 turns it off (indoors)
@@ -114,8 +113,9 @@ class BackendConfig:
         _require(self.depth_sigma_ratio >= 0, self, "depth_sigma_ratio", "zero (off) or more")
         _require(0 < self.min_descriptor_ratio <= 1, self, "min_descriptor_ratio", "a number in (0, 1]")
         _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
-        for key in ("pnp_px", "pnp_beyond_px", "iterate_beyond_m"):
+        for key in ("pnp_px", "iterate_beyond_m"):
             _require(getattr(self, key) > 0, self, key, "a positive number")
+        _require(self.pnp_beyond_px >= 0, self, "pnp_beyond_px", "zero (always) or more")
         for key in ("max_observations", "max_in_view", "young_frames"):
             _require(getattr(self, key) > 0, self, key, "a positive count")
         _require(self.max_new_landmarks >= 0, self, "max_new_landmarks", "zero or more")
@@ -132,7 +132,6 @@ class FusionConfig:
     mode: str = "wideband"  # wideband or none
     epoch_s: float = 1.0  # a packet is sent and a fusion made whenever a frame's stamp passes a multiple of this
     min_delay_s: float = 0.2  # only packets at least this much older than the epoch enter: makes replay repeatable
-    scheme: str = "split_ci"  # name in cooperation.fusion.SCHEMES
     max_packet_landmarks: int = 64  # landmarks in one packet
     ratio: float = 0.8  # descriptor ratio test between vehicles, made before the gate
     gate_probability: float = 0.99  # of the chi-square gate on a common landmark

@@ -22,8 +22,8 @@ class CalibrationError(UavVslamError):
     """A camera or rig calibration is missing or contradicts itself."""
 
 
-class InvalidMessage(UavVslamError):
-    """A received message can't be used; `reason` is a short key under which the drop is counted."""
+class InvalidMessage(UavVslamError, ValueError):
+    """A received message or reading can't be used; `reason` is a short key under which the drop is counted."""
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """One vehicle without ROS: the same stages that the nodes run, chained in one process."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagator import InsPropagator
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
@@ -67,12 +69,16 @@ class VehiclePipeline:
         self._queue = FrameQueue(initial.state.stamp_ns)
         self._reckoned = {initial.state.stamp_ns: initial}  # dead reckoning of frames that are not complete
         self._previous_ns: int | None = None
+        self._refused: Counter[str] = Counter()
         self.track = VehicleTrack(vehicle)
 
     def run(self, events: Iterable[ImuSample | StereoFrame | StereoFeatures]) -> Iterator[FrameOutput]:
         """Feed sensor data in stamp order and yield each frame's output as soon as it is complete."""
         for event in events:
-            yield from self.add_imu(event) if isinstance(event, ImuSample) else self.add_frame(event)
+            try:
+                yield from self.add_imu(event) if isinstance(event, ImuSample) else self.add_frame(event)
+            except InvalidMessage as error:  # dropped and counted, as the nodes do
+                self._refused[error.reason] += 1
         yield from self._complete(self._ins.increments(flush=True))
 
     def add_imu(self, sample: ImuSample) -> list[FrameOutput]:
@@ -95,7 +101,11 @@ class VehiclePipeline:
         outputs = []
         while (frame := self._queue.pop()) is not None:
             outputs.append(self._process(*frame))
-        dropped = {"before_start": self._queue.before_start, "without_motion": self._queue.without_motion}
+        dropped = {
+            "before_start": self._queue.before_start,
+            "without_motion": self._queue.without_motion,
+            **self._refused,
+        }
         self.track.dropped = {reason: count for reason, count in dropped.items() if count}
         return outputs
 

@@ -39,6 +39,8 @@ class Inbox:
         Raises:
             InvalidMessage: it is damaged, malformed, stale, repeated, or this vehicle's own.
         """
+        if packet.vehicle == self._vehicle:
+            raise InvalidMessage("own", f"a packet claims to come from {self._vehicle} itself")
         record = self.peers.setdefault(packet.vehicle, PeerRecord())
         record.received += 1
         try:
@@ -60,8 +62,6 @@ class Inbox:
         return old_enough[-1] if old_enough else None
 
     def _check(self, packet: LandmarkPacket, record: PeerRecord) -> None:
-        if packet.vehicle == self._vehicle:
-            raise InvalidMessage("own", f"a packet claims to come from {self._vehicle} itself")
         validate(packet)
         if record.packets and packet.session < record.packets[-1].session:
             raise InvalidMessage("stale_session", f"session {packet.session} of {packet.vehicle} has ended")

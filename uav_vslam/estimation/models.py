@@ -156,7 +156,8 @@ def difference(nav: NavState, landmarks: Array, nav_to: NavState, landmarks_to: 
 def retangent(Y: Array, moved_position: Array, moved_velocity: Array, moved_landmarks: Array) -> Array:
     """Carry an information matrix of the right-invariant chart to the moved mean.
 
-    With l moving to l+, the same random point has the plain error dl+ = dl - [l+ - l]x xi; likewise p and v. For T that
+    A plain error is dl = xi_l - [l]x xi with the invariant xi_l, which a moving mean leaves alone (but for the reset
+    Jacobian, of second order): with l moving to l+ it becomes dl+ = dl - [l+ - l]x xi; likewise p and v. For T that
     map, Y+ = T^-T Y T^-1. T differs from I in the three xi columns only, so the cost is O(n^2).
 
     Args:

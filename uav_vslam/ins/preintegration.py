@@ -13,10 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
 
 Array = NDArray[np.float64]
+
+MAX_GAP_S = 0.05  # without a reading for longer, nobody knows what the airframe did
+UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] what it may turn meanwhile
+UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] what it may accelerate meanwhile
 
 
 def preintegrate(
@@ -31,6 +36,7 @@ def preintegrate(
     """Integrate readings over [start_ns, stamp_ns] by the midpoint rule.
 
     The readings at the two ends are interpolated linearly; where the recording has none there, the nearest one holds.
+    Over a gap of more than MAX_GAP_S the motion counts as all but unknown.
 
     Args:
         samples: readings in stamp order; those outside the interval serve for the interpolation at its ends.
@@ -66,6 +72,7 @@ def preintegrate(
     G[:, 3:6, 3:6] = R_mid_dt
     G[:, 6:9, 3:6] = R_mid_dt * (left + 0.5 * dt)[:, None, None]
     variance = np.repeat([imu.gyro_noise**2, imu.accel_noise**2], 3)[None, :] / dt[:, None]
+    variance[dt > MAX_GAP_S] += np.repeat([UNKNOWN_RATE_SIGMA**2, UNKNOWN_ACCEL_SIGMA**2], 3)
     covariance = np.einsum("jab,jb,jcb->ac", G, variance, G)
     return ImuIncrement(
         start_ns=start_ns,
@@ -101,10 +108,6 @@ def _readings_within(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> 
     return t_s, columns[:, :3], columns[:, 3:]
 
 
-UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] what an airframe may turn while nobody looks
-UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] what it may accelerate meanwhile
-
-
 def _unknown_motion(start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: Array, imu: ImuConfig) -> ImuIncrement:
     """Return a level, unaccelerated flight with a very wide covariance: the inertial unit was silent."""
     dt = (stamp_ns - start_ns) / NS_PER_S
@@ -137,12 +140,13 @@ class ImuBuffer:
         """Add a reading.
 
         Raises:
-            ValueError: its stamp is not later than the newest one, or a value is not finite.
+            InvalidMessage: its stamp is not later than the newest one, or a value is not finite.
         """
         if not (np.isfinite(sample.gyro).all() and np.isfinite(sample.accel).all()):
-            raise ValueError(f"IMU reading at {sample.stamp_ns} ns is not finite")
+            raise InvalidMessage("not_finite", f"IMU reading at {sample.stamp_ns} ns is not finite")
         if self._samples and sample.stamp_ns <= self._samples[-1].stamp_ns:
-            raise ValueError(f"IMU stamp {sample.stamp_ns} ns is not after {self._samples[-1].stamp_ns} ns")
+            newest = self._samples[-1].stamp_ns
+            raise InvalidMessage("stamp", f"IMU stamp {sample.stamp_ns} ns is not after {newest} ns")
         self._samples.append(sample)
 
     def covers(self, stamp_ns: int) -> bool:

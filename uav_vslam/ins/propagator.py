@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import ImuBuffer, preintegrate
@@ -14,6 +15,8 @@ from uav_vslam.ins.propagation import propagate, transition
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavState, PoseEstimate
 
 Array = NDArray[np.float64]
+
+MAX_REPLAYED = 5000  # readings kept to be replayed after a correction: 25 s at 200 Hz
 
 
 class InsPropagator:
@@ -39,11 +42,11 @@ class InsPropagator:
         """Ask for the motion up to an image.
 
         Raises:
-            ValueError: the stamp is not after the previous one.
+            InvalidMessage: the stamp is not after the previous one.
         """
         newest = self._pending[-1] if self._pending else self._last_ns
         if stamp_ns <= newest:
-            raise ValueError(f"image stamp {stamp_ns} ns is not after {newest} ns")
+            raise InvalidMessage("stamp", f"image stamp {stamp_ns} ns is not after {newest} ns")
         self._pending.append(stamp_ns)
 
     @property
@@ -86,7 +89,7 @@ class InsOdometry:
 
     def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
         self._gravity = np.array([0.0, 0.0, -imu.gravity])
-        self._since: deque[ImuSample] = deque()
+        self._since: deque[ImuSample] = deque(maxlen=MAX_REPLAYED)
         self._corrected = initial
         self.state = initial.state
 

@@ -12,6 +12,7 @@ out  landmark_information                  uav_vslam_msgs/LandmarkInformation at
 """
 
 from collections import deque
+from functools import partial
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
@@ -19,6 +20,7 @@ from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.convert import (
     cloud_to_msg,
     header,
@@ -63,9 +65,12 @@ class FusionNode(VehicleNode):
         self.listen(Odometry, "odometry", self._on_odometry, STATE)
         if self.config.fusion.mode != "none":
             for peer in peers:
-                self.listen(LandmarkInformation, f"/{peer}/landmark_information", self._on_packet, WIDEBAND)
+                topic = f"/{peer}/landmark_information"
+                self.listen(LandmarkInformation, topic, partial(self._on_packet, peer), WIDEBAND)
 
-    def _on_packet(self, message: LandmarkInformation) -> None:
+    def _on_packet(self, peer: str, message: LandmarkInformation) -> None:
+        if message.vehicle != peer:
+            raise InvalidMessage("sender", f"{peer}'s topic carries a packet of {message.vehicle!r}")
         self._fusion.inbox.add(packet_from_msg(message))
 
     def _on_joint(self, message: JointInformationMsg) -> None:

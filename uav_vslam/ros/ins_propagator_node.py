@@ -17,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.propagator import InsOdometry, InsPropagator
 from uav_vslam.ros.convert import (
     imu_from_msg,
@@ -93,7 +94,7 @@ class InsPropagatorNode(VehicleNode):
 
     def _publish_increment(self, increment: ImuIncrement, reckoned: NavEstimate) -> None:
         self.counts["increments"] += 1
-        self.counts["imu_gaps"] += increment.samples == 0
+        self.counts["imu_gaps"] += increment.samples < increment.dt_s / MAX_GAP_S
         self._increments.publish(increment_to_msg(increment, frame_id=self.base_frame))
         self._publish_dead_reckoning(reckoned)
 

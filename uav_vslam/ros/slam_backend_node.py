@@ -105,6 +105,7 @@ class SlamBackendNode(VehicleNode):
             self._process(self._running, *frame)
         self.counts["dropped/before_start"] = self._queue.before_start
         self.counts["dropped/frame_lost"] = self._queue.lost
+        self.counts["dropped/without_motion"] = self._queue.without_motion
 
     def _process(self, running: _Running, features: StereoFeatures, increment: ImuIncrement | None) -> None:
         report = running.backend.process(features, increment)

@@ -130,7 +130,7 @@ def validate(packet: LandmarkPacket) -> None:
     """Check everything a receiver relies on.
 
     Raises:
-        InvalidMessage: with reason shape, checksum, not_finite, covariance or duplicate_id.
+        InvalidMessage: with reason shape, checksum, sources, not_finite, covariance or duplicate_id.
     """
     n = len(packet.ids)
     if not n <= MAX_LANDMARKS:
@@ -147,6 +147,8 @@ def validate(packet: LandmarkPacket) -> None:
         raise InvalidMessage("shape", f"{n} ids but descriptors {packet.descriptors.shape}")
     if checksum(packet) != packet.checksum:
         raise InvalidMessage("checksum", f"packet {packet.sequence} of {packet.source} was damaged on its way")
+    if packet.source not in packet.sources:
+        raise InvalidMessage("sources", f"packet {packet.sequence} of {packet.source} does not name its own sender")
     numbers = (packet.origin, packet.offsets, packet.covariance_factor, packet.covariance_scale)
     if not all(np.isfinite(a).all() for a in numbers):
         raise InvalidMessage("not_finite", f"packet {packet.sequence} of {packet.source} holds NaN or infinity")
