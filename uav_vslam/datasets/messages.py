@@ -72,7 +72,8 @@ def image_of(built: Any) -> NDArray[Any]:
         BagError: the picture can't be decoded.
     """
     if hasattr(built, "format"):
-        decoded = cv2.imdecode(np.asarray(built.data), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+        data = np.asarray(built.data)  # of no bytes at all OpenCV would make an error of its own
+        decoded = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR) if len(data) else None
         if decoded is None:
             raise BagError(f"compressed image at {stamp_ns_of(built)} ns can't be decoded; is it {built.format!r}?")
         return np.asarray(decoded)

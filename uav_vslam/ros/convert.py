@@ -72,8 +72,9 @@ def pose_to_msg(pose: Pose) -> PoseMsg:
 def pose_from_msg(message: PoseMsg) -> Pose:
     """Return a pose."""
     p, q = message.position, message.orientation
+    t = _finite([p.x, p.y, p.z], "position")
     try:
-        return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _finite([p.x, p.y, p.z], "position"))
+        return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], t)
     except ValueError as error:
         raise InvalidMessage("orientation", str(error)) from None
 
@@ -235,6 +236,10 @@ def joint_from_msg(message: JointInformationMsg) -> JointInformation:
     upper = np.array(message.information, dtype=float)
     if len(upper) != n * (n + 1) // 2:
         raise InvalidMessage("shape", f"{len(ids)} landmarks need {n * (n + 1) // 2} numbers, not {len(upper)}")
+    positions = _rows(message.positions, np.float64, 3, "positions")
+    descriptors = _rows(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
+    if not len(ids) == len(positions) == len(descriptors):
+        raise InvalidMessage("shape", f"{len(ids)} ids, {len(positions)} positions, {len(descriptors)} descriptors")
     information = np.zeros((n, n))
     information[np.triu_indices(n)] = _finite(upper, "information")
     return JointInformation(
@@ -243,9 +248,9 @@ def joint_from_msg(message: JointInformationMsg) -> JointInformation:
         session=int(message.session),
         T_map_body=pose_from_msg(message.pose),
         ids=ids,
-        positions=_finite(_rows(message.positions, np.float64, 3, "positions"), "positions"),
+        positions=_finite(positions, "positions"),
         information=information + np.triu(information, 1).T,
-        descriptors=_rows(message.descriptors, np.uint8, message.descriptor_size, "descriptors"),
+        descriptors=descriptors,
     )
 
 

@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A record comes back from its message as it was, and what is wrong with a message is told by a reason."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS")
+from geometry_msgs.msg import Vector3
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.ros import convert
+from uav_vslam.slam.packet import make_packet, validate
+from uav_vslam.types import (
+    ImuIncrement,
+    JointInformation,
+    LandmarkPacket,
+    NavEstimate,
+    NavState,
+    PoseEstimate,
+    StereoFeatures,
+)
+
+STAMP_NS = 1_283_212_800_123_456_789
+ROTATION = 1e-15  # matrix to quaternion and back; all else is the same to the last bit
+NAN, INFINITY = float("nan"), float("inf")
+
+
+def covariance(n: int, seed: int = 0) -> np.ndarray:
+    A = np.random.default_rng(seed).normal(size=(n, n))
+    return A @ A.T + n * np.eye(n)
+
+
+def pose() -> Pose:
+    return Pose(so3_exp(np.array([0.3, -1.2, 2.1])), np.array([1.5, -2.25, 70.1]))
+
+
+def features(count: int = 5) -> StereoFeatures:
+    rng = np.random.default_rng(1)
+    pixels = rng.uniform(0, 1000, (count, 4)).astype(np.float32)
+    return StereoFeatures(STAMP_NS, pixels, rng.integers(0, 256, (count, 128), np.uint8))
+
+
+def increment() -> ImuIncrement:
+    rng = np.random.default_rng(2)
+    return ImuIncrement(
+        start_ns=STAMP_NS - 140_000_000,
+        stamp_ns=STAMP_NS,
+        samples=29,
+        delta_R=so3_exp(np.array([0.01, 0.02, -0.03])),
+        delta_v=rng.normal(size=3),
+        delta_p=rng.normal(size=3),
+        gyro_bias=rng.normal(size=3),
+        accel_bias=rng.normal(size=3),
+        bias_jacobian=rng.normal(size=(9, 6)),
+        covariance=covariance(9),
+    )
+
+
+def navigation() -> NavEstimate:
+    rng = np.random.default_rng(3)
+    state = NavState(STAMP_NS, pose(), rng.normal(size=3), rng.normal(size=3), rng.normal(size=3))
+    return NavEstimate(state, covariance(15))
+
+
+@pytest.fixture(params=[0, 4])
+def joint(request: pytest.FixtureRequest, make_joint: Callable[..., JointInformation]) -> JointInformation:
+    """A belief with and without landmarks."""
+    points = np.random.default_rng(4).normal(size=(request.param, 3))
+    return make_joint(points, covariance(6 + 3 * request.param), stamp_ns=STAMP_NS, T_map_body=pose())
+
+
+@pytest.fixture
+def packet(joint: JointInformation) -> LandmarkPacket:
+    return make_packet(joint, sequence=7, max_landmarks=3)
+
+
+def travelled(message: Any) -> Any:
+    """Return the message as a subscriber gets it."""
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def assert_same(got: Any, sent: Any) -> None:
+    """Compare two records field by field: rotations nearly, everything else exactly."""
+    assert type(got) is type(sent)
+    if isinstance(sent, Pose):
+        np.testing.assert_allclose(got.R, sent.R, rtol=0, atol=ROTATION)
+        np.testing.assert_array_equal(got.t, sent.t)
+    elif dataclasses.is_dataclass(sent):
+        for field in dataclasses.fields(sent):
+            assert_same(getattr(got, field.name), getattr(sent, field.name))
+    elif isinstance(sent, np.ndarray):
+        assert got.dtype == sent.dtype
+        np.testing.assert_array_equal(got, sent)
+    else:
+        assert got == sent
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_features_come_back(count: int) -> None:
+    sent = features(count)
+    message = travelled(convert.features_to_msg(sent, frame_id="uav1/left_optical", size=(1280, 960)))
+    assert (message.header.frame_id, message.width, message.height) == ("uav1/left_optical", 1280, 960)
+    assert_same(convert.features_from_msg(message), sent)
+
+
+def test_an_increment_comes_back() -> None:
+    sent = increment()
+    assert_same(convert.increment_from_msg(travelled(convert.increment_to_msg(sent, frame_id="b"))), sent)
+
+
+def test_a_navigation_estimate_comes_back() -> None:
+    sent = navigation()
+    message = travelled(convert.navigation_to_msg(sent, frame_id="m", child_frame_id="b"))
+    assert_same(convert.navigation_from_msg(message), sent)
+
+
+def test_odometry_comes_back_and_carries_its_velocity_in_the_body_frame() -> None:
+    sent, v_map = PoseEstimate(STAMP_NS, pose(), covariance(6)), np.array([20.0, 1.0, -0.5])
+    message = travelled(convert.odometry_to_msg(sent, frame_id="m", child_frame_id="b", velocity_map=v_map))
+    assert_same(convert.odometry_from_msg(message), sent)
+    linear = message.twist.twist.linear
+    np.testing.assert_allclose(pose().R @ [linear.x, linear.y, linear.z], v_map, rtol=0, atol=1e-13)
+
+
+def test_the_joint_information_comes_back(joint: JointInformation) -> None:
+    got = convert.joint_from_msg(travelled(convert.joint_to_msg(joint, frame_id="m")))
+    assert_same(got, joint)
+
+
+def test_a_packet_comes_back_and_its_checksum_still_fits(packet: LandmarkPacket) -> None:
+    got = convert.packet_from_msg(travelled(convert.packet_to_msg(packet, frame_id="m")))
+    assert_same(got, packet)
+    validate(got)
+
+
+def test_stamps_keep_their_nanoseconds() -> None:
+    stamp = convert.stamp_from_ns(STAMP_NS)
+    assert (stamp.sec, stamp.nanosec) == (1_283_212_800, 123_456_789)
+
+
+def test_a_cloud_holds_its_points_as_float32() -> None:
+    points = np.array([[1.0, 2.0, 3.0], [-4.5, 5.25, 1e-3]])
+    cloud = travelled(convert.cloud_to_msg(points, stamp_ns=STAMP_NS, frame_id="m"))
+    assert (cloud.width, cloud.row_step, [field.name for field in cloud.fields]) == (2, 24, ["x", "y", "z"])
+    np.testing.assert_array_equal(np.frombuffer(cloud.data, np.float32).reshape(-1, 3), points.astype(np.float32))
+    assert convert.cloud_to_msg(np.zeros((0, 3)), stamp_ns=0, frame_id="m").width == 0
+
+
+def refusal(read: Callable[[Any], Any], message: Any) -> str:
+    """Return the reason why a message is refused."""
+    with pytest.raises(InvalidMessage) as refused:
+        read(travelled(message))
+    return refused.value.reason
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "reason"),
+    [
+        ("pixels", [1.0, 2.0, NAN, 4.0] * 5, "not_finite"),
+        ("pixels", [1.0, 2.0, INFINITY, 4.0] * 5, "not_finite"),
+        ("pixels", [1.0] * 19, "shape"),
+        ("pixels", [1.0] * 16, "shape"),
+        ("descriptors", bytes(5 * 128 - 1), "shape"),
+        ("descriptor_size", 0, "shape"),
+        ("descriptor_size", 64, "shape"),
+    ],
+)
+def test_features_that_are_refused(field: str, value: Any, reason: str) -> None:
+    message = convert.features_to_msg(features(), frame_id="c", size=(1280, 960))
+    setattr(message, field, value)
+    assert refusal(convert.features_from_msg, message) == reason
+
+
+@pytest.mark.parametrize(
+    ("field", "count"),
+    [
+        ("delta_rotation", 9),
+        ("delta_velocity", 3),
+        ("delta_position", 3),
+        ("gyro_bias", 3),
+        ("accel_bias", 3),
+        ("bias_jacobian", 54),
+        ("covariance", 81),
+    ],
+)
+def test_an_increment_with_nan_is_refused(field: str, count: int) -> None:
+    message = convert.increment_to_msg(increment(), frame_id="b")
+    setattr(message, field, [0.0] * (count - 1) + [NAN])
+    assert refusal(convert.increment_from_msg, message) == "not_finite"
+
+
+def test_an_increment_without_length_is_refused() -> None:
+    message = convert.increment_to_msg(increment(), frame_id="b")
+    message.start = message.header.stamp
+    assert refusal(convert.increment_from_msg, message) == "stamp"
+
+
+@pytest.mark.parametrize("field", ["velocity", "gyro_bias", "accel_bias"])
+def test_a_navigation_state_with_nan_is_refused(field: str) -> None:
+    message = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")
+    setattr(message, field, Vector3(x=NAN))
+    assert refusal(convert.navigation_from_msg, message) == "not_finite"
+
+
+@pytest.mark.parametrize("broken", [-np.eye(15), np.zeros((15, 15)), np.diag([1.0] * 14 + [-1e-6])])
+def test_a_navigation_state_whose_covariance_is_not_positive_definite_is_refused(broken: np.ndarray) -> None:
+    message = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")
+    message.covariance = broken.ravel()
+    assert refusal(convert.navigation_from_msg, message) == "covariance"
+
+
+@pytest.mark.parametrize("w", [0.0, NAN])
+def test_an_orientation_that_is_none_is_refused(w: float) -> None:
+    nav = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")
+    odometry = convert.odometry_to_msg(PoseEstimate(STAMP_NS, pose(), covariance(6)), frame_id="m", child_frame_id="b")
+    for holder in (nav.pose, odometry.pose.pose):
+        q = holder.orientation
+        q.w, q.x, q.y, q.z = w, 0.0, 0.0, 0.0
+    assert refusal(convert.navigation_from_msg, nav) == "orientation"
+    assert refusal(convert.odometry_from_msg, odometry) == "orientation"
+
+
+def test_odometry_with_nan_is_refused() -> None:
+    estimate = PoseEstimate(STAMP_NS, pose(), covariance(6))
+    message = convert.odometry_to_msg(estimate, frame_id="m", child_frame_id="b")
+    message.pose.pose.position.z = NAN
+    assert refusal(convert.odometry_from_msg, message) == "not_finite"
+    message = convert.odometry_to_msg(estimate, frame_id="m", child_frame_id="b")
+    message.pose.covariance = np.full(36, INFINITY)
+    assert refusal(convert.odometry_from_msg, message) == "not_finite"
+
+
+@pytest.mark.parametrize("joint", [4], indirect=True)
+@pytest.mark.parametrize(
+    ("field", "value", "reason"),
+    [
+        ("information", [1.0] * 170, "shape"),
+        ("information", [1.0] * 170 + [NAN], "not_finite"),
+        ("positions", [0.0] * 11, "shape"),
+        ("positions", [0.0] * 9, "shape"),
+        ("positions", [0.0] * 11 + [NAN], "not_finite"),
+        ("descriptors", bytes(3 * 128), "shape"),
+        ("descriptor_size", 0, "shape"),
+    ],
+)
+def test_a_joint_information_that_is_refused(joint: JointInformation, field: str, value: Any, reason: str) -> None:
+    message = convert.joint_to_msg(joint, frame_id="m")
+    setattr(message, field, value)
+    assert refusal(convert.joint_from_msg, message) == reason
+
+
+@pytest.mark.parametrize("joint", [4], indirect=True)
+@pytest.mark.parametrize(
+    ("field", "value", "reason"),
+    [
+        ("version", 2, "version"),
+        ("version", 0, "version"),
+        ("form", 1, "form"),
+        ("form", 255, "form"),
+        ("offsets", [0.0] * 8, "shape"),
+        ("offsets", [0.0] * 6, "shape"),
+        ("covariance_factor", [1.0] * 44, "shape"),
+        ("descriptor_size", 0, "shape"),
+        ("ids", [1, 2], "shape"),
+        ("offsets", [0.0] * 9, "checksum"),
+        ("origin", [0.0, 0.0, NAN], "checksum"),
+        ("sequence", 8, "checksum"),
+    ],
+)
+def test_a_packet_that_is_refused(packet: LandmarkPacket, field: str, value: Any, reason: str) -> None:
+    message = convert.packet_to_msg(packet, frame_id="m")
+    setattr(message, field, value)
+    assert refusal(lambda m: validate(convert.packet_from_msg(m)), message) == reason
+
+
+def test_readings_with_nan_are_refused() -> None:
+    assert refusal(convert.imu_from_msg, Imu(angular_velocity=Vector3(y=NAN))) == "not_finite"
+    assert refusal(convert.imu_from_msg, Imu(linear_acceleration=Vector3(z=INFINITY))) == "not_finite"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Image(encoding="mono8", width=4, height=4, step=4, data=bytes(15)),
+        Image(encoding="mono8", width=4, height=4, step=3, data=bytes(16)),
+        Image(encoding="yuv422", width=4, height=4, step=8, data=bytes(32)),
+        CompressedImage(format="jpeg", data=b"no picture"),
+        CompressedImage(format="jpeg"),
+    ],
+    ids=["too few bytes", "lines too short", "unknown encoding", "not a picture", "empty"],
+)
+def test_images_that_can_not_be_read_are_refused(message: Any) -> None:
+    assert refusal(convert.image_from_msg, message) == "image"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        CameraInfo(width=640, height=480),
+        CameraInfo(width=640, height=480, k=[NAN, 0, 320, 0, 500, 240, 0, 0, 1]),
+        CameraInfo(width=0, height=480, k=[500.0, 0, 320, 0, 500, 240, 0, 0, 1]),
+        CameraInfo(width=640, height=480, k=[500.0, 0, 320, 0, 500, 240, 0, 0, 1], distortion_model="equidistant"),
+    ],
+    ids=["no K", "NaN in K", "no width", "unknown distortion"],
+)
+def test_calibrations_that_can_not_be_used_are_refused(message: Any) -> None:
+    assert refusal(convert.camera_from_msg, message) == "calibration"
+
+
+def test_pixels_come_back_from_an_image() -> None:
+    pixels = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    message = Image(encoding="mono8", width=4, height=3, step=4, data=convert.flat(pixels.ravel()))
+    np.testing.assert_array_equal(convert.image_from_msg(travelled(message)), pixels)
