@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from uav_vslam.config import IMU_GRADES
+from uav_vslam.errors import UavVslamError
+from uav_vslam.geometry.rotation import rotation_from_rpy
+from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.types import ImuSample
+
+IMU = IMU_GRADES["consumer"]
+
+
+def resting(roll, pitch, *, count=200, gyro_bias=(0.01, -0.02, 0.03), noise=0.01, rng=None):
+    rng = rng or np.random.default_rng(1)
+    up_body = rotation_from_rpy(roll, pitch, 0.7).T @ [0.0, 0.0, IMU.gravity]
+    return [
+        ImuSample(
+            5_000_000 * k, np.asarray(gyro_bias) + rng.normal(0, noise / 10, 3), up_body + rng.normal(0, noise, 3)
+        )
+        for k in range(count)
+    ]
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, -0.2), (-2.5, 0.4), (0.1, 1.4)])
+def test_gravity_gives_the_tilt_and_the_gyroscope_its_bias(roll, pitch):
+    nav = static_alignment(resting(roll, pitch), 10**9, IMU)
+    expected = rotation_from_rpy(roll, pitch, 0.0)
+    np.testing.assert_allclose(nav.state.T_map_body.R, expected, atol=1e-3)  # 0.01 m/s^2 over sqrt(200) readings
+    np.testing.assert_allclose(nav.state.gyro_bias, [0.01, -0.02, 0.03], atol=5e-4)
+    assert nav.state.stamp_ns == 10**9
+    assert np.linalg.eigvalsh(nav.covariance)[0] > 0
+
+
+def test_an_accelerometer_bias_of_one_sigma_tilts_by_about_one_sigma():
+    samples = resting(0.0, 0.0)
+    biased = [ImuSample(s.stamp_ns, s.gyro, s.accel + np.array([0.0, IMU.accel_bias_sigma, 0.0])) for s in samples]
+    nav = static_alignment(biased, 10**9, IMU)
+    roll = np.arctan2(nav.state.T_map_body.R[2, 1], nav.state.T_map_body.R[2, 2])
+    assert 0.9 < abs(roll) / np.sqrt(nav.covariance[6, 6]) < 1.1
+
+
+def test_a_moving_vehicle_is_refused():
+    with pytest.raises(UavVslamError, match="moves"):
+        static_alignment(resting(0.0, 0.0, noise=2.0), 10**9, IMU)
+
+
+def test_too_few_readings_are_refused():
+    with pytest.raises(UavVslamError, match="got 3"):
+        static_alignment(resting(0.0, 0.0, count=3), 10**9, IMU)
