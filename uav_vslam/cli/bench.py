@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam bench`: how long each stage takes on this machine."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from uav_vslam.simulation.scenario import SimulatedVehicle
+    from uav_vslam.types import StereoFrame
+
+HELP = "measure the speed of each stage"
+EXAMPLES = """examples:
+  uav-vslam bench
+  uav-vslam bench --quick          a few repeats only, for a first look
+
+Every time stands beside a yardstick measured in the same breath: compare the ratios, not the milliseconds, between
+machines and revisions. All in one process and one thread.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("--quick", action="store_true", help="a few repeats only")
+    parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure; print the table and write study.json."""
+    import cv2
+    from rich.progress import Progress
+
+    from uav_vslam.evaluation.output import write_study
+    from uav_vslam.studies.speed import QUICK, Effort
+
+    cv2.setNumThreads(1)
+    rows: list[dict[str, Any]] = []
+    with Progress(transient=True) as progress:
+        task = progress.add_task("measuring", total=None)
+        for row in measure(QUICK if args.quick else Effort()):
+            rows.append(row)
+            progress.update(task, description=f"measured: {row['method']}")
+    _print(rows)
+    print(f"results: {write_study('bench', rows, [], args.results)}")
+    return 0
+
+
+def measure(effort: Any) -> Iterator[dict[str, Any]]:
+    """Yield a row per stage and condition."""
+    from uav_vslam.studies import speed
+
+    vehicle, frames = speed.rendered_frames(effort.pairs)
+    yield speed.stereo_front_end(vehicle, frames, _sift())
+    for landmarks in (50, 100, 200):
+        yield speed.back_end(landmarks, effort.frames)
+    for shared in (10, 50):
+        yield speed.fusion(shared, effort.repeats)
+    yield from speed.packets(64, effort.repeats)
+    yield speed.preintegration(effort.repeats)
+    yield bag_reading(vehicle, frames, repeats=min(effort.repeats, 10))
+
+
+def bag_reading(vehicle: SimulatedVehicle, frames: list[StereoFrame], *, repeats: int) -> dict[str, Any]:
+    """Time reading a bag's raw images into stereo frames, beside reading the bytes of its file."""
+    import tempfile
+
+    from uav_vslam.datasets.bag import open_flight
+    from uav_vslam.datasets.flight_writer import FlightRecording, write_flights
+    from uav_vslam.studies.speed import take_turns
+
+    imu = [sample for sample in vehicle.imu.samples() if sample.stamp_ns <= frames[-1].stamp_ns]
+    recording = FlightRecording(vehicle.name, vehicle.rig, imu, (), frames, vehicle.initial)
+    with tempfile.TemporaryDirectory(prefix="uav_vslam_bench_") as folder:
+        path = Path(folder) / "bag"
+        write_flights(path, [recording])
+        (file,) = path.glob("*.mcap")
+        flight = open_flight(path, vehicle.name)
+        ms, ratio = take_turns([lambda: list(flight.iter_events())] * repeats, file.read_bytes)
+        megabytes = file.stat().st_size / 1e6
+    width, height = flight.image_size
+    return {
+        "method": "bag reading",
+        "condition": f"mcap, raw {width}x{height}",
+        "ms_per_frame": ms / len(frames),
+        "mb_per_s": megabytes / (ms * 1e-3),
+        "ratio": ratio,
+        "yardstick": "reading its bytes",
+    }
+
+
+def _sift() -> Callable[[Any], object]:
+    import cv2
+
+    detector = cv2.SIFT_create()
+    return lambda image: detector.detectAndCompute(image, None)
+
+
+def _print(rows: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("Stage", "Condition")
+    for heading in ("Time", "Ratio to"):
+        table.add_column(heading, justify="right")
+    table.add_column("Yardstick")
+    for row in rows:
+        table.add_row(row["method"], row["condition"], _time(row), f"{row['ratio']:.3g}", row["yardstick"])
+    Console().print(table)
+
+
+def _time(row: dict[str, Any]) -> str:
+    units = {
+        "ms_per_frame": "ms/frame",
+        "ms_per_packet": "ms/packet",
+        "us_per_landmark": "µs/landmark",
+        "mb_per_s": "MB/s",
+    }
+    return "\n".join(f"{row[key]:.3g} {unit}" for key, unit in units.items() if key in row)

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How long each stage takes, beside a yardstick measured in the same breath.
+
+Machines differ and are noisy, so a time alone says little: work and yardstick take turns, and what counts is the median
+of the ratios of neighbours. Most yardsticks are numpy's Cholesky factor of a matrix as large as the stage's own state.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import BackendConfig, FrontendConfig, FusionConfig, ImuConfig, VehicleConfig
+from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.ins.preintegration import preintegrate
+from uav_vslam.ins.propagator import InsPropagator
+from uav_vslam.simulation.camera_render import RenderedFlight
+from uav_vslam.simulation.landmarks import observe, scatter_landmarks
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
+from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.packet import make_packet, validate
+from uav_vslam.types import (
+    NS_PER_S,
+    ImuIncrement,
+    ImuSample,
+    JointInformation,
+    LandmarkPacket,
+    StereoFeatures,
+    StereoFrame,
+)
+from uav_vslam.vision.stereo_points import StereoFrontend
+
+Array = NDArray[np.float64]
+Work = Callable[[], object]
+Row = dict[str, Any]
+
+STATE = 15  # of the vehicle
+POSE = 6  # of a joint information
+OWN_LANDMARKS = 100
+WARM_UP = 5  # frames until the map is full
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How thoroughly to measure.
+
+    Attributes:
+        pairs: image pairs.
+        frames: frames of the back end, after its warm-up.
+        repeats: of everything that takes a few milliseconds or less.
+    """
+
+    pairs: int = 8
+    frames: int = 40
+    repeats: int = 100
+
+
+QUICK = Effort(pairs=2, frames=3, repeats=3)
+
+
+def take_turns(works: Iterable[Work], yardstick: Work) -> tuple[float, float]:
+    """Run each work and, right after it, the yardstick.
+
+    Returns:
+        Median time of the works [ms], and median ratio of a work's time to its yardstick's.
+    """
+    yardstick()  # once for caches and lazy imports
+    times = np.array([(_ms(work), _ms(yardstick)) for work in works])
+    return float(np.median(times[:, 0])), float(np.median(times[:, 0] / times[:, 1]))
+
+
+def rendered_frames(count: int) -> tuple[SimulatedVehicle, list[StereoFrame]]:
+    """Return a flight at 1280 x 960 and its first image pairs."""
+    vehicle = simulate_vehicle(Scenario(frames=max(count, 2)), 0)
+    images = RenderedFlight(vehicle)
+    return vehicle, [images.frame(k) for k in range(count)]
+
+
+def stereo_front_end(
+    vehicle: SimulatedVehicle, frames: Sequence[StereoFrame], sift: Callable[[NDArray[Any]], object]
+) -> Row:
+    """Time the front end at its default half resolution; `sift` is plain SIFT on a whole image."""
+    config = FrontendConfig()
+    frontend = StereoFrontend(vehicle.rig, config)
+    frontend.process(frames[0])
+    ms, ratio = take_turns(
+        [lambda frame=frame: frontend.process(frame) for frame in frames],  # type: ignore[misc]
+        lambda: (sift(frames[0].left), sift(frames[0].right)),
+    )
+    size = f"{vehicle.rig.left.width}x{vehicle.rig.left.height}"
+    condition = f"{size}, scale {config.scale:g}"
+    return _row("stereo front end", condition, "OpenCV SIFT, scale 1", ratio, ms_per_frame=ms)
+
+
+def back_end(landmarks: int, frames: int) -> Row:
+    """Time the back end over a landmark-level flight whose state holds about so many landmarks."""
+    config = VehicleConfig(
+        backend=BackendConfig(max_in_view=landmarks, max_landmarks=landmarks, max_new_landmarks=landmarks)
+    )
+    vehicle = simulate_vehicle(Scenario(frames=frames + WARM_UP), 0)
+    field = scatter_landmarks([vehicle], per_frame=1.5 * landmarks)
+    backend = SlamBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
+    sizes = []
+
+    def process(features: StereoFeatures, increment: ImuIncrement | None) -> None:
+        sizes.append(backend.process(features, increment).landmarks)
+
+    steps = _steps(vehicle, [features for features, _ in observe(vehicle, field)], config.imu)
+    for _ in range(WARM_UP):
+        process(*next(steps))
+    ms, ratio = take_turns((lambda s=s: process(*s) for s in steps), _cholesky(STATE + 3 * landmarks))  # type: ignore[misc]
+    held = round(float(np.median(sizes[WARM_UP:])))
+    return _row(
+        "back end",
+        f"{landmarks} landmarks",
+        _cholesky_name(STATE + 3 * landmarks),
+        ratio,
+        ms_per_frame=ms,
+        landmarks=held,
+    )
+
+
+def preintegration(repeats: int) -> Row:
+    """Time one increment between images at 7.14 Hz from readings at 200 Hz."""
+    rng, imu = np.random.default_rng(1), ImuConfig()
+    samples = [ImuSample(5_000_000 * k, rng.normal(0, 0.1, 3), rng.normal(0, 1.0, 3)) for k in range(29)]
+    bias = np.zeros(3)
+    F, Q = np.eye(9) + 1e-3 * rng.normal(size=(9, 9)), 1e-6 * np.eye(9)
+
+    def recursion() -> Array:
+        P = np.zeros((9, 9))
+        for _ in samples:
+            P = F @ P @ F.T + Q
+        return P
+
+    def increment() -> ImuIncrement:
+        return preintegrate(samples, 0, samples[-1].stamp_ns, gyro_bias=bias, accel_bias=bias, imu=imu)
+
+    ms, ratio = take_turns([increment] * repeats, recursion)
+    condition = f"{len(samples)} readings"
+    return _row("preintegration", condition, f"{len(samples)} covariance steps 9x9", ratio, ms_per_frame=ms)
+
+
+def fusion(shared: int, repeats: int) -> Row:
+    """Time the fusion of one packet into the own belief."""
+    own = _belief("uav1", list(range(OWN_LANDMARKS)), stamp_s=11.0)
+    theirs = list(range(shared)) + list(range(1000, 1000 + OWN_LANDMARKS - shared))
+    peer = _belief("uav2", theirs, stamp_s=10.0)
+    core = Fusion("uav1", FusionConfig())
+    packet = make_packet(peer, sequence=1, max_landmarks=64, matched_ids=peer.ids[:shared].tolist())
+    core.inbox.add(packet)
+    size = POSE + 3 * OWN_LANDMARKS
+    ms, ratio = take_turns([lambda: core.fuse(own)] * repeats, _cholesky(size))
+    found = core.epoch.common["uav2"] if core.epoch else 0
+    condition = f"{OWN_LANDMARKS} own landmarks, {shared} shared"
+    return _row("fusion", condition, _cholesky_name(size), ratio, ms_per_packet=ms, landmarks=found)
+
+
+def packets(landmarks: int, repeats: int) -> list[Row]:
+    """Time making and checking a packet."""
+    joint = _belief("uav1", list(range(OWN_LANDMARKS)), stamp_s=10.0)
+    packet = make_packet(joint, sequence=1, max_landmarks=landmarks)
+
+    def make() -> LandmarkPacket:
+        return make_packet(joint, sequence=1, max_landmarks=landmarks)
+
+    rows = []
+    for method, work in (("make packet", make), ("validate packet", lambda: validate(packet))):
+        ms, ratio = take_turns([work] * repeats, _cholesky(3 * landmarks))
+        times = {"ms_per_packet": ms, "us_per_landmark": 1e3 * ms / landmarks}
+        rows.append(_row(method, f"{landmarks} landmarks", _cholesky_name(3 * landmarks), ratio, **times))
+    return rows
+
+
+def _row(method: str, condition: str, yardstick: str, ratio: float, **figures: float) -> Row:
+    return {"method": method, "condition": condition, **figures, "ratio": ratio, "yardstick": yardstick}
+
+
+def _ms(work: Work) -> float:
+    begin = time.perf_counter_ns()
+    work()
+    return (time.perf_counter_ns() - begin) * 1e-6
+
+
+def _cholesky(size: int) -> Work:
+    A = np.random.default_rng(0).normal(size=(size, size))
+    P = A @ A.T + size * np.eye(size)
+    return lambda: np.linalg.cholesky(P)
+
+
+def _cholesky_name(size: int) -> str:
+    return f"Cholesky {size}x{size}"
+
+
+def _steps(
+    vehicle: SimulatedVehicle, frames: list[StereoFeatures], imu: ImuConfig
+) -> Iterator[tuple[StereoFeatures, ImuIncrement | None]]:
+    """Yield each frame with the motion that leads to it."""
+    ins = InsPropagator(vehicle.initial, imu)
+    for sample in vehicle.imu.samples():
+        ins.add_imu(sample)
+    yield frames[0], None
+    for features in frames[1:]:
+        ins.add_frame_stamp(features.stamp_ns)
+        ((increment, _),) = ins.increments()
+        yield features, increment
+
+
+def _belief(vehicle: str, identities: list[int], *, stamp_s: float) -> JointInformation:
+    """Return a belief with a common error of pose and landmarks; the same identity is the same place and look."""
+    looks = [np.random.default_rng([7, identity]) for identity in identities]
+    positions = np.array([rng.uniform([-60, -60, -2], [60, 60, 2]) for rng in looks])
+    descriptors = np.array([rng.integers(0, 256, 128, np.uint8) for rng in looks])
+    n = POSE + 3 * len(identities)
+    common = np.zeros((n, 3))
+    common[:3] = np.eye(3)
+    common[POSE:] = np.tile(np.eye(3), (len(identities), 1))
+    own = np.full(n, 0.1**2)
+    own[3:POSE] = 1e-3**2
+    information = np.linalg.inv(0.3**2 * common @ common.T + np.diag(own))
+    return JointInformation(
+        stamp_ns=round(stamp_s * NS_PER_S),
+        vehicle=vehicle,
+        session=1,
+        T_map_body=Pose(np.eye(3), np.array([0.0, 0.0, 70.0])),
+        ids=np.arange(1, len(identities) + 1, dtype=np.uint32),
+        positions=positions,
+        information=0.5 * (information + information.T),
+        descriptors=descriptors,
+    )
