@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.estimation.models import MODELS, StateModel, difference, retangent
@@ -43,10 +44,14 @@ class PredictedObservation:
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """How an update agreed with the prediction: nis is chi-square with dof degrees of freedom."""
+    """How an update agreed with the prediction: nis is chi-square with dof degrees of freedom.
+
+    An update that was not accepted has changed nothing.
+    """
 
     nis: float
     dof: int
+    accepted: bool = True
 
 
 class ExtendedInformationFilter:
@@ -113,14 +118,38 @@ class ExtendedInformationFilter:
         S = H_c @ P_c @ H_c.transpose(0, 2, 1) + self._sigma_px**2 * np.eye(4)
         return PredictedObservation(jacobian.points_left, symmetrise(S), H_c @ J_nav, H_c @ jacobian.landmark)
 
-    def update(self, indices: Indices, pixels: Array, *, linearise_at: Pose | None = None) -> Innovation:
+    def joint_innovation(self, indices: Indices, pixels: Array) -> tuple[Array, Array]:
+        """Return the innovations (M, 4) of stereo observations and their joint covariance (4M, 4M) [px], [px^2]."""
+        predicted = self.predict_observations(indices)
+        m, count = self._model.nav_dim, len(indices)
+        rows = np.arange(count)
+        H = np.zeros((count, 4, m + 3 * count))
+        H[:, :, :m] = predicted.H_nav
+        H[rows[:, None, None], np.arange(4)[:, None], (m + 3 * rows[:, None] + np.arange(3))[:, None, :]] = (
+            predicted.H_landmark
+        )
+        columns = np.concatenate([np.arange(m), (m + 3 * np.asarray(indices)[:, None] + np.arange(3)).ravel()])
+        H_all = H.reshape(4 * count, m + 3 * count)
+        S = H_all @ self.P[np.ix_(columns, columns)] @ H_all.T + self._sigma_px**2 * np.eye(4 * count)
+        return pixels - self._rig.project(predicted.points_left), symmetrise(S)
+
+    def update(
+        self,
+        indices: Indices,
+        pixels: Array,
+        *,
+        linearise_at: Pose | None = None,
+        significance: float = 0.0,
+    ) -> Innovation:
         """Correct by stereo observations of landmarks.
 
         Args:
             indices: (M,) rows of `landmarks`, each at most once.
             pixels: (M, 4) undistorted stereo pixels.
             linearise_at: T_map_body where to linearise instead of at the mean; for a mean known to be far off.
+            significance: the update is refused if right observations were as far off together with less probability.
         """
+        before = (self.nav, self.Y)
         prior_offset = np.zeros(len(self.Y))
         if linearise_at is not None and self._model.invariant:
             prior_offset = self._move_linearisation(linearise_at)
@@ -133,8 +162,13 @@ class ExtendedInformationFilter:
         Y = self.Y + information
         delta = solve_spd(Y, i, f"information at {self.nav.stamp_ns / NS_PER_S:.3f} s")
         nis = float(np.sum(nu**2) / self._sigma_px**2 + prior_offset @ self.Y @ prior_offset - i @ delta)
-        self._correct(Y, delta)
-        return Innovation(nis, 4 * len(indices))
+        innovation = Innovation(nis, 4 * len(indices), chdtrc(4 * len(indices), nis) >= significance)
+        if innovation.accepted:
+            self._correct(Y, delta)
+        else:
+            self.nav = before[0]
+            self._set(before[1])
+        return innovation
 
     def add_landmarks(self, pixels: Array) -> None:
         """Append landmarks at their triangulated positions: zero information, then the observation's own.

@@ -4,11 +4,13 @@
 Nothing that came over a network enters here.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.association.consensus import consensus
 from uav_vslam.association.guided import associate
 from uav_vslam.config import VehicleConfig
 from uav_vslam.estimation.eif import ExtendedInformationFilter, Innovation
@@ -30,6 +32,7 @@ from uav_vslam.types import (
 
 Rows = NDArray[np.intp]
 
+SIGNIFICANCE = 1e-6  # matches that right ones would disagree as much as so rarely are not believed together
 VIEW_MARGIN_PX = 50.0  # a landmark predicted so far outside the image may still be seen
 
 
@@ -109,11 +112,10 @@ class SlamBackend:
             ValueError: the increment does not lead from the estimate to the frame.
         """
         self._advance(features.stamp_ns, increment)
-        pairs = self._associate(features)
-        innovation = self._update(pairs, features)
+        pairs, innovation = self._correct(features)
         self._make_room()
         self._add_landmarks(pairs, features)
-        self._frame += 1
+        self._frame += len(features) > 0  # a frame that shows nothing tells nothing of the landmarks either
         nav = self._filter.nav_estimate()
         return FrameReport(
             pose=nav.pose,
@@ -153,15 +155,40 @@ class SlamBackend:
     def _points_left(self) -> NDArray[np.float64]:
         return point_jacobian(self._rig, self._filter.nav, self._filter.landmarks).points_left
 
-    def _associate(self, features: StereoFeatures) -> _Association:
-        """Gate and match; where the prediction is vague, let PnP decide; where that fails, search the whole map."""
-        none = _Association(np.zeros(0, np.intp), np.zeros(0, np.intp))
+    def _correct(self, features: StereoFeatures) -> tuple[_Association, Innovation | None]:
+        """Update by the first set of matches that agrees with the prediction as a whole; without one, coast.
+
+        A relocalisation is believed against the prediction: it is tried when the prediction has led nowhere.
+        """
+        pixels = features.pixels.astype(float)
+        for pairs in self._candidates(features):
+            innovation = self._filter.update(
+                pairs.landmarks,
+                pixels[pairs.features],
+                linearise_at=pairs.linearise_at,
+                significance=0.0 if pairs.relocalised else SIGNIFICANCE,
+            )
+            if innovation.accepted:
+                self._map.observe(pairs.landmarks, features.descriptors[pairs.features], self._frame)
+                return pairs, innovation
+        return _Association(np.zeros(0, np.intp), np.zeros(0, np.intp)), None
+
+    def _candidates(self, features: StereoFeatures) -> Iterator[_Association]:
+        """Yield sets of matches, the cheapest first: all in the gate, those confirmed by PnP, those that agree with
+        one another, and those found in the whole map without a gate.
+        """
         if len(self._map) == 0 or len(features) == 0:
-            return none
-        pairs, vague = self._guided(features)
-        if vague or len(pairs) < self._config.min_pnp_inliers:
-            return self._verified(pairs, features) or self._searched(features) or none
-        return self._selected(pairs, features)
+            return
+        gated, vague = self._guided(features)
+        if not vague and len(gated) >= self._config.min_pnp_inliers:
+            yield self._selected(gated, features)
+        for found in (self._verified, self._agreeing):
+            pairs = found(gated, features)
+            if pairs is not None:
+                yield self._selected(pairs, features)
+        searched = self._searched(features)
+        if searched is not None:
+            yield self._selected(searched, features)
 
     def _guided(self, features: StereoFeatures) -> tuple[_Association, bool]:
         """Return the gated matches, and whether the prediction was too vague for the gate to be trusted alone."""
@@ -195,8 +222,16 @@ class SlamBackend:
         if found is None:
             return None
         T_map_body, inliers = found
-        kept = _Association(pairs.landmarks[inliers], pairs.features[inliers], self._far_pose(T_map_body))
-        return self._selected(kept, features)
+        return _Association(pairs.landmarks[inliers], pairs.features[inliers], self._far_pose(T_map_body))
+
+    def _agreeing(self, pairs: _Association, features: StereoFeatures) -> _Association | None:
+        """Keep the largest set of matches that agree with one another; None where it is too small."""
+        chosen = self._selected(pairs, features)
+        nu, S = self._filter.joint_innovation(chosen.landmarks, features.pixels[chosen.features].astype(float))
+        rows = consensus(nu, S, probability=self._config.gate_probability)
+        if len(rows) < self._config.min_pnp_inliers:
+            return None
+        return _Association(chosen.landmarks[rows], chosen.features[rows])
 
     def _searched(self, features: StereoFeatures) -> _Association | None:
         """Match against the whole map without a gate; None where PnP does not confirm enough."""
@@ -211,7 +246,7 @@ class SlamBackend:
         if found is None:
             return None
         T_map_body, landmarks, rows = found
-        return self._selected(_Association(landmarks, rows, self._far_pose(T_map_body), True), features)
+        return _Association(landmarks, rows, self._far_pose(T_map_body), True)
 
     def _far_pose(self, T_map_body: Pose) -> Pose | None:
         moved = np.linalg.norm(T_map_body.t - self._filter.nav.T_map_body.t)
@@ -223,14 +258,6 @@ class SlamBackend:
         pixels = features.pixels[pairs.features[order], :2]
         chosen = order[spread(pixels, self._config.max_observations, size=self._image_size)]
         return _Association(pairs.landmarks[chosen], pairs.features[chosen], pairs.linearise_at, pairs.relocalised)
-
-    def _update(self, pairs: _Association, features: StereoFeatures) -> Innovation | None:
-        if len(pairs) == 0:
-            return None
-        pixels = features.pixels[pairs.features].astype(float)
-        innovation = self._filter.update(pairs.landmarks, pixels, linearise_at=pairs.linearise_at)
-        self._map.observe(pairs.landmarks, features.descriptors[pairs.features], self._frame)
-        return innovation
 
     def _make_room(self) -> None:
         if len(self._map) == 0:

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which gated matches agree with one another: one match at a time conditions the prediction of all the others.
+
+A gate alone is no protection when the whole prediction may be off together: then every landmark has a wide gate, and
+wrong matches slip in. But given one right match the others' predictions become sharp. Each match is tried as that one
+(so nothing is drawn at random), and the largest set that passes the conditional gates wins; after the one-point RANSAC
+of [civera10], which draws.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from uav_vslam.association.guided import STEREO_DOF
+
+Array = NDArray[np.float64]
+
+
+def consensus(nu: Array, S: Array, *, probability: float) -> NDArray[np.intp]:
+    """Return the largest set of matches that agree.
+
+    Args:
+        nu: (N, 4) innovations [px].
+        S: (4N, 4N) their joint covariance, pixel noise included [px^2].
+        probability: that a right match passes the gate that another right match leaves.
+
+    Returns:
+        (K,) ascending rows.
+    """
+    count = len(nu)
+    if count == 0:
+        return np.zeros(0, np.intp)
+    blocks = S.reshape(count, STEREO_DOF, count, STEREO_DOF).transpose(0, 2, 1, 3)
+    own = blocks[np.arange(count), np.arange(count)]
+    limit = chdtri(STEREO_DOF, 1.0 - probability)
+    best = np.zeros(0, np.intp)
+    for given in range(count):
+        gain = blocks[:, given] @ np.linalg.inv(own[given])
+        left = nu - gain @ nu[given]
+        sharp = own - gain @ blocks[given]
+        sharp[given] = own[given]  # nothing is left of itself: left is zero there, whatever the covariance
+        distance2 = np.einsum("ni,ni->n", left, np.linalg.solve(sharp, left[..., None])[..., 0])
+        agree = np.flatnonzero(distance2 <= limit)
+        if len(agree) > len(best):
+            best = agree
+    return best
