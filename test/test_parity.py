@@ -18,7 +18,7 @@ from uav_vslam.config import load_fleet
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
-from uav_vslam.datasets.source import BagSource, truth_trajectory
+from uav_vslam.datasets.truth import truth_trajectory
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.fleet import CooperativeTrack
 from uav_vslam.offline import flight_result, fly
@@ -64,7 +64,7 @@ def write_fleet(folder: Path, bag: Path, config: str, *, vehicles: tuple[str, ..
 
 def fly_twin(path: Path) -> Case:
     fleet = load_fleet(path)
-    sources = [BagSource(open_flight(fleet.replay.bags, name)) for name in fleet.vehicles]
+    sources = [open_flight(fleet.replay.bags, name) for name in fleet.vehicles]
     return Case(path, *fly(sources, fleet.vehicles))
 
 

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.progress import Progress
 
     from uav_vslam.datasets.bag import open_flight
-    from uav_vslam.datasets.source import BagSource, truth_trajectory
+    from uav_vslam.datasets.truth import truth_trajectory
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     started = time.monotonic()
     with Progress(transient=True) as progress:
         task = progress.add_task("flying", total=sum(flight.frame_count for flight in flights.values()))
-        sources: list[FlightSource] = [BagSource(flight) for flight in flights.values()]
+        sources: list[FlightSource] = list(flights.values())
         tracks, fleet = fly(sources, configs, workers=args.workers, on_frame=lambda n: progress.advance(task, n))
     truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     name = args.name or args.inputs[0].stem
