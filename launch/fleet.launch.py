@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start a fleet under ROS 2 launch: `ros2 launch uav_vslam fleet.launch.py fleet:=FILE`.
 
-The same nodes with the same parameters as `uav-vslam run FILE`; both read uav_vslam.ros.fleet_commands.
+The same nodes with the same parameters as `uav-vslam launch FILE`; both read uav_vslam.ros.fleet_commands.
 """
 
 from pathlib import Path

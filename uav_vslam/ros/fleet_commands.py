@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which processes a fleet consists of: the one description behind `uav-vslam run` and launch/fleet.launch.py.
+"""Which processes a fleet consists of: the one description behind `uav-vslam launch` and launch/fleet.launch.py.
 
 It imports no ROS, because launch files are read by the system's Python, which need not have our libraries.
 """
