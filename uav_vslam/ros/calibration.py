@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stereo rig as a node learns it: intrinsics from camera_info, extrinsics from /tf_static."""
 
+from collections.abc import Callable
 from functools import partial
 
 from rclpy.logging import get_logger
@@ -19,10 +20,13 @@ from uav_vslam.ros.runtime import VehicleNode
 
 
 class RigListener:
-    """Gathers what a rig consists of; `rig` is None until all of it has come."""
+    """Gathers what a rig consists of; `rig` is None until all of it has come, then `on_complete` is called once.
 
-    def __init__(self, node: VehicleNode) -> None:
-        self._node = node
+    Topics have no order among each other: images may well come before their calibration.
+    """
+
+    def __init__(self, node: VehicleNode, on_complete: Callable[[], None]) -> None:
+        self._node, self._on_complete = node, on_complete
         self._cameras: dict[str, tuple[PinholeCamera, str]] = {}
         self._transforms: dict[str, tuple[str, Pose]] = {}  # child frame -> (parent frame, T_parent_child)
         self.rig: StereoRig | None = None
@@ -59,3 +63,4 @@ class RigListener:
         except CalibrationError as error:
             raise InvalidMessage("calibration", str(error)) from None
         get_logger(self._node.get_name()).info(f"rig complete: baseline {self.rig.baseline_m:.3f} m")
+        self._on_complete()

@@ -73,7 +73,7 @@ class SlamBackendNode(VehicleNode):
         self._joint = self.advertise(JointInformation, "joint_information", STATE)
         self._correction = self.advertise(NavigationState, "slam/correction", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
-        self._rig = RigListener(self)
+        self._rig = RigListener(self, self._work)
         self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
         self.listen(InsIncrement, "ins/increment", self._on_increment, STATE)
         self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, STATE)

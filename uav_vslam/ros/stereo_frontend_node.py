@@ -37,7 +37,7 @@ class StereoFrontendNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("stereo_frontend")
-        self._rig = RigListener(self)
+        self._rig = RigListener(self, self._work)
         self._frontend: StereoFrontend | None = None
         self._pairer: StereoPairer[Pixels] = StereoPairer()
         self._waiting: deque[StereoFrame] = deque()
