@@ -2,7 +2,7 @@
 """Simulated vehicles as the offline graph wants them, without a bag in between."""
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from uav_vslam.geometry.stereo import StereoRig
@@ -14,17 +14,19 @@ from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures, StereoFrame
 
 @dataclass(frozen=True, slots=True)
 class SimulatedSource:
-    """A simulated vehicle whose cameras see rendered images, or points where a field of landmarks is given.
+    """A simulated vehicle whose cameras see rendered images, or points where landmarks or features are given.
 
     Attributes:
         simulated: the flight.
         field: landmarks for the image-free path, None for rendered images.
         noise: quality of the image-free features.
+        features: what a front end has found in the images already, in stamp order.
     """
 
     simulated: SimulatedVehicle
     field: LandmarkField | None = None
     noise: LandmarkNoise | None = None
+    features: tuple[StereoFeatures, ...] | None = None
 
     @property
     def vehicle(self) -> str:
@@ -41,10 +43,12 @@ class SimulatedSource:
         """Start state with its errors."""
         return self.simulated.initial
 
-    def frames(self) -> Iterator[StereoFrame | StereoFeatures]:
+    def frames(self) -> Iterable[StereoFrame | StereoFeatures]:
         """Yield what the cameras give."""
+        if self.features is not None:
+            return self.features
         if self.field is None:
-            return iter(RenderedFlight(self.simulated))
+            return RenderedFlight(self.simulated)
         return (features for features, _ in observe(self.simulated, self.field, noise=self.noise))
 
     def iter_events(self) -> Iterator[ImuSample | StereoFrame | StereoFeatures]:

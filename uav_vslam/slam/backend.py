@@ -113,10 +113,10 @@ class SlamBackend:
         """
         self._advance(features.stamp_ns, increment)
         pairs, innovation = self._correct(features)
+        nav = self._filter.nav_estimate()  # map management leaves it alone, but would have P computed anew
         self._make_room()
         self._add_landmarks(pairs, features)
         self._frame += len(features) > 0  # a frame that shows nothing tells nothing of the landmarks either
-        nav = self._filter.nav_estimate()
         return FrameReport(
             pose=nav.pose,
             nav=nav,

@@ -4,14 +4,14 @@
 import dataclasses
 import multiprocessing
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import FrontendConfig, VehicleConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -20,9 +20,10 @@ from uav_vslam.offline import FlightSource, flight_result, fly
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.types import ImuSample, StereoFeatures, StereoFrame
+from uav_vslam.types import StereoFeatures, StereoFrame
 from uav_vslam.vision.stereo_points import StereoFrontend
 
+FeatureCache = dict[tuple[Scenario, FrontendConfig], list[tuple[StereoFeatures, ...]]]  # by look and front end
 Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
 LABELS = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
 TRACKS = tuple(LABELS)
@@ -57,33 +58,9 @@ class Outcome:
     processed: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Replayed:
-    """A source whose frames have been through the front end already."""
-
-    source: SimulatedSource
-    features: list[StereoFeatures]
-
-    @property
-    def vehicle(self) -> str:
-        return self.source.vehicle
-
-    @property
-    def rig(self) -> Any:
-        return self.source.rig
-
-    @property
-    def initial_state(self) -> Any:
-        return self.source.initial_state
-
-    def iter_events(self) -> Iterable[ImuSample | StereoFrame | StereoFeatures]:
-        imu = self.source.simulated.imu.samples()
-        return sorted([*imu, *self.features], key=lambda event: event.stamp_ns)
-
-
 def run_seed(methods: list[Method], seed: int) -> list[Outcome]:
     """Fly all methods on one seed; rendered images are made and searched for features only once for all of them."""
-    cache: dict[Any, list[FlightSource]] = {}
+    cache: FeatureCache = {}
     return [_run(method, seed, cache) for method in methods]
 
 
@@ -120,7 +97,7 @@ def _in_pool(methods: list[Method], seeds: list[int], workers: int) -> Iterator[
             yield future.result()
 
 
-def _run(method: Method, seed: int, cache: dict[Any, list[FlightSource]]) -> Outcome:
+def _run(method: Method, seed: int, cache: FeatureCache) -> Outcome:
     scenario = dataclasses.replace(method.scenario, seed=seed)
     config = dataclasses.replace(method.config, imu=scenario.imu_config)
     vehicles = simulate_fleet(scenario)
@@ -141,7 +118,7 @@ def _run(method: Method, seed: int, cache: dict[Any, list[FlightSource]]) -> Out
 
 
 def _sources(
-    method: Method, scenario: Scenario, vehicles: list[SimulatedVehicle], cache: dict[Any, list[FlightSource]]
+    method: Method, scenario: Scenario, vehicles: list[SimulatedVehicle], cache: FeatureCache
 ) -> list[FlightSource]:
     if not method.rendered:
         landmarks = scatter_landmarks(vehicles)
@@ -149,18 +126,13 @@ def _sources(
     look = dataclasses.replace(scenario, imu="adis16480")  # the images don't depend on the inertial unit
     key = (look, method.config.frontend)
     if key not in cache:
-        cache[key] = [_searched(SimulatedSource(vehicle), method.config) for vehicle in vehicles]
-    seen: list[FlightSource] = []
-    for vehicle, earlier in zip(vehicles, cache[key], strict=True):
-        assert isinstance(earlier, _Replayed)
-        seen.append(_Replayed(SimulatedSource(vehicle), earlier.features))
-    return seen
+        cache[key] = [_searched(SimulatedSource(vehicle), method.config.frontend) for vehicle in vehicles]
+    return [SimulatedSource(vehicle, features=seen) for vehicle, seen in zip(vehicles, cache[key], strict=True)]
 
 
-def _searched(source: SimulatedSource, config: VehicleConfig) -> _Replayed:
-    frontend = StereoFrontend(source.rig, config.frontend)
-    features = [frontend.process(frame) for frame in source.frames() if isinstance(frame, StereoFrame)]
-    return _Replayed(source, features)
+def _searched(source: SimulatedSource, config: FrontendConfig) -> tuple[StereoFeatures, ...]:
+    frontend = StereoFrontend(source.rig, config)
+    return tuple(frontend.process(frame) for frame in source.frames() if isinstance(frame, StereoFrame))
 
 
 def true_trajectory(vehicle: SimulatedVehicle) -> Trajectory:
