@@ -43,6 +43,16 @@ class ImuConfig:
             _require(getattr(self, f.name) > 0, self, f.name, "a positive number")
 
 
+THESIS_STEP_S = 0.14  # its control noise is drawn once a step; ours is white at the reading's rate, of the same effect
+THESIS_NOISE = ((1.0, 1.8), (2.0, 3.6), (2.0, 5.6), (4.0, 11.2))  # w1 to w4 of section 4.7.1 [deg/s], [m/s^2]
+
+
+def _thesis_noise(rate_deg: float, accel: float) -> ImuConfig:
+    return ImuConfig(
+        gyro_noise=math.radians(rate_deg) * math.sqrt(THESIS_STEP_S), accel_noise=accel * math.sqrt(THESIS_STEP_S)
+    )
+
+
 IMU_GRADES = {
     "adis16480": ImuConfig(),
     "consumer": ImuConfig(
@@ -53,7 +63,7 @@ IMU_GRADES = {
         gyro_bias_sigma=3.0e-3,
         accel_bias_sigma=2.0e-1,
     ),
-}
+} | {f"thesis_w{k}": _thesis_noise(rate_deg, accel) for k, (rate_deg, accel) in enumerate(THESIS_NOISE, start=1)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +90,7 @@ class FrontendConfig:
         _require(self.max_matches > 0, self, "max_matches", "a positive count")
 
 
+FILTERS = ("eif", "ekf", "ukf", "uhf", "thesis_ukf", "thesis_uhf")  # the names in estimation.filters.FILTERS
 STATE_MODELS = ("ri15", "so15", "euler9")  # the names in estimation.models.MODELS
 RETENTION_POLICIES = ("grid", "none", "first_last", "largest_covariance")  # the names in slam.map_manager.RETENTION
 
@@ -88,7 +99,9 @@ RETENTION_POLICIES = ("grid", "none", "first_last", "largest_covariance")  # the
 class BackendConfig:
     """The own-only filter and its map."""
 
+    filter: str = "eif"  # name in estimation.filters.FILTERS
     model: str = "ri15"  # name in estimation.models.MODELS: ri15 or the thesis's euler9
+    gamma: float = 100.0  # of the unscented H-infinity filter: smaller is more cautious; never below what is feasible
     sigma_px: float = 1.0  # standard deviation of each stereo pixel coordinate [px]
     depth_sigma_ratio: float = 0.043  # relief / height, smooths the depth in the Jacobian; 0 turns it off (indoors)
     min_descriptor_ratio: float = 0.85  # nearest / second-nearest inside the gate
@@ -107,6 +120,8 @@ class BackendConfig:
     young_frames: int = 5  # younger landmarks are not removed for space
 
     def __post_init__(self) -> None:
+        _require(self.filter in FILTERS, self, "filter", f"one of {', '.join(FILTERS)}")
+        _require(self.gamma > 0, self, "gamma", "a positive number")
         _require(self.model in STATE_MODELS, self, "model", f"one of {', '.join(STATE_MODELS)}")
         _require(self.retention in RETENTION_POLICIES, self, "retention", f"one of {', '.join(RETENTION_POLICIES)}")
         _require(self.sigma_px > 0, self, "sigma_px", "a positive number of pixels")
@@ -123,6 +138,23 @@ class BackendConfig:
             _require(getattr(self, key) >= 4, self, key, "4 or more, as a pose takes three points and one to check it")
         _require(self.max_landmarks >= self.max_in_view, self, "max_landmarks", "at least max_in_view")
         _require(self.retention_cell_m > 0, self, "retention_cell_m", "a positive length [m]")
+
+
+@dataclass(frozen=True, slots=True)
+class RigConfig:
+    """How far the calibration may be trusted: the attitude of the right camera, and the cameras' clock."""
+
+    flexing: bool = False  # the cameras' mutual attitude drifts and vibrates, so it is estimated
+    attitude_sigma_deg: float = 0.05  # flexing: slow part at the start, per axis; best twice what is expected
+    attitude_walk_deg: float = 0.001  # flexing: random walk of the slow part [deg/sqrt(s)]
+    vibration_sigma_deg: float = 0.02  # flexing: part that is new in each frame, rms per axis
+    rigid_sigma_deg: float = 0.0  # not flexing: what is left after calibration; 0 believes the calibration exactly
+    time_offset_sigma_s: float = 0.0  # camera clock against IMU clock, estimated; 0 believes them equal
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):
+            if f.name != "flexing":
+                _require(getattr(self, f.name) >= 0, self, f.name, "zero or more")
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +199,7 @@ class VehicleConfig:
 
     start: StartConfig = field(default_factory=StartConfig)
     imu: ImuConfig = field(default_factory=ImuConfig)
+    rig: RigConfig = field(default_factory=RigConfig)
     frontend: FrontendConfig = field(default_factory=FrontendConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     fusion: FusionConfig = field(default_factory=FusionConfig)
