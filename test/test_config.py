@@ -75,7 +75,7 @@ WRONG_VEHICLE = {
         r"given\.yaml: unknown key backend\.sigma_pix; did you mean backend\.sigma_px",
     ),
     "unknown_section": ("backed: {}", r"unknown key backed; did you mean backend\?"),
-    "unlike_any_key": ("zzz: 1", "unknown key zzz; known keys: backend, frontend, fusion, imu, start"),
+    "unlike_any_key": ("zzz: 1", "unknown key zzz; known keys: backend, frontend, fusion, imu, rig, start"),
     "number_as_key": ("7: 1", "unknown key 7"),
     "text_for_number": ("backend: {sigma_px: much}", r"given\.yaml: backend\.sigma_px = 'much' must be of type float"),
     "number_for_text": ("fusion: {mode: 3}", r"fusion\.mode = 3 must be of type str"),
