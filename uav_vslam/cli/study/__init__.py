@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam study`: methods compared over many runs. One module a study: HELP, EXAMPLES, add_arguments, run."""
+
+from __future__ import annotations
+
+import argparse
+
+from uav_vslam.cli.study import flights, fusion
+
+HELP = "compare methods over many flights"
+EXAMPLES = """examples:
+  uav-vslam study fusion --seeds 20        landmark level: INS, S-SLAM, C-SLAM and the thesis's model; minutes
+  uav-vslam study flights --seeds 8        rendered images, both inertial grades; about a quarter of an hour
+  uav-vslam study STUDY --help             arguments and examples of one study
+"""
+STUDIES = {"fusion": fusion, "flights": flights}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the studies."""
+    studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
+    for name, module in STUDIES.items():
+        study = studies.add_parser(
+            name,
+            help=module.HELP,
+            description=module.HELP[:1].upper() + module.HELP[1:] + ".",
+            epilog=module.EXAMPLES,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(study)
+        study.set_defaults(run_study=module.run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen study."""
+    return int(args.run_study(args))
