@@ -181,16 +181,25 @@ class FusionConfig:
         _require(self.floor_sigma_m >= 0, self, "floor_sigma_m", "zero or more [m]")
 
 
+START_METHODS = ("given", "static", "in_flight")
+
+
 @dataclass(frozen=True, slots=True)
 class StartConfig:
     """How a vehicle gets its start state."""
 
-    method: str = "given"  # given: on the topic initial_state; static: aligned to gravity at rest
-    rest_s: float = 1.0  # readings that static alignment averages [s]
+    method: str = "given"  # given: topic initial_state; static: gravity at rest; in_flight: gravity and stereo odometry
+    rest_s: float = 1.0  # static: readings that are averaged [s]
+    window_s: float = 1.0  # in_flight: frames that the start is found from [s]
+    velocity_sigma: float = 5.0  # in_flight: doubt of the start's velocity that the filter is told, per axis [m/s]
+    tilt_sigma_deg: float = 5.0  # in_flight: likewise of roll and pitch [deg]
 
     def __post_init__(self) -> None:
-        _require(self.method in {"given", "static"}, self, "method", "given or static")
-        _require(self.rest_s > 0, self, "rest_s", "a positive time [s]")
+        _require(self.method in START_METHODS, self, "method", f"one of {', '.join(START_METHODS)}")
+        for key in ("rest_s", "window_s"):
+            _require(getattr(self, key) > 0, self, key, "a positive time [s]")
+        for key in ("velocity_sigma", "tilt_sigma_deg"):
+            _require(getattr(self, key) > 0, self, key, "a positive standard deviation")
 
 
 @dataclass(frozen=True, slots=True)
