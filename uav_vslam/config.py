@@ -106,6 +106,7 @@ class BackendConfig:
     depth_sigma_ratio: float = 0.043  # relief / height, smooths the depth in the Jacobian; 0 turns it off (indoors)
     min_descriptor_ratio: float = 0.85  # nearest / second-nearest inside the gate
     gate_probability: float = 0.99  # of the chi-square gate on a predicted observation
+    robust: bool = True  # observations that fit badly after the update are weighed down (Huber), the update repeated
     pnp_px: float = 4.0  # reprojection error of a PnP inlier [px]
     min_pnp_inliers: int = 6  # fewer, and the frame is tried un-gated against the whole map
     min_relocalisation_inliers: int = 12  # fewer, and the vehicle coasts on its INS

@@ -15,6 +15,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import (
@@ -30,12 +31,14 @@ from uav_vslam.types import NavState
 
 Array = NDArray[np.float64]
 
+POSE = np.array([0, 1, 2, 6, 7, 8])  # columns of position and attitude, in every model
+
 
 class StateModel(Protocol):
     """Error coordinates of the navigation state (`nav_dim` of them) and of N landmarks (3 each)."""
 
     nav_dim: int
-    invariant: bool  # errors are sheared after each correction, see `retangent`
+    invariant: bool  # errors are sheared after each correction, see `shear`
 
     def to_map(self, nav: NavState) -> Array:
         """Return (15, nav_dim): model error to map-frame error at a mean."""
@@ -45,6 +48,19 @@ class StateModel(Protocol):
 
     def retract(self, nav: NavState, landmarks: Array, delta: Array) -> tuple[NavState, Array]:
         """Move a mean, nav and (N, 3) landmarks, by a correction (nav_dim + 3N,)."""
+
+    def local(self, nav: NavState, nav_to: NavState) -> Array:
+        """Return the (nav_dim,) correction that moves nav to nav_to."""
+
+    def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
+        """Return (..., 3) landmarks seen from the body, in its axes, under errors of pose and landmark.
+
+        Args:
+            nav: mean.
+            arms: (..., 3) mean landmark minus mean position, map frame [m].
+            pose: (..., 6) errors in the columns `POSE`.
+            landmark: (..., 3) errors.
+        """
 
 
 class RightInvariant15:
@@ -78,6 +94,15 @@ class RightInvariant15:
         shift = delta[NAV_DIM:].reshape(-1, 3) + np.cross(arm, xi)
         return moved, p + arm @ R_xi.T + shift @ J.T
 
+    def local(self, nav: NavState, nav_to: NavState) -> Array:
+        return difference(nav, np.zeros((0, 3)), nav_to, np.zeros((0, 3)))
+
+    def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
+        """As `retract` moves both: R^T (arm + J_r(xi) (dl - dp + arm x xi)); linear but for J_r."""
+        dp, xi = pose[..., :3], pose[..., 3:]
+        shift = landmark - dp + np.cross(arms, xi)
+        return np.asarray((arms + _right_jacobian_times(xi, shift)) @ nav.T_map_body.R)
+
 
 class Ordinary15(RightInvariant15):
     """The same states with the usual additive correction and no shear."""
@@ -93,6 +118,22 @@ class Ordinary15(RightInvariant15):
             accel_bias=nav.accel_bias + delta[12:15],
         )
         return moved, landmarks + delta[NAV_DIM:].reshape(-1, 3)
+
+    def local(self, nav: NavState, nav_to: NavState) -> Array:
+        return np.concatenate(
+            [
+                nav_to.T_map_body.t - nav.T_map_body.t,
+                nav_to.v_map - nav.v_map,
+                so3_log(nav_to.T_map_body.R @ nav.T_map_body.R.T),
+                nav_to.gyro_bias - nav.gyro_bias,
+                nav_to.accel_bias - nav.accel_bias,
+            ]
+        )
+
+    def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
+        moved = arms + landmark - pose[..., :3]
+        turned = Rotation.from_rotvec(pose[..., 3:].reshape(-1, 3)).inv().apply(moved.reshape(-1, 3))
+        return np.asarray(turned.reshape(moved.shape) @ nav.T_map_body.R)
 
 
 class Euler9:
@@ -127,6 +168,35 @@ class Euler9:
         )
         return moved, landmarks + delta[9:].reshape(-1, 3)
 
+    def local(self, nav: NavState, nav_to: NavState) -> Array:
+        R, R_to = nav.T_map_body.R, nav_to.T_map_body.R
+        turned = rpy_from_rotation(R_to) - rpy_from_rotation(R)
+        return np.concatenate(
+            [
+                nav_to.T_map_body.t - nav.T_map_body.t,
+                R_to.T @ nav_to.v_map - R.T @ nav.v_map,
+                (turned + np.pi) % (2 * np.pi) - np.pi,
+            ]
+        )
+
+    def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
+        rpy = rpy_from_rotation(nav.T_map_body.R) + pose[..., 3:].reshape(-1, 3)
+        moved = arms + landmark - pose[..., :3]
+        turned = Rotation.from_euler("ZYX", rpy[:, ::-1]).inv().apply(moved.reshape(-1, 3))
+        return np.asarray(turned.reshape(moved.shape))
+
+
+def _right_jacobian_times(xi: Array, v: Array) -> Array:
+    """Return J_r(xi) v over the last axis; the a series below 1e-4 rad."""
+    once = np.cross(xi, v)
+    twice = np.cross(xi, once)
+    angle2 = np.sum(xi * xi, axis=-1, keepdims=True)
+    angle = np.sqrt(np.maximum(angle2, 1e-16))
+    small = angle2 < 1e-8
+    first = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / np.maximum(angle2, 1e-16))
+    second = np.where(small, 1.0 / 6.0 - angle2 / 120.0, (angle - np.sin(angle)) / angle**3)
+    return np.asarray(v - first * once + second * twice)
+
 
 def _rotation_per_rpy(R: Array) -> Array:
     """Return E (3, 3) with xi = E d(roll, pitch, yaw) for R = Rz Ry Rx and a map-frame rotation vector xi."""
@@ -153,28 +223,23 @@ def difference(nav: NavState, landmarks: Array, nav_to: NavState, landmarks_to: 
     return np.concatenate([*nav_delta, landmark_delta.ravel()])
 
 
-def retangent(Y: Array, moved_position: Array, moved_velocity: Array, moved_landmarks: Array) -> Array:
-    """Carry an information matrix of the right-invariant chart to the moved mean.
+def shear(vehicle: int, moved_position: Array, moved_velocity: Array, moved_landmarks: Array) -> Array:
+    """Return B (vehicle + 3N, 3) with which the errors of the right-invariant chart follow a moved mean.
 
     A plain error is dl = xi_l - [l]x xi with the invariant xi_l, which a moving mean leaves alone (but for the reset
-    Jacobian, of second order): with l moving to l+ it becomes dl+ = dl - [l+ - l]x xi; likewise p and v. For T that
-    map, Y+ = T^-T Y T^-1. T differs from I in the three xi columns only, so the cost is O(n^2).
+    Jacobian, of second order): with l moving to l+ it becomes dl+ = dl - [l+ - l]x xi; likewise p and v. That map is
+    T = I - B E_xi^T, with E_xi the three columns of the rotation.
 
     Args:
-        Y: (15+3N, 15+3N) information.
+        vehicle: rows of the vehicle.
         moved_position, moved_velocity: (3,) shifts of the mean [m], [m/s].
         moved_landmarks: (N, 3) shifts of the landmarks [m].
     """
-    B = np.zeros((len(Y), 3))  # T^-1 = I + B E_xi^T
+    B = np.zeros((vehicle + 3 * len(moved_landmarks), 3))
     B[POSITION] = skew(moved_position)
     B[VELOCITY] = skew(moved_velocity)
-    B[NAV_DIM:] = skew(moved_landmarks).reshape(-1, 3)
-    YB = Y @ B
-    out = Y.copy()
-    out[:, ROTATION] += YB
-    out[ROTATION, :] += YB.T
-    out[ROTATION, ROTATION] += B.T @ YB
-    return out
+    B[vehicle:] = skew(moved_landmarks).reshape(-1, 3)
+    return B
 
 
 MODELS: dict[str, type[StateModel]] = {"ri15": RightInvariant15, "so15": Ordinary15, "euler9": Euler9}

@@ -35,8 +35,24 @@ def cholesky(A: Array, what: str) -> Array:
 
 def inverse_spd(A: Array, what: str) -> Array:
     """Return the symmetric inverse of a positive definite matrix, from its Cholesky factor."""
-    inverse, _ = dpotri(cholesky(A, what), lower=1)
+    return inverse_from_cholesky(cholesky(A, what))
+
+
+def inverse_from_cholesky(L: Array) -> Array:
+    """Return (L L^T)^-1 for a lower factor."""
+    inverse, _ = dpotri(L, lower=1)
     return np.asarray(np.tril(inverse) + np.tril(inverse, -1).T)
+
+
+def log_det_of(L: Array) -> float:
+    """Return log det(L L^T) for a triangular factor."""
+    return 2.0 * float(np.log(np.diagonal(L)).sum())
+
+
+def square_root(A: Array) -> Array:
+    """Return B with B B^T = A for a positive semidefinite A, which may be singular."""
+    values, vectors = np.linalg.eigh(symmetrise(A))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def solve_spd(A: Array, b: Array, what: str) -> Array:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from uav_vslam.association.consensus import consensus
 from uav_vslam.association.guided import associate
 from uav_vslam.config import VehicleConfig
-from uav_vslam.estimation.eif import ExtendedInformationFilter, Innovation
-from uav_vslam.estimation.observation import point_jacobian, projectable
+from uav_vslam.estimation.filter import Innovation
+from uav_vslam.estimation.filters import make_filter
+from uav_vslam.estimation.observation import projectable
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
@@ -78,16 +79,9 @@ class SlamBackend:
     def __init__(
         self, initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig, vehicle: str, session: int = 1
     ) -> None:
-        self._rig, self._config = rig, config.backend
+        self._config = config.backend
         self._vehicle, self._session = vehicle, session
-        self._filter = ExtendedInformationFilter(
-            initial,
-            rig=rig,
-            imu=config.imu,
-            model=self._config.model,
-            sigma_px=self._config.sigma_px,
-            depth_sigma_ratio=self._config.depth_sigma_ratio,
-        )
+        self._filter = make_filter(initial, rig=rig, config=config)
         self._map = LandmarkMap()
         self._frame = 0
 
@@ -152,8 +146,9 @@ class SlamBackend:
             )
         self._filter.predict(increment)
 
-    def _points_left(self) -> NDArray[np.float64]:
-        return point_jacobian(self._rig, self._filter.nav, self._filter.landmarks).points_left
+    @property
+    def _rig(self) -> StereoRig:
+        return self._filter.rig
 
     def _correct(self, features: StereoFeatures) -> tuple[_Association, Innovation | None]:
         """Update by the first set of matches that agrees with the prediction as a whole; without one, coast.
@@ -192,12 +187,12 @@ class SlamBackend:
 
     def _guided(self, features: StereoFeatures) -> tuple[_Association, bool]:
         """Return the gated matches, and whether the prediction was too vague for the gate to be trusted alone."""
-        rows = np.flatnonzero(projectable(self._rig, self._points_left(), margin_px=VIEW_MARGIN_PX))
+        rows = np.flatnonzero(projectable(self._rig, self._filter.points_left(), margin_px=VIEW_MARGIN_PX))
         if len(rows) == 0:
             return _Association(rows, np.zeros(0, np.intp)), True
         predicted = self._filter.predict_observations(rows)
         matches = associate(
-            self._rig.project(predicted.points_left),
+            predicted.expected,
             predicted.S,
             self._map.descriptors[rows],
             features.pixels.astype(float),
@@ -262,16 +257,18 @@ class SlamBackend:
     def _make_room(self) -> None:
         if len(self._map) == 0:
             return
-        variance = np.diagonal(self._filter.P)[-3 * len(self._map) :].reshape(-1, 3).sum(axis=1)
-        in_view = projectable(self._rig, self._points_left())
-        view = MapView(self._map, self._filter.landmarks, variance, in_view, self._frame)
+        in_view = projectable(self._rig, self._filter.points_left())
+        view = MapView(self._map, self._filter.landmarks, self._variance, in_view, self._frame)
         gone = leaving(view, self._config)
         if len(gone):
             self._filter.marginalise(gone)
             self._map.remove(gone)
 
+    def _variance(self) -> NDArray[np.float64]:
+        return np.diagonal(self._filter.covariance())[-3 * len(self._map) :].reshape(-1, 3).sum(axis=1)
+
     def _add_landmarks(self, pairs: _Association, features: StereoFeatures) -> None:
-        points_left = self._points_left()
+        points_left = self._filter.points_left()
         in_view = projectable(self._rig, points_left)
         room = min(
             self._config.max_new_landmarks,

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which landmarks leave the state and which features become landmarks, so that the cost of a frame stays flat."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -26,14 +27,14 @@ class MapView:
     Attributes:
         landmarks: history of the N landmarks.
         positions: (N, 3) [m].
-        variance: (N,) trace of each landmark's covariance [m^2].
+        variance: computes the (N,) traces of the landmarks' covariances [m^2]; dear, so only where it is needed.
         in_view: (N,) predicted inside both images.
         frame: current frame number.
     """
 
     landmarks: LandmarkMap
     positions: Array
-    variance: Array
+    variance: Callable[[], Array]
     in_view: NDArray[np.bool_]
     frame: int
 
@@ -71,7 +72,7 @@ def drop_largest_covariance(view: MapView, config: BackendConfig) -> Rows:
     """Give up the 5 % with the largest covariance of the previous step, as section 7.4 of the thesis does."""
     settled = np.flatnonzero(view.landmarks.born < view.frame)
     count = int(THESIS_DROP_SHARE * len(settled))
-    return settled[np.argsort(-view.variance[settled], kind="stable")[:count]]
+    return settled[np.argsort(-view.variance()[settled], kind="stable")[:count]]
 
 
 RETENTION: dict[str, Retention] = {

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a filter knows: a Gaussian over the errors of a vehicle and its landmarks, in whichever form it is kept.
+
+The first `vehicle` rows of the error are the vehicle's, three more follow for each landmark. A belief never changes;
+each operation returns another, so that a step which turns out wrong is simply not taken. Three forms hold the same
+Gaussian: `information.InformationBelief`, `covariance.CovarianceBelief` and `square_root.SquareRootBelief`.
+
+Symbols: `P` covariance, `Y = P^-1`, `F, Q` process, `H` observation Jacobian, `nu` innovation. Observations come
+whitened: their noise is of unit covariance, so that `S = H P H^T + I`.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """Whitened linear observations of some landmarks, `nu = H_vehicle e_vehicle + H_landmark e_landmark + noise`.
+
+    Attributes:
+        landmarks: (M,) which, each at most once.
+        H_vehicle: (M, k, vehicle), H_landmark: (M, k, 3).
+        nu: (M, k) innovations.
+    """
+
+    landmarks: Indices
+    H_vehicle: Array
+    H_landmark: Array
+    nu: Array
+
+    def apply(self, error: Array) -> Array:
+        """Return (M, k) H e for an error (vehicle + 3N,)."""
+        m = self.H_vehicle.shape[2]
+        at = error[m:].reshape(-1, 3)[self.landmarks]
+        return np.asarray(self.H_vehicle @ error[:m] + np.einsum("nki,ni->nk", self.H_landmark, at))
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """The outcome of an update.
+
+    Attributes:
+        belief: afterwards.
+        delta: (vehicle + 3N,) correction of the mean.
+        nis: nu^T S^-1 nu.
+        log_det: log det S.
+    """
+
+    belief: "Belief"
+    delta: Array
+    nis: float
+    log_det: float
+
+
+class Belief(Protocol):
+    """One form of the Gaussian; every operation raises `FilterDivergence` where it lost positive definiteness."""
+
+    @property
+    def vehicle(self) -> int:
+        """Rows of the vehicle."""
+
+    @property
+    def size(self) -> int:
+        """Rows in all."""
+
+    @classmethod
+    def from_covariance(cls, P: Array) -> Self:
+        """Return the belief over a vehicle without landmarks, from its (vehicle, vehicle) covariance."""
+
+    def covariance(self, landmarks: Indices) -> Array:
+        """Return (vehicle + 3M, vehicle + 3M), the covariance of the vehicle and the chosen landmarks."""
+
+    def information(self, rows: Indices) -> Array:
+        """Return the (R, R) information over some rows of the error, the others marginalised out."""
+
+    def predicted(self, F: Array, Q: Array) -> Self:
+        """Move the vehicle: P <- F P F^T + Q, with F and Q (vehicle, vehicle) and F invertible."""
+
+    def renewed(self, rows: Indices, variance: float) -> Self:
+        """Forget some of the vehicle's rows: they become independent, each with a variance."""
+
+    def loosened(self, B: Array) -> Self:
+        """Take information away from the vehicle: P <- (P^-1 - B^T B)^-1 with B (k, vehicle)."""
+
+    def updated(self, observation: Observation) -> Update:
+        """Correct by observations."""
+
+    def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
+        """Add landmarks that nothing was known of, by whitened observations (M, 3, vehicle) and (M, 3, 3)."""
+
+    def marginalised(self, landmarks: Indices) -> Self:
+        """Take landmarks out; what they taught about the rest stays."""
+
+    def sheared(self, B: Array, columns: slice) -> Self:
+        """Change coordinates to T e with T = I - B E^T: `B` (size, 3) zero in the rows that `columns` picks."""
+
+
+def state_rows(vehicle: int, landmarks: Indices) -> Indices:
+    """Return the rows of the vehicle and of some landmarks, in this order."""
+    return np.concatenate([np.arange(vehicle), landmark_rows(vehicle, landmarks)])
+
+
+def landmark_rows(vehicle: int, landmarks: Indices) -> Indices:
+    """Return the 3M rows of M landmarks."""
+    return np.asarray((vehicle + 3 * np.asarray(landmarks)[:, None] + np.arange(3)).ravel(), dtype=np.int64)
+
+
+def normal_equations(observation: Observation, places: Indices, size: int) -> tuple[Array, Array]:
+    """Return H^T H (size, size), dense in the vehicle and block-diagonal in the landmarks, and H^T nu (size,).
+
+    Args:
+        observation: of M landmarks.
+        places: (M,) where these landmarks stand among those that the result has rows for.
+        size: rows of the result.
+    """
+    m = observation.H_vehicle.shape[2]
+    Hv, Hl, nu = observation.H_vehicle, observation.H_landmark, observation.nu
+    flat = Hv.reshape(-1, m)
+    columns = m + 3 * places[:, None] + np.arange(3)
+    I, i = np.zeros((size, size)), np.zeros(size)
+    I[:m, :m] = flat.T @ flat
+    I[:m, columns.ravel()] = (Hv.transpose(0, 2, 1) @ Hl).transpose(1, 0, 2).reshape(m, -1)
+    I[columns.ravel(), :m] = I[:m, columns.ravel()].T
+    I[columns[:, :, None], columns[:, None, :]] = Hl.transpose(0, 2, 1) @ Hl
+    i[:m] = flat.T @ nu.ravel()
+    i[columns] = np.einsum("nka,nk->na", Hl, nu)
+    return I, i

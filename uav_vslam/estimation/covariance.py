@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The covariance form: the Kalman filter's own, Eq. (4.2.1) to (4.2.3) of [thesis]."""
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from uav_vslam.estimation.belief import Indices, Observation, Update, landmark_rows, state_rows
+from uav_vslam.estimation.numerics import cholesky, inverse_spd, log_det_of, symmetrise
+
+Array = NDArray[np.float64]
+
+
+class CovarianceBelief:
+    """Holds `P`; cheap to predict and to marginalise, an update costs the cube of the observations."""
+
+    def __init__(self, P: Array, vehicle: int) -> None:
+        self.P, self.vehicle = P, vehicle
+
+    @property
+    def size(self) -> int:
+        return len(self.P)
+
+    @classmethod
+    def from_covariance(cls, P: Array) -> Self:
+        cholesky(P, "initial covariance")
+        return cls(P.copy(), len(P))
+
+    def covariance(self, landmarks: Indices) -> Array:
+        rows = state_rows(self.vehicle, landmarks)
+        return self.P[np.ix_(rows, rows)]
+
+    def information(self, rows: Indices) -> Array:
+        return inverse_spd(self.P[np.ix_(rows, rows)], "covariance")
+
+    def predicted(self, F: Array, Q: Array) -> Self:
+        m, P = self.vehicle, self.P.copy()
+        P[:m, :] = F @ P[:m, :]
+        P[:, :m] = P[:, :m] @ F.T
+        P[:m, :m] = symmetrise(P[:m, :m] + Q)
+        return type(self)(P, m)
+
+    def renewed(self, rows: Indices, variance: float) -> Self:
+        P = self.P.copy()
+        P[rows, :] = 0.0
+        P[:, rows] = 0.0
+        P[rows, rows] = variance
+        return type(self)(P, self.vehicle)
+
+    def loosened(self, B: Array) -> Self:
+        """P <- P + W^T W, W = L^-1 B P with I - B P B^T = L L^T."""
+        BP = B @ self.P[: self.vehicle]
+        L = cholesky(np.eye(len(B)) - symmetrise(BP[:, : self.vehicle] @ B.T), "bound")
+        W = solve_triangular(L, BP, lower=True, check_finite=False)
+        return type(self)(self.P + W.T @ W, self.vehicle)
+
+    def updated(self, observation: Observation) -> Update:
+        """W = L^-1 H P with S = L L^T: delta = W^T L^-1 nu, P <- P - W^T W."""
+        m, n = self.vehicle, self.size
+        columns = m + 3 * observation.landmarks[:, None] + np.arange(3)
+        Hv, Hl = observation.H_vehicle, observation.H_landmark
+        HP = Hv @ self.P[:m] + Hl @ self.P[columns]
+        S = np.einsum("mkc,pjc->mkpj", HP[:, :, :m], Hv, optimize=True)
+        S += np.einsum("mkpc,pjc->mkpj", HP[:, :, columns], Hl, optimize=True)
+        count = observation.nu.size
+        L = cholesky(symmetrise(S.reshape(count, count)) + np.eye(count), "innovation covariance")
+        W = solve_triangular(L, HP.reshape(count, n), lower=True, check_finite=False)
+        whitened = solve_triangular(L, observation.nu.ravel(), lower=True, check_finite=False)
+        after = type(self)(symmetrise(self.P - W.T @ W), m)
+        return Update(after, W.T @ whitened, float(whitened @ whitened), log_det_of(L))
+
+    def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
+        """Each new landmark's error is A e_vehicle + noise, A = -H_landmark^-1 H_vehicle."""
+        m, n, count = self.vehicle, self.size, len(H_vehicle)
+        Hl_inv = np.linalg.inv(H_landmark)
+        A = (-Hl_inv @ H_vehicle).reshape(3 * count, m)
+        P = np.zeros((n + 3 * count,) * 2)
+        P[:n, :n] = self.P
+        P[n:, :n] = A @ self.P[:m]
+        P[:n, n:] = P[n:, :n].T
+        P[n:, n:] = symmetrise(A @ self.P[:m, :m] @ A.T)
+        own = n + 3 * np.arange(count)[:, None] + np.arange(3)
+        P[own[:, :, None], own[:, None, :]] += Hl_inv @ Hl_inv.transpose(0, 2, 1)
+        return type(self)(P, m)
+
+    def marginalised(self, landmarks: Indices) -> Self:
+        rows = np.delete(np.arange(self.size), landmark_rows(self.vehicle, landmarks))
+        return type(self)(self.P[np.ix_(rows, rows)], self.vehicle)
+
+    def sheared(self, B: Array, columns: slice) -> Self:
+        P = self.P - B @ self.P[columns]
+        P = P - P[:, columns] @ B.T
+        return type(self)(P, self.vehicle)

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filters by name, as `backend.filter` selects them; each works with every state model."""
+
+from collections.abc import Callable
+from functools import partial
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.estimation.covariance import CovarianceBelief
+from uav_vslam.estimation.filter import Filter
+from uav_vslam.estimation.information import InformationBelief
+from uav_vslam.estimation.linearisation import Cubature, Jacobians
+from uav_vslam.estimation.square_root import SquareRootBelief
+from uav_vslam.estimation.thesis_unscented import ThesisUnscentedFilter
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.types import NavEstimate
+
+FILTERS: dict[str, Callable[..., Filter]] = {
+    "eif": partial(Filter, form=InformationBelief, linearisation=Jacobians()),
+    "ekf": partial(Filter, form=CovarianceBelief, linearisation=Jacobians()),
+    "ukf": partial(Filter, form=SquareRootBelief, linearisation=Cubature()),
+    "uhf": partial(Filter, form=SquareRootBelief, linearisation=Cubature()),
+    "thesis_ukf": partial(ThesisUnscentedFilter, form=CovarianceBelief),
+    "thesis_uhf": partial(ThesisUnscentedFilter, form=CovarianceBelief),
+}
+BOUNDED = ("uhf", "thesis_uhf")  # those that `backend.gamma` is for
+
+
+def make_filter(initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig) -> Filter:
+    """Return the filter that a configuration asks for."""
+    backend = config.backend
+    return FILTERS[backend.filter](
+        initial,
+        rig=rig,
+        imu=config.imu,
+        model=backend.model,
+        gamma=backend.gamma if backend.filter in BOUNDED else None,
+        sigma_px=backend.sigma_px,
+        depth_sigma_ratio=backend.depth_sigma_ratio,
+        robust=backend.robust,
+        rig_config=config.rig,
+    )

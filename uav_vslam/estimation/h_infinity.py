@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The H-infinity bound of the unscented H-infinity filter; section 4.4 of [thesis].
+
+The filter keeps the worst ratio of error energy to disturbance energy below gamma^2, whatever the disturbance. In
+covariance terms one step of it is P <- (P^-1 - gamma^-2 L^T L)^-1 before the update, where L picks and scales the
+errors of interest. It exists only for gamma^2 > lambda_max(L P L^T). The thesis takes L = I over everything and a fixed
+gamma, and its covariance turns indefinite (Eq. 4.4.4 with gamma < 2); here L is the navigation block in units of
+`ERROR_SCALE`, and gamma^2 is kept well above the limit. gamma -> infinity gives back the filter without the bound.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.belief import Belief
+
+Array = NDArray[np.float64]
+
+ERROR_SCALE = (1.0, 0.1, 0.01)  # of position [m], velocity [m/s], attitude [rad]
+MARGIN = 20.0  # gamma^2 is at least so many times the feasibility limit
+
+
+def bounded(belief: Belief, nav_dim: int, gamma: float) -> tuple[Belief, float]:
+    """Return the bounded belief, and how many times gamma^2 lies above its feasibility limit.
+
+    Args:
+        belief: before.
+        nav_dim: rows of the navigation block; it is ordered position, velocity, attitude, biases (not bounded).
+        gamma: wanted; gamma^2 is raised to `MARGIN` times the limit where it lies below.
+    """
+    L = np.diag(1.0 / np.repeat(ERROR_SCALE, 3))
+    bounded_rows = min(nav_dim, len(L))
+    P = belief.covariance(np.zeros(0, np.int64))[:bounded_rows, :bounded_rows]
+    limit = float(np.linalg.eigvalsh(L @ P @ L.T)[-1])
+    gamma2 = max(gamma**2, MARGIN * limit)
+    B = np.zeros((len(L), belief.vehicle))
+    B[:, :bounded_rows] = L / np.sqrt(gamma2)
+    return belief.loosened(B), gamma2 / limit

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The information form: Eq. (4.5.1) to (4.5.8) of [thesis], without ever inverting the whole.
+
+Observations concern the few landmarks in view. So the others are eliminated once a frame (Schur complement by a
+Cholesky factor), and gate, update and covariance of the vehicle all work on what is left, the *focus*:
+
+    [Y_rr  Y_rf] [e_r]          Y_focus = Y_ff - W^T W,   W = L^-1 Y_rf,   Y_rr = L L^T
+    [Y_fr  Y_ff] [e_f]          delta_r = -L^-T W delta_f
+
+An update adds to Y_ff only, so the elimination stays valid through it.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, solve_triangular
+
+from uav_vslam.estimation.belief import Indices, Observation, Update, landmark_rows, normal_equations, state_rows
+from uav_vslam.estimation.numerics import (
+    cholesky,
+    inverse_from_cholesky,
+    inverse_spd,
+    log_det_of,
+    marginalise_information,
+    square_root,
+    symmetrise,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Focus:
+    """The marginal over the vehicle and some landmarks.
+
+    Attributes:
+        landmarks: (K,) of the focus.
+        rows, rest: of the focus and of all else.
+        L: factor of the rest's information, W: (rest, focus) as above.
+        Y: (vehicle + 3K, ...) information of the focus.
+        factor: lower Cholesky factor of Y.
+    """
+
+    landmarks: Indices
+    rows: Indices
+    rest: Indices
+    L: Array
+    W: Array
+    Y: Array
+    factor: Array
+
+
+class InformationBelief:
+    """Holds `Y`; an update is a sum, and costs the cube of what is in view rather than of the whole map."""
+
+    def __init__(self, Y: Array, vehicle: int, focus: _Focus | None = None) -> None:
+        self.Y, self.vehicle = Y, vehicle
+        self._focus = focus
+
+    @property
+    def size(self) -> int:
+        return len(self.Y)
+
+    @classmethod
+    def from_covariance(cls, P: Array) -> Self:
+        return cls(inverse_spd(P, "initial covariance"), len(P))
+
+    def covariance(self, landmarks: Indices) -> Array:
+        focus = self._focused(landmarks)
+        rows = state_rows(self.vehicle, _places(focus, landmarks))
+        if 2 * len(rows) > len(focus.Y):
+            return inverse_from_cholesky(focus.factor)[np.ix_(rows, rows)]
+        columns = np.zeros((len(focus.Y), len(rows)))
+        columns[rows, np.arange(len(rows))] = 1.0
+        return symmetrise(cho_solve((focus.factor, True), columns, check_finite=False)[rows])
+
+    def information(self, rows: Indices) -> Array:
+        rest = np.delete(np.arange(self.size), rows)
+        return marginalise_information(self.Y, rows, rest, "information")
+
+    def predicted(self, F: Array, Q: Array) -> Self:
+        """Apply the matrix inversion lemma to the vehicle; Q = B B^T may be singular and is not inverted.
+
+        Y - Y_v B (I + B^T Y_vv B)^-1 B^T Y_v^T for the Y that F^-1 has moved.
+        """
+        m, Y = self.vehicle, self.Y.copy()
+        F_inv = np.linalg.inv(F)
+        Y[:m, :] = F_inv.T @ Y[:m, :]
+        Y[:, :m] = Y[:, :m] @ F_inv
+        B = square_root(Q)
+        YB = Y[:, :m] @ B
+        L = cholesky(np.eye(m) + B.T @ YB[:m], "process noise")
+        lost = solve_triangular(L, YB.T, lower=True, check_finite=False)
+        Y -= lost.T @ lost
+        Y[:m, :m] = symmetrise(Y[:m, :m])
+        return type(self)(Y, m)
+
+    def renewed(self, rows: Indices, variance: float) -> Self:
+        keep = np.delete(np.arange(self.size), rows)
+        Y = np.zeros_like(self.Y)
+        Y[np.ix_(keep, keep)] = marginalise_information(self.Y, keep, rows, "information of renewed rows")
+        Y[rows, rows] = 1.0 / variance
+        return type(self)(Y, self.vehicle)
+
+    def loosened(self, B: Array) -> Self:
+        Y = self.Y.copy()
+        Y[: self.vehicle, : self.vehicle] -= B.T @ B
+        return type(self)(Y, self.vehicle)
+
+    def updated(self, observation: Observation) -> Update:
+        """Y <- Y + H^T H, delta = Y^-1 H^T nu."""
+        focus = self._focused(observation.landmarks)
+        I, i = normal_equations(observation, _places(focus, observation.landmarks), len(focus.Y))
+        Y_focus = focus.Y + I
+        factor = cholesky(Y_focus, "information of what is in view")
+        delta = np.zeros(self.size)
+        delta[focus.rows] = cho_solve((factor, True), i, check_finite=False)
+        if len(focus.rest):
+            pulled = focus.W @ delta[focus.rows]
+            delta[focus.rest] = -solve_triangular(focus.L, pulled, lower=True, trans="T", check_finite=False)
+        nis = float(np.sum(observation.nu**2) - i @ delta[focus.rows])
+        after = _Focus(focus.landmarks, focus.rows, focus.rest, focus.L, focus.W, Y_focus, factor)
+        Y = self.Y.copy()
+        Y[np.ix_(focus.rows, focus.rows)] += I
+        log_det = log_det_of(factor) - log_det_of(focus.factor)
+        return Update(type(self)(Y, self.vehicle, after), delta, nis, log_det)
+
+    def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
+        n, count = self.size, len(H_vehicle)
+        fresh = np.arange((n - self.vehicle) // 3, (n - self.vehicle) // 3 + count)
+        seen = Observation(fresh, H_vehicle, H_landmark, np.zeros(H_vehicle.shape[:2]))
+        Y, _ = normal_equations(seen, fresh, n + 3 * count)
+        Y[:n, :n] += self.Y
+        return type(self)(Y, self.vehicle)
+
+    def marginalised(self, landmarks: Indices) -> Self:
+        gone = landmark_rows(self.vehicle, landmarks)
+        keep = np.delete(np.arange(self.size), gone)
+        Y = marginalise_information(self.Y, keep, gone, "information of leaving landmarks")
+        return type(self)(Y, self.vehicle)
+
+    def sheared(self, B: Array, columns: slice) -> Self:
+        """Y <- T^-T Y T^-1 with T^-1 = I + B E^T; a marginal is sheared by its own rows of B."""
+        focus = self._focus
+        if focus is not None:
+            W = focus.W.copy()
+            W[:, columns] += focus.L.T @ B[focus.rest] + focus.W @ B[focus.rows]
+            Y = _sheared(focus.Y, B[focus.rows], columns)
+            focus = _Focus(focus.landmarks, focus.rows, focus.rest, focus.L, W, Y, cholesky(Y, "information"))
+        return type(self)(_sheared(self.Y, B, columns), self.vehicle, focus)
+
+    def _focused(self, landmarks: Indices) -> _Focus:
+        """Return a focus that has the landmarks; the last one if it does."""
+        if self._focus is None or not np.isin(landmarks, self._focus.landmarks).all():
+            rows = state_rows(self.vehicle, landmarks)
+            rest = np.delete(np.arange(self.size), rows)
+            if len(rest) == 0:
+                L, W, Y = np.zeros((0, 0)), np.zeros((0, len(rows))), self.Y[np.ix_(rows, rows)]
+            else:
+                L = cholesky(self.Y[np.ix_(rest, rest)], "information of what is out of view")
+                W = solve_triangular(L, self.Y[np.ix_(rest, rows)], lower=True, check_finite=False)
+                Y = self.Y[np.ix_(rows, rows)] - W.T @ W
+            self._focus = _Focus(landmarks, rows, rest, L, W, Y, cholesky(Y, "information"))
+        return self._focus
+
+
+def _places(focus: _Focus, landmarks: Indices) -> Indices:
+    """Return where landmarks stand in a focus."""
+    order = np.argsort(focus.landmarks, kind="stable")
+    return np.asarray(order[np.searchsorted(focus.landmarks, landmarks, sorter=order)], dtype=np.int64)
+
+
+def _sheared(Y: Array, B: Array, columns: slice) -> Array:
+    YB = Y @ B
+    out = Y.copy()
+    out[:, columns] += YB
+    out[columns, :] += YB.T
+    out[columns, columns] += B.T @ YB
+    return out

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a filter makes the process and the stereo observation linear: by Jacobians, or by cubature points.
+
+`Jacobians`  Eq. (4.2.4) of [thesis], the observation's taken at the smoothed depth (see `observation`).
+`Cubature`   statistical regression over points of equal positive weight (third-degree spherical rule): what the
+             unscented transform of section 4.3.1 wants, without its negative weights. The points span only what the
+             function depends on (the navigation state; pose and one landmark), so they stay within a few sigmas however
+             many landmarks there are.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.estimation.belief import Indices
+from uav_vslam.estimation.models import POSE, StateModel
+from uav_vslam.estimation.numerics import cholesky, symmetrise
+from uav_vslam.estimation.observation import MIN_DEPTH_M, point_jacobian, smoothed
+from uav_vslam.estimation.rig_errors import RigErrors
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.propagation import POSITION, ROTATION, propagate, transition
+from uav_vslam.types import ImuIncrement, NavState
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """The navigation state at the end of an increment, and how its error came there: e <- F e + noise of covariance Q.
+
+    Attributes:
+        nav: predicted mean.
+        F, Q: (nav_dim, nav_dim) in the model's coordinates.
+    """
+
+    nav: NavState
+    F: Array
+    Q: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """What the cameras are believed to be when an image was taken.
+
+    Attributes:
+        rig: calibration, its estimated errors included.
+        errors: which of them are states.
+        model: of the navigation state.
+        nav: at the exposure.
+        rate_map: (3,) angular rate [rad/s].
+        sigma_px: of each pixel coordinate.
+        depth_sigma_ratio: see `observation.smoothed`.
+    """
+
+    rig: StereoRig
+    errors: RigErrors
+    model: StateModel
+    nav: NavState
+    rate_map: Array
+    sigma_px: float
+    depth_sigma_ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedObservation:
+    """What a filter expects to see of M landmarks, and how that depends on its errors.
+
+    Attributes:
+        landmarks: (M,) which.
+        points_left: (M, 3) landmarks in the left camera frame [m].
+        expected: (M, 4) stereo pixels.
+        H_vehicle: (M, 4, vehicle), H_landmark: (M, 4, 3).
+        R: (M, 4, 4) noise [px^2].
+        S: (M, 4, 4) covariance of the innovation [px^2].
+    """
+
+    landmarks: Indices
+    points_left: Array
+    expected: Array
+    H_vehicle: Array
+    H_landmark: Array
+    R: Array
+    S: Array
+
+
+class Linearisation(Protocol):
+    """A way to make things linear."""
+
+    def process(
+        self, model: StateModel, nav: NavState, P_nav: Array, increment: ImuIncrement, imu: ImuConfig
+    ) -> Process:
+        """Predict the navigation state, of covariance P_nav, over an increment."""
+
+    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Array) -> PredictedObservation:
+        """Predict observations of (M, 3) landmarks.
+
+        Args:
+            camera: where it is.
+            which: (M,) their indices, handed on.
+            landmarks: (M, 3) [m]; before the cameras.
+            P: (vehicle + 3M, vehicle + 3M) covariance of the vehicle and these landmarks.
+        """
+
+
+class Jacobians:
+    """First-order expansion."""
+
+    def process(
+        self, model: StateModel, nav: NavState, P_nav: Array, increment: ImuIncrement, imu: ImuConfig
+    ) -> Process:
+        F15, Q15 = transition(nav, increment, imu)
+        moved = propagate(nav, increment, gravity=imu.gravity)
+        to_map, from_map = model.to_map(nav), model.from_map(moved)
+        return Process(moved, from_map @ F15 @ to_map, from_map @ Q15 @ from_map.T)
+
+    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Array) -> PredictedObservation:
+        points_left, J_vehicle, J_landmark = camera_points(camera, landmarks)
+        P_c = _point_covariance(J_vehicle, J_landmark, P)
+        at = smoothed(points_left, P_c[:, 2, 2], depth_sigma_ratio=camera.depth_sigma_ratio)
+        H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
+        R = np.tile(camera.sigma_px**2 * np.eye(4), (len(landmarks), 1, 1))
+        S = _innovation_covariance(H_vehicle, H_landmark, P) + R
+        return PredictedObservation(
+            which, points_left, camera.rig.project(points_left), H_vehicle, H_landmark, R, symmetrise(S)
+        )
+
+
+class Cubature:
+    """Regression over cubature points; the rig's few errors, tiny angles and times, stay with their Jacobians."""
+
+    def process(
+        self, model: StateModel, nav: NavState, P_nav: Array, increment: ImuIncrement, imu: ImuConfig
+    ) -> Process:
+        none = np.zeros((0, 3))
+        L = cholesky(P_nav, "covariance of the navigation state")
+        centre = propagate(nav, increment, gravity=imu.gravity)
+        ends = []
+        for offset in cubature_offsets(L):
+            start, _ = model.retract(nav, none, offset)
+            ends.append(model.local(centre, propagate(start, increment, gravity=imu.gravity)))
+        shift, F, extra = regress(np.array(ends), np.zeros(len(L)), L)
+        moved, _ = model.retract(centre, none, shift)
+        _, Q15 = transition(nav, increment, imu)
+        from_map = model.from_map(moved)
+        return Process(moved, F, from_map @ Q15 @ from_map.T + extra)
+
+    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Array) -> PredictedObservation:
+        """As `Jacobians` does, but for the landmarks whose points all lie before the cameras."""
+        first = Jacobians().observation(camera, which, landmarks, P)
+        if len(landmarks) == 0:
+            return first
+        _, J_vehicle, J_landmark = camera_points(camera, landmarks)
+        depth_variance = _point_covariance(J_vehicle, J_landmark, P)[:, 2, 2]
+        at = smoothed(first.points_left, depth_variance, depth_sigma_ratio=camera.depth_sigma_ratio)
+        L = np.asarray(np.linalg.cholesky(_pose_landmark_covariance(P, len(landmarks))), dtype=np.float64)
+        points = self._points(camera, landmarks, cubature_offsets(L)) + (at - first.points_left)[:, None]
+        near = np.minimum(points[..., 2], camera.rig.T_right_left.apply(points)[..., 2]).min(axis=1)
+        good = near > MIN_DEPTH_M
+        seen = camera.rig.project(np.where(good[:, None, None], points, [0.0, 0.0, 1.0]))
+        shift, A, extra = regress(seen, camera.rig.project(at), L)
+        H_vehicle, H_landmark = first.H_vehicle.copy(), first.H_landmark.copy()
+        H_vehicle[np.ix_(good, np.arange(4), POSE)] = A[good, :, :6]
+        H_landmark[good] = A[good, :, 6:]
+        R = first.R + extra * good[:, None, None]
+        S = _innovation_covariance(H_vehicle, H_landmark, P) + R
+        expected = first.expected + shift * good[:, None]
+        return PredictedObservation(which, first.points_left, expected, H_vehicle, H_landmark, R, symmetrise(S))
+
+    @staticmethod
+    def _points(camera: Camera, landmarks: Array, offsets: Array) -> Array:
+        """Return (M, 18, 3) where the left camera sees each landmark under (M, 18, 9) errors of pose and landmark."""
+        arms = (landmarks - camera.nav.T_map_body.t)[:, None, :]
+        in_body = camera.model.perturbed_arms(camera.nav, arms, offsets[..., :6], offsets[..., 6:])
+        return np.asarray((in_body - camera.rig.T_body_left.t) @ camera.rig.T_body_left.R)
+
+
+def camera_points(camera: Camera, landmarks: Array) -> tuple[Array, Array, Array]:
+    """Return (M, 3) landmarks in the left camera frame and their derivatives (M, 3, vehicle) and (3, 3)."""
+    jacobian = point_jacobian(camera.rig, camera.nav, landmarks)
+    nav_dim = camera.model.nav_dim
+    J = np.zeros((len(landmarks), 3, nav_dim + camera.errors.dim))
+    J[:, :, :nav_dim] = jacobian.nav @ camera.model.to_map(camera.nav)
+    if camera.errors.time_offset.stop > camera.errors.time_offset.start:
+        motion = np.zeros(jacobian.nav.shape[2])
+        motion[POSITION], motion[ROTATION] = camera.nav.v_map, camera.rate_map
+        J[:, :, camera.errors.time_offset] = (jacobian.nav @ motion)[:, :, None]
+    return jacobian.points_left, J, jacobian.landmark
+
+
+def pixel_jacobians(
+    camera: Camera, points_left: Array, at: Array, J_vehicle: Array, J_landmark: Array
+) -> tuple[Array, Array]:
+    """Return H_vehicle (M, 4, vehicle) and H_landmark (M, 4, 3), the projection's Jacobian taken at `at` (M, 3)."""
+    H_c = camera.rig.project_jacobian(at)
+    H_vehicle = H_c @ J_vehicle
+    if camera.errors.dim:
+        H_vehicle[:, :, camera.errors.rows] += camera.errors.pixel_jacobian(camera.rig, points_left)
+    return H_vehicle, H_c @ J_landmark
+
+
+def cubature_offsets(L: Array) -> Array:
+    """Return (..., 2d, d) offsets: the columns of sqrt(d) L for a (..., d, d) factor of the covariance, then minus."""
+    columns = np.sqrt(L.shape[-1]) * np.swapaxes(L, -1, -2)
+    return np.concatenate([columns, -columns], axis=-2)
+
+
+def regress(values: Array, centre: Array, L: Array) -> tuple[Array, Array, Array]:
+    """Fit a line to a function at its cubature points.
+
+    Args:
+        values: (..., 2d, k) at the points of `cubature_offsets`.
+        centre: (..., k) at the mean.
+        L: (..., d, d) lower factor of the covariance of the argument.
+
+    Returns:
+        The mean of the function less `centre` (..., k), its slope A (..., k, d), and the covariance (..., k, k) of
+        what the line leaves over.
+    """
+    d = L.shape[-1]
+    plus, minus = values[..., :d, :], values[..., d:, :]
+    slope = (plus - minus) / (2.0 * np.sqrt(d))  # row j belongs to column j of L
+    bend = 0.5 * (plus + minus) - centre[..., None, :]
+    shift = bend.mean(axis=-2)
+    bend = bend - shift[..., None, :]
+    A = np.swapaxes(np.linalg.solve(np.swapaxes(L, -1, -2), slope), -1, -2)
+    return shift, A, np.swapaxes(bend, -1, -2) @ bend / d
+
+
+def _point_covariance(J_vehicle: Array, J_landmark: Array, P: Array) -> Array:
+    """Return (M, 3, 3) covariances of the landmarks in the camera frame."""
+    landmark = np.broadcast_to(J_landmark, (len(J_vehicle), 3, 3))
+    return _innovation_covariance(J_vehicle, landmark, P)
+
+
+def _innovation_covariance(H_vehicle: Array, H_landmark: Array, P: Array) -> Array:
+    """Return (M, k, k) H P H^T for the vehicle and each landmark on its own, P (vehicle + 3M, ...)."""
+    count, m = len(H_vehicle), H_vehicle.shape[2]
+    own = np.arange(count)
+    P_vl = P[:m, m:].reshape(m, count, 3).transpose(1, 0, 2)
+    P_ll = P[m:, m:].reshape(count, 3, count, 3)[own, :, own]
+    cross = H_vehicle @ P_vl @ np.swapaxes(H_landmark, -1, -2)
+    S = H_vehicle @ P[:m, :m] @ np.swapaxes(H_vehicle, -1, -2) + cross + np.swapaxes(cross, -1, -2)
+    return np.asarray(S + H_landmark @ P_ll @ np.swapaxes(H_landmark, -1, -2))
+
+
+def _pose_landmark_covariance(P: Array, count: int) -> Array:
+    """Return (M, 9, 9) covariances of the pose and each landmark."""
+    m = len(P) - 3 * count
+    rows = np.empty((count, 9), dtype=np.int64)
+    rows[:, :6] = POSE
+    rows[:, 6:] = m + np.arange(3 * count).reshape(count, 3)
+    return np.asarray(P[rows[:, :, None], rows[:, None, :]])

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What calibration leaves unknown of the rig, as states beside the navigation state.
+
+`attitude`      rotation of the right camera away from its calibration, in its own frame: a slow random walk
+`vibration`     the same, drawn anew for each frame
+`time_offset`   camera stamps are this much too early: the image shows the pose at stamp + time_offset
+
+A rotation about the axis that changes disparity looks like another depth of everything: no residual shows it, but the
+motion does, so it is estimated. One rotation angle of 0.02 degrees already costs more than the cameras are worth.
+"""
+
+import dataclasses
+import itertools
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import RigConfig
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import skew, so3_exp
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.types import NavState
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RigState:
+    """Mean of the rig's errors.
+
+    Attributes:
+        attitude, vibration: (3,) rotation vectors of the right camera in its own frame [rad].
+        time_offset_s: by which camera stamps are early [s].
+    """
+
+    attitude: Array = field(default_factory=lambda: np.zeros(3))
+    vibration: Array = field(default_factory=lambda: np.zeros(3))
+    time_offset_s: float = 0.0
+
+
+class RigErrors:
+    """The layout of the rig's rows in the vehicle's error, after `first` rows of navigation, and what they do."""
+
+    def __init__(self, rig: StereoRig, config: RigConfig, first: int) -> None:
+        self._rig = rig
+        attitude = config.attitude_sigma_deg if config.flexing else config.rigid_sigma_deg
+        vibration = config.vibration_sigma_deg if config.flexing else 0.0
+        sizes = [3 * (attitude > 0), 3 * (vibration > 0), int(config.time_offset_sigma_s > 0)]
+        ends = first + np.cumsum([0, *sizes])
+        self.attitude, self.vibration, self.time_offset = (
+            slice(int(start), int(end)) for start, end in itertools.pairwise(ends)
+        )
+        self.rows = slice(first, int(ends[-1]))
+        self.dim = int(ends[-1]) - first
+        self.vibration_variance = float(np.deg2rad(vibration) ** 2)
+        self._walk_variance = float(np.deg2rad(config.attitude_walk_deg) ** 2) if config.flexing else 0.0
+        sigma = np.repeat([np.deg2rad(attitude), np.deg2rad(vibration), config.time_offset_sigma_s], sizes)
+        self.prior_variance: Array = sigma**2
+
+    def noise_variance(self, dt_s: float) -> Array:
+        """Return (dim,) what the random walk adds over a time."""
+        variance = np.zeros(self.dim)
+        variance[: self.attitude.stop - self.attitude.start] = self._walk_variance * dt_s
+        return variance
+
+    def retract(self, state: RigState, delta: Array) -> RigState:
+        """Move a mean by a correction of the vehicle's error."""
+        attitude, vibration, offset = delta[self.attitude], delta[self.vibration], delta[self.time_offset]
+        return RigState(
+            state.attitude + attitude if attitude.size else state.attitude,
+            state.vibration + vibration if vibration.size else state.vibration,
+            state.time_offset_s + float(offset.sum()),
+        )
+
+    def renew(self, state: RigState) -> RigState:
+        """Forget the last frame's vibration."""
+        return dataclasses.replace(state, vibration=np.zeros(3))
+
+    def rig(self, state: RigState) -> StereoRig:
+        """Return the rig as it is believed to be."""
+        turned = state.attitude + state.vibration
+        if not turned.any():
+            return self._rig
+        T_body_right = self._rig.T_body_right @ Pose(so3_exp(turned), np.zeros(3))
+        return dataclasses.replace(self._rig, T_body_right=T_body_right)
+
+    def at_exposure(self, state: RigState, nav: NavState, rate_map: Array) -> NavState:
+        """Return the navigation state when the image was taken, `time_offset` after its stamp.
+
+        Args:
+            state: of the rig.
+            nav: at the stamp.
+            rate_map: (3,) angular rate in the map frame [rad/s].
+        """
+        if state.time_offset_s == 0.0:
+            return nav
+        T, dt = nav.T_map_body, state.time_offset_s
+        return dataclasses.replace(nav, T_map_body=Pose(so3_exp(rate_map * dt) @ T.R, T.t + nav.v_map * dt))
+
+    def pixel_jacobian(self, rig: StereoRig, points_left: Array) -> Array:
+        """Return (N, 4, dim) d(stereo pixels)/d(attitude, vibration); the time offset's column is zero here.
+
+        Args:
+            rig: as `rig` returns it.
+            points_left: (N, 3) [m].
+        """
+        H = np.zeros((len(points_left), 4, self.dim))
+        if self.vibration.stop > self.rows.start:
+            points_right = rig.T_right_left.apply(points_left)
+            turning = rig.right.project_jacobian(points_right) @ skew(points_right)
+            for rows in (self.attitude, self.vibration):
+                if rows.stop > rows.start:
+                    H[:, 2:, rows.start - self.rows.start : rows.stop - self.rows.start] = turning
+        return H

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The unscented filters as chapter 4 of [thesis] has them: baselines that show why ours differ.
+
+Sigma points span the whole state with kappa = 3 - n (Eq. 4.3.3), so the centre's weight is (3 - n)/3: far below zero
+once there are landmarks. A covariance summed with such a weight need not be positive definite, and soon it is not. The
+thesis's remedy, "diagonal loading", is here too; where it does not help, the filter has failed and says so.
+
+Symbols: chi sigma points as errors from the mean, W weights, D deviations from the weighted mean (rows are points).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation.belief import Update, landmark_rows
+from uav_vslam.estimation.covariance import CovarianceBelief
+from uav_vslam.estimation.filter import Filter
+from uav_vslam.estimation.linearisation import PredictedObservation
+from uav_vslam.estimation.models import POSE
+from uav_vslam.estimation.numerics import symmetrise
+from uav_vslam.ins.propagation import propagate, transition
+from uav_vslam.types import ImuIncrement
+
+Array = NDArray[np.float64]
+
+SPREAD = np.sqrt(3.0)  # eta = sqrt(n + lambda), with alpha = 1
+BETA = 2.0
+LOADING = (0.0, 1e-12, 1e-9, 1e-6)  # tried in turn: shares of the largest variance added to the diagonal
+UHF_GAMMA = 1.5  # "usually 0 < gamma < 2"
+
+
+class ThesisUnscentedFilter(Filter):
+    """Eq. (4.3.5) to (4.3.7); with `gamma` the covariance follows Eq. (4.4.4) instead."""
+
+    def predict(self, increment: ImuIncrement) -> None:
+        chi, mean_weights, weights = self._sigma_points()
+        nav_dim, none = self._model.nav_dim, np.zeros((0, 3))
+        centre = propagate(self.nav, increment, gravity=self._imu.gravity)
+        ends = chi.copy()
+        for row in np.flatnonzero(chi[:, :nav_dim].any(axis=1)):
+            start, _ = self._model.retract(self.nav, none, chi[row, :nav_dim])
+            moved = propagate(start, increment, gravity=self._imu.gravity)
+            ends[row, :nav_dim] = self._model.local(centre, moved)
+        shift = mean_weights @ ends
+        D = ends - shift
+        P = (D.T * weights) @ D
+        _, Q = transition(self.nav, increment, self._imu)
+        self.nav, self.landmarks = self._model.retract(centre, self.landmarks, shift)
+        from_map = self._model.from_map(self.nav)
+        P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T
+        self.belief = CovarianceBelief(symmetrise(P), self.vehicle)
+
+    def _updated(self, predicted: PredictedObservation, nu: Array) -> tuple[Update, Array]:
+        chi, mean_weights, weights = self._sigma_points()
+        P = self.covariance()
+        seen = self._project(chi, predicted) / self._sigma_px
+        expected = mean_weights @ seen
+        D_y, D_x = seen - expected, chi - mean_weights @ chi
+        P_yy, P_xy = (D_y.T * weights) @ D_y, (D_x.T * weights) @ D_y
+        innovation = (nu + predicted.expected).ravel() / self._sigma_px - expected
+        S = P_yy + np.eye(len(expected))
+        K = np.linalg.solve(S, P_xy.T).T
+        after = P - K @ S @ K.T if self._gamma is None else _bounded(P, P_xy, P_yy)
+        nis = float(innovation @ np.linalg.solve(S, innovation))
+        belief = CovarianceBelief(symmetrise(after), self.vehicle)
+        return Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1])), np.ones(len(nu))
+
+    def _sigma_points(self) -> tuple[Array, Array, Array]:
+        """Return chi (2n+1, n) and the weights of mean and covariance; Eq. (4.3.2)."""
+        L = _loaded_factor(self.covariance())
+        n = len(L)
+        chi = np.vstack([np.zeros(n), SPREAD * L.T, -SPREAD * L.T])
+        mean_weights = np.full(2 * n + 1, 1.0 / (2.0 * SPREAD**2))
+        mean_weights[0] = (SPREAD**2 - n) / SPREAD**2
+        weights = mean_weights.copy()
+        weights[0] += BETA
+        return chi, mean_weights, weights
+
+    def _project(self, chi: Array, predicted: PredictedObservation) -> Array:
+        """Return (2n+1, 4M) pixels of the observed landmarks at each sigma point."""
+        camera = self._camera()
+        arms = self.landmarks[predicted.landmarks] - camera.nav.T_map_body.t
+        own = chi[:, landmark_rows(self.vehicle, predicted.landmarks)].reshape(len(chi), -1, 3)
+        pose = np.broadcast_to(chi[:, None, POSE], (*own.shape[:2], 6))
+        in_body = camera.model.perturbed_arms(camera.nav, np.broadcast_to(arms, own.shape), pose, own)
+        points_left = (in_body - camera.rig.T_body_left.t) @ camera.rig.T_body_left.R
+        if points_left[..., 2].min(initial=np.inf) <= 0.0:
+            raise FilterDivergence("a sigma point puts a landmark behind the camera")
+        return np.asarray(camera.rig.project(points_left).reshape(len(chi), -1))
+
+
+def _loaded_factor(P: Array) -> Array:
+    """Return the Cholesky factor of P, its diagonal loaded as little as need be."""
+    for share in LOADING:
+        try:
+            return np.asarray(np.linalg.cholesky(P + share * np.abs(np.diagonal(P)).max() * np.eye(len(P))))
+        except np.linalg.LinAlgError:
+            continue
+    smallest = float(np.linalg.eigvalsh(P)[0])
+    raise FilterDivergence(
+        f"covariance is indefinite in spite of diagonal loading: smallest eigenvalue {smallest:.3e} of {len(P)} rows"
+    )
+
+
+def _bounded(P: Array, P_xy: Array, P_yy: Array) -> Array:
+    """Return Eq. (4.4.4), for whitened observations."""
+    left = np.hstack([P_xy, P])
+    middle = np.block([[P_yy + np.eye(len(P_yy)), P_xy.T], [P_xy, P - UHF_GAMMA**2 * np.eye(len(P))]])
+    return P - left @ np.linalg.solve(middle, left.T)
