@@ -69,6 +69,43 @@ def test_a_wrong_match_is_seen_where_another_landmark_is() -> None:
     assert FLEET[0].rig.epipolar_distance(features.pixels).max() < 1.0  # the stereo pair itself is sound
 
 
+LOOKALIKES = LandmarkNoise(sigma_px=1e-6, lookalike_share=0.2)
+
+
+def lookalike_shifts() -> np.ndarray:
+    """Return (N, 4) how far beside their own landmark the look-alikes of a flight are seen [px]."""
+    plain = observe(FLEET[0], FIELD, noise=LandmarkNoise(sigma_px=1e-6))
+    shifts = []
+    for (clean, _), (misled, ids) in zip(plain, observe(FLEET[0], FIELD, noise=LOOKALIKES), strict=True):
+        shifts.append((misled.pixels - clean.pixels)[ids == -1])
+        np.testing.assert_allclose(misled.pixels[ids >= 0], clean.pixels[ids >= 0], atol=1e-3)
+    return np.concatenate(shifts)
+
+
+def test_lookalikes_are_marked_and_as_many_as_asked_but_for_some_at_the_border() -> None:
+    shares = [np.mean(ids == -1) for _, ids in observe(FLEET[0], FIELD, noise=LOOKALIKES)]
+    assert 0.18 < np.mean(shares) < 0.21
+
+
+def test_a_lookalike_lies_a_few_pixels_beside_in_any_direction_and_depth() -> None:
+    shift = lookalike_shifts()
+    disparity = shift[:, 3] - shift[:, 1]  # the rig's baseline lies along v
+    size = np.linalg.norm(np.column_stack([shift[:, :2], disparity]), axis=1)
+    assert size.max() < 16.0  # 15 px, but for the rig's mutual attitude
+    assert np.quantile(size, 0.1) > 3.0
+    assert np.abs(shift[:, :2].mean(axis=0)).max() < 1.0
+    assert np.percentile(disparity, 20) < -3.0
+    assert np.percentile(disparity, 80) > 3.0
+
+
+def test_a_lookalike_is_a_real_point() -> None:
+    for features, ids in list(observe(FLEET[0], FIELD, noise=LOOKALIKES))[::40]:
+        misled = features.pixels[ids == -1].astype(float)
+        assert FLEET[0].rig.epipolar_distance(misled).max() < 0.1
+        depth = FLEET[0].rig.triangulate(misled)[:, 2]
+        assert 20.0 < depth.min() < depth.max() < 160.0  # from 70 m above ground
+
+
 def test_a_turned_right_camera_moves_only_right_pixels() -> None:
     biased = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], extrinsic_bias_deg=(0.02, 0.0, 0.0)))[0]
     noise = LandmarkNoise(sigma_px=1e-6)

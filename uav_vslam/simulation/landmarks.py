@@ -19,6 +19,8 @@ from uav_vslam.types import StereoFeatures
 Array = NDArray[np.float64]
 
 DESCRIPTOR_LENGTH = 128
+LOOKALIKE_PX = (3.0, 15.0)  # how far beside a look-alike lies, in the image and in disparity together
+LEAST_DISPARITY = 0.5  # share of the disparity that a look-alike keeps at least: it stays on this side of the horizon
 REACH_PER_ALTITUDE = 2.0  # ground farther than this from below the camera is never looked at
 
 
@@ -43,11 +45,14 @@ class LandmarkNoise:
         sigma_px: standard deviation of each stereo pixel coordinate [px].
         descriptor_sigma: standard deviation of each descriptor entry between views.
         wrong_share: share of the features that carry another feature's descriptor.
+        lookalike_share: share of the features that are a similar point a few pixels beside: such wrong matches get
+            through a gate.
     """
 
     sigma_px: float = 1.0
     descriptor_sigma: float = 6.0
     wrong_share: float = 0.0
+    lookalike_share: float = 0.0
 
 
 def scatter_landmarks(vehicles: list[SimulatedVehicle], *, per_frame: float = 44.0) -> LandmarkField:
@@ -89,6 +94,7 @@ def observe(
         pixels = pixels + rng.normal(0.0, noise.sigma_px, pixels.shape)
         ids = near[seen]
         pixels, ids = _spoil(pixels, ids, noise.wrong_share, rng)
+        pixels, ids = _mislead(pixels, ids, noise.lookalike_share, vehicle.rig, rng)
         descriptors = _view(landmarks.descriptors[near[seen]], noise.descriptor_sigma, rng)
         yield StereoFeatures(int(stamp_ns), pixels.astype(np.float32), descriptors), ids
 
@@ -141,6 +147,37 @@ def _spoil(
     pixels[wrong] = pixels[np.roll(wrong, 1)]
     ids[wrong] = -1
     return pixels, ids
+
+
+def _mislead(
+    pixels: Array, ids: NDArray[np.int64], share: float, rig: StereoRig, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.int64]]:
+    """Move a random share of the features to a point nearby, in any direction of image and depth; their identity
+    becomes -1. What would leave an image stays.
+    """
+    count = round(share * len(ids))
+    if count == 0:
+        return pixels, ids
+    chosen = rng.choice(len(ids), count, replace=False)
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    shift = direction * rng.uniform(*LOOKALIKE_PX, (count, 1))
+    moved = pixels[chosen] + _parallel_shift(rig, pixels[chosen], shift)
+    fits = _inside(rig, moved)
+    pixels, ids = pixels.copy(), ids.copy()
+    pixels[chosen[fits]] = moved[fits]
+    ids[chosen[fits]] = -1
+    return pixels, ids
+
+
+def _parallel_shift(rig: StereoRig, pixels: Array, shift: Array) -> Array:
+    """Return the (N, 4) change of stereo pixels when their points move by (N, 3) u, v and disparity [px]."""
+    points = rig.triangulate(pixels)
+    disparity = rig.left.fx * rig.baseline_m / points[:, 2]
+    nearness = np.maximum(1.0 + shift[:, 2] / disparity, LEAST_DISPARITY)
+    rays = points / points[:, 2:]
+    rays[:, :2] += shift[:, :2] / [rig.left.fx, rig.left.fy]
+    return rig.project(rays * (points[:, 2] / nearness)[:, None]) - rig.project(points)
 
 
 def _view(descriptors: NDArray[np.uint8], sigma: float, rng: np.random.Generator) -> NDArray[np.uint8]:
