@@ -114,6 +114,37 @@ def test_a_study_is_kept_as_data_and_as_a_table(tmp_path):
     assert (tmp_path / "latest").resolve() == folder.resolve()
 
 
+def test_a_study_of_several_tables_has_a_heading_and_columns_for_each(tmp_path):
+    rows = [
+        {"table": "Consistency", "method": "eif", "nees_position": 0.9},
+        {"table": "Noise", "run": "R1", "w1": 0.1},
+        {"table": "Consistency", "method": "ukf", "nees_position": 1.1},
+    ]
+    folder = write_study("filters", rows, [1], tmp_path, notes={"RER": "SLAM over INS"})
+    page = (folder / "study.md").read_text().splitlines()
+    assert page[4:10] == [
+        "## Consistency",
+        "",
+        "| method | nees_position |",
+        "| --- | --- |",
+        "| eif | 0.9 |",
+        "| ukf | 1.1 |",
+    ]
+    assert page[11:15] == ["## Noise", "", "| run | w1 |", "| --- | --- |"]
+    assert page[-1] == "**RER**: SLAM over INS"
+
+
+def test_a_study_is_drawn_from_what_was_written(tmp_path):
+    drawn = []
+    curve = {"method": "eif", "error_m": [1.0, np.float64(2.0), float("nan")]}
+    folder = write_study(
+        "long", [], [1], tmp_path, series=[curve], plot=lambda tree, where: drawn.append((tree, where)) or []
+    )
+    tree = json.loads((folder / "study.json").read_text())
+    assert tree["series"] == [{"method": "eif", "error_m": [1.0, 2.0, None]}]
+    assert drawn == [(tree, folder)]
+
+
 def test_names_are_made_safe_for_folders(flight, tmp_path):
     folder = write_results(dataclasses.replace(flight, name="../a b/ü:"), tmp_path)
     assert folder.parent == tmp_path

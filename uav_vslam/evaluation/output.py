@@ -4,7 +4,7 @@
 import json
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -15,11 +15,12 @@ import yaml
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.evaluation.revision import git_revision
-from uav_vslam.evaluation.study import study_markdown, study_tree
+from uav_vslam.evaluation.study import Row, study_markdown, study_tree
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.evaluation.tum import write_tum
 
 Plotter = Callable[[FlightResult, Path], list[Path]]
+StudyPlotter = Callable[[dict[str, Any], Path], list[Path]]
 
 DEFAULT_ROOT = Path("results")
 LATEST = "latest"
@@ -49,22 +50,36 @@ def write_results(
     return folder
 
 
-def write_study(name: str, rows: list[dict[str, Any]], seeds: list[int], root: Path = DEFAULT_ROOT) -> Path:
-    """Write `study.json` and the table `study.md` of a comparison of methods into a folder of its own.
+def write_study(
+    name: str,
+    rows: list[Row],
+    seeds: list[int],
+    root: Path = DEFAULT_ROOT,
+    *,
+    notes: Mapping[str, str] | None = None,
+    series: list[Row] | None = None,
+    plot: StudyPlotter | None = None,
+) -> Path:
+    """Write `study.json`, the tables `study.md` and the plots of a comparison of methods into a folder of its own.
 
     Args:
         name: of the study.
-        rows: one dict per method and condition: {"method", "condition", "end_rms_m", "ate_rms_m", ...}.
+        rows: one dict per method and condition: {"method", "condition", "end_rms_m", "ate_rms_m", ...}; those with
+            different values of "table" stand in different tables.
         seeds: of the runs behind each row.
         root: folder of all results.
+        notes, series: see `study_tree`.
+        plot: draws the content of study.json into the folder; None draws nothing.
 
     Returns:
         The new folder.
     """
-    tree = study_tree(name, rows, seeds, git=git_revision())
+    tree = study_tree(name, rows, seeds, git=git_revision(), notes=notes, series=series)
     with _new_folder(root, name) as folder:
         _write_json(folder / "study.json", tree)
         (folder / "study.md").write_text(study_markdown(tree), encoding="utf-8")
+        if plot is not None:
+            plot(tree, folder)
     return folder
 
 

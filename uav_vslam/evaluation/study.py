@@ -1,26 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A comparison of methods over seeds: as data, and as a Markdown table."""
+"""A comparison of methods over seeds: as data, and as Markdown tables."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 Row = dict[str, Any]
 
+TABLE = "table"  # a row's key that says under which heading it stands
 
-def study_tree(name: str, rows: list[Row], seeds: list[int], *, git: str | None) -> dict[str, Any]:
-    """Return the content of `study.json`; figures that are not finite become null."""
-    cleaned = [{key: _plain(value) for key, value in row.items()} for row in rows]
-    return {"study": name, "seeds": [int(seed) for seed in seeds], "git": git, "rows": cleaned}
+
+def study_tree(
+    name: str,
+    rows: list[Row],
+    seeds: list[int],
+    *,
+    git: str | None,
+    notes: Mapping[str, str] | None = None,
+    series: list[Row] | None = None,
+) -> dict[str, Any]:
+    """Return the content of `study.json`; figures that are not finite become null.
+
+    Args:
+        name: of the study.
+        rows: see `output.write_study`.
+        seeds: of the runs.
+        git: revision of the code, None where it isn't known.
+        notes: what the figures mean, by subject.
+        series: curves, one dict each, with lists of equal length; for plots, no table shows them.
+    """
+    tree = {"study": name, "seeds": [int(seed) for seed in seeds], "git": git, "rows": _plain(rows)}
+    if notes:
+        tree["notes"] = dict(notes)
+    if series:
+        tree["series"] = _plain(series)
+    return tree
+
+
+def tables_of(tree: dict[str, Any]) -> dict[str, list[Row]]:
+    """Return the rows by their heading, in order; rows without one stand under the empty heading."""
+    tables: dict[str, list[Row]] = {}
+    for row in tree["rows"]:
+        tables.setdefault(row.get(TABLE, ""), []).append({key: row[key] for key in row if key != TABLE})
+    return tables
 
 
 def study_markdown(tree: dict[str, Any]) -> str:
-    """Return the study as a Markdown page: one table with a column per key that any row has."""
-    columns = list(dict.fromkeys(key for row in tree["rows"] for key in row))
+    """Return the study as a Markdown page: tables with a column per key that any of their rows has."""
     lines = [f"# {tree['study']}", "", f"Code {tree['git'] or 'of unknown revision'}, {_seeds(tree['seeds'])}.", ""]
-    if columns:
+    for heading, rows in tables_of(tree).items():
+        lines += [f"## {heading}", ""] if heading else []
+        columns = list(dict.fromkeys(key for row in rows for key in row))
         lines += [_line(columns), _line(["---"] * len(columns))]
-        lines += [_line([_cell(row.get(column)) for column in columns]) for row in tree["rows"]]
-    return "\n".join(lines) + "\n"
+        lines += [_line([_cell(row.get(column)) for column in columns]) for row in rows]
+        lines.append("")
+    for subject, note in tree.get("notes", {}).items():
+        lines += [f"**{subject}**: {note}", ""]
+    return "\n".join(lines).rstrip("\n") + "\n"
 
 
 def _seeds(seeds: list[int]) -> str:
@@ -40,6 +76,10 @@ def _cell(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a numpy scalar as a Python number, and None for what JSON can't say."""
+    """Return numpy scalars as Python numbers, and None for what JSON can't say, in nested lists and dicts too."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
     value = value.item() if hasattr(value, "item") else value
     return None if isinstance(value, float) and not math.isfinite(value) else value
