@@ -136,7 +136,7 @@ def test_the_order_has_no_cycle() -> None:
     ("place", "text", "wrong"),
     [
         ("geometry/pose.py", "from uav_vslam.slam.packet import validate", "layers"),
-        ("estimation/eif.py", "def f():\n    import uav_vslam.vision.pnp", "layers"),
+        ("estimation/filter.py", "def f():\n    import uav_vslam.vision.pnp", "layers"),
         ("slam/backend.py", "from uav_vslam import cooperation", "layers"),
         ("cli/run.py", "from uav_vslam.ros import convert", "layers"),
         ("ros/convert.py", "from uav_vslam.cli import main", "layers"),

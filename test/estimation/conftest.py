@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.estimation.eif import ExtendedInformationFilter
+from uav_vslam.estimation.filter import Filter
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import preintegrate
@@ -53,10 +53,10 @@ class Course:
         z = self.rig.project(T_left_map.apply(self.landmarks[np.asarray(rows, int)]))
         return z if rng is None else z + rng.normal(0.0, 1.0, z.shape)
 
-    def filter(self, model: str, **options: float) -> ExtendedInformationFilter:
-        return ExtendedInformationFilter(self.initial, rig=self.rig, imu=self.imu, model=model, **options)
+    def filter(self, model: str, **options: float) -> Filter:
+        return Filter(self.initial, rig=self.rig, imu=self.imu, model=model, **options)
 
-    def flown(self, model: str, frames: int = 3, **options: float) -> ExtendedInformationFilter:
+    def flown(self, model: str, frames: int = 3, **options: float) -> Filter:
         """Return a filter with correlated landmarks, just predicted to frame `frames`."""
         rng = np.random.default_rng(11)
         f = self.filter(model, **options)

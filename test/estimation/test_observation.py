@@ -25,10 +25,10 @@ def test_observation_jacobian_is_the_numerical_one_in_each_models_coordinates(co
     f = course.flown(name)
     rows = np.array([4, 0, 7])
     predicted = f.predict_observations(rows)
-    model, m = MODELS[name](), len(f.P) - 3 * len(f.landmarks)
-    numeric = np.zeros((3, 4, len(f.P)))
-    for k in range(len(f.P)):
-        step = np.zeros(len(f.P))
+    model, m = MODELS[name](), len(f.covariance()) - 3 * len(f.landmarks)
+    numeric = np.zeros((3, 4, len(f.covariance())))
+    for k in range(len(f.covariance())):
+        step = np.zeros(len(f.covariance()))
         step[k] = STEP
         z = []
         for sign in (1.0, -1.0):
@@ -36,7 +36,7 @@ def test_observation_jacobian_is_the_numerical_one_in_each_models_coordinates(co
             z.append(course.rig.project(point_jacobian(course.rig, nav, landmarks[rows]).points_left))
         numeric[:, :, k] = (z[0] - z[1]) / (2 * STEP)
     scale = np.abs(numeric).max()
-    np.testing.assert_allclose(predicted.H_nav / scale, numeric[:, :, :m] / scale, rtol=0, atol=DIFFERENCE)
+    np.testing.assert_allclose(predicted.H_vehicle / scale, numeric[:, :, :m] / scale, rtol=0, atol=DIFFERENCE)
     for n, row in enumerate(rows):
         own = numeric[n, :, m + 3 * row : m + 3 * row + 3]
         np.testing.assert_allclose(predicted.H_landmark[n] / scale, own / scale, rtol=0, atol=DIFFERENCE)
@@ -49,12 +49,12 @@ def test_innovation_covariance_is_that_of_the_dense_jacobian(course, name: str) 
     f = course.flown(name)
     rows = np.array([2, 9])
     predicted = f.predict_observations(rows)
-    m = len(f.P) - 3 * len(f.landmarks)
+    m = len(f.covariance()) - 3 * len(f.landmarks)
     for n, row in enumerate(rows):
-        H = np.zeros((4, len(f.P)))
-        H[:, :m] = predicted.H_nav[n]
+        H = np.zeros((4, len(f.covariance())))
+        H[:, :m] = predicted.H_vehicle[n]
         H[:, m + 3 * row : m + 3 * row + 3] = predicted.H_landmark[n]
-        np.testing.assert_allclose(predicted.S[n], H @ f.P @ H.T + np.eye(4), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(predicted.S[n], H @ f.covariance() @ H.T + np.eye(4), rtol=1e-9, atol=1e-9)
 
 
 def test_smoothing_draws_vague_depths_to_the_ground_and_leaves_sure_ones() -> None:

@@ -34,7 +34,7 @@ def view_of(
     return MapView(
         marks,
         np.column_stack([np.arange(n) * 100.0, np.zeros((n, 2))]) if positions is None else np.array(positions, float),
-        np.ones(n) if variance is None else np.array(variance),
+        lambda: np.ones(n) if variance is None else np.array(variance),
         np.ones(n, bool) if in_view is None else np.array(in_view, bool),
         FRAME,
     )

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.eif import ExtendedInformationFilter
+from uav_vslam.estimation.filter import Filter
+from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.estimation.models import MODELS, difference
 from uav_vslam.estimation.numerics import symmetrise
 from uav_vslam.estimation.observation import point_jacobian, triangulation_covariance
@@ -35,15 +36,15 @@ def assert_same_covariance(P: Array, expected: Array, tolerance: float = CORRELA
     np.testing.assert_allclose(P / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), rtol=0, atol=tolerance)
 
 
-def dense_jacobian(f: ExtendedInformationFilter, rows: Array) -> tuple[Array, Array]:
+def dense_jacobian(f: Filter, rows: Array) -> tuple[Array, Array]:
     """Return H (4M, n) and the residual-free prediction (4M,) at the filter's mean."""
     predicted = f.predict_observations(rows)
-    m = len(f.P) - 3 * len(f.landmarks)
-    H = np.zeros((len(rows), 4, len(f.P)))
-    H[:, :, :m] = predicted.H_nav
+    m = len(f.covariance()) - 3 * len(f.landmarks)
+    H = np.zeros((len(rows), 4, len(f.covariance())))
+    H[:, :, :m] = predicted.H_vehicle
     for n, row in enumerate(rows):
         H[n, :, m + 3 * row : m + 3 * row + 3] = predicted.H_landmark[n]
-    return H.reshape(-1, len(f.P)), predicted.points_left
+    return H.reshape(-1, len(f.covariance())), predicted.points_left
 
 
 def shear(before, landmarks_before: Array, after, landmarks_after: Array) -> Array:
@@ -55,14 +56,14 @@ def shear(before, landmarks_before: Array, after, landmarks_after: Array) -> Arr
     return T
 
 
-def kalman(f: ExtendedInformationFilter, name: str, rows: Array, pixels: Array) -> tuple:
+def kalman(f: Filter, name: str, rows: Array, pixels: Array) -> tuple:
     """Return nav, landmarks, P and NIS of the textbook Kalman update, dense and inverted."""
     H, points = dense_jacobian(f, rows)
-    nu = (pixels - f._rig.project(points)).ravel()
-    S = H @ f.P @ H.T + SIGMA_PX**2 * np.eye(len(H))
-    K = f.P @ H.T @ np.linalg.inv(S)
+    nu = (pixels - f.rig.project(points)).ravel()
+    S = H @ f.covariance() @ H.T + SIGMA_PX**2 * np.eye(len(H))
+    K = f.covariance() @ H.T @ np.linalg.inv(S)
     nav, landmarks = MODELS[name]().retract(f.nav, f.landmarks, K @ nu)
-    P = (np.eye(len(f.P)) - K @ H) @ f.P
+    P = (np.eye(len(f.covariance())) - K @ H) @ f.covariance()
     if MODELS[name].invariant:
         T = shear(f.nav, f.landmarks, nav, landmarks)
         P = T @ P @ T.T
@@ -76,13 +77,13 @@ def test_prediction_is_F_P_Ft_plus_Q(course, name: str) -> None:
     moved = propagate(f.nav, increment, gravity=course.imu.gravity)
     to_map, from_map = MODELS[name]().to_map(f.nav), MODELS[name]().from_map(moved)
     m = to_map.shape[1]
-    F = np.eye(len(f.P))
+    F = np.eye(len(f.covariance()))
     F[:m, :m] = from_map @ F15 @ to_map
-    expected = F @ f.P @ F.T
+    expected = F @ f.covariance() @ F.T
     expected[:m, :m] += from_map @ Q15 @ from_map.T
     landmarks = f.landmarks.copy()
     f.predict(increment)
-    assert_same_covariance(f.P, expected)
+    assert_same_covariance(f.covariance(), expected)
     np.testing.assert_array_equal(f.nav.T_map_body.matrix, moved.T_map_body.matrix)
     np.testing.assert_array_equal(f.landmarks, landmarks)
     assert f.nav.stamp_ns == increment.stamp_ns
@@ -101,7 +102,7 @@ def test_update_is_the_kalman_update_in_state_covariance_and_nis(course, name: s
     np.testing.assert_allclose(f.nav.gyro_bias, nav.gyro_bias, rtol=0, atol=MEAN)
     np.testing.assert_allclose(f.nav.accel_bias, nav.accel_bias, rtol=0, atol=MEAN)
     np.testing.assert_allclose(f.landmarks, landmarks, rtol=0, atol=MEAN)
-    assert_same_covariance(f.P, P)
+    assert_same_covariance(f.covariance(), P)
     assert innovation.nis == pytest.approx(nis, rel=1e-6)
     assert innovation.dof == 20
 
@@ -110,7 +111,8 @@ def test_the_order_of_a_batch_does_not_matter(course, name: str) -> None:
     pixels = course.pixels(3, ALL, np.random.default_rng(1))
     forward, backward = course.flown(name), course.flown(name)
     a, b = forward.update(ALL, pixels), backward.update(ALL[::-1], pixels[::-1])
-    np.testing.assert_allclose(forward.Y, backward.Y, rtol=1e-9, atol=1e-9 * np.abs(forward.Y).max())
+    Y = forward.belief.Y
+    np.testing.assert_allclose(Y, backward.belief.Y, rtol=1e-9, atol=1e-9 * np.abs(Y).max())
     np.testing.assert_allclose(forward.landmarks, backward.landmarks, rtol=0, atol=MEAN)
     assert a.nis == pytest.approx(b.nis, rel=1e-9)
 
@@ -123,16 +125,16 @@ def test_information_of_two_batches_adds_at_one_linearisation(course) -> None:
         fitting = course.rig.project(point_jacobian(course.rig, f.nav, f.landmarks).points_left)
         nis = [f.update(rows, fitting[rows]).nis for rows in parts]
         np.testing.assert_allclose(nis, 0.0, rtol=0, atol=1e-9)
-        pixels[len(parts)] = f.Y
+        pixels[len(parts)] = f.belief.Y
     np.testing.assert_allclose(pixels[2], pixels[1], rtol=1e-9, atol=1e-9 * np.abs(pixels[1]).max())
 
 
 def test_an_update_without_observations_changes_nothing(course, name: str) -> None:
     f = course.flown(name)
-    Y, nav, landmarks = f.Y.copy(), f.nav, f.landmarks.copy()
+    Y, nav, landmarks = f.belief.Y.copy(), f.nav, f.landmarks.copy()
     innovation = f.update(np.zeros(0, np.int64), np.zeros((0, 4)))
     assert (innovation.nis, innovation.dof) == (0.0, 0)
-    np.testing.assert_allclose(f.Y, Y, rtol=1e-13, atol=1e-13 * np.abs(Y).max())
+    np.testing.assert_allclose(f.belief.Y, Y, rtol=1e-13, atol=1e-13 * np.abs(Y).max())
     np.testing.assert_allclose(f.nav.T_map_body.matrix, nav.T_map_body.matrix, rtol=0, atol=1e-14)
     np.testing.assert_allclose(f.landmarks, landmarks, rtol=0, atol=1e-13)
 
@@ -140,19 +142,19 @@ def test_an_update_without_observations_changes_nothing(course, name: str) -> No
 @pytest.mark.parametrize("gone", [[], [0], [3, 7], list(range(12))])
 def test_marginalising_drops_rows_of_the_covariance(course, name: str, gone: list[int]) -> None:
     f = course.flown(name)
-    m = len(f.P) - 36
+    m = len(f.covariance()) - 36
     kept = [k for k in range(12) if k not in gone]
     rows = np.concatenate([np.arange(m), *[m + 3 * k + np.arange(3) for k in kept]])
-    expected, landmarks = f.P[np.ix_(rows, rows)], f.landmarks[kept]
+    expected, landmarks = f.covariance()[np.ix_(rows, rows)], f.landmarks[kept]
     f.marginalise(np.array(gone, np.int64))
-    assert_same_covariance(f.P, expected)
+    assert_same_covariance(f.covariance(), expected)
     np.testing.assert_array_equal(f.landmarks, landmarks)
 
 
 def test_a_new_landmark_lies_where_it_is_triangulated_and_knows_what_the_pose_knows(course, name: str) -> None:
     f = course.flown(name)
     pixels = course.pixels(3, [2, 6], np.random.default_rng(4))
-    P, nav, landmarks = f.P, f.nav, f.landmarks.copy()
+    P, nav, landmarks = f.covariance(), f.nav, f.landmarks.copy()
     points_left = course.rig.triangulate(pixels)
     T_map_left = nav.T_map_body @ course.rig.T_body_left
     f.add_landmarks(pixels)
@@ -171,15 +173,15 @@ def test_a_new_landmark_lies_where_it_is_triangulated_and_knows_what_the_pose_kn
     D = np.zeros((6, 6))
     for k, C in enumerate(triangulation_covariance(course.rig, points_left, SIGMA_PX)):
         D[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = T_map_left.R @ C @ T_map_left.R.T
-    assert_same_covariance(f.P, np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + D]]), 1e-5)
+    assert_same_covariance(f.covariance(), np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + D]]), 1e-5)
     assert f.nav is nav
 
 
 def test_adding_no_landmark_changes_nothing(course) -> None:
     f = course.flown("ri15")
-    Y = f.Y.copy()
+    Y = f.belief.Y.copy()
     f.add_landmarks(np.zeros((0, 4)))
-    np.testing.assert_array_equal(f.Y, Y)
+    np.testing.assert_array_equal(f.belief.Y, Y)
     assert len(f.landmarks) == 12
 
 
@@ -189,7 +191,7 @@ def test_linearising_at_the_mean_is_a_plain_update(course, name: str) -> None:
     a, b = plain.update(ALL, pixels), told.update(ALL, pixels, linearise_at=told.nav.T_map_body)
     np.testing.assert_allclose(told.nav.T_map_body.matrix, plain.nav.T_map_body.matrix, rtol=0, atol=MEAN)
     np.testing.assert_allclose(told.landmarks, plain.landmarks, rtol=0, atol=MEAN)
-    assert_same_covariance(told.P, plain.P)
+    assert_same_covariance(told.covariance(), plain.covariance())
     assert b.nis == pytest.approx(a.nis, rel=1e-6)
 
 
@@ -214,8 +216,7 @@ def test_linearising_at_the_true_pose_helps_a_mean_that_is_far_off(course) -> No
         nav = f.nav
         shift = np.concatenate([[2.0, -2.0, 1.5], np.zeros(3), [0.02, 0.02, 0.03], np.zeros(42)])
         f.nav = MODELS["so15"]().retract(nav, np.zeros((0, 3)), shift[:15])[0]
-        f.Y = np.linalg.inv(f.P + np.diag(shift**2))
-        f._P = None
+        f.belief = InformationBelief(np.linalg.inv(f.covariance() + np.diag(shift**2)), 15)
         f.update(ALL, course.pixels(3, ALL), linearise_at=linearise_at)
         errors[linearise_at is None] = np.linalg.norm(f.nav.T_map_body.t - truth.T_map_body.t)
     assert errors[False] < errors[True]
@@ -224,8 +225,8 @@ def test_linearising_at_the_true_pose_helps_a_mean_that_is_far_off(course) -> No
 def test_nav_estimate_is_in_map_frame_errors(course, name: str) -> None:
     f = course.flown(name)
     estimate = f.nav_estimate()
-    C, m = MODELS[name]().to_map(f.nav), len(f.P) - 36
-    np.testing.assert_allclose(estimate.covariance, C @ f.P[:m, :m] @ C.T, rtol=1e-9, atol=1e-15)
+    C, m = MODELS[name]().to_map(f.nav), len(f.covariance()) - 36
+    np.testing.assert_allclose(estimate.covariance, C @ f.covariance()[:m, :m] @ C.T, rtol=1e-9, atol=1e-15)
     assert estimate.state is f.nav
     rows = [0, 1, 2, 6, 7, 8]
     np.testing.assert_array_equal(estimate.pose.covariance, estimate.covariance[np.ix_(rows, rows)])
@@ -233,11 +234,11 @@ def test_nav_estimate_is_in_map_frame_errors(course, name: str) -> None:
 
 def test_pose_landmark_information_is_the_inverse_of_the_marginal_covariance(course, name: str) -> None:
     f = course.flown(name)
-    C, m = MODELS[name]().to_map(f.nav), len(f.P) - 36
-    J = np.zeros((6 + 36, len(f.P)))
+    C, m = MODELS[name]().to_map(f.nav), len(f.covariance()) - 36
+    J = np.zeros((6 + 36, len(f.covariance())))
     J[:6, :m] = C[[0, 1, 2, 6, 7, 8]]
     J[6:, m:] = np.eye(36)
-    expected = J @ f.P @ J.T
+    expected = J @ f.covariance() @ J.T
     assert_same_covariance(np.linalg.inv(f.pose_landmark_information()), expected, 1e-5)
 
 
@@ -251,13 +252,13 @@ def test_initial_information_is_that_of_the_initial_covariance(course, name: str
 def test_a_start_without_uncertainty_is_refused_with_the_block_named(course) -> None:
     bad = NavEstimate(course.initial.state, np.zeros((15, 15)))
     with pytest.raises(FilterDivergence, match="initial covariance is not positive definite"):
-        ExtendedInformationFilter(bad, rig=course.rig, imu=ImuConfig())
+        Filter(bad, rig=course.rig, imu=ImuConfig())
 
 
 # The four directions that no camera and no inertial unit can see: shifts of the world, and its yaw about gravity.
 
 
-def unobservable(f: ExtendedInformationFilter) -> Array:
+def unobservable(f: Filter) -> Array:
     """Return (n, 4) errors of shifts along x, y, z and of a yaw about z, at the current mean; 15-state models."""
     n = len(f.landmarks)
     N = np.zeros((15 + 3 * n, 4))
@@ -278,9 +279,10 @@ def information_gained(course, name: str, smoothing: float, seed: int, *, reline
     N = unobservable(f)
     Q, _ = np.linalg.qr(N)
     ignorant = np.eye(15) - Q @ Q.T
-    f.Y = symmetrise(ignorant @ f.Y @ ignorant + 1e-6 * Q @ Q.T)  # a kilometre of doubt keeps Y definite
-    f._P = None
-    start = np.diag(N.T @ f.Y @ N)
+    f.belief = InformationBelief(
+        symmetrise(ignorant @ f.belief.Y @ ignorant + 1e-6 * Q @ Q.T), 15
+    )  # a kilometre of doubt
+    start = np.diag(N.T @ f.belief.Y @ N)
     f.add_landmarks(course.pixels(0, np.arange(8), rng))
     in_state = list(range(8))
     for frame in range(1, 8):
@@ -294,7 +296,7 @@ def information_gained(course, name: str, smoothing: float, seed: int, *, reline
             f.add_landmarks(course.pixels(frame, np.arange(8, 12), rng))
             in_state += list(range(8, 12))
     N = unobservable(f)
-    return np.asarray(np.diag(N.T @ f.Y @ N) - start)
+    return np.asarray(np.diag(N.T @ f.belief.Y @ N) - start)
 
 
 def _near(pose: Pose, rng: np.random.Generator) -> Pose:
