@@ -26,9 +26,9 @@ def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> 
     """
     if len(predicted) == 0 or len(observed) == 0:
         return np.zeros((len(predicted), len(observed)), bool)
-    nu = (observed[None, :, :] - predicted[:, None, :]).transpose(0, 2, 1)
-    whitened = np.linalg.solve(np.linalg.cholesky(S), nu)
-    return np.asarray(np.sum(whitened**2, axis=1) <= chdtri(STEREO_DOF, 1.0 - probability))
+    nu = observed[None, :, :] - predicted[:, None, :]
+    whitened = nu @ np.linalg.inv(np.linalg.cholesky(S)).transpose(0, 2, 1)
+    return np.asarray(np.einsum("nmi,nmi->nm", whitened, whitened) <= chdtri(STEREO_DOF, 1.0 - probability))
 
 
 def associate(

@@ -132,8 +132,7 @@ class Filter:
         """Propagate over an increment."""
         nav_dim, dt = self._model.nav_dim, increment.dt_s
         with _stamped(increment.stamp_ns):
-            P_nav = self.belief.covariance(np.zeros(0, np.int64))[:nav_dim, :nav_dim]
-            process = self._linear.process(self._model, self.nav, P_nav, increment, self._imu)
+            process = self._linear.process(self._model, self.nav, self.belief, increment, self._imu)
             F, Q = np.eye(self.vehicle), np.zeros((self.vehicle, self.vehicle))
             F[:nav_dim, :nav_dim], Q[:nav_dim, :nav_dim] = process.F, process.Q
             Q[self._errors.rows, self._errors.rows] = np.diag(self._errors.noise_variance(dt))

@@ -31,7 +31,7 @@ from uav_vslam.estimation.numerics import (
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Focus:
     """The marginal over the vehicle and some landmarks.
 
@@ -41,6 +41,7 @@ class _Focus:
         L: factor of the rest's information, W: (rest, focus) as above.
         Y: (vehicle + 3K, ...) information of the focus.
         factor: lower Cholesky factor of Y.
+        P: its inverse, once it was asked for.
     """
 
     landmarks: Indices
@@ -50,14 +51,19 @@ class _Focus:
     W: Array
     Y: Array
     factor: Array
+    P: Array | None = None
 
 
 class InformationBelief:
-    """Holds `Y`; an update is a sum, and costs the cube of what is in view rather than of the whole map."""
+    """Holds `Y`; an update is a sum, and costs the cube of what is in view rather than of the whole map.
 
-    def __init__(self, Y: Array, vehicle: int, focus: _Focus | None = None) -> None:
+    Beside it are kept, once computed, a focus and the vehicle's covariance: `Y` alone is the belief.
+    """
+
+    def __init__(self, Y: Array, vehicle: int, P_vehicle: Array | None = None) -> None:
         self.Y, self.vehicle = Y, vehicle
-        self._focus = focus
+        self._focus: _Focus | None = None
+        self._P_vehicle = P_vehicle
 
     @property
     def size(self) -> int:
@@ -65,16 +71,20 @@ class InformationBelief:
 
     @classmethod
     def from_covariance(cls, P: Array) -> Self:
-        return cls(inverse_spd(P, "initial covariance"), len(P))
+        return cls(inverse_spd(P, "initial covariance"), len(P), P.copy())
 
     def covariance(self, landmarks: Indices) -> Array:
+        if len(landmarks) == 0:
+            if self._P_vehicle is None:
+                self._P_vehicle = _vehicle_covariance(self._focused(landmarks).factor, self.vehicle)
+            return self._P_vehicle.copy()
         focus = self._focused(landmarks)
+        if focus.P is None:
+            focus.P = inverse_from_cholesky(focus.factor)
+        if np.array_equal(landmarks, focus.landmarks):
+            return focus.P.copy()
         rows = state_rows(self.vehicle, _places(focus, landmarks))
-        if 2 * len(rows) > len(focus.Y):
-            return inverse_from_cholesky(focus.factor)[np.ix_(rows, rows)]
-        columns = np.zeros((len(focus.Y), len(rows)))
-        columns[rows, np.arange(len(rows))] = 1.0
-        return symmetrise(cho_solve((focus.factor, True), columns, check_finite=False)[rows])
+        return focus.P[np.ix_(rows, rows)]
 
     def information(self, rows: Indices) -> Array:
         rest = np.delete(np.arange(self.size), rows)
@@ -95,7 +105,8 @@ class InformationBelief:
         lost = solve_triangular(L, YB.T, lower=True, check_finite=False)
         Y -= lost.T @ lost
         Y[:m, :m] = symmetrise(Y[:m, :m])
-        return type(self)(Y, m)
+        P_vehicle = None if self._P_vehicle is None else symmetrise(F @ self._P_vehicle @ F.T + Q)
+        return type(self)(Y, m, P_vehicle)
 
     def renewed(self, rows: Indices, variance: float) -> Self:
         keep = np.delete(np.arange(self.size), rows)
@@ -113,19 +124,18 @@ class InformationBelief:
         """Y <- Y + H^T H, delta = Y^-1 H^T nu."""
         focus = self._focused(observation.landmarks)
         I, i = normal_equations(observation, _places(focus, observation.landmarks), len(focus.Y))
-        Y_focus = focus.Y + I
-        factor = cholesky(Y_focus, "information of what is in view")
+        factor = cholesky(focus.Y + I, "information of what is in view")
         delta = np.zeros(self.size)
         delta[focus.rows] = cho_solve((factor, True), i, check_finite=False)
         if len(focus.rest):
             pulled = focus.W @ delta[focus.rows]
             delta[focus.rest] = -solve_triangular(focus.L, pulled, lower=True, trans="T", check_finite=False)
         nis = float(np.sum(observation.nu**2) - i @ delta[focus.rows])
-        after = _Focus(focus.landmarks, focus.rows, focus.rest, focus.L, focus.W, Y_focus, factor)
         Y = self.Y.copy()
         Y[np.ix_(focus.rows, focus.rows)] += I
         log_det = log_det_of(factor) - log_det_of(focus.factor)
-        return Update(type(self)(Y, self.vehicle, after), delta, nis, log_det)
+        after = type(self)(Y, self.vehicle, _vehicle_covariance(factor, self.vehicle))
+        return Update(after, delta, nis, log_det)
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
         n, count = self.size, len(H_vehicle)
@@ -133,37 +143,43 @@ class InformationBelief:
         seen = Observation(fresh, H_vehicle, H_landmark, np.zeros(H_vehicle.shape[:2]))
         Y, _ = normal_equations(seen, fresh, n + 3 * count)
         Y[:n, :n] += self.Y
-        return type(self)(Y, self.vehicle)
+        return type(self)(Y, self.vehicle, self._P_vehicle)
 
     def marginalised(self, landmarks: Indices) -> Self:
         gone = landmark_rows(self.vehicle, landmarks)
         keep = np.delete(np.arange(self.size), gone)
         Y = marginalise_information(self.Y, keep, gone, "information of leaving landmarks")
-        return type(self)(Y, self.vehicle)
+        return type(self)(Y, self.vehicle, self._P_vehicle)
 
     def sheared(self, B: Array, columns: slice) -> Self:
-        """Y <- T^-T Y T^-1 with T^-1 = I + B E^T; a marginal is sheared by its own rows of B."""
-        focus = self._focus
-        if focus is not None:
-            W = focus.W.copy()
-            W[:, columns] += focus.L.T @ B[focus.rest] + focus.W @ B[focus.rows]
-            Y = _sheared(focus.Y, B[focus.rows], columns)
-            focus = _Focus(focus.landmarks, focus.rows, focus.rest, focus.L, W, Y, cholesky(Y, "information"))
-        return type(self)(_sheared(self.Y, B, columns), self.vehicle, focus)
+        """Y <- T^-T Y T^-1 with T^-1 = I + B E^T."""
+        YB = self.Y @ B
+        Y = self.Y.copy()
+        Y[:, columns] += YB
+        Y[columns, :] += YB.T
+        Y[columns, columns] += B.T @ YB
+        P = self._P_vehicle
+        if P is not None:
+            P = P - B[: self.vehicle] @ P[columns]
+            P = P - P[:, columns] @ B[: self.vehicle].T
+        return type(self)(Y, self.vehicle, P)
 
     def _focused(self, landmarks: Indices) -> _Focus:
         """Return a focus that has the landmarks; the last one if it does."""
         if self._focus is None or not np.isin(landmarks, self._focus.landmarks).all():
-            rows = state_rows(self.vehicle, landmarks)
-            rest = np.delete(np.arange(self.size), rows)
-            if len(rest) == 0:
-                L, W, Y = np.zeros((0, 0)), np.zeros((0, len(rows))), self.Y[np.ix_(rows, rows)]
-            else:
-                L = cholesky(self.Y[np.ix_(rest, rest)], "information of what is out of view")
-                W = solve_triangular(L, self.Y[np.ix_(rest, rows)], lower=True, check_finite=False)
-                Y = self.Y[np.ix_(rows, rows)] - W.T @ W
-            self._focus = _Focus(landmarks, rows, rest, L, W, Y, cholesky(Y, "information"))
+            self._focus = self._eliminated(landmarks)
         return self._focus
+
+    def _eliminated(self, landmarks: Indices) -> _Focus:
+        rows = state_rows(self.vehicle, landmarks)
+        rest = np.delete(np.arange(self.size), rows)
+        Y = self.Y[np.ix_(rows, rows)]
+        L, W = np.zeros((0, 0)), np.zeros((0, len(rows)))
+        if len(rest):
+            L = cholesky(self.Y[np.ix_(rest, rest)], "information of what is out of view")
+            W = solve_triangular(L, self.Y[np.ix_(rest, rows)], lower=True, check_finite=False)
+            Y -= W.T @ W
+        return _Focus(landmarks, rows, rest, L, W, Y, cholesky(Y, "information"))
 
 
 def _places(focus: _Focus, landmarks: Indices) -> Indices:
@@ -172,10 +188,7 @@ def _places(focus: _Focus, landmarks: Indices) -> Indices:
     return np.asarray(order[np.searchsorted(focus.landmarks, landmarks, sorter=order)], dtype=np.int64)
 
 
-def _sheared(Y: Array, B: Array, columns: slice) -> Array:
-    YB = Y @ B
-    out = Y.copy()
-    out[:, columns] += YB
-    out[columns, :] += YB.T
-    out[columns, columns] += B.T @ YB
-    return out
+def _vehicle_covariance(factor: Array, vehicle: int) -> Array:
+    """Return the leading block of (L L^T)^-1."""
+    columns = solve_triangular(factor, np.eye(len(factor), vehicle), lower=True, check_finite=False)
+    return np.asarray(columns.T @ columns)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.estimation.belief import Indices
+from uav_vslam.estimation.belief import Belief, Indices
 from uav_vslam.estimation.models import POSE, StateModel
 from uav_vslam.estimation.numerics import cholesky, symmetrise
 from uav_vslam.estimation.observation import MIN_DEPTH_M, point_jacobian, smoothed
@@ -90,9 +90,9 @@ class Linearisation(Protocol):
     """A way to make things linear."""
 
     def process(
-        self, model: StateModel, nav: NavState, P_nav: Array, increment: ImuIncrement, imu: ImuConfig
+        self, model: StateModel, nav: NavState, belief: Belief, increment: ImuIncrement, imu: ImuConfig
     ) -> Process:
-        """Predict the navigation state, of covariance P_nav, over an increment."""
+        """Predict the navigation state over an increment."""
 
     def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Array) -> PredictedObservation:
         """Predict observations of (M, 3) landmarks.
@@ -109,7 +109,7 @@ class Jacobians:
     """First-order expansion."""
 
     def process(
-        self, model: StateModel, nav: NavState, P_nav: Array, increment: ImuIncrement, imu: ImuConfig
+        self, model: StateModel, nav: NavState, belief: Belief, increment: ImuIncrement, imu: ImuConfig
     ) -> Process:
         F15, Q15 = transition(nav, increment, imu)
         moved = propagate(nav, increment, gravity=imu.gravity)
@@ -132,9 +132,10 @@ class Cubature:
     """Regression over cubature points; the rig's few errors, tiny angles and times, stay with their Jacobians."""
 
     def process(
-        self, model: StateModel, nav: NavState, P_nav: Array, increment: ImuIncrement, imu: ImuConfig
+        self, model: StateModel, nav: NavState, belief: Belief, increment: ImuIncrement, imu: ImuConfig
     ) -> Process:
         none = np.zeros((0, 3))
+        P_nav = belief.covariance(np.zeros(0, np.int64))[: model.nav_dim, : model.nav_dim]
         L = cholesky(P_nav, "covariance of the navigation state")
         centre = propagate(nav, increment, gravity=imu.gravity)
         ends = []

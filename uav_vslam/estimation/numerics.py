@@ -40,8 +40,10 @@ def inverse_spd(A: Array, what: str) -> Array:
 
 def inverse_from_cholesky(L: Array) -> Array:
     """Return (L L^T)^-1 for a lower factor."""
-    inverse, _ = dpotri(L, lower=1)
-    return np.asarray(np.tril(inverse) + np.tril(inverse, -1).T)
+    lower, _ = dpotri(L, lower=1)  # its upper triangle is still the zeros of L's
+    inverse = lower + lower.T
+    inverse.flat[:: len(L) + 1] *= 0.5
+    return np.asarray(inverse)
 
 
 def log_det_of(L: Array) -> float:
