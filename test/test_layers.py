@@ -52,6 +52,7 @@ AT_HOME = {
     "rclpy": {"ros"},
     "rosbags": {"datasets"},
     "mcap": {"datasets"},
+    "gtsam": {"studies"},  # a yardstick, no part of the estimator
     "matplotlib": {"report", "mapping"},
     MESSAGES: {"ros"},
 }
