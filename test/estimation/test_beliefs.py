@@ -1,0 +1,442 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One Gaussian in three forms: each operation, alone and in sequences, against a dense textbook Kalman filter.
+
+EKF = EIF = KF is proved here, in correction, covariance, NIS and log-determinant. All is compared in scaled units:
+covariances as correlations, corrections in sigmas of the prior, information in units of the inverse sigmas.
+"""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    rule,
+    run_state_machine_as_test,
+)
+from numpy.typing import NDArray
+
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation.belief import Belief, Observation, Update, landmark_rows, normal_equations, state_rows
+from uav_vslam.estimation.covariance import CovarianceBelief
+from uav_vslam.estimation.information import InformationBelief
+from uav_vslam.estimation.square_root import SquareRootBelief
+
+Array = NDArray[np.float64]
+
+FORMS = (InformationBelief, CovarianceBelief, SquareRootBelief)
+SCALED = 1e-9  # rounding of 1e-16 times condition numbers of up to 1e5, and a margin
+NONE = np.zeros(0, np.int64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Dense:
+    """The textbook: one full covariance, each operation by its definition; inverses are welcome."""
+
+    P: Array
+    vehicle: int
+
+    @property
+    def landmarks(self) -> int:
+        return (len(self.P) - self.vehicle) // 3
+
+    def predicted(self, F: Array, Q: Array) -> "Dense":
+        whole, noise = np.eye(len(self.P)), np.zeros_like(self.P)
+        whole[: self.vehicle, : self.vehicle], noise[: self.vehicle, : self.vehicle] = F, Q
+        return Dense(whole @ self.P @ whole.T + noise, self.vehicle)
+
+    def renewed(self, rows: Array, variance: float) -> "Dense":
+        P = self.P.copy()
+        P[rows], P[:, rows] = 0.0, 0.0
+        P[rows, rows] = variance
+        return Dense(P, self.vehicle)
+
+    def loosened(self, B: Array) -> "Dense":
+        Y = np.linalg.inv(self.P)
+        Y[: self.vehicle, : self.vehicle] -= B.T @ B
+        return Dense(np.linalg.inv(Y), self.vehicle)
+
+    def updated(self, observation: Observation) -> tuple["Dense", Array, float, float]:
+        """Return the posterior, the correction, the NIS and log det S."""
+        H = dense_jacobian(observation, len(self.P))
+        S = H @ self.P @ H.T + np.eye(len(H))
+        K = self.P @ H.T @ np.linalg.inv(S)
+        nu = observation.nu.ravel()
+        I_KH = np.eye(len(self.P)) - K @ H
+        after = I_KH @ self.P @ I_KH.T + K @ K.T
+        return Dense(after, self.vehicle), K @ nu, float(nu @ np.linalg.solve(S, nu)), float(np.linalg.slogdet(S)[1])
+
+    def appended(self, H_vehicle: Array, H_landmark: Array) -> "Dense":
+        """0 = H_vehicle e_vehicle + H_landmark e_landmark + noise, solved for each new landmark."""
+        P = self.P
+        for Hv, Hl in zip(H_vehicle, H_landmark, strict=True):
+            A = np.hstack([-np.linalg.inv(Hl) @ Hv, np.zeros((3, len(P) - self.vehicle))])
+            P = np.block([[P, P @ A.T], [A @ P, A @ P @ A.T + np.linalg.inv(Hl.T @ Hl)]])
+        return Dense(P, self.vehicle)
+
+    def marginalised(self, landmarks: Array) -> "Dense":
+        gone = landmark_rows(self.vehicle, landmarks)
+        return Dense(np.delete(np.delete(self.P, gone, axis=0), gone, axis=1), self.vehicle)
+
+    def sheared(self, B: Array, columns: slice) -> "Dense":
+        T = np.eye(len(self.P))
+        T[:, columns] -= B
+        return Dense(T @ self.P @ T.T, self.vehicle)
+
+
+def dense_jacobian(observation: Observation, size: int) -> Array:
+    count, k, m = observation.H_vehicle.shape
+    H = np.zeros((count, k, size))
+    H[:, :, :m] = observation.H_vehicle
+    for n, landmark in enumerate(observation.landmarks):
+        H[n, :, m + 3 * landmark : m + 3 * landmark + 3] = observation.H_landmark[n]
+    return H.reshape(-1, size)
+
+
+def assert_holds(belief: Belief, dense: Dense) -> None:
+    """Compare whole covariances, and the vehicle's alone; what the belief keeps beside itself is left as it is."""
+    sigma, m = np.sqrt(np.diag(dense.P)), dense.vehicle
+    error = copy.copy(belief).covariance(np.arange(dense.landmarks)) - dense.P
+    np.testing.assert_allclose(error / np.outer(sigma, sigma), 0.0, rtol=0, atol=SCALED)
+    error = copy.copy(belief).covariance(NONE) - dense.P[:m, :m]
+    np.testing.assert_allclose(error / np.outer(sigma, sigma)[:m, :m], 0.0, rtol=0, atol=SCALED)
+    assert (belief.vehicle, belief.size) == (dense.vehicle, len(dense.P))
+
+
+def updated_like(belief: Belief, dense: Dense, observation: Observation) -> tuple[Belief, Dense]:
+    """Update both, compare all four outcomes."""
+    update, (after, delta, nis, log_det) = belief.updated(observation), dense.updated(observation)
+    np.testing.assert_allclose((update.delta - delta) / np.sqrt(np.diag(dense.P)), 0.0, rtol=0, atol=SCALED)
+    assert update.nis == pytest.approx(nis, rel=SCALED, abs=SCALED)
+    assert update.log_det == pytest.approx(log_det, rel=SCALED, abs=SCALED)
+    assert_holds(update.belief, after)
+    return update.belief, after
+
+
+class Draw:
+    """Random problems of moderate condition; every size is the caller's."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+
+    def rotation(self, n: int) -> Array:
+        return np.linalg.qr(self.rng.normal(size=(n, n)))[0]
+
+    def matrix(self, n: int, low: float, high: float) -> Array:
+        """Return (n, n) with singular values in a range."""
+        return (self.rotation(n) * self.rng.uniform(low, high, n)) @ self.rotation(n)
+
+    def covariance(self, n: int, rank: int) -> Array:
+        root = self.rotation(n)[:, :rank] * self.rng.uniform(0.3, 3.0, rank)
+        return root @ root.T
+
+    def choice(self, count: int, share: float | None = None) -> NDArray[np.int64]:
+        """Return some of `count` numbers, possibly none or all, in random order."""
+        kept = self.rng.integers(0, count + 1) if share is None else round(share * count)
+        return self.rng.permutation(count)[:kept]
+
+    def observation(self, dense: Dense, landmarks: NDArray[np.int64]) -> Observation:
+        k = int(self.rng.integers(1, 5))
+        shape = (len(landmarks), k)
+        return Observation(
+            landmarks,
+            self.rng.normal(size=(*shape, dense.vehicle)),
+            self.rng.normal(size=(*shape, 3)),
+            self.rng.normal(0.0, 3.0, shape),
+        )
+
+    def process(self, m: int) -> tuple[Array, Array]:
+        """Return F (m, m), well-conditioned, and Q (m, m) of any rank, zero included."""
+        return self.matrix(m, 0.9, 1.1), self.covariance(m, int(self.rng.integers(0, m + 1)))
+
+    def bound(self, dense: Dense) -> Array:
+        """Return B (k, vehicle) with B P B^T at half of what would be infeasible."""
+        B = self.rng.normal(size=(int(self.rng.integers(1, dense.vehicle + 1)), dense.vehicle))
+        P = dense.P[: dense.vehicle, : dense.vehicle]
+        return B * np.sqrt(0.5 / np.linalg.eigvalsh(B @ P @ B.T)[-1])
+
+    def shear(self, dense: Dense) -> tuple[Array, slice]:
+        start = int(self.rng.integers(0, dense.vehicle - 2))
+        B = self.rng.normal(0.0, 0.3, (len(dense.P), 3))
+        B[start : start + 3] = 0.0
+        return B, slice(start, start + 3)
+
+    def fresh(self, dense: Dense, count: int) -> tuple[Array, Array]:
+        H_landmark = np.array([self.matrix(3, 0.5, 2.0) for _ in range(count)]).reshape(count, 3, 3)
+        return self.rng.normal(size=(count, 3, dense.vehicle)), H_landmark
+
+    def belief(self, form: type[Belief], m: int, landmarks: int) -> tuple[Belief, Dense]:
+        """Return a vehicle and landmarks, all correlated, in a form and densely."""
+        P = self.covariance(m, m)
+        fresh = self.fresh(Dense(P, m), landmarks)
+        return form.from_covariance(P).appended(*fresh), Dense(P, m).appended(*fresh)
+
+
+SEEDS = st.integers(0, 2**32 - 1)
+VEHICLE = st.integers(3, 9)
+LANDMARKS = st.integers(0, 6)
+FEW = settings(max_examples=30)  # each is a random problem, and the sequences below draw many more
+
+
+@pytest.fixture(scope="module", params=FORMS, ids=lambda form: form.__name__)
+def form(request: pytest.FixtureRequest) -> type[Belief]:
+    return request.param
+
+
+@FEW
+@given(SEEDS, VEHICLE)
+def test_a_start_holds_the_covariance_it_is_given(form: type[Belief], seed: int, m: int) -> None:
+    P = Draw(seed).covariance(m, m)
+    dense = Dense(P.copy(), m)
+    belief = form.from_covariance(P)
+    np.testing.assert_array_equal(P, dense.P)
+    P[:] = np.nan  # the caller's own
+    assert_holds(belief, dense)
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_prediction_is_F_P_Ft_plus_Q_however_singular_Q_is(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    F, Q = draw.process(m)
+    assert_holds(belief.predicted(F, Q), dense.predicted(F, Q))
+    assert_holds(belief.predicted(F, np.zeros((m, m))), dense.predicted(F, np.zeros((m, m))))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_renewed_rows_are_independent_of_all_else(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    rows = draw.choice(m)
+    assert_holds(belief.renewed(rows, 0.7), dense.renewed(rows, 0.7))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_loosening_takes_information_away(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    B = draw.bound(dense)
+    assert_holds(belief.loosened(B), dense.loosened(B))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_update_is_the_kalman_update_in_every_output(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    updated_like(belief, dense, draw.observation(dense, draw.choice(n)))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS, st.integers(0, 3))
+def test_new_landmarks_know_what_the_vehicle_knows(form: type[Belief], seed: int, m: int, n: int, new: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    fresh = draw.fresh(dense, new)
+    assert_holds(belief.appended(*fresh), dense.appended(*fresh))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_marginalising_drops_rows_of_the_covariance(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    for gone in (draw.choice(n), NONE, np.arange(n)):
+        assert_holds(belief.marginalised(gone), dense.marginalised(gone))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_shearing_changes_coordinates(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    B, columns = draw.shear(dense)
+    assert_holds(belief.sheared(B, columns), dense.sheared(B, columns))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_covariance_of_a_choice_has_its_rows_in_the_order_asked_for(
+    form: type[Belief], seed: int, m: int, n: int
+) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    for _ in range(3):
+        chosen = draw.choice(n)
+        rows = state_rows(m, chosen)
+        np.testing.assert_allclose(belief.covariance(chosen), dense.P[np.ix_(rows, rows)], rtol=SCALED, atol=1e-8)
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_information_over_some_rows_is_that_of_their_covariance(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    rows = np.append(draw.choice(dense.P.shape[0] - 1), len(dense.P) - 1)
+    expected = np.linalg.inv(dense.P[np.ix_(rows, rows)])
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(belief.information(rows) / scale, expected / scale, rtol=0, atol=SCALED)
+
+
+@FEW
+@given(SEEDS, VEHICLE, st.integers(1, 6))
+def test_the_order_of_observations_does_not_matter(form: type[Belief], seed: int, m: int, n: int) -> None:
+    """In one batch, and in batches one after the other, whose corrections add up."""
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    seen = draw.observation(dense, draw.rng.permutation(n))
+    at_once = belief.updated(seen)
+    order = draw.rng.permutation(n)
+    assert_same_update(belief.updated(part(seen, order)), at_once, dense)
+    delta, nis, log_det, after = np.zeros(len(dense.P)), 0.0, 0.0, belief
+    for places in np.array_split(order, 3):
+        some = part(seen, places)
+        update = after.updated(dataclasses.replace(some, nu=some.nu - some.apply(delta)))
+        after, delta, nis, log_det = update.belief, delta + update.delta, nis + update.nis, log_det + update.log_det
+    assert_same_update(
+        dataclasses.replace(at_once, belief=after, delta=delta, nis=nis, log_det=log_det), at_once, dense
+    )
+
+
+def part(seen: Observation, places: NDArray[np.int64]) -> Observation:
+    return Observation(seen.landmarks[places], seen.H_vehicle[places], seen.H_landmark[places], seen.nu[places])
+
+
+def assert_same_update(update: Update, expected: Update, dense: Dense) -> None:
+    np.testing.assert_allclose((update.delta - expected.delta) / np.sqrt(np.diag(dense.P)), 0.0, rtol=0, atol=SCALED)
+    assert update.nis == pytest.approx(expected.nis, rel=SCALED, abs=SCALED)
+    assert update.log_det == pytest.approx(expected.log_det, rel=SCALED, abs=SCALED)
+    assert_holds(update.belief, Dense(expected.belief.covariance(np.arange(dense.landmarks)), dense.vehicle))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_information_adds(seed: int, m: int, n: int) -> None:
+    """Eq. (4.5.4): at a fixed linearisation an update of the information form is a sum."""
+    draw = Draw(seed)
+    belief, dense = draw.belief(InformationBelief, m, n)
+    seen = draw.observation(dense, draw.choice(n))
+    H = dense_jacobian(seen, len(dense.P))
+    Y = belief.updated(seen).belief.Y
+    np.testing.assert_allclose(Y, belief.Y + H.T @ H, rtol=1e-12, atol=1e-12)
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_operations_modify_neither_the_belief_nor_what_they_are_given(
+    form: type[Belief], seed: int, m: int, n: int
+) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    (F, Q), (B, columns), bound = draw.process(m), draw.shear(dense), draw.bound(dense)
+    seen, fresh, gone = draw.observation(dense, draw.choice(n)), draw.fresh(dense, 2), draw.choice(n)
+    arrays = [F, Q, B, bound, *fresh, gone, seen.landmarks, seen.H_vehicle, seen.H_landmark, seen.nu]
+    before = [a.copy() for a in arrays]
+    for operate in (
+        lambda b: b.predicted(F, Q),
+        lambda b: b.updated(seen).belief,
+        lambda b: b.sheared(B, columns),
+        lambda b: b.loosened(bound),
+        lambda b: b.renewed(np.arange(2), 1.0),
+        lambda b: b.appended(*fresh),
+        lambda b: b.marginalised(gone),
+    ):
+        operate(belief).covariance(NONE)[:] = np.nan  # what is handed out is the caller's
+        belief.covariance(np.arange(n))[:] = np.nan
+        assert_holds(belief, dense)
+    for now, then in zip(arrays, before, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+def test_what_is_not_positive_definite_is_refused(form: type[Belief]) -> None:
+    with pytest.raises(FilterDivergence, match="smallest eigenvalue -1"):
+        form.from_covariance(np.diag([1.0, -1.0, 1.0]))
+    belief = form.from_covariance(np.eye(4))
+    too_much = np.array([[0.0, 1.01, 0.0, 0.0]])  # more information than there is
+    with pytest.raises(FilterDivergence, match="not positive definite"):
+        belief.loosened(too_much).covariance(NONE)
+
+
+def test_normal_equations_are_those_of_the_dense_jacobian() -> None:
+    draw = Draw(3)
+    _, dense = draw.belief(CovarianceBelief, 4, 5)
+    seen = draw.observation(dense, np.array([3, 0, 4]))
+    H = dense_jacobian(seen, len(dense.P))
+    I, i = normal_equations(seen, seen.landmarks, len(dense.P))
+    np.testing.assert_allclose(I, H.T @ H, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(i, H.T @ seen.nu.ravel(), rtol=1e-13, atol=1e-13)
+
+
+class Sequences(RuleBasedStateMachine):
+    """Any operations in a row on all three forms; `look` and updates fill what the information form keeps."""
+
+    @initialize(seed=SEEDS, m=VEHICLE, n=LANDMARKS)
+    def begin(self, seed: int, m: int, n: int) -> None:
+        self.draw = Draw(seed)
+        beliefs = [Draw(seed).belief(form, m, n) for form in FORMS]
+        self.beliefs, self.dense = [belief for belief, _ in beliefs], beliefs[0][1]
+
+    def _each(self, name: str, *arguments) -> None:
+        self.beliefs = [getattr(belief, name)(*arguments) for belief in self.beliefs]
+        self.dense = getattr(self.dense, name)(*arguments)
+
+    @rule()
+    def predict(self) -> None:
+        self._each("predicted", *self.draw.process(self.dense.vehicle))
+
+    @rule()
+    def renew(self) -> None:
+        self._each("renewed", self.draw.choice(self.dense.vehicle), 0.5)
+
+    @rule()
+    def loosen(self) -> None:
+        self._each("loosened", self.draw.bound(self.dense))
+
+    @rule()
+    def shear(self) -> None:
+        self._each("sheared", *self.draw.shear(self.dense))
+
+    @rule(count=st.integers(0, 2))
+    def append(self, count: int) -> None:
+        if self.dense.landmarks < 10:
+            self._each("appended", *self.draw.fresh(self.dense, count))
+
+    @rule()
+    def marginalise(self) -> None:
+        self._each("marginalised", self.draw.choice(self.dense.landmarks)[:2])
+
+    @rule()
+    def look(self) -> None:
+        """Ask for the covariance of some landmarks, as a gate does; the next update may concern others."""
+        chosen = self.draw.choice(self.dense.landmarks)
+        rows = state_rows(self.dense.vehicle, chosen)
+        sigma = np.sqrt(np.diag(self.dense.P)[rows])
+        for belief in self.beliefs:
+            error = belief.covariance(chosen) - self.dense.P[np.ix_(rows, rows)]
+            np.testing.assert_allclose(error / np.outer(sigma, sigma), 0.0, rtol=0, atol=SCALED)
+
+    @rule()
+    def update(self) -> None:
+        seen = self.draw.observation(self.dense, self.draw.choice(self.dense.landmarks))
+        outcomes = [updated_like(belief, self.dense, seen) for belief in self.beliefs]
+        self.beliefs, self.dense = [belief for belief, _ in outcomes], outcomes[0][1]
+
+    @invariant()
+    def all_hold_the_same(self) -> None:
+        for belief in self.beliefs:
+            assert_holds(belief, self.dense)
+        information = self.beliefs[0]
+        assert_holds(InformationBelief(information.Y, information.vehicle), self.dense)
+
+
+def test_sequences_of_operations_agree_with_the_textbook() -> None:
+    """The textbook starts again from its own covariance, so errors must not build up either."""
+    run_state_machine_as_test(Sequences, settings=settings(max_examples=60, stateful_step_count=25))
