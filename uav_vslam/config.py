@@ -149,7 +149,7 @@ class RigConfig:
     attitude_sigma_deg: float = 0.05  # flexing: slow part at the start, per axis; best twice what is expected
     attitude_walk_deg: float = 0.001  # flexing: random walk of the slow part [deg/sqrt(s)]
     vibration_sigma_deg: float = 0.05  # flexing: part that is new in each frame, rms per axis
-    rigid_sigma_deg: float = 0.0  # not flexing: what is left after calibration; 0 believes the calibration exactly
+    rigid_sigma_deg: float = 5.0e-4  # not flexing: what calibration left, small, but a doubt that data can speak to
     time_offset_sigma_s: float = 0.0  # camera clock against IMU clock, estimated; 0 believes them equal
 
     def __post_init__(self) -> None:

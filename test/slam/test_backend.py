@@ -7,11 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.config import FILTERS, STATE_MODELS, BackendConfig, VehicleConfig
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
+from uav_vslam.slam.health import MAX_LOST
 from uav_vslam.types import NS_PER_S, ImuIncrement, StereoFeatures
 
 FRAMES = 25
@@ -192,3 +193,45 @@ def test_an_epoch_is_crossed_by_the_first_stamp_at_or_after_its_multiple(previou
 
 def test_the_first_frame_crosses_no_epoch() -> None:
     assert not crosses_epoch(None, 5 * NS_PER_S, 1.0)
+
+
+def test_a_filter_that_lost_its_definiteness_begins_anew_from_the_inertial_unit(flight: Flight) -> None:
+    backend = flight.backend()
+    reports = []
+    for k, (features, increment) in enumerate(zip(flight.features, flight.increments, strict=True)):
+        if k == 12:
+            backend._filter.belief.Y[3, 3] = -1.0
+        reports.append(backend.process(features, increment))
+    assert [k for k, r in enumerate(reports) if r.recovery] == [12]
+    assert "not positive definite" in reports[12].recovery
+    assert reports[12].associated == 0
+    assert reports[12].landmarks > 0  # of this very frame
+    assert np.trace(reports[13].pose.covariance) > 2 * np.trace(reports[11].pose.covariance)
+    assert min(r.associated for r in reports[13:]) >= 10
+    assert flight.position_error_m(reports[-1]) < 1.0
+
+
+def test_a_vehicle_that_recognises_nothing_for_long_begins_anew(flight: Flight) -> None:
+    backend = flight.backend()
+    backend._health._lost = MAX_LOST - 1
+    reports = [backend.process(flight.features[0], None)]
+    elsewhere = [dataclasses.replace(f, descriptors=f.descriptors[::-1]) for f in flight.features]
+    for features, increment in zip(elsewhere[1:4], flight.increments[1:4], strict=True):
+        reports.append(backend.process(features, increment))
+    assert "no landmark recognised" in reports[1].recovery
+    assert not any(r.recovery for r in reports[2:])
+    assert reports[1].landmarks > 0
+
+
+@pytest.mark.parametrize("model", STATE_MODELS)
+@pytest.mark.parametrize("name", FILTERS)
+def test_every_filter_flies_with_every_state_model(flight: Flight, name: str, model: str) -> None:
+    reports = flight.fly(flight.backend(filter=name, model=model, max_in_view=20, max_landmarks=25))
+    assert all(r.recovery == "" for r in reports) or name == "thesis_uhf"  # its covariance turns indefinite at once
+    assert flight.position_error_m(reports[-1]) < 1.0
+    assert min(r.landmarks for r in reports) > 0
+
+
+def test_the_thesis_s_h_infinity_filter_fails_and_the_vehicle_flies_on(flight: Flight) -> None:
+    reports = flight.fly(flight.backend(filter="thesis_uhf", model="euler9"))
+    assert any("indefinite" in r.recovery for r in reports)

@@ -43,6 +43,7 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState
 Array = NDArray[np.float64]
 
 STEREO_DOF = 4
+NOTHING_LEARNT = 1e-6  # share of the prior variance: below it, the data say nothing about the rig in that direction
 HUBER_PROBABILITY = 0.99  # a right observation is weighed down as rarely as 1 minus this
 
 
@@ -99,12 +100,12 @@ class Filter:
             sigma_px: standard deviation of each pixel coordinate.
             depth_sigma_ratio: see `observation.smoothed`.
             robust: weigh observations down that fit badly after the update.
-            rig_config: how far the rig is trusted.
+            rig_config: how far the rig is trusted; wholly unless given.
         """
         self._imu, self._form, self._gamma = imu, form, gamma
         self._linear: Linearisation = linearisation or Jacobians()
         self._model: StateModel = MODELS[model]()
-        self._errors = RigErrors(rig, rig_config or RigConfig(), self._model.nav_dim)
+        self._errors = RigErrors(rig, rig_config or RigConfig(rigid_sigma_deg=0.0), self._model.nav_dim)
         self._sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
         self._rate_map: Array = np.zeros(3)
         self.nav: NavState = initial.state
@@ -263,10 +264,12 @@ class Filter:
         rows = self._errors.attitude
         if rows.stop == rows.start:
             return 0.0
-        P = self.belief.covariance(np.zeros(0, np.int64))[rows, rows]
-        prior = self._errors.prior_variance[: rows.stop - rows.start]
-        learnt = np.diag(np.maximum(prior - np.diagonal(P), 1e-6 * prior))
-        return float(self.rig_state.attitude @ np.linalg.solve(learnt, self.rig_state.attitude))
+        prior = np.diag(self._errors.prior_variance[: rows.stop - rows.start])
+        learnt = prior - self.belief.covariance(np.zeros(0, np.int64))[rows, rows]
+        values, vectors = np.linalg.eigh(symmetrise(learnt))
+        along = vectors.T @ self.rig_state.attitude
+        known = values > NOTHING_LEARNT * prior[0, 0]
+        return float(np.sum(along[known] ** 2 / values[known]))
 
     def _camera(self) -> Camera:
         return Camera(

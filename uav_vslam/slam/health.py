@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does the filter still follow the vehicle? If its innovations say no, it begins anew from where it believes to be."""
+
+from collections import deque
+
+from uav_vslam.estimation.filter import Innovation
+
+WINDOW = 20  # frames
+MAX_NIS_PER_DOF = 4.0  # over a window an honest filter is within a few percent of 1, a badly tuned one below 2
+MAX_LOST = 30  # frames in a row with much to see and nothing recognised
+MIN_FEATURES = 20  # fewer are not much to see
+
+
+class FilterHealth:
+    """Watches the innovations of a filter."""
+
+    def __init__(self) -> None:
+        self._recent: deque[Innovation] = deque(maxlen=WINDOW)
+        self._lost = 0
+
+    def judge(self, innovation: Innovation | None, *, features: int, landmarks: int) -> str:
+        """Take note of a frame and return why the filter must begin anew; empty if it need not.
+
+        Args:
+            innovation: of the frame's update, None if it had none.
+            features: stereo points offered.
+            landmarks: in the state before the frame.
+        """
+        if innovation is not None:
+            self._recent.append(innovation)
+            self._lost = 0
+        elif features >= MIN_FEATURES and landmarks >= MIN_FEATURES:
+            self._lost += 1
+        nis_per_dof = self.nis_per_dof
+        if len(self._recent) == WINDOW and nis_per_dof > MAX_NIS_PER_DOF:
+            return f"innovations of {WINDOW} frames are {nis_per_dof:.1f} times as large as the filter expects"
+        if self._lost >= MAX_LOST:
+            return f"no landmark recognised for {self._lost} frames"
+        return ""
+
+    @property
+    def nis_per_dof(self) -> float:
+        """Mean squared normalised innovation over the window; 1 is what an honest filter shows."""
+        return sum(i.nis for i in self._recent) / max(sum(i.dof for i in self._recent), 1)
