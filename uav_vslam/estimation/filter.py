@@ -31,7 +31,7 @@ from uav_vslam.estimation.linearisation import (
     pixel_jacobians,
 )
 from uav_vslam.estimation.models import MODELS, POSE, StateModel, difference, shear
-from uav_vslam.estimation.numerics import symmetrise
+from uav_vslam.estimation.numerics import cholesky, symmetrise
 from uav_vslam.estimation.observation import smoothed, triangulation_covariance
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.geometry.pose import Pose
@@ -243,9 +243,15 @@ class Filter:
         self.landmarks = np.zeros((0, 3))
 
     def nav_estimate(self) -> NavEstimate:
-        """Return the navigation state with its (15, 15) map-frame covariance; states a model lacks have none."""
+        """Return the navigation state with its (15, 15) map-frame covariance; states a model lacks have none.
+
+        Raises:
+            FilterDivergence: the covariance is not positive definite.
+        """
         C, nav_dim = self._model.to_map(self.nav), self._model.nav_dim
         P = self.belief.covariance(np.zeros(0, np.int64))[:nav_dim, :nav_dim]
+        with _stamped(self.nav.stamp_ns):
+            cholesky(P, "covariance of the navigation state")
         return NavEstimate(self.nav, symmetrise(C @ P @ C.T))
 
     def pose_landmark_information(self) -> Array:

@@ -8,9 +8,12 @@ thesis's remedy, "diagonal loading", is here too; where it does not help, the fi
 Symbols: chi sigma points as errors from the mean, W weights, D deviations from the weighted mean (rows are points).
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.config import RigConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import Update, landmark_rows
 from uav_vslam.estimation.covariance import CovarianceBelief
@@ -19,7 +22,7 @@ from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.estimation.models import POSE
 from uav_vslam.estimation.numerics import symmetrise
 from uav_vslam.ins.propagation import propagate, transition
-from uav_vslam.types import ImuIncrement
+from uav_vslam.types import ImuIncrement, NavEstimate
 
 Array = NDArray[np.float64]
 
@@ -31,6 +34,10 @@ UHF_GAMMA = 1.5  # "usually 0 < gamma < 2"
 
 class ThesisUnscentedFilter(Filter):
     """Eq. (4.3.5) to (4.3.7); with `gamma` the covariance follows Eq. (4.4.4) instead."""
+
+    def __init__(self, initial: NavEstimate, *, rig_config: RigConfig | None = None, **options: Any) -> None:
+        """As `Filter`, but the rig is believed exactly, whatever is configured: the thesis has no states for it."""
+        super().__init__(initial, **options)
 
     def predict(self, increment: ImuIncrement) -> None:
         chi, mean_weights, weights = self._sigma_points()
