@@ -50,12 +50,13 @@ def run(args: argparse.Namespace) -> int:
 
 def measure(effort: Any) -> Iterator[dict[str, Any]]:
     """Yield a row per stage and condition."""
-    from uav_vslam.studies import speed
+    from uav_vslam.studies import back_end_speed, speed
 
     vehicle, frames = speed.rendered_frames(effort.pairs)
     yield speed.stereo_front_end(vehicle, frames, _sift())
-    for landmarks in (50, 100, 200):
-        yield speed.back_end(landmarks, effort.frames)
+    for landmarks in (50, 100, 200, 400):
+        yield back_end_speed.back_end(landmarks, effort.frames)
+    yield back_end_speed.back_end(200, effort.frames, lag_s=back_end_speed.TRACK_LAG_S)
     for shared in (10, 50):
         yield speed.fusion(shared, effort.repeats)
     yield from speed.packets(64, effort.repeats)
@@ -107,15 +108,18 @@ def _print(rows: list[dict[str, Any]]) -> None:
         table.add_column(heading, justify="right")
     table.add_column("Yardstick")
     for row in rows:
-        table.add_row(row["method"], row["condition"], _time(row), f"{row['ratio']:.3g}", row["yardstick"])
+        yardstick = "\n".join([row["yardstick"], *_figures(row, "gtsam_")])
+        table.add_row(row["method"], row["condition"], "\n".join(_figures(row)), f"{row['ratio']:.3g}", yardstick)
     Console().print(table)
 
 
-def _time(row: dict[str, Any]) -> str:
-    units = {
-        "ms_per_frame": "ms/frame",
-        "ms_per_packet": "ms/packet",
-        "us_per_landmark": "µs/landmark",
-        "mb_per_s": "MB/s",
+def _figures(row: dict[str, Any], whose: str = "") -> list[str]:
+    forms = {
+        "ms_per_frame": "{:.3g} ms/frame",
+        "ms_per_packet": "{:.3g} ms/packet",
+        "us_per_landmark": "{:.3g} µs/landmark",
+        "mb_per_s": "{:.3g} MB/s",
+        "end_m": "end {:.3g} m",
+        "ate_m": "ATE {:.3g} m",
     }
-    return "\n".join(f"{row[key]:.3g} {unit}" for key, unit in units.items() if key in row)
+    return [form.format(row[whose + key]) for key, form in forms.items() if whose + key in row]

@@ -2,26 +2,24 @@
 """How long each stage takes, beside a yardstick measured in the same breath.
 
 Machines differ and are noisy, so a time alone says little: work and yardstick take turns, and what counts is the median
-of the ratios of neighbours. Most yardsticks are numpy's Cholesky factor of a matrix as large as the stage's own state.
+of the ratios of neighbours. Most yardsticks are numpy's Cholesky factor of a matrix as large as the stage's own state;
+the back end's is in `back_end_speed`.
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import BackendConfig, FrontendConfig, FusionConfig, ImuConfig, VehicleConfig
+from uav_vslam.config import FrontendConfig, FusionConfig, ImuConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.ins.preintegration import preintegrate
-from uav_vslam.ins.propagator import InsPropagator
 from uav_vslam.simulation.camera_render import RenderedFlight
-from uav_vslam.simulation.landmarks import observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
-from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.packet import make_packet, validate
 from uav_vslam.types import (
     NS_PER_S,
@@ -29,7 +27,6 @@ from uav_vslam.types import (
     ImuSample,
     JointInformation,
     LandmarkPacket,
-    StereoFeatures,
     StereoFrame,
 )
 from uav_vslam.vision.stereo_points import StereoFrontend
@@ -38,10 +35,8 @@ Array = NDArray[np.float64]
 Work = Callable[[], object]
 Row = dict[str, Any]
 
-STATE = 15  # of the vehicle
 POSE = 6  # of a joint information
 OWN_LANDMARKS = 100
-WARM_UP = 5  # frames until the map is full
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +50,7 @@ class Effort:
     """
 
     pairs: int = 8
-    frames: int = 40
+    frames: int = 95
     repeats: int = 100
 
 
@@ -69,8 +64,19 @@ def take_turns(works: Iterable[Work], yardstick: Work) -> tuple[float, float]:
         Median time of the works [ms], and median ratio of a work's time to its yardstick's.
     """
     yardstick()  # once for caches and lazy imports
-    times = np.array([(_ms(work), _ms(yardstick)) for work in works])
-    return float(np.median(times[:, 0])), float(np.median(times[:, 0] / times[:, 1]))
+    ms, _, ratio = medians((work, yardstick) for work in works)
+    return ms, ratio
+
+
+def medians(pairs: Iterable[tuple[Work, Work]]) -> tuple[float, float, float]:
+    """Run pairs of works.
+
+    Returns:
+        Median times of the first ones and of the second ones [ms], and median ratio of the two times of a pair.
+    """
+    times = np.array([(_ms(first), _ms(second)) for first, second in pairs])
+    first, second = np.median(times, axis=0)
+    return float(first), float(second), float(np.median(times[:, 0] / times[:, 1]))
 
 
 def rendered_frames(count: int) -> tuple[SimulatedVehicle, list[StereoFrame]]:
@@ -94,34 +100,6 @@ def stereo_front_end(
     size = f"{vehicle.rig.left.width}x{vehicle.rig.left.height}"
     condition = f"{size}, scale {config.scale:g}"
     return _row("stereo front end", condition, "OpenCV SIFT, scale 1", ratio, ms_per_frame=ms)
-
-
-def back_end(landmarks: int, frames: int) -> Row:
-    """Time the back end over a landmark-level flight whose state holds about so many landmarks."""
-    config = VehicleConfig(
-        backend=BackendConfig(max_in_view=landmarks, max_landmarks=landmarks, max_new_landmarks=landmarks)
-    )
-    vehicle = simulate_vehicle(Scenario(frames=frames + WARM_UP), 0)
-    field = scatter_landmarks([vehicle], per_frame=1.5 * landmarks)
-    backend = SlamBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
-    sizes = []
-
-    def process(features: StereoFeatures, increment: ImuIncrement | None) -> None:
-        sizes.append(backend.process(features, increment).landmarks)
-
-    steps = _steps(vehicle, [features for features, _ in observe(vehicle, field)], config.imu)
-    for _ in range(WARM_UP):
-        process(*next(steps))
-    ms, ratio = take_turns((lambda s=s: process(*s) for s in steps), _cholesky(STATE + 3 * landmarks))  # type: ignore[misc]
-    held = round(float(np.median(sizes[WARM_UP:])))
-    return _row(
-        "back end",
-        f"{landmarks} landmarks",
-        _cholesky_name(STATE + 3 * landmarks),
-        ratio,
-        ms_per_frame=ms,
-        landmarks=held,
-    )
 
 
 def preintegration(repeats: int) -> Row:
@@ -194,20 +172,6 @@ def _cholesky(size: int) -> Work:
 
 def _cholesky_name(size: int) -> str:
     return f"Cholesky {size}x{size}"
-
-
-def _steps(
-    vehicle: SimulatedVehicle, frames: list[StereoFeatures], imu: ImuConfig
-) -> Iterator[tuple[StereoFeatures, ImuIncrement | None]]:
-    """Yield each frame with the motion that leads to it."""
-    ins = InsPropagator(vehicle.initial, imu)
-    for sample in vehicle.imu.samples():
-        ins.add_imu(sample)
-    yield frames[0], None
-    for features in frames[1:]:
-        ins.add_frame_stamp(features.stamp_ns)
-        ((increment, _),) = ins.increments()
-        yield features, increment
 
 
 def _belief(vehicle: str, identities: list[int], *, stamp_s: float) -> JointInformation:
