@@ -99,7 +99,7 @@ class Filter:
             gamma: of the H-infinity bound; None for none.
             sigma_px: standard deviation of each pixel coordinate.
             depth_sigma_ratio: see `observation.smoothed`.
-            robust: weigh observations down that fit badly after the update.
+            robust: weigh observations down that fit badly after the update, as [huber64] does.
             rig_config: how far the rig is trusted; wholly unless given.
         """
         self._imu, self._form, self._gamma = imu, form, gamma

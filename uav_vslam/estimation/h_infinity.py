@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The H-infinity bound of the unscented H-infinity filter; section 4.4 of [thesis].
+"""The H-infinity bound of the unscented H-infinity filter; section 4.4 of [thesis], [simon06].
 
 The filter keeps the worst ratio of error energy to disturbance energy below gamma^2, whatever the disturbance. In
 covariance terms one step of it is P <- (P^-1 - gamma^-2 L^T L)^-1 before the update, where L picks and scales the

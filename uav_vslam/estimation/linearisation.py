@@ -2,10 +2,10 @@
 """How a filter makes the process and the stereo observation linear: by Jacobians, or by cubature points.
 
 `Jacobians`  Eq. (4.2.4) of [thesis], the observation's taken at the smoothed depth (see `observation`).
-`Cubature`   statistical regression over points of equal positive weight (third-degree spherical rule): what the
-             unscented transform of section 4.3.1 wants, without its negative weights. The points span only what the
-             function depends on (the navigation state; pose and one landmark), so they stay within a few sigmas however
-             many landmarks there are.
+`Cubature`   statistical regression over points of equal positive weight, the third-degree spherical rule of
+             [arasaratnam09]: what the unscented transform of section 4.3.1 wants, without its negative weights. The
+             points span only what the function depends on (the navigation state; pose and one landmark), so they stay
+             within a few sigmas however many landmarks there are.
 """
 
 from dataclasses import dataclass
