@@ -4,13 +4,15 @@
 import dataclasses
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uav_vslam.config import ImuConfig
+from uav_vslam.config import BackendConfig, ImuConfig
 from uav_vslam.estimation.filter import Filter
+from uav_vslam.estimation.filters import BOUNDED, FILTERS
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import preintegrate
@@ -53,13 +55,16 @@ class Course:
         z = self.rig.project(T_left_map.apply(self.landmarks[np.asarray(rows, int)]))
         return z if rng is None else z + rng.normal(0.0, 1.0, z.shape)
 
-    def filter(self, model: str, **options: float) -> Filter:
-        return Filter(self.initial, rig=self.rig, imu=self.imu, model=model, **options)
+    def filter(self, model: str = "ri15", name: str = "eif", **options: Any) -> Filter:
+        """Return a filter of `FILTERS` at its start."""
+        if name in BOUNDED:
+            options.setdefault("gamma", BackendConfig().gamma)
+        return FILTERS[name](self.initial, rig=self.rig, imu=self.imu, model=model, **options)
 
-    def flown(self, model: str, frames: int = 3, **options: float) -> Filter:
+    def flown(self, model: str = "ri15", name: str = "eif", frames: int = 3, **options: Any) -> Filter:
         """Return a filter with correlated landmarks, just predicted to frame `frames`."""
         rng = np.random.default_rng(11)
-        f = self.filter(model, **options)
+        f = self.filter(model, name, **options)
         f.add_landmarks(self.pixels(0, np.arange(IN_VIEW), rng))
         for frame in range(1, frames + 1):
             f.predict(self.increments[frame - 1])

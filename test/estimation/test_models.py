@@ -5,14 +5,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from uav_vslam.estimation.models import MODELS, RightInvariant15, difference, shear
+from uav_vslam.estimation.models import MODELS, POSE, RightInvariant15, difference, shear
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import skew, so3_exp, so3_log
+from uav_vslam.geometry.rotation import rotation_from_rpy, skew, so3_exp, so3_log
 from uav_vslam.ins.propagation import NAV_DIM, POSITION, ROTATION, VELOCITY
 from uav_vslam.types import NavState
 
@@ -44,7 +44,7 @@ def map_error(to: NavState, nav: NavState) -> Array:
     )
 
 
-@pytest.fixture(params=sorted(MODELS))
+@pytest.fixture(scope="module", params=sorted(MODELS))
 def model(request: pytest.FixtureRequest):
     return MODELS[request.param]()
 
@@ -159,6 +159,51 @@ def test_shear_is_the_change_of_chart_to_a_moved_mean(seed: int, rig_rows: int, 
 
 def test_shear_without_motion_is_zero() -> None:
     np.testing.assert_array_equal(shear(15, np.zeros(3), np.zeros(3), np.zeros((0, 3))), np.zeros((15, 3)))
+
+
+@given(DELTAS)
+def test_local_undoes_the_retraction_of_every_model(model, delta: Array) -> None:
+    step = delta[: model.nav_dim] * (0.1 if model.nav_dim == 9 else 1.0)  # roll, pitch, yaw: away from the pole
+    nav, _ = model.retract(NAV, np.zeros((0, 3)), step)
+    found = model.local(NAV, nav)
+    np.testing.assert_allclose(found, step, rtol=0, atol=100 * ROUNDING)
+    again, _ = model.retract(NAV, np.zeros((0, 3)), found)
+    np.testing.assert_allclose(again.T_map_body.matrix, nav.T_map_body.matrix, rtol=0, atol=100 * ROUNDING)
+
+
+def test_local_takes_the_short_way_round(model) -> None:
+    """From a yaw of 179 to one of -179 degrees it is two degrees, whatever the angles are written as."""
+    poses = [Pose(rotation_from_rpy(0.05, 0.1, np.deg2rad(yaw)), NAV.T_map_body.t) for yaw in (179.0, -179.0)]
+    start, end = (dataclasses.replace(NAV, T_map_body=pose) for pose in poses)
+    turn = model.local(start, end)[6:9]
+    assert np.linalg.norm(turn) == pytest.approx(np.deg2rad(2.0), rel=1e-9)
+
+
+PERTURBATIONS = st.sampled_from([1.0, 1e-2, 1.1e-4, 0.9e-4, 1e-6, 1e-9, 0.0])  # either side of the series' limit
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), PERTURBATIONS)
+def test_perturbed_arms_are_what_the_retracted_body_sees(model, seed: int, size: float) -> None:
+    """Finite and tiny rotations, in stacks: 4 errors of 3 landmarks each."""
+    rng = np.random.default_rng(seed)
+    pose = rng.normal(size=(3, 4, 6)) * np.repeat([5.0, 0.3 * size], 3)
+    landmark = rng.normal(0, 5.0, (3, 4, 3))
+    arms = (LANDMARKS - NAV.T_map_body.t)[:, None, :]
+    seen = model.perturbed_arms(NAV, arms, pose, landmark)
+    assert seen.shape == (3, 4, 3)
+    for k, n in np.ndindex(3, 4):
+        delta = np.zeros(model.nav_dim + 9)
+        delta[POSE] = pose[k, n]
+        delta[model.nav_dim + 3 * k : model.nav_dim + 3 * k + 3] = landmark[k, n]
+        nav, landmarks = model.retract(NAV, LANDMARKS, delta)
+        expected = nav.T_map_body.R.T @ (landmarks[k] - nav.T_map_body.t)
+        np.testing.assert_allclose(seen[k, n], expected, rtol=0, atol=10 * ROUNDING)
+
+
+def test_perturbed_arms_of_nothing_are_nothing(model) -> None:
+    none = model.perturbed_arms(NAV, np.zeros((0, 1, 3)), np.zeros((0, 18, 6)), np.zeros((0, 18, 3)))
+    assert none.shape == (0, 18, 3)
 
 
 def test_euler9_singles_out_the_thesis_states() -> None:

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which errors of the rig are states, what they do to it, and how they drift."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.config import RigConfig
+from uav_vslam.estimation.rig_errors import RigErrors, RigState
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.simulation.rig import kagaru_rig, rotated_right
+from uav_vslam.types import NavState
+
+Array = NDArray[np.float64]
+
+RIG = kagaru_rig()
+EXACT = RigConfig(rigid_sigma_deg=0.0)
+FLEXING = RigConfig(flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02, time_offset_sigma_s=0.01)
+NAV = NavState(
+    7, Pose(so3_exp([0.3, -0.2, 1.1]), np.array([40.0, -15.0, 70.0])), np.array([19.0, 4.0, -1.0]), *np.zeros((2, 3))
+)
+
+
+@pytest.mark.parametrize(
+    ("config", "attitude", "vibration", "time_offset", "sigma"),
+    [
+        (EXACT, 0, 0, 0, []),
+        (RigConfig(rigid_sigma_deg=0.002), 3, 0, 0, np.deg2rad([0.002] * 3)),
+        (FLEXING, 3, 3, 1, [*np.deg2rad([0.05] * 3 + [0.02] * 3), 0.01]),
+        (dataclasses.replace(FLEXING, vibration_sigma_deg=0.0), 3, 0, 1, [*np.deg2rad([0.05] * 3), 0.01]),
+        (dataclasses.replace(FLEXING, attitude_sigma_deg=0.0), 0, 3, 1, [*np.deg2rad([0.02] * 3), 0.01]),
+        (dataclasses.replace(EXACT, time_offset_sigma_s=0.02), 0, 0, 1, [0.02]),
+    ],
+)
+def test_states_are_what_the_configuration_doubts(
+    config: RigConfig, attitude: int, vibration: int, time_offset: int, sigma: list[float]
+) -> None:
+    errors = RigErrors(RIG, config, 15)
+    rows = [range(100)[part] for part in (errors.attitude, errors.vibration, errors.time_offset)]
+    assert [len(r) for r in rows] == [attitude, vibration, time_offset]
+    assert [k for r in rows for k in r] == list(range(15, 15 + errors.dim)) == list(range(100)[errors.rows])
+    np.testing.assert_allclose(np.sqrt(errors.prior_variance), sigma, rtol=1e-12)
+
+
+def test_only_the_attitude_of_a_flexing_rig_walks() -> None:
+    errors = RigErrors(RIG, dataclasses.replace(FLEXING, attitude_walk_deg=0.001), 15)
+    expected = [np.deg2rad(0.001) ** 2 * 4.0] * 3 + [0.0] * 4
+    np.testing.assert_allclose(errors.noise_variance(4.0), expected, rtol=1e-12)
+    np.testing.assert_array_equal(RigErrors(RIG, RigConfig(rigid_sigma_deg=0.01), 15).noise_variance(4.0), np.zeros(3))
+    assert RigErrors(RIG, EXACT, 15).noise_variance(4.0).shape == (0,)
+
+
+def test_a_rig_without_errors_is_the_calibrated_one() -> None:
+    assert RigErrors(RIG, FLEXING, 15).rig(RigState()) is RIG
+
+
+def test_attitude_and_vibration_turn_the_right_camera_as_the_simulation_does() -> None:
+    state = RigState(np.array([1e-3, -2e-3, 3e-3]), np.array([-4e-4, 5e-4, 6e-4]))
+    found, expected = RigErrors(RIG, FLEXING, 15).rig(state), rotated_right(RIG, state.attitude + state.vibration)
+    np.testing.assert_allclose(found.T_body_right.matrix, expected.T_body_right.matrix, rtol=0, atol=1e-15)
+    assert found.T_body_left is RIG.T_body_left
+
+
+def test_retraction_adds_each_states_own_rows() -> None:
+    errors = RigErrors(RIG, FLEXING, 2)
+    delta = np.arange(20.0)  # rows 2 to 8 are the rig's
+    state = errors.retract(RigState(np.ones(3), np.ones(3), 1.0), delta)
+    np.testing.assert_array_equal(state.attitude, [3.0, 4.0, 5.0])
+    np.testing.assert_array_equal(state.vibration, [6.0, 7.0, 8.0])
+    assert state.time_offset_s == 9.0
+    believed = RigState()
+    assert RigErrors(RIG, EXACT, 2).retract(believed, delta) == believed
+
+
+def test_renewing_forgets_the_vibration_alone() -> None:
+    errors = RigErrors(RIG, FLEXING, 15)
+    state = errors.renew(RigState(np.ones(3), np.ones(3), 0.5))
+    np.testing.assert_array_equal(state.vibration, np.zeros(3))
+    np.testing.assert_array_equal(state.attitude, np.ones(3))
+    assert state.time_offset_s == 0.5
+
+
+def test_the_exposure_is_where_the_motion_leads() -> None:
+    errors, rate = RigErrors(RIG, FLEXING, 15), np.array([0.1, -0.2, 0.3])
+    later = errors.at_exposure(RigState(time_offset_s=0.01), NAV, rate)
+    np.testing.assert_allclose(later.T_map_body.t, NAV.T_map_body.t + 0.01 * NAV.v_map, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(later.T_map_body.R, so3_exp(0.01 * rate) @ NAV.T_map_body.R, rtol=0, atol=1e-15)
+    assert (later.stamp_ns, later.v_map is NAV.v_map) == (NAV.stamp_ns, True)
+    assert errors.at_exposure(RigState(), NAV, rate) is NAV
+
+
+def test_pixels_of_no_points_have_no_derivatives() -> None:
+    errors = RigErrors(RIG, FLEXING, 15)
+    assert errors.pixel_jacobian(RIG, np.zeros((0, 3))).shape == (0, 4, 7)
