@@ -57,6 +57,7 @@ def measure(effort: Any) -> Iterator[dict[str, Any]]:
     for landmarks in (50, 100, 200, 400):
         yield back_end_speed.back_end(landmarks, effort.frames)
     yield back_end_speed.back_end(200, effort.frames, lag_s=back_end_speed.TRACK_LAG_S)
+    yield back_end_speed.back_end(200, effort.frames // 3, factorisation=back_end_speed.QR)
     for shared in (10, 50):
         yield speed.fusion(shared, effort.repeats)
     yield from speed.packets(64, effort.repeats)
