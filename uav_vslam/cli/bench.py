@@ -18,7 +18,7 @@ EXAMPLES = """examples:
   uav-vslam bench --quick          a few repeats only, for a first look
 
 Every time stands beside a yardstick measured in the same breath: compare the ratios, not the milliseconds, between
-machines and revisions. All in one process and one thread.
+machines and revisions. All in one process and one thread; times are processor time.
 """
 
 

@@ -2,8 +2,8 @@
 """How long each stage takes, beside a yardstick measured in the same breath.
 
 Machines differ and are noisy, so a time alone says little: work and yardstick take turns, and what counts is the median
-of the ratios of neighbours. Most yardsticks are numpy's Cholesky factor of a matrix as large as the stage's own state;
-the back end's is in `back_end_speed`.
+of the ratios of neighbours. Times are of the processor, so that what else runs there does not count. Most yardsticks are
+numpy's Cholesky factor of a matrix as large as the stage's own state; the back end's is in `back_end_speed`.
 """
 
 import time
@@ -159,9 +159,9 @@ def _row(method: str, condition: str, yardstick: str, ratio: float, **figures: f
 
 
 def _ms(work: Work) -> float:
-    begin = time.perf_counter_ns()
+    begin = time.process_time_ns()
     work()
-    return (time.perf_counter_ns() - begin) * 1e-6
+    return (time.process_time_ns() - begin) * 1e-6
 
 
 def _cholesky(size: int) -> Work:
