@@ -2,8 +2,8 @@
 """How long each stage takes, beside a yardstick measured in the same breath.
 
 Machines differ and are noisy, so a time alone says little: work and yardstick take turns, and what counts is the median
-of the ratios of neighbours. Times are of the processor, so that what else runs there does not count. Most yardsticks are
-numpy's Cholesky factor of a matrix as large as the stage's own state; the back end's is in `back_end_speed`.
+of the ratios of neighbours. Times are of the processor, so that what else runs there does not count. The back end's
+yardstick is in `back_end_speed`; most others are numpy's Cholesky factor of a matrix as large as the stage's own state.
 """
 
 import time
