@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded flight whose images have been searched once, and the states that a run over it may start from.
+
+recorded    the start state that the recording holds
+drawn N     the same with an error drawn from its own covariance by seed N
+frame K     the true pose and velocity at a later frame. A recording holds no true biases there, so they are those
+            of the recorded start, with the variance of their random walk since then added
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FrontendConfig, ImuConfig
+from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.pairing import MAX_GAP_S
+from uav_vslam.evaluation.trajectory import Trajectory, interpolate
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, POSITION, ROTATION, VELOCITY
+from uav_vslam.offline import FlightSource
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState, StereoFeatures, StereoFrame
+from uav_vslam.vision.stereo_points import StereoFrontend
+
+Array = NDArray[np.float64]
+
+LATER_SHARES = (0.25, 0.5, 0.75)  # of the frames, where the later starts are
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFlight:
+    """A recording that the front end has been through; a `FlightSource`.
+
+    Attributes:
+        vehicle: name.
+        rig: calibration.
+        initial_state: recorded start.
+        events: readings and features in stamp order.
+        truth: true poses.
+        velocities: (N, 3) true velocity at each of them [m/s].
+    """
+
+    vehicle: str
+    rig: StereoRig
+    initial_state: NavEstimate
+    events: tuple[ImuSample | StereoFeatures, ...]
+    truth: Trajectory
+    velocities: Array
+
+    def iter_events(self) -> tuple[ImuSample | StereoFeatures, ...]:
+        """Return sensor data in stamp order."""
+        return self.events
+
+    @property
+    def frame_stamps_ns(self) -> NDArray[np.int64]:
+        """(F,) stamps of the frames [ns]."""
+        return np.array([event.stamp_ns for event in self.events if isinstance(event, StereoFeatures)], np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a run begins, and what it is called."""
+
+    name: str
+    estimate: NavEstimate
+
+
+def searched(
+    source: FlightSource,
+    config: FrontendConfig,
+    *,
+    truth: Trajectory,
+    velocities: Array,
+    on_frame: Callable[[], None] = lambda: None,
+) -> RecordedFlight:
+    """Search a recording's images for features.
+
+    Args:
+        source: the recording.
+        config: of the front end.
+        truth: true poses.
+        velocities: (N, 3) true velocity at each of them [m/s].
+        on_frame: called when an image pair is done.
+
+    Raises:
+        UavVslamError: the recording has no start state.
+    """
+    if source.initial_state is None:
+        raise UavVslamError(
+            f"{source.vehicle}: the recording has no initial_state, whose covariance starts are drawn from"
+        )
+    frontend = StereoFrontend(source.rig, config)
+
+    def events() -> Iterator[ImuSample | StereoFeatures]:
+        for event in source.iter_events():
+            if not isinstance(event, StereoFrame):
+                yield event
+                continue
+            yield frontend.process(event)
+            on_frame()
+
+    return RecordedFlight(source.vehicle, source.rig, source.initial_state, tuple(events()), truth, velocities)
+
+
+def starts_of(flight: RecordedFlight, imu: ImuConfig, seeds: Sequence[int]) -> list[Start]:
+    """Return the recorded start, one drawn by each seed, and the later ones."""
+    drawn = [Start(f"drawn {seed}", drawn_start(flight.initial_state, np.random.default_rng(seed))) for seed in seeds]
+    frames = [round(share * len(flight.frame_stamps_ns)) for share in LATER_SHARES]
+    later = [Start(f"frame {frame}", true_start(flight, frame, imu)) for frame in frames]
+    return [Start("recorded", flight.initial_state), *drawn, *later]
+
+
+def drawn_start(centre: NavEstimate, rng: np.random.Generator) -> NavEstimate:
+    """Return an estimate whose error, if the truth is at the centre, is drawn from the centre's covariance."""
+    error = np.linalg.cholesky(centre.covariance) @ rng.standard_normal(len(centre.covariance))
+    state, T = centre.state, centre.state.T_map_body
+    moved = NavState(
+        state.stamp_ns,
+        Pose(so3_exp(-error[ROTATION]) @ T.R, T.t - error[POSITION]),
+        state.v_map - error[VELOCITY],
+        state.gyro_bias - error[GYRO_BIAS],
+        state.accel_bias - error[ACCEL_BIAS],
+    )
+    return NavEstimate(moved, centre.covariance)
+
+
+def true_start(flight: RecordedFlight, frame: int, imu: ImuConfig) -> NavEstimate:
+    """Return the true pose and velocity at a frame, as sure as the recorded start, with its biases grown older.
+
+    Raises:
+        UavVslamError: there is no truth at that frame.
+    """
+    stamp_ns = int(flight.frame_stamps_ns[frame])
+    pose, rows = interpolate(flight.truth, np.array([stamp_ns]), max_gap_s=MAX_GAP_S)
+    if len(rows) == 0:
+        raise UavVslamError(f"{flight.vehicle}: no truth at frame {frame} ({stamp_ns} ns), where a run was to start")
+    since_ns = flight.truth.stamps_ns - stamp_ns
+    velocity = np.array([np.interp(0.0, since_ns, component) for component in flight.velocities.T])
+    recorded = flight.initial_state
+    dt_s = (stamp_ns - recorded.state.stamp_ns) / NS_PER_S
+    P = recorded.covariance.copy()
+    P[GYRO_BIAS, GYRO_BIAS] += imu.gyro_bias_walk**2 * dt_s * np.eye(3)
+    P[ACCEL_BIAS, ACCEL_BIAS] += imu.accel_bias_walk**2 * dt_s * np.eye(3)
+    T_map_body = Pose(pose.rotations[0], pose.positions[0])
+    state = NavState(stamp_ns, T_map_body, velocity, recorded.state.gyro_bias, recorded.state.accel_bias)
+    return NavEstimate(state, P)
