@@ -133,7 +133,7 @@ def test_an_update_without_observations_changes_nothing(course, name: str) -> No
     f = course.flown(name)
     Y, nav, landmarks = f.belief.Y.copy(), f.nav, f.landmarks.copy()
     innovation = f.update(np.zeros(0, np.int64), np.zeros((0, 4)))
-    assert (innovation.nis, innovation.dof) == (0.0, 0)
+    assert (innovation.nis, innovation.dof, innovation.accepted) == (0.0, 0, True)
     np.testing.assert_allclose(f.belief.Y, Y, rtol=1e-13, atol=1e-13 * np.abs(Y).max())
     np.testing.assert_allclose(f.nav.T_map_body.matrix, nav.T_map_body.matrix, rtol=0, atol=1e-14)
     np.testing.assert_allclose(f.landmarks, landmarks, rtol=0, atol=1e-13)
@@ -253,6 +253,15 @@ def test_a_start_without_uncertainty_is_refused_with_the_block_named(course) -> 
     bad = NavEstimate(course.initial.state, np.zeros((15, 15)))
     with pytest.raises(FilterDivergence, match="initial covariance is not positive definite"):
         Filter(bad, rig=course.rig, imu=ImuConfig())
+
+
+def test_a_divergence_names_the_time_wherever_it_shows(course) -> None:
+    f = course.flown("ri15")
+    f.belief = InformationBelief(np.full((51, 51), np.nan), 15)
+    looks = (f.nav_estimate, f.pose_landmark_information, lambda: f.predict_observations(ALL))
+    for step in (*looks, lambda: f.update(ALL, course.pixels(3, ALL)), lambda: f.marginalise(ALL[:3])):
+        with pytest.raises(FilterDivergence, match=rf"^at {f.nav.stamp_ns / 1e9:.3f} s: (?!at ).*eigenvalue nan"):
+            step()
 
 
 # The four directions that no camera and no inertial unit can see: shifts of the world, and its yaw about gravity.

@@ -153,8 +153,8 @@ class Filter:
 
     def predict_observations(self, landmarks: Indices) -> PredictedObservation:
         """Return what should be seen of the chosen landmarks; they must be projectable."""
-        P = self.belief.covariance(landmarks)
-        return self._linear.observation(self._camera(), landmarks, self.landmarks[landmarks], P)
+        with _stamped(self.nav.stamp_ns):
+            return self._predicted(landmarks)
 
     def joint_innovation(self, landmarks: Indices, pixels: Array) -> tuple[Array, Array]:
         """Return the innovations (M, 4) of stereo observations and their joint covariance (4M, 4M) [px], [px^2]."""
@@ -190,7 +190,7 @@ class Filter:
         with _stamped(self.nav.stamp_ns):
             if linearise_at is not None and self._model.invariant:
                 prior = self._move_linearisation(linearise_at)
-            predicted = self.predict_observations(landmarks)
+            predicted = self._predicted(landmarks)
             nu = pixels - predicted.expected
             nu = nu - Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu).apply(prior)
             update, weights = self._updated(predicted, nu)
@@ -200,7 +200,7 @@ class Filter:
             nis=update.nis,
             dof=dof,
             log_likelihood=-0.5 * (update.nis + update.log_det + log_det_R + dof * np.log(2.0 * np.pi)),
-            accepted=bool(chdtrc(dof, update.nis) >= significance),
+            accepted=dof == 0 or bool(chdtrc(dof, update.nis) >= significance),
             weighed_down=int((weights < 1.0).sum()),
         )
         if innovation.accepted:
@@ -233,7 +233,8 @@ class Filter:
 
     def marginalise(self, landmarks: Indices) -> None:
         """Take landmarks out of the state; what they taught about the rest stays."""
-        self.belief = self.belief.marginalised(landmarks)
+        with _stamped(self.nav.stamp_ns):
+            self.belief = self.belief.marginalised(landmarks)
         self.landmarks = np.delete(self.landmarks, landmarks, axis=0)
 
     def restart(self, inflation: float) -> None:
@@ -249,8 +250,8 @@ class Filter:
             FilterDivergence: the covariance is not positive definite.
         """
         C, nav_dim = self._model.to_map(self.nav), self._model.nav_dim
-        P = self.belief.covariance(np.zeros(0, np.int64))[:nav_dim, :nav_dim]
         with _stamped(self.nav.stamp_ns):
+            P = self.belief.covariance(np.zeros(0, np.int64))[:nav_dim, :nav_dim]
             cholesky(P, "covariance of the navigation state")
         return NavEstimate(self.nav, symmetrise(C @ P @ C.T))
 
@@ -260,7 +261,8 @@ class Filter:
         C = np.eye(m)
         C[:nav_dim, :nav_dim] = self._model.to_map(self.nav)[:nav_dim]
         rows = np.concatenate([POSE, np.arange(m, self.belief.size)])
-        return self.belief.predicted(C, np.zeros((m, m))).information(rows)
+        with _stamped(self.nav.stamp_ns):
+            return self.belief.predicted(C, np.zeros((m, m))).information(rows)
 
     def rig_evidence(self) -> float:
         """Return how strongly the data speak against the calibrated attitude, chi-square with 3 degrees of freedom.
@@ -276,6 +278,10 @@ class Filter:
         along = vectors.T @ self.rig_state.attitude
         known = values > NOTHING_LEARNT * prior[0, 0]
         return float(np.sum(along[known] ** 2 / values[known]))
+
+    def _predicted(self, landmarks: Indices) -> PredictedObservation:
+        P = self.belief.covariance(landmarks)
+        return self._linear.observation(self._camera(), landmarks, self.landmarks[landmarks], P)
 
     def _camera(self) -> Camera:
         return Camera(
