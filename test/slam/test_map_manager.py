@@ -87,13 +87,46 @@ def test_out_of_view_each_cell_keeps_its_most_observed_landmark() -> None:
     assert leaving(view, CONFIG).tolist() == [0, 2, 5]
 
 
+def spaced(count: int) -> np.ndarray:
+    """Return (N, 3) positions, one in the middle of each of N cells in a row."""
+    return np.column_stack([CONFIG.retention_cell_m * (np.arange(count) + 0.5), np.zeros((count, 2))])
+
+
+def test_cells_grow_until_what_is_out_of_view_leaves_room_for_new_landmarks() -> None:
+    config = dataclasses.replace(CONFIG, max_in_view=50, max_landmarks=60, max_new_landmarks=20)
+    gone = leaving(view_of(positions=spaced(64), in_view=[False] * 64), config)
+    kept = np.setdiff1d(np.arange(64), gone)
+    assert 32 <= len(kept) <= 40  # there are 40 places; 64 cells of twice the size would be 32
+    assert np.diff(kept).max() == 2  # the whole ground stays covered
+
+
+@pytest.mark.parametrize("policy", sorted(RETENTION))
+def test_every_policy_leaves_room_for_new_landmarks(policy: str) -> None:
+    config = dataclasses.replace(CONFIG, retention=policy, max_in_view=50, max_landmarks=100, max_new_landmarks=20)
+    view = view_of(
+        positions=spaced(100),
+        in_view=[False] * 70 + [True] * 30,
+        born=np.arange(100),
+        seen=[50] * 70 + [FRAME] * 30,
+    )
+    assert 100 - len(leaving(view, config)) <= 80
+
+
+@pytest.mark.parametrize("places", [0, 1, 3])
+def test_ground_on_both_sides_of_the_origin_fits_into_few_places(places: int) -> None:
+    config = dataclasses.replace(CONFIG, max_in_view=1, max_landmarks=places + 1, max_new_landmarks=1)
+    corners = 200.0 * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+    view = view_of(positions=corners, in_view=[False] * 4, observations=[4, 7, 5, 6])
+    assert leaving(view, config).tolist() == sorted([0, 2, 3, 1][: 4 - places])
+
+
 def test_without_retention_only_what_is_in_view_stays() -> None:
     view = view_of(in_view=[True, False, True, False])
     assert leaving(view, dataclasses.replace(CONFIG, retention="none")).tolist() == [1, 3]
 
 
 def test_first_and_last_gives_up_the_middle_of_the_flight() -> None:
-    config = dataclasses.replace(CONFIG, retention="first_last", max_in_view=4, max_landmarks=6)
+    config = dataclasses.replace(CONFIG, retention="first_last", max_in_view=4, max_landmarks=6, max_new_landmarks=0)
     view = view_of(born=[0, 10, 20, 30, 40, 50, 60, 70], in_view=[False] * 8)
     assert leaving(view, config).tolist() == [3, 4]
     assert leaving(view_of(born=[0, 10, 20]), config).tolist() == []

@@ -16,6 +16,8 @@ Rows = NDArray[np.intp]
 
 FAILED_AFTER_FRAMES = 3  # in view and not seen for so long, while hardly ever seen: a bad landmark
 ESTABLISHED_OBSERVATIONS = 3  # seen so often, a landmark is worth retaining
+CELL_GROWTH = 2.0**0.25  # of the cell's side, where there are more cells than places
+LARGEST_CELL_M = 1e4  # beyond it there is no ground left to cover
 THESIS_DROP_SHARE = 0.05  # section 7.4: the share with the largest covariance goes each frame
 THESIS_FIRST_SHARE = 0.5  # share of the places that the oldest landmarks hold in `first_last`
 
@@ -47,13 +49,27 @@ class Retention(Protocol):
 
 
 def keep_one_per_cell(view: MapView, config: BackendConfig) -> Rows:
-    """Out of view, keep the most observed landmark of each ground cell: enough to close a loop."""
+    """Out of view, keep the most observed landmark of each ground cell: enough to close a loop.
+
+    Where there are more cells than places, cells grow until they fit: the whole ground flown over stays covered, ever
+    more thinly, and the cost of a frame stays bounded.
+    """
     out = np.flatnonzero(~view.in_view)
     order = out[np.argsort(-view.landmarks.observations[out], kind="stable")]
     order = order[view.landmarks.observations[order] >= ESTABLISHED_OBSERVATIONS]
-    cells = np.floor(view.positions[order, :2] / config.retention_cell_m).astype(np.int64)
+    places, cell_m = places_out_of_view(view, config), config.retention_cell_m
+    kept = order[_first_of_each_cell(view.positions[order], cell_m)]
+    while len(kept) > places and cell_m < LARGEST_CELL_M:
+        cell_m *= CELL_GROWTH
+        kept = order[_first_of_each_cell(view.positions[order], cell_m)]
+    return np.setdiff1d(out, kept[:places])
+
+
+def _first_of_each_cell(positions: Array, cell_m: float) -> Rows:
+    """Return, ascending, the first row of each cell of the ground."""
+    cells = np.floor(positions[:, :2] / cell_m).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
-    return np.setdiff1d(out, order[first])
+    return np.sort(first)
 
 
 def keep_none(view: MapView, config: BackendConfig) -> Rows:
@@ -63,7 +79,7 @@ def keep_none(view: MapView, config: BackendConfig) -> Rows:
 
 def keep_first_and_last(view: MapView, config: BackendConfig) -> Rows:
     """Keep the first N1 and the last N2 landmarks of the flight, as the thesis does."""
-    surplus = max(0, len(view.landmarks) - config.max_landmarks)
+    surplus = max(0, len(view.landmarks) - (config.max_landmarks - _new_landmarks(view, config)))
     first = round(THESIS_FIRST_SHARE * (len(view.landmarks) - surplus))
     return np.argsort(view.landmarks.born, kind="stable")[first : first + surplus]
 
@@ -84,15 +100,33 @@ RETENTION: dict[str, Retention] = {
 
 
 def leaving(view: MapView, config: BackendConfig) -> Rows:
-    """Return the rows that leave the state: failed ones, the policy's choice, and what exceeds the cap."""
+    """Return the rows that leave the state: failed ones, the policy's choice, and what exceeds the cap.
+
+    What is out of view never takes the room of what comes into view: without new landmarks the vehicle would soon fly
+    blind over ground that it does not know.
+    """
     marks = view.landmarks
     unseen = view.frame - marks.seen
     failed = view.in_view & (unseen >= FAILED_AFTER_FRAMES) & (marks.observations < ESTABLISHED_OBSERVATIONS)
     gone = np.union1d(np.flatnonzero(failed), RETENTION[config.retention](view, config))
-    surplus = len(marks) - len(gone) - config.max_landmarks
-    if surplus > 0:
-        rest = np.setdiff1d(np.arange(len(marks)), gone)
-        mature = rest[view.frame - marks.born[rest] >= config.young_frames]
-        oldest = mature[np.lexsort((marks.observations[mature], marks.seen[mature]))]
-        gone = np.union1d(gone, oldest[:surplus])
+    rest = np.setdiff1d(np.arange(len(marks)), gone)
+    out = rest[~view.in_view[rest]]
+    gone = np.union1d(gone, _longest_unseen(marks, out)[: max(0, len(out) - places_out_of_view(view, config))])
+    rest = np.setdiff1d(rest, gone)
+    mature = rest[view.frame - marks.born[rest] >= config.young_frames]
+    gone = np.union1d(gone, _longest_unseen(marks, mature)[: max(0, len(rest) - config.max_landmarks)])
     return gone.astype(np.intp)
+
+
+def places_out_of_view(view: MapView, config: BackendConfig) -> int:
+    """Return how many landmarks out of view leave room for those in view and for the new ones of this frame."""
+    return max(0, config.max_landmarks - int(view.in_view.sum()) - _new_landmarks(view, config))
+
+
+def _new_landmarks(view: MapView, config: BackendConfig) -> int:
+    """Return how many landmarks may be added in this frame."""
+    return int(np.clip(config.max_in_view - int(view.in_view.sum()), 0, config.max_new_landmarks))
+
+
+def _longest_unseen(marks: LandmarkMap, rows: Rows) -> Rows:
+    return rows[np.lexsort((marks.observations[rows], marks.seen[rows]))]
