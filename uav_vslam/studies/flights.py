@@ -2,10 +2,9 @@
 """What every study does: fly a simulated fleet per seed and method, and pool the figures over seeds and vehicles."""
 
 import dataclasses
-import multiprocessing
+import functools
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,6 +19,7 @@ from uav_vslam.offline import FlightSource, flight_result, fly
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.studies.pool import in_pool, mean, ratio, rms
 from uav_vslam.types import StereoFeatures, StereoFrame
 from uav_vslam.vision.stereo_points import StereoFrontend
 
@@ -76,7 +76,7 @@ def run_study(
         on_seed: called when a seed is done.
     """
     outcomes: list[Outcome] = []
-    for result in _in_pool(methods, seeds, workers):
+    for result in in_pool(functools.partial(run_seed, methods), seeds, workers):
         outcomes += result
         on_seed()
     outcomes.sort(key=lambda outcome: outcome.seed)
@@ -86,15 +86,6 @@ def run_study(
         tracks = TRACKS if first else TRACKS[1:]  # the INS is the same whatever the method
         rows += _rows(method, [o for o in outcomes if o.method == method], tracks)
     return rows
-
-
-def _in_pool(methods: list[Method], seeds: list[int], workers: int) -> Iterator[list[Outcome]]:
-    if workers == 1:
-        yield from (run_seed(methods, seed) for seed in seeds)
-        return
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(run_seed, methods, seed) for seed in seeds]):
-            yield future.result()
 
 
 def _run(method: Method, seed: int, cache: FeatureCache) -> Outcome:
@@ -148,38 +139,27 @@ def true_trajectory(vehicle: SimulatedVehicle) -> Trajectory:
 def _rows(method: Method, outcomes: list[Outcome], tracks: Sequence[str]) -> list[dict[str, Any]]:
     """Return one row per track; the INS's covariance is not scored."""
     good = [outcome for outcome in outcomes if outcome.figures]
-    rms = {(track, key): _rms(_values(good, track, key)) for track in TRACKS for key in ("ate_m", "end_m")}
-    rows = []
-    for track in tracks:
-        nees = _values(good, track, "nees_position")
-        rows.append(
-            {
-                "method": LABELS[track] if track == "ins" else f"{LABELS[track]} {method.name}",
-                "condition": method.condition,
-                "end_rms_m": rms[track, "end_m"],
-                "ate_rms_m": rms[track, "ate_m"],
-                "ratio_to_s_slam": _ratio(rms[track, "ate_m"], rms["s_slam", "ate_m"]),
-                "end_ratio_to_ins": _ratio(rms[track, "end_m"], rms["ins", "end_m"]),
-                "nees_position": float(np.mean(nees)) if nees else None,
-                "frames_processed": float(np.mean([o.processed for o in good])) if good else None,
-                "failures": len(outcomes) - len(good),
-                "ms_per_frame": float(np.mean([o.ms_per_frame for o in good])) if good and track != "ins" else None,
-            }
-        )
-    return rows
+    errors = {(track, key): rms(_values(good, track, key)) for track in TRACKS for key in ("ate_m", "end_m")}
+    return [
+        {
+            "method": LABELS[track] if track == "ins" else f"{LABELS[track]} {method.name}",
+            "condition": method.condition,
+            "end_rms_m": errors[track, "end_m"],
+            "ate_rms_m": errors[track, "ate_m"],
+            "ratio_to_s_slam": ratio(errors[track, "ate_m"], errors["s_slam", "ate_m"]),
+            "end_ratio_to_ins": ratio(errors[track, "end_m"], errors["ins", "end_m"]),
+            "nees_position": mean(_values(good, track, "nees_position")),
+            "frames_processed": mean([outcome.processed for outcome in good]),
+            "failures": len(outcomes) - len(good),
+            "ms_per_frame": None if track == "ins" else mean([outcome.ms_per_frame for outcome in good]),
+        }
+        for track in tracks
+    ]
 
 
 def _values(outcomes: list[Outcome], track: str, key: str) -> list[float]:
     found = [v.get(key) for o in outcomes for v in (o.figures or {}).get(track, {}).values()]
     return [float(value) for value in found if value is not None]
-
-
-def _rms(values: list[float]) -> float | None:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else None
-
-
-def _ratio(a: float | None, b: float | None) -> float | None:
-    return a / b if a is not None and b else None
 
 
 def with_backend(config: VehicleConfig, **changes: Any) -> VehicleConfig:

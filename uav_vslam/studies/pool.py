@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many independent jobs over a few processes, and the figures pooled over them."""
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import TypeVar
+
+import numpy as np
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+def in_pool(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
+    """Yield the result of each job as it comes; one worker is this very process, in order.
+
+    Args:
+        work: a function of a module, so that it travels to other processes.
+        jobs: its arguments.
+        workers: processes.
+    """
+    if workers == 1:
+        yield from map(work, jobs)
+        return
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(work, job) for job in jobs]):
+            yield future.result()
+
+
+def rms(values: Sequence[float]) -> float | None:
+    """Return the root mean square; None of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else None
+
+
+def mean(values: Sequence[float]) -> float | None:
+    """Return the mean; None of nothing."""
+    return float(np.mean(values)) if len(values) else None
+
+
+def median(values: Sequence[float]) -> float | None:
+    """Return the median; None of nothing."""
+    return float(np.median(values)) if len(values) else None
+
+
+def ratio(a: float | None, b: float | None) -> float | None:
+    """Return a / b; None where there is nothing to divide, or to divide by."""
+    return a / b if a is not None and b else None
