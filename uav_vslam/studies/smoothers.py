@@ -55,7 +55,8 @@ def batch_optimum(
     """Return the most likely poses given all measurements of a flight, each with its marginal covariance.
 
     Levenberg and Marquardt's method from dead reckoning on. By QR: position and biases are so much better known from
-    frame to frame than in the map that with Cholesky GTSAM stops short of the optimum on some flights.
+    frame to frame than in the map that GTSAM's Cholesky refuses some orders of elimination; with landmarks keyed in
+    another order, one flight of twenty stopped 5 m short of the optimum.
 
     Args:
         start: state at the first frame.
