@@ -11,8 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import BackendConfig, ImuConfig
+from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.filters import BOUNDED, FILTERS
+from uav_vslam.estimation.information import InformationBelief
+from uav_vslam.estimation.square_root import SquareRootBelief
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import preintegrate
@@ -71,6 +74,13 @@ class Course:
             if frame < frames:
                 f.update(np.arange(IN_VIEW), self.pixels(frame, np.arange(IN_VIEW), rng))
         return f
+
+    @staticmethod
+    def set_covariance(f: Filter, P: Array) -> None:
+        """Give a filter another covariance, in the form that it keeps."""
+        kept = {CovarianceBelief: lambda: P, SquareRootBelief: lambda: np.linalg.cholesky(P)}
+        kept[InformationBelief] = lambda: np.linalg.inv(P)
+        f.belief = type(f.belief)(kept[type(f.belief)](), f.vehicle)
 
 
 @pytest.fixture(scope="session")
