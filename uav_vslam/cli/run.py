@@ -72,11 +72,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
     """Return the bags and each vehicle's configuration."""
+    from uav_vslam.cli.overrides import override
     from uav_vslam.config import find_config, load_fleet, load_vehicle
     from uav_vslam.datasets.bag import vehicles
     from uav_vslam.errors import BagError, ConfigError
 
-    overrides = dict(_override(item) for item in args.set)
+    overrides = dict(override(item) for item in args.set)
     if args.mode:
         overrides["fusion.mode"] = args.mode
     if args.inputs[0].suffix in {".yaml", ".yml"}:
@@ -92,14 +93,3 @@ def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, Vehic
         raise ConfigError(f"--vehicles {' '.join(names)} names one twice; each vehicle has one namespace")
     file = find_config(args.config) if args.config else None
     return bags, {name: load_vehicle(file, overrides=overrides) for name in names}
-
-
-def _override(item: str) -> tuple[str, object]:
-    import yaml
-
-    from uav_vslam.errors import ConfigError
-
-    key, separator, value = item.partition("=")
-    if not separator:
-        raise ConfigError(f"--set {item!r} must have the form backend.sigma_px=0.5")
-    return key, yaml.safe_load(value)
