@@ -5,7 +5,7 @@ from pathlib import Path
 
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.error_plot import error_plot
-from uav_vslam.report.style import DPI
+from uav_vslam.report.style import save
 from uav_vslam.report.views import plan_view, view_3d
 
 DRAWINGS = {"plan_view.png": plan_view, "view_3d.png": view_3d, "errors.png": error_plot}
@@ -17,7 +17,5 @@ def write_plots(result: FlightResult, folder: Path) -> list[Path]:
     for name, draw in DRAWINGS.items():
         figure = draw(result)
         if figure is not None:
-            # No date and no version inside: the same flight gives the same bytes.
-            figure.savefig(folder / name, dpi=DPI, bbox_inches="tight", pad_inches=0.15, metadata={"Software": None})
-            written.append(folder / name)
+            written.append(save(figure, folder / name))
     return written

@@ -2,9 +2,12 @@
 """How all plots look: the thesis's colours, and the part of the world worth showing."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.result import VehicleResult
@@ -14,6 +17,8 @@ Array = NDArray[np.float64]
 
 DPI = 150
 GRID = "#d9d9d9"
+BAND = "#d7ecd9"  # behind figures that are as they should be
+LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")  # told apart by all eyes
 INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; what lies beyond is cut off
 
 
@@ -70,3 +75,18 @@ def clean(axes: Axes) -> None:
     axes.set_axisbelow("line")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+
+
+def plain_log(axes: Axes, which: str) -> None:
+    """Make the "x" or "y" axis logarithmic, with ticks at 1, 2, 5 written out."""
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a picture; no date and no version inside, so that the same figures give the same bytes."""
+    figure.savefig(path, dpi=DPI, bbox_inches="tight", pad_inches=0.15, metadata={"Software": None})
+    return path

@@ -5,15 +5,18 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study import flights, fusion
+from uav_vslam.cli.study import filters, flights, fusion, long, outliers
 
 HELP = "compare methods over many flights"
 EXAMPLES = """examples:
   uav-vslam study fusion --seeds 20        landmark level: INS, S-SLAM, C-SLAM and the thesis's model; minutes
   uav-vslam study flights --seeds 8        rendered images, both inertial grades; about a quarter of an hour
+  uav-vslam study filters                  landmark level: every filter with every state model; an hour
+  uav-vslam study long                     landmark level: 2.8 km with each retention policy; minutes
+  uav-vslam study outliers                 landmark level: wrong matches, far ones and look-alikes; an hour
   uav-vslam study STUDY --help             arguments and examples of one study
 """
-STUDIES = {"fusion": fusion, "flights": flights}
+STUDIES = {"fusion": fusion, "flights": flights, "filters": filters, "long": long, "outliers": outliers}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

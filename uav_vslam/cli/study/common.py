@@ -21,6 +21,24 @@ def seeds_of(args: argparse.Namespace) -> list[int]:
     return list(range(1, args.seeds + 1))
 
 
+def add_variant_argument(parser: argparse.ArgumentParser, default: str) -> None:
+    """Declare the settings to be compared."""
+    parser.add_argument(
+        "--variant",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE[,KEY=VALUE...]",
+        help=f"a setting to compare, again for another (default: {default})",
+    )
+
+
+def variants_of(args: argparse.Namespace) -> dict[str, dict[str, object]]:
+    """Return the settings to be compared by their text; none where the study's own are wanted."""
+    from uav_vslam.cli.overrides import override
+
+    return {text: dict(override(item) for item in text.split(",")) for text in args.variant}
+
+
 @contextmanager
 def progress_bar(title: str, total: int) -> Iterator[Callable[[], None]]:
     """Show a bar and give the function that moves it on by one."""

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each study runs from the command line and leaves its tables, notes and pictures."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from uav_vslam.cli import main as command
+from uav_vslam.cli.study import STUDIES
+from uav_vslam.evaluation.output import LATEST
+
+SMALL = {
+    "fusion": ["--seeds", "1", "--frames", "12"],
+    "filters": ["--seeds", "1", "--vehicles", "1", "--frames", "5", "--runs", "1", "--steps", "4"],
+    "long": ["--seeds", "1", "--frames", "12"],
+    "outliers": ["--seeds", "1", "--vehicles", "1", "--frames", "5"],
+}
+PICTURES = {
+    "fusion": set(),
+    "filters": {"consistency.png", "noise_scales.png"},
+    "long": {"long.png"},
+    "outliers": {"outliers.png"},
+}
+
+
+@pytest.mark.parametrize("study", SMALL)
+def test_a_study_leaves_its_tables_and_pictures(study: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["study", study, *SMALL[study], "--workers", "1", "--results", str(tmp_path)]) == 0
+    folder = tmp_path / LATEST
+    assert {path.name for path in folder.iterdir()} == {"study.json", "study.md"} | PICTURES[study]
+    assert json.loads((folder / "study.json").read_text())["study"] == f"study_{study}"
+    assert (folder / "study.md").read_text() in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("study", ["long", "outliers"])
+def test_variants_take_the_place_of_the_studys_own_settings(study: str, tmp_path: Path) -> None:
+    variants = ["backend.robust=false,backend.max_in_view=30", "backend.gate_probability=0.95"]
+    options = [word for variant in variants for word in ("--variant", variant)]
+    command.main(["study", study, *SMALL[study], *options, "--workers", "1", "--results", str(tmp_path)])
+    rows = json.loads((tmp_path / LATEST / "study.json").read_text())["rows"]
+    assert list(dict.fromkeys(row["method"] for row in rows)) == variants
+
+
+@pytest.mark.parametrize(
+    ("variant", "message"),
+    [("backend.robust", "must have the form KEY=VALUE"), ("backend.robsut=true", "did you mean backend.robust?")],
+)
+def test_a_wrong_variant_is_one_line_and_exit_code_2(
+    variant: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.main(["study", "long", "--variant", variant]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_every_study_explains_itself_with_examples(study: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        command.main(["study", study, "--help"])
+    assert leaving.value.code == 0
+    text = capsys.readouterr().out
+    assert f"\n  uav-vslam study {study}" in text
+    assert "--seeds" in text
+
+
+def test_a_study_that_is_not_known_is_wrong_input(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        command.main(["study", "clouds"])
+    assert leaving.value.code == 2
+    assert "filters" in capsys.readouterr().err
