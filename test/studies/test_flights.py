@@ -51,8 +51,8 @@ def test_rendered_images_are_searched_once_for_both_inertial_grades(monkeypatch)
     from uav_vslam.vision.stereo_points import StereoFrontend
 
     searched = []
-    process = StereoFrontend.process
-    monkeypatch.setattr(StereoFrontend, "process", lambda self, frame: (searched.append(1), process(self, frame))[1])
+    detect = StereoFrontend.detect
+    monkeypatch.setattr(StereoFrontend, "detect", lambda self, frame: (searched.append(1), detect(self, frame))[1])
     small = {"frames": 3, "vehicles": 1, "scale": 0.25}
     methods = [Method("ri15", imu, Scenario(imu=imu, **small), rendered=True) for imu in ("adis16480", "consumer")]
     rows = run_study(methods, [1], workers=1)

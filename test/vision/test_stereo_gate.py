@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
+import math
+
 import numpy as np
 import pytest
 
+from uav_vslam.config import RigConfig
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.vision.stereo_gate import epipolar_distances, stereo_candidates
+from uav_vslam.vision.stereo_gate import epipolar_distances, epipolar_gate, stereo_candidates
 
 CAMERA = PinholeCamera(1280, 960, 1642.0, 1642.0, 640.0, 480.0)
 
@@ -50,3 +54,20 @@ def test_no_points_give_an_empty_gate(rig, count_left, count_right):
         z[:count_left, :2], z[:count_right, 2:], rig, epipolar_px=2.0, depth_range_m=(1.0, 100.0)
     )
     assert allowed.shape == (count_left, count_right)
+
+
+def test_a_rig_that_does_not_flex_has_the_gate_of_the_configuration(rig):
+    assert epipolar_gate(rig, 2.0, RigConfig(attitude_sigma_deg=1.0, vibration_sigma_deg=1.0)) == 2.0
+
+
+def test_the_gate_of_a_flexing_rig_lets_the_pairs_of_a_turned_camera_pass(rig):
+    config = RigConfig(flexing=True, attitude_sigma_deg=0.04, vibration_sigma_deg=0.03)
+    epipolar_px = epipolar_gate(rig, 0.5, config)
+    farthest = []
+    for axis in np.eye(3):
+        turn = Pose(so3_exp(math.radians(3.0 * 0.05) * axis), np.zeros(3))
+        z = observe(dataclasses.replace(rig, T_body_right=rig.T_body_right @ turn), 70.0)
+        allowed = stereo_candidates(z[:, :2], z[:, 2:], rig, epipolar_px=epipolar_px, depth_range_m=(20.0, 500.0))
+        assert np.diagonal(allowed).all()
+        farthest.append(rig.epipolar_distance(z).max())
+    assert max(farthest) > 0.5 * epipolar_px  # no wider than needed

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
-from uav_vslam.config import FrontendConfig
+from uav_vslam.config import FrontendConfig, RigConfig
 from uav_vslam.errors import ConfigError, InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import StereoFrame
 from uav_vslam.vision.stereo_points import StereoFrontend
@@ -103,6 +104,23 @@ def test_points_outside_the_depth_range_are_not_handed_on(flight_scene):
     depth = flight_scene.rig.triangulate(StereoFrontend(flight_scene.rig, config).process(flight_scene.frame).pixels)
     assert (depth[:, 2] <= 60.5).all()
     assert len(depth) < 0.1 * CONFIG.max_matches
+
+
+def test_a_camera_that_is_turned_across_the_epipolar_lines_costs_a_flexing_rig_no_matches(flight_scene):
+    rig, every = flight_scene.rig, dataclasses.replace(CONFIG, max_matches=CONFIG.max_features)
+    turn = Pose(so3_exp(np.deg2rad([0.0, 0.15, 0.0])), np.zeros(3))  # 4.3 px, two sigma of the default flexing rig
+    calibrated = dataclasses.replace(rig, T_body_right=rig.T_body_right @ turn)
+    expected = len(StereoFrontend(rig, every).process(flight_scene.frame))
+    assert len(StereoFrontend(calibrated, every).process(flight_scene.frame)) < 0.1 * expected
+    features = StereoFrontend(calibrated, every, RigConfig(flexing=True)).process(flight_scene.frame)
+    assert len(features) >= 0.95 * expected
+    assert flight_scene.wrong(features.pixels).mean() <= LARGEST_WRONG_SHARE
+
+
+def test_what_was_detected_once_can_be_matched_for_any_trust_in_the_rig(flight_scene):
+    rigid, flexing = (StereoFrontend(flight_scene.rig, CONFIG, RigConfig(flexing=flag)) for flag in (False, True))
+    detected = rigid.detect(flight_scene.frame)
+    np.testing.assert_array_equal(flexing.match(detected).pixels, flexing.process(flight_scene.frame).pixels)
 
 
 def test_an_image_of_another_size_is_refused_by_name(flight_scene, indoor_scene):

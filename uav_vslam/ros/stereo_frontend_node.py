@@ -64,7 +64,7 @@ class StereoFrontendNode(VehicleNode):
         rig = self._rig.rig
         if rig is None:
             return
-        self._frontend = self._frontend or StereoFrontend(rig, self.config.frontend)
+        self._frontend = self._frontend or StereoFrontend(rig, self.config.frontend, self.config.rig)
         while self._waiting:
             features = self._frontend.process(self._waiting.popleft())
             size = (rig.left.width, rig.left.height)

@@ -15,15 +15,16 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
+from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.offline import FlightSource, flight_result, fly
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies.pool import in_pool, mean, ratio, rms
 from uav_vslam.types import StereoFeatures, StereoFrame
-from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
 
-FeatureCache = dict[tuple[Scenario, FrontendConfig], list[tuple[StereoFeatures, ...]]]  # by look and front end
+FeatureCache = dict[tuple[Scenario, FrontendConfig], list[tuple[DetectedPair, ...]]]  # by look and front end
 Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
 LABELS = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
 TRACKS = tuple(LABELS)
@@ -117,13 +118,22 @@ def _sources(
     look = dataclasses.replace(scenario, imu="adis16480")  # the images don't depend on the inertial unit
     key = (look, method.config.frontend)
     if key not in cache:
-        cache[key] = [_searched(SimulatedSource(vehicle), method.config.frontend) for vehicle in vehicles]
-    return [SimulatedSource(vehicle, features=seen) for vehicle, seen in zip(vehicles, cache[key], strict=True)]
+        cache[key] = [_searched(SimulatedSource(vehicle), method.config) for vehicle in vehicles]
+    return [
+        SimulatedSource(vehicle, features=_matched(vehicle.rig, pairs, method.config))
+        for vehicle, pairs in zip(vehicles, cache[key], strict=True)
+    ]
 
 
-def _searched(source: SimulatedSource, config: FrontendConfig) -> tuple[StereoFeatures, ...]:
-    frontend = StereoFrontend(source.rig, config)
-    return tuple(frontend.process(frame) for frame in source.frames() if isinstance(frame, StereoFrame))
+def _searched(source: SimulatedSource, config: VehicleConfig) -> tuple[DetectedPair, ...]:
+    frontend = StereoFrontend(source.rig, config.frontend, config.rig)
+    return tuple(frontend.detect(frame) for frame in source.frames() if isinstance(frame, StereoFrame))
+
+
+def _matched(rig: StereoRig, pairs: Sequence[DetectedPair], config: VehicleConfig) -> tuple[StereoFeatures, ...]:
+    """Match what was found; unlike the search, that depends on how far the rig is trusted."""
+    frontend = StereoFrontend(rig, config.frontend, config.rig)
+    return tuple(frontend.match(pair) for pair in pairs)
 
 
 def true_trajectory(vehicle: SimulatedVehicle) -> Trajectory:
