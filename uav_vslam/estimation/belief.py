@@ -74,7 +74,7 @@ class Belief(Protocol):
         """Return the belief over a vehicle without landmarks, from its (vehicle, vehicle) covariance."""
 
     def covariance(self, landmarks: Indices) -> Array:
-        """Return (vehicle + 3M, vehicle + 3M), the covariance of the vehicle and the chosen landmarks."""
+        """Return (vehicle + 3M, vehicle + 3M), the covariance of the vehicle and the chosen landmarks; read-only."""
 
     def information(self, rows: Indices) -> Array:
         """Return the (R, R) information over some rows of the error, the others marginalised out."""
@@ -111,23 +111,24 @@ def landmark_rows(vehicle: int, landmarks: Indices) -> Indices:
     return np.asarray((vehicle + 3 * np.asarray(landmarks)[:, None] + np.arange(3)).ravel(), dtype=np.int64)
 
 
-def normal_equations(observation: Observation, places: Indices, size: int) -> tuple[Array, Array]:
-    """Return H^T H (size, size), dense in the vehicle and block-diagonal in the landmarks, and H^T nu (size,).
+def add_normal_equations(Y: Array, observation: Observation, places: Indices) -> Array:
+    """Add H^T H, dense in the vehicle and block-diagonal in the landmarks, to Y (size, size); return H^T nu (size,).
 
     Args:
+        Y: is changed.
         observation: of M landmarks.
-        places: (M,) where these landmarks stand among those that the result has rows for.
-        size: rows of the result.
+        places: (M,) where these landmarks stand among those that Y has rows for, each once.
     """
     m = observation.H_vehicle.shape[2]
     Hv, Hl, nu = observation.H_vehicle, observation.H_landmark, observation.nu
     flat = Hv.reshape(-1, m)
     columns = m + 3 * places[:, None] + np.arange(3)
-    I, i = np.zeros((size, size)), np.zeros(size)
-    I[:m, :m] = flat.T @ flat
-    I[:m, columns.ravel()] = (Hv.transpose(0, 2, 1) @ Hl).transpose(1, 0, 2).reshape(m, -1)
-    I[columns.ravel(), :m] = I[:m, columns.ravel()].T
-    I[columns[:, :, None], columns[:, None, :]] = Hl.transpose(0, 2, 1) @ Hl
+    cross = (Hv.transpose(0, 2, 1) @ Hl).transpose(1, 0, 2).reshape(m, -1)
+    Y[:m, :m] += flat.T @ flat
+    Y[:m, columns.ravel()] += cross
+    Y[columns.ravel(), :m] += cross.T
+    Y[columns[:, :, None], columns[:, None, :]] += Hl.transpose(0, 2, 1) @ Hl
+    i = np.zeros(len(Y))
     i[:m] = flat.T @ nu.ravel()
     i[columns] = np.einsum("nka,nk->na", Hl, nu)
-    return I, i
+    return i

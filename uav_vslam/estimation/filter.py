@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 STEREO_DOF = 4
 NOTHING_LEARNT = 1e-6  # share of the prior variance: below it, the data say nothing about the rig in that direction
-HUBER_PROBABILITY = 0.99  # a right observation is weighed down as rarely as 1 minus this
+HUBER_PROBABILITY = 0.999  # a right observation is weighed down as rarely as 1 minus this
 
 
 @dataclass(frozen=True, slots=True)

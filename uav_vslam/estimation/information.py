@@ -16,8 +16,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg.blas import dgemm
 
-from uav_vslam.estimation.belief import Indices, Observation, Update, landmark_rows, normal_equations, state_rows
+from uav_vslam.estimation.belief import Indices, Observation, Update, add_normal_equations, landmark_rows, state_rows
 from uav_vslam.estimation.numerics import (
     cholesky,
     inverse_from_cholesky,
@@ -77,12 +78,14 @@ class InformationBelief:
         if len(landmarks) == 0:
             if self._P_vehicle is None:
                 self._P_vehicle = _vehicle_covariance(self._focused(landmarks).factor, self.vehicle)
-            return self._P_vehicle.copy()
+                self._P_vehicle.flags.writeable = False
+            return self._P_vehicle
         focus = self._focused(landmarks)
         if focus.P is None:
             focus.P = inverse_from_cholesky(focus.factor)
+            focus.P.flags.writeable = False
         if np.array_equal(landmarks, focus.landmarks):
-            return focus.P.copy()
+            return focus.P
         rows = state_rows(self.vehicle, _places(focus, landmarks))
         return focus.P[np.ix_(rows, rows)]
 
@@ -103,7 +106,7 @@ class InformationBelief:
         YB = Y[:, :m] @ B
         L = cholesky(np.eye(m) + B.T @ YB[:m], "process noise")
         lost = solve_triangular(L, YB.T, lower=True, check_finite=False)
-        Y -= lost.T @ lost
+        Y = dgemm(-1.0, lost, lost, 1.0, Y.T, trans_a=True, overwrite_c=True).T  # Y -= lost^T lost, in place
         Y[:m, :m] = symmetrise(Y[:m, :m])
         P_vehicle = None if self._P_vehicle is None else symmetrise(F @ self._P_vehicle @ F.T + Q)
         return type(self)(Y, m, P_vehicle)
@@ -123,16 +126,18 @@ class InformationBelief:
     def updated(self, observation: Observation) -> Update:
         """Y <- Y + H^T H, delta = Y^-1 H^T nu."""
         focus = self._focused(observation.landmarks)
-        I, i = normal_equations(observation, _places(focus, observation.landmarks), len(focus.Y))
-        factor = cholesky(focus.Y + I, "information of what is in view")
+        Y_focus = focus.Y.copy()
+        i = add_normal_equations(Y_focus, observation, _places(focus, observation.landmarks))
+        factor = cholesky(Y_focus, "information of what is in view")
         delta = np.zeros(self.size)
         delta[focus.rows] = cho_solve((factor, True), i, check_finite=False)
-        if len(focus.rest):
+        Y = Y_focus
+        if len(focus.rest) or not np.array_equal(focus.rows, np.arange(self.size)):
             pulled = focus.W @ delta[focus.rows]
             delta[focus.rest] = -solve_triangular(focus.L, pulled, lower=True, trans="T", check_finite=False)
+            Y = self.Y.copy()
+            add_normal_equations(Y, observation, observation.landmarks)
         nis = float(np.sum(observation.nu**2) - i @ delta[focus.rows])
-        Y = self.Y.copy()
-        Y[np.ix_(focus.rows, focus.rows)] += I
         log_det = log_det_of(factor) - log_det_of(focus.factor)
         after = type(self)(Y, self.vehicle, _vehicle_covariance(factor, self.vehicle))
         return Update(after, delta, nis, log_det)
@@ -140,9 +145,9 @@ class InformationBelief:
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
         n, count = self.size, len(H_vehicle)
         fresh = np.arange((n - self.vehicle) // 3, (n - self.vehicle) // 3 + count)
-        seen = Observation(fresh, H_vehicle, H_landmark, np.zeros(H_vehicle.shape[:2]))
-        Y, _ = normal_equations(seen, fresh, n + 3 * count)
-        Y[:n, :n] += self.Y
+        Y = np.zeros((n + 3 * count,) * 2)
+        Y[:n, :n] = self.Y
+        add_normal_equations(Y, Observation(fresh, H_vehicle, H_landmark, np.zeros(H_vehicle.shape[:2])), fresh)
         return type(self)(Y, self.vehicle, self._P_vehicle)
 
     def marginalised(self, landmarks: Indices) -> Self:
@@ -173,7 +178,8 @@ class InformationBelief:
     def _eliminated(self, landmarks: Indices) -> _Focus:
         rows = state_rows(self.vehicle, landmarks)
         rest = np.delete(np.arange(self.size), rows)
-        Y = self.Y[np.ix_(rows, rows)]
+        whole = np.array_equal(rows, np.arange(self.size))
+        Y = self.Y if whole else self.Y[np.ix_(rows, rows)]
         L, W = np.zeros((0, 0)), np.zeros((0, len(rows)))
         if len(rest):
             L = cholesky(self.Y[np.ix_(rest, rest)], "information of what is out of view")

@@ -26,7 +26,7 @@ def cholesky(A: Array, what: str) -> Array:
     Raises:
         FilterDivergence: A is not positive definite or not finite; the text names the smallest eigenvalue.
     """
-    L, failed = dpotrf(A, lower=1, clean=1)
+    L, failed = dpotrf(A.T, lower=1, clean=1)  # LAPACK wants columns first: A^T is A without a copy
     if failed or not np.isfinite(np.diagonal(L)).all():  # OpenBLAS lets NaN pass
         smallest = float(np.linalg.eigvalsh(A)[0]) if np.isfinite(A).all() else float("nan")
         raise FilterDivergence(f"{what} is not positive definite: smallest eigenvalue {smallest:.3e} of {len(A)} rows")
@@ -68,4 +68,4 @@ def marginalise_information(Y: Array, keep: NDArray[np.int64], drop: NDArray[np.
         return Y[np.ix_(keep, keep)]
     L = cholesky(Y[np.ix_(drop, drop)], what)
     W = solve_triangular(L, Y[np.ix_(drop, keep)], lower=True, check_finite=False)
-    return symmetrise(Y[np.ix_(keep, keep)] - W.T @ W)
+    return np.asarray(Y[np.ix_(keep, keep)] - W.T @ W)  # numpy's A^T A is symmetric to the last bit
