@@ -127,7 +127,7 @@ class Filter:
 
     def covariance(self) -> Array:
         """Return (vehicle + 3N, vehicle + 3N), the whole covariance in the model's coordinates."""
-        return self.belief.covariance(np.arange(len(self.landmarks)))
+        return self.belief.covariance(np.arange(len(self.landmarks))).copy()
 
     def predict(self, increment: ImuIncrement) -> None:
         """Propagate over an increment."""
