@@ -35,6 +35,20 @@ def test_right_matches_are_kept():
     assert len(consensus(nu, S, probability=PROBABILITY)) >= 38
 
 
+def test_a_wrong_match_within_the_gate_that_one_leaves_but_not_all_is_found():
+    """Each landmark is vague by itself, so a pair agrees easily; thirty together know the common shift well."""
+    rng = np.random.default_rng(6)
+    count, vague = 30, 16.0
+    common = np.tile(np.eye(4), (count, 1)) * np.sqrt(COMMON_VARIANCE)
+    S = common @ common.T + vague * np.eye(4 * count)
+    nu = rng.normal(0.0, np.sqrt(COMMON_VARIANCE), 4) + rng.normal(0.0, np.sqrt(vague), (count, 4))
+    off = 9.0 * np.array([[1.0, -1.0, 1.0, -1.0], [-1.0, 1.0, 1.0, 1.0]])
+    nu[[4, 20]] = nu.mean(axis=0) + off  # the gate is at 13.3: 4 * 81 / 16 = 20 by all, half of it by one alone
+    kept = consensus(nu, S, probability=PROBABILITY)
+    assert not set(kept) & {4, 20}
+    assert len(kept) >= 26  # of 28: either gate loses 1 % by itself
+
+
 def test_no_and_one_match():
     assert len(consensus(np.zeros((0, 4)), np.zeros((0, 0)), probability=PROBABILITY)) == 0
     np.testing.assert_array_equal(consensus(np.ones((1, 4)), np.eye(4), probability=PROBABILITY), [0])
