@@ -92,7 +92,8 @@ class FrontendConfig:
 
 FILTERS = ("eif", "ekf", "ukf", "uhf", "thesis_ukf", "thesis_uhf")  # the names in estimation.filters.FILTERS
 STATE_MODELS = ("ri15", "so15", "euler9")  # the names in estimation.models.MODELS
-RETENTION_POLICIES = ("grid", "none", "first_last", "largest_covariance")  # the names in slam.map_manager.RETENTION
+# The names in slam.map_manager.RETENTION.
+RETENTION_POLICIES = ("grid", "most_observed", "none", "first_last", "largest_covariance")
 
 
 @dataclass(frozen=True, slots=True)

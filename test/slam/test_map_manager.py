@@ -120,6 +120,16 @@ def test_ground_on_both_sides_of_the_origin_fits_into_few_places(places: int) ->
     assert leaving(view, config).tolist() == sorted([0, 2, 3, 1][: 4 - places])
 
 
+def test_as_many_as_there_is_room_for_are_kept_however_rarely_they_were_seen() -> None:
+    config = dataclasses.replace(CONFIG, retention="most_observed", max_in_view=2, max_landmarks=8, max_new_landmarks=2)
+    view = view_of(in_view=[False] * 6, observations=[1, 1, 2, 9, 3, 1], seen=[95, 96, 40, 30, 31, 97])
+    assert leaving(view, config).tolist() == []
+    tight = dataclasses.replace(config, max_landmarks=6)
+    assert leaving(view, tight).tolist() == [0, 1]  # seen once; of these, the longest unseen
+    tighter = dataclasses.replace(config, max_landmarks=3)
+    assert leaving(view, tighter).tolist() == [0, 1, 2, 3, 5]  # established is established: the longest unseen goes
+
+
 def test_without_retention_only_what_is_in_view_stays() -> None:
     view = view_of(in_view=[True, False, True, False])
     assert leaving(view, dataclasses.replace(CONFIG, retention="none")).tolist() == [1, 3]

@@ -77,6 +77,17 @@ def keep_none(view: MapView, config: BackendConfig) -> Rows:
     return np.flatnonzero(~view.in_view)
 
 
+def keep_most_observed(view: MapView, config: BackendConfig) -> Rows:
+    """Out of view, keep as many as there is room for: hardly ever seen ones go first, of equals the longest unseen.
+
+    For images so far apart that a landmark is worth keeping before it is established.
+    """
+    out = np.flatnonzero(~view.in_view)
+    often = np.minimum(view.landmarks.observations[out], ESTABLISHED_OBSERVATIONS)
+    order = out[np.lexsort((view.landmarks.seen[out], often))]
+    return order[: max(0, len(out) - places_out_of_view(view, config))]
+
+
 def keep_first_and_last(view: MapView, config: BackendConfig) -> Rows:
     """Keep the first N1 and the last N2 landmarks of the flight, as the thesis does."""
     surplus = max(0, len(view.landmarks) - (config.max_landmarks - _new_landmarks(view, config)))
@@ -93,6 +104,7 @@ def drop_largest_covariance(view: MapView, config: BackendConfig) -> Rows:
 
 RETENTION: dict[str, Retention] = {
     "grid": keep_one_per_cell,
+    "most_observed": keep_most_observed,
     "none": keep_none,
     "first_last": keep_first_and_last,
     "largest_covariance": drop_largest_covariance,
