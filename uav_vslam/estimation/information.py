@@ -78,7 +78,7 @@ class InformationBelief:
         if len(landmarks) == 0:
             if self._P_vehicle is None:
                 self._P_vehicle = _vehicle_covariance(self._focused(landmarks).factor, self.vehicle)
-                self._P_vehicle.flags.writeable = False
+            self._P_vehicle.flags.writeable = False
             return self._P_vehicle
         focus = self._focused(landmarks)
         if focus.P is None:
