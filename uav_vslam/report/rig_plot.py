@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws the study of the rig: end error and consistency of each condition, with and without the attitude as a state."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from uav_vslam.evaluation.study import Row
+from uav_vslam.report.style import STYLES, clean, plain_log, save
+
+MARKS = (("#d55e00", "s"), ("#0072b2", "o"))  # colour and marker by method, in the order of the rows
+LINK = "#bbbbbb"
+
+
+def draw_rig(tree: dict[str, Any], folder: Path) -> list[Path]:
+    """Draw the study into its folder and return the paths."""
+    return [save(rig_plot(tree["rows"]), folder / "rig.png")]
+
+
+def rig_plot(rows: list[Row]) -> Figure:
+    """Return end error and NEES on logarithmic axes, conditions downwards."""
+    ins = STYLES["ins"]
+    reckoned = [row for row in rows if row["method"] == ins.label]
+    flown = [row for row in rows if row["method"] != ins.label]
+    places = {condition: k for k, condition in enumerate(dict.fromkeys(row["condition"] for row in flown))}
+    figure = Figure(figsize=(11.0, 1.8 + 0.38 * len(places)), layout="constrained")
+    errors, nees = figure.subplots(1, 2, sharey=True)
+    plain_log(errors, "x")
+    nees.set_xscale("log")  # over more decades than can be written out
+    for axes, key in ((errors, "end_rms_m"), (nees, "nees_position")):
+        _draw(axes, flown, places, key)
+    for row in reckoned:
+        errors.axvline(row["end_rms_m"], color=ins.colour, linestyle=ins.dashes, label=ins.label)
+    nees.axvline(1.0, color="black", linewidth=0.9, label="consistent")
+    errors.set(xlabel="End error, root mean square [m]", yticks=list(places.values()))
+    errors.set_yticklabels(list(places))
+    errors.invert_yaxis()
+    nees.set(xlabel="Position NEES / 3")
+    lines = {line.get_label(): line for axes in (errors, nees) for line in axes.get_legend_handles_labels()[0]}
+    figure.legend(lines.values(), lines.keys(), loc="outside upper center", ncols=len(lines), frameon=False)
+    return figure
+
+
+def _draw(axes: Axes, rows: list[Row], places: dict[str, int], key: str) -> None:
+    """Draw a mark per row, and a line between those of one condition."""
+    clean(axes)
+    for condition, place in places.items():
+        values = [row[key] for row in rows if row["condition"] == condition and row[key]]
+        axes.plot(values, [place] * len(values), color=LINK, linewidth=2.0, zorder=1)
+    names = dict.fromkeys(row["method"] for row in rows)
+    for name, (colour, marker) in zip(names, MARKS, strict=False):
+        found = [row for row in rows if row["method"] == name]
+        where = [places[row["condition"]] for row in found]
+        axes.plot([row[key] for row in found], where, marker, color=colour, label=name, markersize=7, zorder=3)
