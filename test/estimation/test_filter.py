@@ -155,6 +155,23 @@ def test_prediction_of_the_extended_filters_is_the_strapdown_model(course, name:
     np.testing.assert_array_equal(f.nav.T_map_body.matrix, moved.T_map_body.matrix)
 
 
+def test_prediction_lets_the_rig_walk_and_draws_its_vibration_anew(course, name: str, model: str) -> None:
+    rig = RigConfig(flexing=True, attitude_walk_deg=0.1, vibration_sigma_deg=0.02, time_offset_sigma_s=0.01)
+    f, m = course.flown(model, name, rig_config=rig), MODELS[model].nav_dim
+    f.update(ALL, course.pixels(3, ALL))
+    before, state, increment = f.covariance(), f.rig_state, course.increments[3]
+    assert state.vibration.any()
+    f.predict(increment)
+    P, walked = f.covariance()[m : m + 7, m : m + 7], np.deg2rad(0.1) ** 2 * increment.dt_s
+    vibration, rest = slice(3, 6), [0, 1, 2, 6]
+    loose = 1.0 + (1e-4 if name in BOUNDED else 1e-9)  # the bound lets go of a little of everything
+    grown = np.diag(P)[rest] - np.diag(before)[m : m + 7][rest] - walked * np.array([1, 1, 1, 0])
+    np.testing.assert_allclose(grown / np.diag(P)[rest], 0.0, rtol=0, atol=loose - 1.0)
+    np.testing.assert_allclose(P[vibration, vibration], np.deg2rad(0.02) ** 2 * np.eye(3), rtol=1e-6, atol=1e-15)
+    assert not f.rig_state.vibration.any()
+    assert (f.rig_state.attitude is state.attitude, f.rig_state.time_offset_s) == (True, state.time_offset_s)
+
+
 def test_update_is_the_kalman_update_in_every_output(course, name: str, model: str) -> None:
     f = course.flown(model, name, sigma_px=SIGMA_PX)
     pixels = course.pixels(3, SOME, np.random.default_rng(1))
