@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.simulation.landmarks import LandmarkNoise
@@ -98,8 +99,8 @@ def optimum(flight: Flight) -> Track:
     """GTSAM's optimum over the whole flight; each pose knows of the later frames too, the last one alone of no more."""
     try:
         return Track(gtsam_batch(flight.vehicle, flight.landmarks, flight.noise, flight.noise.sigma_px))
-    except RuntimeError as error:  # all that GTSAM raises
-        return Track(Trajectory.from_estimates([]), f"GTSAM: {str(error).strip().splitlines()[0]}")
+    except (UavVslamError, RuntimeError) as error:  # the latter is GTSAM's own
+        return Track(Trajectory.from_estimates([]), str(error).strip().splitlines()[0])
 
 
 def consistency_rows(runs: Sequence[Run]) -> list[Row]:
