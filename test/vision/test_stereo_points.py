@@ -123,6 +123,17 @@ def test_what_was_detected_once_can_be_matched_for_any_trust_in_the_rig(flight_s
     np.testing.assert_array_equal(flexing.match(detected).pixels, flexing.process(flight_scene.frame).pixels)
 
 
+def test_points_keep_the_descriptors_of_the_left_image(flight_scene):
+    frontend = StereoFrontend(flight_scene.rig, CONFIG)
+    detected = frontend.detect(flight_scene.frame)
+    points = frontend.match(detected)
+    places = detected.pixels_left.astype(np.float32).tolist()
+    known = {(*at, row.tobytes()) for at, row in zip(places, detected.left.descriptors, strict=True)}
+    found = {(*at, row.tobytes()) for at, row in zip(points.pixels[:, :2].tolist(), points.descriptors, strict=True)}
+    assert len(found) == len(points)
+    assert found <= known
+
+
 def test_an_image_of_another_size_is_refused_by_name(flight_scene, indoor_scene):
     frame = StereoFrame(1, flight_scene.frame.left, indoor_scene.frame.right)
     with pytest.raises(InvalidMessage, match="right image is") as caught:

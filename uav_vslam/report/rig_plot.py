@@ -47,7 +47,7 @@ def _draw(axes: Axes, rows: list[Row], places: dict[str, int], key: str) -> None
     """Draw a mark per row, and a line between those of one condition."""
     clean(axes)
     for condition, place in places.items():
-        values = [row[key] for row in rows if row["condition"] == condition and row[key]]
+        values = [row[key] for row in rows if row["condition"] == condition]
         axes.plot(values, [place] * len(values), color=LINK, linewidth=2.0, zorder=1)
     names = dict.fromkeys(row["method"] for row in rows)
     for name, (colour, marker) in zip(names, MARKS, strict=False):
