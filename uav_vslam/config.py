@@ -75,7 +75,7 @@ class FrontendConfig:
     max_features: int = 1000  # keypoints kept per image, strongest first
     contrast_threshold: float = 0.01  # SIFT contrast threshold (OpenCV's own default 0.04 starves on grass)
     ratio: float = 0.8  # nearest / second-nearest descriptor distance
-    epipolar_px: float = 2.0  # largest distance to the epipolar line, in full-resolution pixels
+    epipolar_px: float = 2.0  # largest distance to the epipolar line, full-resolution pixels; wider if rig.flexing
     min_depth_m: float = 0.3  # nearer points are rejected
     max_depth_m: float = 500.0  # farther points are rejected
     max_matches: int = 400  # stereo points handed on, spread over the image
