@@ -16,7 +16,7 @@ def test_all_policies_fly_the_long_scenario_by_default():
 def test_late_frames_are_compared_with_early_ones_of_the_same_run(make_run, monkeypatch):
     monkeypatch.setattr("uav_vslam.studies.long.SPAN", 10)  # these runs have 40 frames
     slow, fast = (np.r_[np.full(10, 99.0), np.full(10, ms), np.full(10, 99.0), np.full(10, 1.5 * ms)] for ms in (8, 2))
-    sizes = {"landmarks": np.full(40, 50), "resident_mb": np.r_[np.full(11, 90.0), np.full(29, 93.0)]}
+    sizes = {"landmarks": np.full(40, 50), "resident_mb": np.r_[np.full(5, 80.0), np.full(6, 90.0), np.full(29, 93.0)]}
     (row,) = long_rows([make_run("grid", frame_ms=slow, **sizes), make_run("grid", frame_ms=fast, **sizes)])
     assert (row["ms_early"], row["ms_late"], row["late_to_early"]) == (5.0, 7.5, 1.5)
     assert (row["landmarks_mean"], row["landmarks_max"], row["growth_mb"]) == (50.0, 50, 3.0)
