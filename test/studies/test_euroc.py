@@ -2,6 +2,7 @@
 """Every filter flies from every start over the same features, and what went wrong is counted."""
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -12,9 +13,9 @@ from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies import euroc
-from uav_vslam.studies.euroc import error_series, run_starts, table_rows
+from uav_vslam.studies.euroc import error_series, run_start, run_starts, table_rows
 from uav_vslam.studies.flights import true_trajectory
-from uav_vslam.studies.starts import searched
+from uav_vslam.studies.starts import Start, searched
 from uav_vslam.types import StereoFeatures
 
 FRAMES = 12
@@ -113,7 +114,7 @@ def test_the_error_over_time_is_the_distance_from_the_truth(flight, runs):
     assert max(curves[0]["error_m"]) == pytest.approx(first["max_m"])
 
 
-def test_two_processes_give_what_one_gives(flight, runs):
-    again = run_starts(flight, VehicleConfig(), filters=("eif",), seeds=[1], workers=2)
-    for one, other in zip(runs, again, strict=False):
-        np.testing.assert_array_equal(one.track.positions, other.track.positions)
+def test_a_job_that_travelled_to_another_process_gives_the_same(flight, runs):
+    start = Start("recorded", flight.initial_state)
+    job = pickle.loads(pickle.dumps((flight, VehicleConfig(), "eif", start)))
+    np.testing.assert_array_equal(run_start(job).track.positions, runs[0].track.positions)

@@ -30,6 +30,7 @@ NOTES = {
     "variance of their walk since.",
     "ATE": "root mean square of the position errors, in the truth's frame, without alignment.",
     "lost": "frames after the first in which no landmark was recognised, so that the INS alone carried on.",
+    "restarts": "how often the filter found that it had lost the vehicle and began anew from where it believed to be.",
     "NEES": "squared error over what the filter claims, per axis, from the 21st frame of a run on: 1 is honest.",
 }
 
@@ -42,6 +43,7 @@ class Run:
         method, start: names.
         track: poses at the frames, up to where the filter came.
         associated: (F,) landmarks recognised in each frame.
+        restarts: how often the filter had to begin anew.
         failure: why it came no farther; empty at the end of the flight.
     """
 
@@ -49,6 +51,7 @@ class Run:
     start: str
     track: Trajectory
     associated: NDArray[np.intp]
+    restarts: int = 0
     failure: str = ""
 
     @property
@@ -84,10 +87,11 @@ def run_start(job: tuple[RecordedFlight, VehicleConfig, str, Start]) -> Run:
     try:
         track = track_vehicle(dataclasses.replace(flight, initial_state=start.estimate), config)
     except (UavVslamError, np.linalg.LinAlgError) as error:
-        return Run(method, start.name, Trajectory.from_estimates([]), np.zeros(0, np.intp), str(error))
+        return Run(method, start.name, Trajectory.from_estimates([]), np.zeros(0, np.intp), failure=str(error))
     reports = [output.report for output in track.outputs]
     poses = Trajectory.from_estimates([report.pose for report in reports])
-    return Run(method, start.name, poses, np.array([report.associated for report in reports], np.intp))
+    associated = np.array([report.associated for report in reports], np.intp)
+    return Run(method, start.name, poses, associated, restarts=sum(bool(report.recovery) for report in reports))
 
 
 def table_rows(flight: RecordedFlight, runs: Sequence[Run]) -> list[Row]:
@@ -109,6 +113,7 @@ def _row(flight: RecordedFlight, run: Run) -> Row:
         "nees_position": summarise(consistency.position).mean if consistency else None,
         "nees_rotation": summarise(consistency.rotation).mean if consistency else None,
         "lost": run.lost,
+        "restarts": run.restarts,
         "frames": len(run.track),
         "failure": run.failure or None,
     }
@@ -124,6 +129,7 @@ def _worst(method: str, rows: list[Row]) -> Row:
         "lost_worst": max((row["lost"] for row in good), default=None),
         "nees_position_mean": mean([row["nees_position"] for row in good]),
         "nees_position_worst": max((row["nees_position"] for row in good), default=None),
+        "restarts": sum(row["restarts"] for row in rows),
         "failures": len(rows) - len(good),
         "runs": len(rows),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study import filters, flights, fusion, long, outliers, rig
+from uav_vslam.cli.study import euroc, filters, flights, fusion, long, outliers, rig
 
 HELP = "compare methods over many flights"
 EXAMPLES = """examples:
@@ -15,9 +15,18 @@ EXAMPLES = """examples:
   uav-vslam study long                     landmark level: 2.8 km with each retention policy; minutes
   uav-vslam study rig                      rendered images, a right camera that vibrates or is turned; an hour
   uav-vslam study outliers                 landmark level: wrong matches, far ones and look-alikes; an hour
+  uav-vslam study euroc V1_01_easy/mav0    a recording with truth, by every filter from many starts; an hour
   uav-vslam study STUDY --help             arguments and examples of one study
 """
-STUDIES = {"fusion": fusion, "flights": flights, "filters": filters, "long": long, "rig": rig, "outliers": outliers}
+STUDIES = {
+    "fusion": fusion,
+    "flights": flights,
+    "filters": filters,
+    "long": long,
+    "rig": rig,
+    "outliers": outliers,
+    "euroc": euroc,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

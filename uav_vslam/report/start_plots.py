@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws the study of starts: each run's position error over time, a panel for each filter."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from uav_vslam.evaluation.study import Row
+from uav_vslam.report.style import clean, save
+
+COLOURS = {"recorded": "black", "drawn": "#0072b2", "frame": "#d55e00"}  # by the first word of the start's name
+LABELS = {"recorded": "recorded start", "drawn": "drawn from its covariance", "frame": "truth at a later frame"}
+
+
+def draw_starts(tree: dict[str, Any], folder: Path) -> list[Path]:
+    """Draw what the study holds into its folder and return the paths."""
+    return [save(start_plot(tree["series"]), folder / "errors.png")] if tree.get("series") else []
+
+
+def start_plot(series: list[Row]) -> Figure:
+    """Return the errors of all runs, panels downwards."""
+    methods = list(dict.fromkeys(curve["method"] for curve in series))
+    figure = Figure(figsize=(9.0, 1.0 + 2.0 * len(methods)), layout="constrained")
+    panels = figure.subplots(len(methods), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for method, axes in zip(methods, panels, strict=True):
+        _draw(axes, [curve for curve in series if curve["method"] == method])
+        axes.set_ylabel(f"{method}: error [m]")
+    panels[-1].set_xlabel("Time since the recorded start [s]")
+    kinds = [kind for kind in COLOURS if any(_kind(curve) == kind for curve in series)]
+    handles = [Line2D([], [], color=COLOURS[kind], label=LABELS[kind]) for kind in kinds]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    return figure
+
+
+def _draw(axes: Axes, curves: list[Row]) -> None:
+    clean(axes)
+    axes.set_yscale("log")
+    for curve in curves:
+        axes.plot(curve["time_s"], curve["error_m"], color=COLOURS[_kind(curve)], linewidth=1.2, alpha=0.8)
+
+
+def _kind(curve: Row) -> str:
+    return str(curve["condition"]).partition(" ")[0]
