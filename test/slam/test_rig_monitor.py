@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig declared rigid: bent ones are noticed, right ones are left in peace."""
+
+import pytest
+
+from uav_vslam.config import BackendConfig, RigConfig, VehicleConfig
+from uav_vslam.pipeline import VehiclePipeline
+from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
+from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
+from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.slam.backend import FrameReport
+from uav_vslam.slam.rig_monitor import CONTRADICTED, RigMonitor
+
+NOISE_PX = 0.5
+
+
+def reports(bias_deg: tuple[float, float, float], seed: int, rig: RigConfig) -> list[FrameReport]:
+    scenario = Scenario(seed=seed, vehicles=1, frames=80, extrinsic_bias_deg=bias_deg)
+    vehicle = simulate_vehicle(scenario, 0)
+    config = VehicleConfig(imu=scenario.imu_config, rig=rig, backend=BackendConfig(sigma_px=NOISE_PX))
+    pipeline = VehiclePipeline(vehicle.initial, rig=vehicle.rig, config=config, vehicle="uav1")
+    source = SimulatedSource(vehicle, scatter_landmarks([vehicle]), LandmarkNoise(sigma_px=NOISE_PX))
+    return [output.report for output in pipeline.run(source.iter_events())]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_right_rig_is_left_in_peace(seed: int) -> None:
+    flight = reports((0.0, 0.0, 0.0), seed, RigConfig())
+    assert max(r.rig_evidence for r in flight) > 0.0  # it was watched
+    monitor = RigMonitor(RigConfig())
+    assert [monitor.add(r) for r in flight] == [""] * len(flight)
+
+
+@pytest.mark.parametrize("bias_deg", [(0.02, 0.0, 0.0), (0.0, 0.02, 0.0)])
+def test_a_rig_bent_by_a_fiftieth_of_a_degree_is_noticed_once(bias_deg: tuple[float, float, float]) -> None:
+    monitor = RigMonitor(RigConfig())
+    warnings = [text for r in reports(bias_deg, 1, RigConfig()) if (text := monitor.add(r))]
+    assert len(warnings) == 1
+    assert "rig.flexing" in warnings[0]
+
+
+def test_a_flexing_rig_needs_no_warning() -> None:
+    monitor = RigMonitor(RigConfig(flexing=True))
+    flight = reports((0.02, 0.0, 0.0), 1, RigConfig())
+    assert max(r.rig_evidence for r in flight) > CONTRADICTED
+    assert [monitor.add(r) for r in flight] == [""] * len(flight)
