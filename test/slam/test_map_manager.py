@@ -140,6 +140,8 @@ def test_first_and_last_gives_up_the_middle_of_the_flight() -> None:
     view = view_of(born=[0, 10, 20, 30, 40, 50, 60, 70], in_view=[False] * 8)
     assert leaving(view, config).tolist() == [3, 4]
     assert leaving(view_of(born=[0, 10, 20]), config).tolist() == []
+    roomy = dataclasses.replace(config, max_new_landmarks=2)
+    assert leaving(view, roomy).tolist() == [2, 3, 4, 5]  # two places more, for new ones
 
 
 def test_the_twentieth_with_the_largest_covariance_goes_but_no_newborn() -> None:

@@ -62,7 +62,7 @@ def keep_one_per_cell(view: MapView, config: BackendConfig) -> Rows:
     while len(kept) > places and cell_m < LARGEST_CELL_M:
         cell_m *= CELL_GROWTH
         kept = order[_first_of_each_cell(view.positions[order], cell_m)]
-    return np.setdiff1d(out, kept[:places])
+    return np.setdiff1d(out, kept)
 
 
 def _first_of_each_cell(positions: Array, cell_m: float) -> Rows:
