@@ -201,6 +201,11 @@ def test_perturbed_arms_are_what_the_retracted_body_sees(model, seed: int, size:
         np.testing.assert_allclose(seen[k, n], expected, rtol=0, atol=10 * ROUNDING)
 
 
+def test_perturbed_arms_take_arrays_that_are_read_only(model) -> None:
+    arms, pose, landmark = (np.broadcast_to(x, (4, 1, k)) for x, k in ((1.0, 3), (0.1, 6), (2.0, 3)))
+    assert model.perturbed_arms(NAV, arms, pose, landmark).shape == (4, 1, 3)
+
+
 def test_perturbed_arms_of_nothing_are_nothing(model) -> None:
     none = model.perturbed_arms(NAV, np.zeros((0, 1, 3)), np.zeros((0, 18, 6)), np.zeros((0, 18, 3)))
     assert none.shape == (0, 18, 3)

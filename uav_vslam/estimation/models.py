@@ -132,7 +132,8 @@ class Ordinary15(RightInvariant15):
 
     def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
         moved = arms + landmark - pose[..., :3]
-        turned = Rotation.from_rotvec(pose[..., 3:].reshape(-1, 3)).inv().apply(moved.reshape(-1, 3))
+        xi = np.array(pose[..., 3:]).reshape(-1, 3)  # a copy: scipy refuses what is read-only
+        turned = Rotation.from_rotvec(xi).inv().apply(moved.reshape(-1, 3))
         return np.asarray(turned.reshape(moved.shape) @ nav.T_map_body.R)
 
 
