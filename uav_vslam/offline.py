@@ -17,6 +17,7 @@ from uav_vslam.config import VehicleConfig, to_tree
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
+from uav_vslam.evaluation.start_frame import in_start_frame
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import CooperativeTrack, cooperate
 from uav_vslam.geometry.stereo import StereoRig
@@ -52,7 +53,8 @@ def track_vehicle(
     """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the break.
 
     Raises:
-        UavVslamError: the source has no start state and the configuration does not say `start.method: static`.
+        UavVslamError: the source has no start state and the configuration does not say how to find one, or it could
+            not be found.
     """
     cv2.setNumThreads(1)
     pipeline = VehiclePipeline(_start(source, config), rig=source.rig, config=config, vehicle=source.vehicle, session=1)
@@ -61,6 +63,11 @@ def track_vehicle(
             on_frame()
     except BagError as error:
         pipeline.track.broken = str(error)
+    if pipeline.missing_start:
+        raise UavVslamError(
+            f"{source.vehicle}: none of {pipeline.track.frames_in} frames would do to start in flight; "
+            f"the last: {pipeline.missing_start}"
+        )
     return pipeline.track
 
 
@@ -101,7 +108,7 @@ def flight_result(
     mode = next(iter(configs.values())).fusion.mode
     alone = len(tracks) == 1 or mode == "none"
     vehicles = {
-        vehicle: _vehicle_result(track, None if alone else fleet[vehicle], truths[vehicle])
+        vehicle: _vehicle_result(track, None if alone else fleet[vehicle], truths[vehicle], configs[vehicle])
         for vehicle, track in tracks.items()
     }
     stamps = [output.report.pose.stamp_ns for track in tracks.values() for output in track.outputs]
@@ -132,8 +139,12 @@ def link_counters(fusion: Fusion) -> LinkCounters:
     )
 
 
-def _vehicle_result(track: VehicleTrack, member: CooperativeTrack | None, truth: Trajectory | None) -> VehicleResult:
+def _vehicle_result(
+    track: VehicleTrack, member: CooperativeTrack | None, truth: Trajectory | None, config: VehicleConfig
+) -> VehicleResult:
     own = [output.report.pose for output in track.outputs]
+    if truth is not None and own and config.start.method != "given":  # the vehicle's start defined its map
+        truth = in_start_frame(truth, own[0].stamp_ns)
     return VehicleResult(
         name=track.vehicle,
         truth=truth,
@@ -146,15 +157,22 @@ def _vehicle_result(track: VehicleTrack, member: CooperativeTrack | None, truth:
     )
 
 
-def _start(source: FlightSource, config: VehicleConfig) -> NavEstimate:
-    if config.start.method == "given":
-        if source.initial_state is None:
-            raise UavVslamError(
-                f"{source.vehicle}: the recording has no {source.vehicle}/initial_state; record one, or set "
-                "start.method: static for a vehicle that starts at rest"
-            )
-        return source.initial_state
-    samples = []
+def _start(source: FlightSource, config: VehicleConfig) -> NavEstimate | None:
+    """Return the start state, None where it is to be found in flight."""
+    if config.start.method == "in_flight":
+        return None
+    if config.start.method == "static":
+        return _static_start(source, config)
+    if source.initial_state is None:
+        raise UavVslamError(
+            f"{source.vehicle}: the recording has no {source.vehicle}/initial_state; record one, or set "
+            "start.method: static for a vehicle that starts at rest, in_flight for one that flies already"
+        )
+    return source.initial_state
+
+
+def _static_start(source: FlightSource, config: VehicleConfig) -> NavEstimate:
+    samples: list[ImuSample] = []
     for event in source.iter_events():
         if not isinstance(event, ImuSample):
             continue

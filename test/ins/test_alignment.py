@@ -4,8 +4,8 @@ import pytest
 
 from uav_vslam.config import IMU_GRADES
 from uav_vslam.errors import UavVslamError
-from uav_vslam.geometry.rotation import rotation_from_rpy
-from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.geometry.rotation import rotation_from_rpy, so3_log
+from uav_vslam.ins.alignment import levelled, static_alignment
 from uav_vslam.types import ImuSample
 
 IMU = IMU_GRADES["consumer"]
@@ -48,3 +48,42 @@ def test_a_moving_vehicle_is_refused():
 def test_too_few_readings_are_refused():
     with pytest.raises(UavVslamError, match="got 3"):
         static_alignment(resting(0.0, 0.0, count=3), 10**9, IMU)
+
+
+def level(up_body, v_body=(0.0, 0.0, 0.0), *, sigma_tilt=0.02):
+    return levelled(
+        7,
+        up_body=np.asarray(up_body),
+        v_body=np.asarray(v_body),
+        gyro_bias=np.zeros(3),
+        sigma_velocity=5.0,
+        sigma_tilt=sigma_tilt,
+        sigma_gyro_bias=1e-3,
+        sigma_accel_bias=0.1,
+    )
+
+
+def test_a_levelled_state_faces_yaw_zero_and_turns_the_velocity_into_the_map():
+    R = rotation_from_rpy(0.2, -0.3, 0.0)
+    nav = level(R.T @ [0.0, 0.0, 2.0], R.T @ [3.0, 4.0, 5.0])
+    np.testing.assert_allclose(nav.state.T_map_body.R, R, atol=1e-12)
+    np.testing.assert_allclose(nav.state.v_map, [3.0, 4.0, 5.0], atol=1e-12)
+    np.testing.assert_array_equal(nav.state.T_map_body.t, np.zeros(3))
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.4, -1.2])
+def test_a_wrong_roll_of_a_pitched_vehicle_is_within_what_the_covariance_allows(pitch):
+    """Yaw is zero by definition, so two states that differ in roll and pitch alone differ by one sigma of each."""
+    sigma = 0.02  # of a diagonal covariance, with its 1 mrad of xi_z, these would be up to 20 sigmas
+    nav = level(rotation_from_rpy(0.1, pitch, 0.0).T @ [0.0, 0.0, 1.0], sigma_tilt=sigma)
+    true = rotation_from_rpy(0.1 + sigma, pitch + sigma, 0.0)
+    xi = so3_log(true @ nav.state.T_map_body.R.T)
+    nees = xi @ np.linalg.solve(nav.covariance[6:9, 6:9], xi)
+    assert 1.5 < nees < 2.5
+
+
+@pytest.mark.parametrize("up_body", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)])
+def test_every_attitude_can_be_levelled(up_body):
+    nav = level(up_body)
+    np.testing.assert_allclose(nav.state.T_map_body.R @ up_body, [0.0, 0.0, 1.0], atol=1e-12)
+    assert np.linalg.eigvalsh(nav.covariance)[0] > 0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_left_jacobian, so3_log
-from uav_vslam.ins.preintegration import ImuBuffer, preintegrate
+from uav_vslam.ins.preintegration import ImuBuffer, compose, error_transfer, preintegrate
 from uav_vslam.ins.propagation import corrected, propagate
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavState
 
@@ -274,3 +274,47 @@ def test_readings_from_before_or_after_an_interval_alone_say_nothing_about_it() 
     assert buffer.cut(10, 20) == []
     assert buffer.cut(100, 110) == []
     assert buffer.cut(200, 210) == []
+
+
+def two_halves(readings) -> tuple[ImuIncrement, ImuIncrement, ImuIncrement]:
+    """Two joining increments and the one over both, of readings that fall on the seam."""
+    samples = readings(START_S, FRAME_S, 28)
+    return integrate(samples[:15]), integrate(samples[14:]), integrate(samples)
+
+
+def test_two_composed_increments_are_the_one_over_both(readings) -> None:
+    first, second, whole = two_halves(readings)
+    composed = compose(first, second)
+    assert (composed.start_ns, composed.stamp_ns) == (whole.start_ns, whole.stamp_ns)
+    np.testing.assert_allclose(difference(composed, whole), np.zeros(9), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(composed.bias_jacobian, whole.bias_jacobian, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(composed.covariance, whole.covariance, rtol=1e-9, atol=1e-20)
+
+
+def test_errors_of_two_increments_pass_into_the_whole_as_their_derivatives_say(readings) -> None:
+    first, second, _ = two_halves(readings)
+    whole = compose(first, second)
+    for derivative, parts in zip(error_transfer(first, second), ((first, None), (None, second)), strict=True):
+        for axis in range(9):
+            error = np.zeros(9)
+            error[axis] = STEP
+            moved = [disturbed(part, error) if part is not None else None for part in parts]
+            found = difference(compose(moved[0] or first, moved[1] or second), whole) / STEP
+            np.testing.assert_allclose(found, derivative[:, axis], rtol=0, atol=10 * STEP)
+
+
+def disturbed(increment: ImuIncrement, error: Array) -> ImuIncrement:
+    return dataclasses.replace(
+        increment,
+        delta_R=increment.delta_R @ so3_exp(error[:3]),
+        delta_v=increment.delta_v + error[3:6],
+        delta_p=increment.delta_p + error[6:],
+    )
+
+
+def test_increments_that_do_not_join_are_not_composed(readings) -> None:
+    first, second, _ = two_halves(readings)
+    with pytest.raises(ValueError, match="does not join"):
+        compose(second, first)
+    with pytest.raises(ValueError, match="different biases"):
+        compose(first, dataclasses.replace(second, gyro_bias=np.zeros(3)))

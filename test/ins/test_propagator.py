@@ -7,8 +7,8 @@ import pytest
 from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
-from uav_vslam.ins.propagator import InsOdometry, InsPropagator
-from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
+from uav_vslam.ins.propagator import DeadReckoning, IncrementCutter, InsOdometry, InsPropagator
+from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavState
 
 IMU = ImuConfig()
 MS = 1_000_000
@@ -88,6 +88,52 @@ def test_dead_reckoning_of_a_hover_stays_and_its_covariance_grows() -> None:
         assert np.linalg.eigvalsh(reckoned.covariance)[0] > 0
         traces.append(np.trace(reckoned.covariance[:3, :3]))
     assert np.all(np.diff(traces) > 0)
+
+
+def cut(cutter: IncrementCutter, samples: list[ImuSample], stamps_ms: list[int]) -> list[ImuIncrement]:
+    for sample in samples:
+        cutter.add_imu(sample)
+    for stamp_ms in stamps_ms:
+        cutter.add_frame_stamp(stamp_ms * MS)
+    return cutter.increments()
+
+
+def restless(count: int) -> list[ImuSample]:
+    rng = np.random.default_rng(7)
+    return [ImuSample(k * 5 * MS, rng.normal(0, 0.1, 3), rng.normal(0, 1.0, 3)) for k in range(count)]
+
+
+def test_without_a_start_state_the_first_image_begins_the_first_increment() -> None:
+    cutter = IncrementCutter(IMU)
+    assert cutter.start_ns is None
+    increments = cut(cutter, restless(60), [50, 100, 170])
+    assert cutter.start_ns == 50 * MS
+    assert [(i.start_ns // MS, i.stamp_ns // MS) for i in increments] == [(50, 100), (100, 170)]
+    assert not increments[0].gyro_bias.any()
+    with pytest.raises(ValueError, match="not after"):
+        cutter.add_frame_stamp(170 * MS)
+
+
+def test_increments_are_linearised_at_the_bias_of_the_start() -> None:
+    start = NavState(0, Pose.identity(), np.zeros(3), np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.1, 0.0]))
+    (increment,) = cut(IncrementCutter(IMU, start), restless(30), [100])
+    np.testing.assert_array_equal(increment.gyro_bias, start.gyro_bias)
+    np.testing.assert_array_equal(increment.accel_bias, start.accel_bias)
+
+
+def test_dead_reckoning_from_a_start_that_is_found_late_is_the_same_as_from_one_known_before() -> None:
+    increments = cut(IncrementCutter(IMU), restless(200), list(range(50, 900, 90)))
+    start = NavEstimate(NavState(increments[2].start_ns, Pose.identity(), np.ones(3), *np.zeros((2, 3))), np.eye(15))
+    early, late = DeadReckoning(IMU), DeadReckoning(IMU)
+    expected = [*early.start(start), *(reckoned for increment in increments[2:] for reckoned in early.add(increment))]
+    for increment in increments[:7]:
+        assert late.add(increment) == []
+    assert late.estimate is None
+    found = [*late.start(start), *(reckoned for increment in increments[7:] for reckoned in late.add(increment))]
+    assert [r.state.stamp_ns for r in found] == [start.state.stamp_ns, *(i.stamp_ns for i in increments[2:])]
+    for a, b in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(a.state.T_map_body.matrix, b.state.T_map_body.matrix)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
 def test_output_at_the_units_rate_follows_the_true_flight(flight) -> None:

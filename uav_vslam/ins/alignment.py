@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A start state for a vehicle at rest: gravity gives the tilt, the gyroscope its own bias; the start is the origin."""
+"""Start states that gravity levels; their position and heading define the map frame.
+
+At rest the accelerometer shows gravity and the gyroscope its own bias. In flight `slam.in_flight_start` finds gravity.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import rotation_from_rpy
 from uav_vslam.types import ImuSample, NavEstimate, NavState
 
 Array = NDArray[np.float64]
@@ -39,20 +42,48 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
     if rate_std > MAX_RATE_STD or accel_std > MAX_ACCEL_STD:
         raise UavVslamError(
             f"the vehicle moves (gyro {rate_std:.3f} rad/s, accelerometer {accel_std:.2f} m/s^2 rms): static alignment "
-            "needs rest; give an initial_state instead"
+            "needs rest; set start.method: in_flight, or give an initial_state"
         )
-    up_body = accel.mean(axis=0)
-    up_body /= np.linalg.norm(up_body)
-    roll, pitch = np.arctan2(up_body[1], up_body[2]), -np.arcsin(np.clip(up_body[0], -1.0, 1.0))
-    R_map_body = Rotation.from_euler("ZYX", [0.0, pitch, roll]).as_matrix()
-    state = NavState(stamp_ns, Pose(R_map_body, np.zeros(3)), np.zeros(3), gyro.mean(axis=0), np.zeros(3))
-    return NavEstimate(state, _covariance(len(samples), imu))
+    return levelled(
+        stamp_ns,
+        up_body=accel.mean(axis=0),
+        v_body=np.zeros(3),
+        gyro_bias=gyro.mean(axis=0),
+        sigma_velocity=SIGMA_REST,
+        sigma_tilt=imu.accel_bias_sigma / imu.gravity,  # their correlation is left out, which is the safe side
+        sigma_gyro_bias=max(MAX_RATE_STD / np.sqrt(len(samples)) * 0.1, 10 * imu.gyro_bias_walk),
+        sigma_accel_bias=imu.accel_bias_sigma,
+    )
 
 
-def _covariance(count: int, imu: ImuConfig) -> Array:
-    """Tilt as uncertain as the accelerometer bias makes it; their correlation is left out, which is the safe side."""
-    sigma_tilt = imu.accel_bias_sigma / imu.gravity
-    sigma_gyro_bias = max(MAX_RATE_STD / np.sqrt(count) * 0.1, 10 * imu.gyro_bias_walk)
-    sigma = np.repeat([SIGMA_ORIGIN_M, SIGMA_REST, sigma_tilt, sigma_gyro_bias, imu.accel_bias_sigma], 3)
-    sigma[8] = SIGMA_YAW_RAD
-    return np.diag(sigma**2)
+def levelled(
+    stamp_ns: int,
+    *,
+    up_body: Array,
+    v_body: Array,
+    gyro_bias: Array,
+    sigma_velocity: float,
+    sigma_tilt: float,
+    sigma_gyro_bias: float,
+    sigma_accel_bias: float,
+) -> NavEstimate:
+    """Return a state at the origin, with yaw 0 and with roll and pitch such that `up_body` points up.
+
+    Args:
+        stamp_ns: time of the state [ns].
+        up_body: (3,) against gravity, of any length.
+        v_body: (3,) velocity in the body frame [m/s].
+        gyro_bias: (3,) [rad/s]; the accelerometer's is taken as zero.
+        sigma_velocity, sigma_tilt, sigma_gyro_bias, sigma_accel_bias: standard deviations per axis [m/s], [rad],
+            [rad/s], [m/s^2].
+    """
+    x, y, z = up_body / np.linalg.norm(up_body)
+    roll, pitch = float(np.arctan2(y, z)), float(-np.arcsin(np.clip(x, -1.0, 1.0)))
+    R_map_body = rotation_from_rpy(roll, pitch, 0.0)
+    state = NavState(stamp_ns, Pose(R_map_body, np.zeros(3)), R_map_body @ v_body, gyro_bias, np.zeros(3))
+    sigma = np.repeat([SIGMA_ORIGIN_M, sigma_velocity, SIGMA_YAW_RAD, sigma_gyro_bias, sigma_accel_bias], 3)
+    covariance = np.diag(sigma**2)
+    # Yaw is known, not xi_z: a wrong roll of a pitched vehicle turns it about a tilted axis.
+    xi_per_tilt = np.array([[np.cos(pitch), 0.0], [0.0, 1.0], [-np.sin(pitch), 0.0]])
+    covariance[6:9, 6:9] += sigma_tilt**2 * xi_per_tilt @ xi_per_tilt.T
+    return NavEstimate(state, covariance)

@@ -88,6 +88,46 @@ def preintegrate(
     )
 
 
+def compose(first: ImuIncrement, second: ImuIncrement) -> ImuIncrement:
+    """Return the motion over two joining intervals, as one preintegration over both would give it.
+
+    dR = dR1 dR2, dv = dv1 + dR1 dv2, dp = dp1 + dv1 dt2 + dR1 dp2; Jacobian and covariance follow to first order.
+
+    Raises:
+        ValueError: the second does not begin where the first ends, or they are linearised at different biases.
+    """
+    if second.start_ns != first.stamp_ns:
+        raise ValueError(f"an increment from {second.start_ns} ns does not join one to {first.stamp_ns} ns")
+    before, after = (np.concatenate([one.gyro_bias, one.accel_bias]) for one in (first, second))
+    if not np.array_equal(before, after):
+        raise ValueError(f"increments that join at {first.stamp_ns} ns are linearised at different biases")
+    A, B = error_transfer(first, second)
+    return ImuIncrement(
+        start_ns=first.start_ns,
+        stamp_ns=second.stamp_ns,
+        samples=first.samples + second.samples,
+        delta_R=first.delta_R @ second.delta_R,
+        delta_v=first.delta_v + first.delta_R @ second.delta_v,
+        delta_p=first.delta_p + first.delta_v * second.dt_s + first.delta_R @ second.delta_p,
+        gyro_bias=first.gyro_bias,
+        accel_bias=first.accel_bias,
+        bias_jacobian=A @ first.bias_jacobian + B @ second.bias_jacobian,
+        covariance=A @ first.covariance @ A.T + B @ second.covariance @ B.T,
+    )
+
+
+def error_transfer(first: ImuIncrement, second: ImuIncrement) -> tuple[Array, Array]:
+    """Return A, B (9, 9): errors (rotation, velocity, position) of the whole by those of the first and the second."""
+    R, dt = first.delta_R, second.dt_s
+    A, B = np.eye(9), np.eye(9)
+    A[0:3, 0:3] = second.delta_R.T
+    A[3:6, 0:3] = -R @ skew(second.delta_v)
+    A[6:9, 0:3] = -R @ skew(second.delta_p)
+    A[6:9, 3:6] = dt * np.eye(3)
+    B[3:6, 3:6] = B[6:9, 6:9] = R
+    return A, B
+
+
 def _chain(steps: Array) -> Array:
     """Return (K+1, 3, 3) products I, S0, S0 S1, ..."""
     out = np.empty((len(steps) + 1, 3, 3))

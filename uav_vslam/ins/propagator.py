@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inertial stage: readings and image stamps in, one increment per image out, and the INS baseline beside it."""
+"""The inertial stage: readings and image stamps in, one increment per image out; the INS baseline and live odometry."""
 
 from collections import deque
 
@@ -17,22 +17,29 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavS
 Array = NDArray[np.float64]
 
 MAX_REPLAYED = 5000  # readings kept to be replayed after a correction: 25 s at 200 Hz
+MAX_EARLY = 1000  # increments kept until the start state is known
 
 
-class InsPropagator:
+class IncrementCutter:
     """Cuts the inertial data at the image stamps.
 
     All increments are linearised at the start's bias, whatever the filter learns later (their Jacobian carries it):
     so they depend on the recording alone, not on when a correction happened to arrive.
+
+    Attributes:
+        start_ns: where the first increment begins; images up to it need none [ns]. None until the first image, where
+            no start state was given.
     """
 
-    def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
+    def __init__(self, imu: ImuConfig, start: NavState | None = None) -> None:
+        """Cut from the start state on, at its bias; without one from the first image on, at no bias."""
         self._imu = imu
-        self._start = initial.state
+        self._gyro_bias = np.zeros(3) if start is None else start.gyro_bias
+        self._accel_bias = np.zeros(3) if start is None else start.accel_bias
         self._buffer = ImuBuffer()
         self._pending: deque[int] = deque()
-        self._last_ns = initial.state.stamp_ns
-        self.dead_reckoning = initial  # never corrected
+        self.start_ns = None if start is None else start.stamp_ns
+        self._last_ns = self.start_ns
 
     def add_imu(self, sample: ImuSample) -> None:
         """Take in a reading; see `ImuBuffer.append` for what is refused."""
@@ -44,37 +51,84 @@ class InsPropagator:
         Raises:
             InvalidMessage: the stamp is not after the previous one.
         """
+        if self._last_ns is None:
+            self.start_ns = self._last_ns = stamp_ns
+            return
         newest = self._pending[-1] if self._pending else self._last_ns
         if stamp_ns <= newest:
             raise InvalidMessage("stamp", f"image stamp {stamp_ns} ns is not after {newest} ns")
         self._pending.append(stamp_ns)
 
-    @property
-    def start_ns(self) -> int:
-        """Stamp of the start state; images up to it need no increment [ns]."""
-        return self._start.stamp_ns
-
-    def increments(self, *, flush: bool = False) -> list[tuple[ImuIncrement, NavEstimate]]:
-        """Return the increments that have become complete, in order, each with the dead reckoning at its end.
+    def increments(self, *, flush: bool = False) -> list[ImuIncrement]:
+        """Return the increments that have become complete, in order.
 
         Args:
             flush: the recording has ended; complete the rest with the readings there are.
         """
-        ready = []
-        while self._pending and (flush or self._buffer.covers(self._pending[0])):
+        ready: list[ImuIncrement] = []
+        while self._last_ns is not None and self._pending and (flush or self._buffer.covers(self._pending[0])):
             stamp_ns = self._pending.popleft()
             increment = preintegrate(
                 self._buffer.cut(self._last_ns, stamp_ns),
                 self._last_ns,
                 stamp_ns,
-                gyro_bias=self._start.gyro_bias,
-                accel_bias=self._start.accel_bias,
+                gyro_bias=self._gyro_bias,
+                accel_bias=self._accel_bias,
                 imu=self._imu,
             )
             self._last_ns = stamp_ns
-            self.dead_reckoning = advance(self.dead_reckoning, increment, self._imu)
-            ready.append((increment, self.dead_reckoning))
+            ready.append(increment)
         return ready
+
+
+class DeadReckoning:
+    """The INS baseline: from the start state by increments alone, never corrected.
+
+    Attributes:
+        estimate: the newest; None while the start state is not known.
+    """
+
+    def __init__(self, imu: ImuConfig) -> None:
+        self._imu = imu
+        self._early: deque[ImuIncrement] = deque(maxlen=MAX_EARLY)
+        self.estimate: NavEstimate | None = None
+
+    def start(self, initial: NavEstimate) -> list[NavEstimate]:
+        """Return the start state, and the reckoning at the end of each increment that has come since."""
+        self.estimate = initial
+        reckoned, early = [initial], list(self._early)
+        self._early.clear()
+        for increment in early:
+            if increment.start_ns >= initial.state.stamp_ns:
+                reckoned += self.add(increment)
+        return reckoned
+
+    def add(self, increment: ImuIncrement) -> list[NavEstimate]:
+        """Return the reckoning at the end of an increment; none while the start state is not known."""
+        if self.estimate is None:
+            self._early.append(increment)
+            return []
+        self.estimate = advance(self.estimate, increment, self._imu)
+        return [self.estimate]
+
+
+class InsPropagator:
+    """Increments, each with the dead reckoning at its end, where the start state is known beforehand."""
+
+    def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
+        self._cutter = IncrementCutter(imu, initial.state)
+        self._reckoning = DeadReckoning(imu)
+        self._reckoning.start(initial)
+        self.add_imu = self._cutter.add_imu
+        self.add_frame_stamp = self._cutter.add_frame_stamp
+
+    def increments(self, *, flush: bool = False) -> list[tuple[ImuIncrement, NavEstimate]]:
+        """Return what has become complete, in order; see `IncrementCutter.increments`."""
+        return [
+            (increment, reckoned)
+            for increment in self._cutter.increments(flush=flush)
+            for reckoned in self._reckoning.add(increment)
+        ]
 
 
 def advance(estimate: NavEstimate, increment: ImuIncrement, imu: ImuConfig) -> NavEstimate:

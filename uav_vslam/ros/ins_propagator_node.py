@@ -3,7 +3,8 @@
 
 in   imu/data_raw         sensor_msgs/Imu, body frame
      left/camera_info     sensor_msgs/CameraInfo; its stamps say when an image was taken
-     initial_state        uav_vslam_msgs/NavigationState, latched; an output instead with start.method static
+     initial_state        uav_vslam_msgs/NavigationState, latched; an output instead with start.method static, and
+                          from the backend with in_flight
      slam/correction      uav_vslam_msgs/NavigationState, from the backend
 out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
      ins/dead_reckoning   nav_msgs/Odometry per image, odom frame, never corrected: the INS baseline
@@ -16,9 +17,10 @@ from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.datasets.messages import stamp_ns_of
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.preintegration import MAX_GAP_S
-from uav_vslam.ins.propagator import InsOdometry, InsPropagator
+from uav_vslam.ins.propagator import DeadReckoning, IncrementCutter, InsOdometry
 from uav_vslam.ros.convert import (
     imu_from_msg,
     increment_to_msg,
@@ -36,17 +38,20 @@ MAX_EARLY = 2000  # readings and image stamps held until the start state is know
 
 
 class InsPropagatorNode(VehicleNode):
-    """Feeds `InsPropagator` and `InsOdometry`."""
+    """Feeds `IncrementCutter`, `DeadReckoning` and `InsOdometry`; what needs the start state is held until it comes."""
 
     def __init__(self) -> None:
         super().__init__("ins_propagator")
-        self._ins: InsPropagator | None = None
+        method = self.config.start.method
+        self._cutter = IncrementCutter(self.config.imu) if method == "in_flight" else None
+        self._reckoning = DeadReckoning(self.config.imu)
+        self._live: InsOdometry | None = None
         self._early: list[ImuSample | int] = []
         self._increments = self.advertise(InsIncrement, "ins/increment", STATE)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
-        self._aligns = self.config.start.method == "static"
+        self._aligns = method == "static"
         if self._aligns:
             self._initial_state = self.advertise(NavigationState, "initial_state", LATCHED)
         else:
@@ -56,33 +61,55 @@ class InsPropagatorNode(VehicleNode):
         self.listen(NavigationState, "slam/correction", self._on_correction, STATE)
 
     def _on_initial_state(self, message: NavigationState) -> None:
-        if self._ins is not None:
-            return
-        self._start(navigation_from_msg(message))
+        if self._live is None:
+            self._start(navigation_from_msg(message))
 
     def _start(self, initial: NavEstimate) -> None:
-        self._ins = InsPropagator(initial, self.config.imu)
-        self._live = InsOdometry(initial, self.config.imu)
-        self._publish_dead_reckoning(initial)
         early, self._early = self._early, []
+        for reckoned in self._reckoning.start(initial):
+            self._publish_dead_reckoning(reckoned)
+        self._live = InsOdometry(initial, self.config.imu)
+        cut = self._cutter is not None  # in flight, increments are needed before the start state
+        if self._cutter is None:
+            self._cutter = IncrementCutter(self.config.imu, initial.state)
         for item in early:
-            self._feed(item)
+            try:
+                if not cut:
+                    self._cut(self._cutter, item)
+                self._follow(self._live, item)
+            except InvalidMessage as error:
+                self.drop(error.reason, str(error))
 
     def _feed(self, item: ImuSample | int) -> None:
         """Take a reading or an image stamp, in arrival order."""
-        if self._ins is None:
-            self._early.append(item)
-            del self._early[:-MAX_EARLY]
-            if self._aligns:
-                self._align([early for early in self._early if isinstance(early, ImuSample)])
+        if self._cutter is not None:
+            self._cut(self._cutter, item)
+        if self._live is not None:
+            self._follow(self._live, item)
             return
+        self._early.append(item)
+        del self._early[:-MAX_EARLY]
+        if self._aligns:
+            self._align([early for early in self._early if isinstance(early, ImuSample)])
+
+    def _cut(self, cutter: IncrementCutter, item: ImuSample | int) -> None:
         if isinstance(item, ImuSample):
-            self._ins.add_imu(item)
-            self._publish_odometry(item)
-        elif item > self._ins.start_ns:
-            self._ins.add_frame_stamp(item)
-        for increment, reckoned in self._ins.increments():
-            self._publish_increment(increment, reckoned)
+            cutter.add_imu(item)
+        elif cutter.start_ns is None or item > cutter.start_ns:
+            cutter.add_frame_stamp(item)
+        for increment in cutter.increments():
+            self._publish_increment(increment)
+
+    def _follow(self, live: InsOdometry, item: ImuSample | int) -> None:
+        if not isinstance(item, ImuSample):
+            return
+        state = live.add_imu(item)
+        if self._odometry.get_subscription_count() and state.stamp_ns == item.stamp_ns:
+            self._odometry.publish(
+                odometry_to_msg(
+                    live.pose, frame_id=self.map_frame, child_frame_id=self.base_frame, velocity_map=state.v_map
+                )
+            )
 
     def _align(self, samples: list[ImuSample]) -> None:
         """Find the start state from readings at rest and tell the backend."""
@@ -92,11 +119,12 @@ class InsPropagatorNode(VehicleNode):
         self._initial_state.publish(navigation_to_msg(initial, frame_id=self.map_frame, child_frame_id=self.base_frame))
         self._start(initial)
 
-    def _publish_increment(self, increment: ImuIncrement, reckoned: NavEstimate) -> None:
+    def _publish_increment(self, increment: ImuIncrement) -> None:
         self.counts["increments"] += 1
         self.counts["imu_gaps"] += increment.samples < increment.dt_s / MAX_GAP_S
         self._increments.publish(increment_to_msg(increment, frame_id=self.base_frame))
-        self._publish_dead_reckoning(reckoned)
+        for reckoned in self._reckoning.add(increment):
+            self._publish_dead_reckoning(reckoned)
 
     def _publish_dead_reckoning(self, nav: NavEstimate) -> None:
         pose, velocity = nav.pose, nav.state.v_map
@@ -106,17 +134,8 @@ class InsPropagatorNode(VehicleNode):
         edge = transform_to_msg(pose.T_map_body, stamp_ns=pose.stamp_ns, parent=self.odom_frame, child=self.base_frame)
         self._tf.publish(TFMessage(transforms=[edge]))
 
-    def _publish_odometry(self, sample: ImuSample) -> None:
-        state = self._live.add_imu(sample)
-        if self._odometry.get_subscription_count() and state.stamp_ns == sample.stamp_ns:
-            self._odometry.publish(
-                odometry_to_msg(
-                    self._live.pose, frame_id=self.map_frame, child_frame_id=self.base_frame, velocity_map=state.v_map
-                )
-            )
-
     def _on_correction(self, message: NavigationState) -> None:
-        if self._ins is not None:
+        if self._live is not None:
             self._live.correct(navigation_from_msg(message))
 
 

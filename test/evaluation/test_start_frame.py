@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+
+from uav_vslam.evaluation.start_frame import in_start_frame
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_from_rpy, rpy_from_rotation
+
+STEP_NS = 100_000_000
+
+
+def circling(count: int = 30) -> Trajectory:
+    k = np.arange(count)
+    rpy = np.stack([0.1 + 0.01 * k, np.full(count, -0.2), 0.5 + 0.1 * k])
+    positions = np.stack([100.0 + 3.0 * k, 50.0 + 0.1 * k**2, 70.0 + 0.2 * k], axis=1)
+    return Trajectory(k * STEP_NS, positions, quaternion_wxyz_from_rotation(rotation_from_rpy(*rpy)))
+
+
+def test_the_start_is_the_origin_and_faces_yaw_zero_with_its_tilt() -> None:
+    moved = in_start_frame(circling(), 7 * STEP_NS)
+    assert moved is not None
+    np.testing.assert_allclose(moved.positions[7], np.zeros(3), atol=1e-12)
+    np.testing.assert_allclose(rpy_from_rotation(moved.rotations[7]), [0.17, -0.2, 0.0], atol=1e-12)
+
+
+def test_heights_and_motions_seen_from_the_vehicle_stay_what_they_are() -> None:
+    truth = circling()
+    moved = in_start_frame(truth, 7 * STEP_NS)
+    assert moved is not None
+    np.testing.assert_allclose(np.diff(moved.positions[:, 2]), np.diff(truth.positions[:, 2]), atol=1e-12)
+    in_body = [np.einsum("nji,nj->ni", t.rotations[:-1], np.diff(t.positions, axis=0)) for t in (truth, moved)]
+    np.testing.assert_allclose(in_body[0], in_body[1], atol=1e-12)
+
+
+def test_a_start_between_two_truths_is_interpolated() -> None:
+    moved = in_start_frame(circling(), 7 * STEP_NS + STEP_NS // 2)
+    assert moved is not None
+    np.testing.assert_allclose(moved.positions[7] + moved.positions[8], np.zeros(3), atol=1e-12)
+
+
+def test_without_a_truth_at_the_start_there_is_none_to_compare_with() -> None:
+    assert in_start_frame(circling(), 1000 * STEP_NS) is None

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated flight as the back end gets it: each frame's features with the motion that leads to it."""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from uav_vslam.ins.preintegration import preintegrate
+from uav_vslam.simulation.landmarks import observe, scatter_landmarks
+from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
+from uav_vslam.types import ImuIncrement, StereoFeatures
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A vehicle and its frames; no motion leads to the first one."""
+
+    vehicle: SimulatedVehicle
+    frames: tuple[tuple[StereoFeatures, ImuIncrement | None], ...]
+
+
+@functools.cache
+def _flown(seed: int, *, frames: int = 24, imu: str = "adis16480") -> Flown:
+    scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, vehicles=1, imu=imu)
+    vehicle = simulate_vehicle(scenario, 0)
+    samples, zero = vehicle.imu.samples(), np.zeros(3)
+    steps = [
+        preintegrate(samples, int(a), int(b), gyro_bias=zero, accel_bias=zero, imu=scenario.imu_config)
+        for a, b in itertools.pairwise(vehicle.frame_stamps_ns)
+    ]
+    features = [seen for seen, _ in observe(vehicle, scatter_landmarks([vehicle]))]
+    return Flown(vehicle, tuple(zip(features, [None, *steps], strict=True)))
+
+
+@pytest.fixture(scope="session")
+def flown() -> Callable[..., Flown]:
+    """Return a maker of flights: `flown(seed, frames=24, imu="adis16480")`."""
+    return _flown

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A start state out of the first second of flight, or a reason why there is none yet."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import BackendConfig, ImuConfig, StartConfig, VehicleConfig
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import rpy_from_rotation, so3_exp
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.slam.in_flight_start import MIN_VIEWS, InFlightStart, Start
+from uav_vslam.types import StereoFeatures
+
+WINDOW = 9  # frames at 7.14 Hz that span a second
+VELOCITY_M_S = 0.5  # ten flights show 0.2 at most
+TILT_DEG = 1.5  # ten flights show 1.0 at most: three sigmas of the accelerometer's bias
+
+
+def config(**sections) -> VehicleConfig:
+    return VehicleConfig(**{"start": StartConfig(method="in_flight"), **sections})
+
+
+def feed(search: InFlightStart, frames) -> Start | None:
+    """Return the first start that is found."""
+    return next((found for frame in frames if (found := search.add(*frame)) is not None), None)
+
+
+def velocity_error(vehicle, start: Start) -> float:
+    """Of the velocity in the body frame, which no choice of a map changes [m/s]."""
+    state = start.initial.state
+    true = vehicle.true_state(state.stamp_ns)
+    return float(np.linalg.norm(state.T_map_body.R.T @ state.v_map - true.T_map_body.R.T @ true.v_map))
+
+
+def blind(frame):
+    features, increment = frame
+    return StereoFeatures.empty(features.stamp_ns), increment
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_second_of_flight_gives_velocity_and_tilt_at_its_first_frame(flown, seed: int) -> None:
+    flight = flown(seed)
+    search = InFlightStart(flight.vehicle.rig, config())
+    found = feed(search, flight.frames)
+    assert found is not None
+    assert len(found.frames) == WINDOW
+    assert [features.stamp_ns for features, _ in found.frames] == [f.stamp_ns for f, _ in flight.frames[:WINDOW]]
+    assert search.dropped == 0
+    state = found.initial.state
+    true = flight.vehicle.true_state(state.stamp_ns)
+    assert state.stamp_ns == flight.frames[0][0].stamp_ns
+    np.testing.assert_array_equal(state.T_map_body.t, np.zeros(3))
+    roll, pitch, yaw = rpy_from_rotation(state.T_map_body.R)
+    assert abs(yaw) < 1e-12
+    true_roll, true_pitch, _ = rpy_from_rotation(true.T_map_body.R)
+    assert np.rad2deg(np.hypot(roll - true_roll, pitch - true_pitch)) < TILT_DEG
+    assert velocity_error(flight.vehicle, found) < VELOCITY_M_S
+
+
+def test_the_filter_is_told_the_configured_doubts_and_those_of_the_inertial_unit(flown) -> None:
+    flight, imu = flown(1), ImuConfig()
+    start = StartConfig(method="in_flight", velocity_sigma=3.0, tilt_sigma_deg=2.0)
+    found = feed(InFlightStart(flight.vehicle.rig, config(start=start)), flight.frames)
+    assert found is not None
+    sigma = np.sqrt(np.diag(found.initial.covariance))
+    assert np.all(sigma[:3] <= 1e-3)
+    np.testing.assert_allclose(sigma[3:6], 3.0)
+    np.testing.assert_allclose(np.rad2deg(sigma[6:8]), 2.0, rtol=0.01)
+    assert np.rad2deg(sigma[8]) < 0.5  # yaw is known; what is left is the roll's share in a pitched vehicle
+    np.testing.assert_allclose(sigma[9:12], imu.gyro_bias_sigma)
+    np.testing.assert_allclose(sigma[12:15], imu.accel_bias_sigma)
+
+
+def test_frames_that_show_nothing_are_slid_over_and_counted(flown) -> None:
+    flight = flown(1)
+    search = InFlightStart(flight.vehicle.rig, config())
+    dark = 5
+    assert feed(search, map(blind, flight.frames[:dark])) is None
+    assert search.waiting == dark
+    found = feed(search, flight.frames[dark:])
+    assert found is not None
+    assert found.initial.state.stamp_ns == flight.frames[dark][0].stamp_ns
+    assert found.frames[0][1] is None  # what led to the first frame is no part of the flight
+    assert search.dropped == dark
+
+
+def test_the_reason_says_what_is_still_missing(flown) -> None:
+    flight = flown(1)
+    search = InFlightStart(flight.vehicle.rig, config())
+    assert search.reason == "no frame has come"
+    assert feed(search, flight.frames[:3]) is None
+    assert search.reason == "3 frames over 0.3 s have come, not yet enough"
+    strange = [
+        dataclasses.replace(f, descriptors=np.roll(f.descriptors, 17 * k, axis=1))
+        for k, (f, _) in enumerate(flight.frames)
+    ]
+    search = InFlightStart(flight.vehicle.rig, config())
+    assert feed(search, [(f, i) for f, (_, i) in zip(strange, flight.frames, strict=True)]) is None
+    assert search.reason.endswith(f"are found again in later frames; {MIN_VIEWS} frames with 6 are needed")
+    assert search.dropped == len(flight.frames) - WINDOW + 1
+
+
+def test_a_wrong_calibration_is_told_from_too_little_to_see(flown) -> None:
+    flight = flown(1)
+    rig = flight.vehicle.rig
+    turned = Pose(rig.T_body_left.R @ so3_exp([0.0, 0.0, np.pi / 2]), rig.T_body_left.t)
+    wrong = StereoRig(rig.left, rig.right, turned, turned @ rig.T_right_left.inverse())
+    search = InFlightStart(wrong, config())
+    assert feed(search, flight.frames) is None
+    assert "fit one motion; check calibration, IMU axes and units" in search.reason
+
+
+def test_evidence_thinner_than_what_the_filter_would_be_told_is_refused(flown) -> None:
+    flight = flown(1)
+    start = StartConfig(method="in_flight", tilt_sigma_deg=0.1)
+    search = InFlightStart(flight.vehicle.rig, config(start=start))
+    assert feed(search, flight.frames) is None
+    assert "and tilt to 0." in search.reason
+    assert "start.tilt_sigma_deg" in search.reason
+
+
+def test_a_gyro_bias_beyond_the_increments_linearisation_is_refused(flown) -> None:
+    """A turn-on bias of 0.3 rad/s: what the increments make of it is right to first order only."""
+    flight = flown(1)
+    biased = [(f, i and with_gyro_bias(i, np.array([0.0, 0.0, 0.3]))) for f, i in flight.frames]
+    search = InFlightStart(flight.vehicle.rig, config(imu=ImuConfig(gyro_bias_sigma=0.5)))
+    assert feed(search, biased) is None
+    assert "the gyro's bias alone turns by 0.3" in search.reason
+
+
+def with_gyro_bias(increment, bias):
+    """Return the increment of readings that contain a bias, to first order."""
+    shift = increment.bias_jacobian[:, :3] @ -bias
+    return dataclasses.replace(
+        increment,
+        delta_R=increment.delta_R @ so3_exp(shift[:3]),
+        delta_v=increment.delta_v + shift[3:6],
+        delta_p=increment.delta_p + shift[6:9],
+    )
+
+
+def test_a_motion_that_does_not_join_begins_the_window_anew(flown) -> None:
+    flight = flown(1)
+    search = InFlightStart(flight.vehicle.rig, config())
+    assert feed(search, flight.frames[:4]) is None
+    found = feed(search, flight.frames[6:])  # two frames were lost on the way
+    assert found is not None
+    assert found.initial.state.stamp_ns == flight.frames[6][0].stamp_ns
+    assert search.dropped == 4
+
+
+def test_of_a_longer_window_some_frames_are_used_and_all_kept(flown) -> None:
+    flight = flown(1)
+    start = StartConfig(method="in_flight", window_s=2.0)
+    found = feed(InFlightStart(flight.vehicle.rig, config(start=start)), flight.frames)
+    assert found is not None
+    assert len(found.frames) == 16
+    assert velocity_error(flight.vehicle, found) < VELOCITY_M_S
+
+
+def test_the_same_frames_give_the_same_bytes(flown) -> None:
+    flight = flown(2)
+    settings = config(backend=BackendConfig(sigma_px=1.0))
+    a, b = (feed(InFlightStart(flight.vehicle.rig, settings), flight.frames) for _ in range(2))
+    assert a is not None
+    assert b is not None
+    assert a.initial.state.v_map.tobytes() == b.initial.state.v_map.tobytes()
+    assert a.initial.state.T_map_body.R.tobytes() == b.initial.state.T_map_body.R.tobytes()

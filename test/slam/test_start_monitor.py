@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A start that is many of its own sigmas off is noticed within seconds; a right one never is."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.estimation.filter import Innovation
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.slam.backend import FrameReport
+from uav_vslam.slam.stage import SlamStage
+from uav_vslam.slam.start_monitor import MAX_COASTED, REMEDY, WATCHED_S, StartMonitor, velocity_correction
+from uav_vslam.types import NS_PER_S, NavEstimate, NavState
+
+ZERO = np.zeros(3)
+FRAMES = 24  # 3.2 s
+VELOCITY_SIGMA, TILT_SIGMA_DEG, YAW_SIGMA_DEG = 0.1, 0.2, 0.5  # of a simulated start
+
+
+def warnings_of(flight, initial: NavEstimate) -> list[str]:
+    """Fly from a start state and return what is said about it."""
+    stage = SlamStage(VehicleConfig(imu=flight.vehicle.scenario.imu_config), vehicle="uav1")
+    stage.rig = flight.vehicle.rig
+    stage.start(initial)
+    for features, increment in flight.frames:
+        stage.add_features(features)
+        if increment is not None:
+            stage.add_increment(increment)
+    return [output.warning for output in stage.run() if output.warning]
+
+
+def moved(initial: NavEstimate, *, velocity=ZERO, rotation_deg=ZERO) -> NavEstimate:
+    state = initial.state
+    pose = Pose(so3_exp(np.deg2rad(rotation_deg)) @ state.T_map_body.R, state.T_map_body.t)
+    return NavEstimate(dataclasses.replace(state, T_map_body=pose, v_map=state.v_map + velocity), initial.covariance)
+
+
+@pytest.mark.parametrize("seed", range(1, 21))
+def test_a_right_start_is_never_called_wrong(flown, seed: int) -> None:
+    flight = flown(seed)
+    assert warnings_of(flight, flight.vehicle.initial) == []
+
+
+WRONG = {
+    "forward velocity": {"velocity": np.array([10 * VELOCITY_SIGMA, 0.0, 0.0])},
+    "vertical velocity": {"velocity": np.array([0.0, 0.0, -10 * VELOCITY_SIGMA])},
+    "all velocities": {"velocity": 10 * VELOCITY_SIGMA * np.array([1.0, -1.0, 1.0])},
+    "heading": {"rotation_deg": np.array([0.0, 0.0, 10 * YAW_SIGMA_DEG])},
+    # ten sigmas of roll are seven together with what the accelerometer's bias pretends: too few for every flight
+    "tilt": {"rotation_deg": np.array([20 * TILT_SIGMA_DEG, 0.0, 0.0])},
+}
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("what", WRONG)
+def test_a_start_many_sigmas_off_is_noticed_once(flown, what: str, seed: int) -> None:
+    flight = flown(seed)
+    (warning,) = warnings_of(flight, moved(flight.vehicle.initial, **WRONG[what]))
+    assert warning.endswith(REMEDY)
+
+
+def report(second: float, *, innovation=None, features: int = 50, landmarks: int = 50, velocity=ZERO) -> FrameReport:
+    state = NavState(round(second * NS_PER_S), Pose.identity(), velocity, ZERO, ZERO)
+    nav = NavEstimate(state, 0.01 * np.eye(15))
+    return FrameReport(nav.pose, nav, features, 0, False, innovation, landmarks)
+
+
+RECKONED = NavEstimate(NavState(0, Pose.identity(), ZERO, ZERO, ZERO), 0.05 * np.eye(15))
+GOOD = Innovation(100.0, 100)
+
+
+def test_innovations_that_are_too_large_as_a_whole_are_noticed() -> None:
+    monitor = StartMonitor()
+    assert monitor.add(report(0.0), RECKONED) == ""
+    assert monitor.add(report(0.1, innovation=GOOD), RECKONED) == ""
+    warning = monitor.add(report(0.2, innovation=Innovation(1700.0, 100)), RECKONED)
+    assert warning == f"innovations after the start are 3.0 times larger than the start's sigmas allow; {REMEDY}"
+    assert monitor.add(report(0.3, innovation=Innovation(1700.0, 100)), RECKONED) == ""  # once
+
+
+def test_frames_that_fit_nothing_are_noticed_where_there_is_much_to_see() -> None:
+    monitor = StartMonitor()
+    said = [monitor.add(report(0.1 * k), RECKONED) for k in range(MAX_COASTED + 1)]
+    assert said[:-1] == [""] * MAX_COASTED  # the first frame has no map to fit
+    assert said[-1].startswith(f"{MAX_COASTED} of the first frames show much")
+
+
+@pytest.mark.parametrize("poor", [{"features": 5}, {"landmarks": 5}])
+def test_frames_with_little_to_see_or_little_known_are_no_evidence(poor) -> None:
+    monitor = StartMonitor()
+    assert not any(monitor.add(report(0.1 * k, **poor), RECKONED) for k in range(20))
+
+
+def test_what_happens_later_is_not_blamed_on_the_start() -> None:
+    monitor = StartMonitor()
+    assert monitor.add(report(0.0), RECKONED) == ""
+    later = WATCHED_S + 0.1
+    assert monitor.add(report(later, innovation=Innovation(1e4, 100), velocity=np.ones(3)), RECKONED) == ""
+
+
+def test_a_correction_is_measured_in_what_the_frames_took_from_the_doubt() -> None:
+    P_reckoned, P = np.diag([0.29] * 15), np.diag([0.04] * 15)
+    nav = NavEstimate(dataclasses.replace(RECKONED.state, v_map=np.array([1.0, 1.0, 1.0])), P)
+    times = velocity_correction(nav, NavEstimate(RECKONED.state, P_reckoned))
+    np.testing.assert_allclose(times, 2.0, rtol=1e-3)  # 1 m/s are two of sqrt(0.29 - 0.04)
+    # A filter that claims to know less than dead reckoning took nothing from it: only a centimetre a second is free.
+    doubtful = velocity_correction(nav, NavEstimate(RECKONED.state, 0.01 * np.eye(15)))
+    np.testing.assert_allclose(doubtful, 100.0, rtol=1e-3)

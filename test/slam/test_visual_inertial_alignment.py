@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Velocity and gravity from a second of flight: exact without noise, honest with it, undisturbed by wrong matches."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from uav_vslam.config import IMU_GRADES, ImuConfig
+from uav_vslam.geometry.rotation import rotation_from_rpy
+from uav_vslam.ins.preintegration import preintegrate
+from uav_vslam.simulation.imu import ideal_imu, simulate_imu
+from uav_vslam.simulation.rig import kagaru_rig
+from uav_vslam.simulation.trajectory import Trajectory
+from uav_vslam.slam.visual_inertial_alignment import BIASES, GRAVITY, GYRO_BIAS, VELOCITY, Alignment, View, align
+from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
+
+Array = NDArray[np.float64]
+
+RIG = kagaru_rig()
+IMU = IMU_GRADES["adis16480"]
+DOWN = np.array([0.0, 0.0, -IMU.gravity])
+FRAME_S = 0.14
+POINTS = 60
+RUNS = 15
+TILTED = rotation_from_rpy(0.05, -0.1, 0.0)
+
+# A consistent estimate's mean NEES over 15 runs of 3 degrees of freedom is within this with 99.8 %.
+BAND = tuple(chi2.ppf([0.001, 0.999], 3 * RUNS) / (3 * RUNS))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A window of frames and the true motion at the first of them."""
+
+    pixels: Array
+    views: list[View]
+    velocity_body: Array
+    gravity_body: Array
+    gyro_bias: Array
+
+    def solve(self, *, imu: ImuConfig = IMU, sigma_px: float = 1.0) -> Alignment:
+        return align(RIG, self.pixels, self.views, imu=imu, sigma_px=sigma_px)
+
+    def nees(self, found: Alignment) -> tuple[float, float]:
+        """Of velocity and gravity, per degree of freedom."""
+        v, g = self.velocity_body - found.velocity, self.gravity_body - found.gravity
+        P_v, P_g = (found.covariance[part, part] for part in (VELOCITY, GRAVITY))
+        return float(v @ np.linalg.solve(P_v, v) / 3), float(g @ np.linalg.solve(P_g, g) / 3)
+
+
+def motion(speed: float, *, hover: bool = False) -> Trajectory:
+    """70 m up, climbing and rolling gently, or all but still."""
+    t = np.arange(-0.5, 3.0, 0.02)
+    shake = 0.1 if hover else 1.0
+    xyz = np.stack([speed * t, shake * np.sin(t), 70.0 + 0.5 * shake * t**2], axis=1)
+    rpy = np.stack([0.05 + 0.1 * shake * np.sin(2 * t), -0.1 + 0.05 * shake * t, 0.3 + 0.1 * shake * t], axis=1)
+    return Trajectory(0, t, xyz, rpy)
+
+
+def window(
+    flown: Trajectory,
+    *,
+    frames: int = 8,
+    sigma_px: float = 0.0,
+    wrong: float = 0.0,
+    imu: ImuConfig | None = None,
+    seed: int = 0,
+) -> Case:
+    """Frames over flat ground with relief; without `imu` the readings are errorless."""
+    rng = np.random.default_rng(seed)
+    stamps = np.arange(-100_000_000, 2_500_000_000, 2_000_000)
+    if imu is None:
+        readings = ideal_imu(flown, stamps, gravity=IMU.gravity)
+    else:
+        readings = simulate_imu(flown, stamps, imu, rng=rng)
+    times = FRAME_S * np.arange(frames)
+    ground = np.column_stack([rng.uniform(-25, 30, POINTS), rng.uniform(-25, 25, POINTS), rng.normal(0, 2.0, POINTS)])
+    pixels = [observe(flown, float(t), ground, sigma_px, rng) for t in times]
+    steps = list(itertools.pairwise(np.round(times * NS_PER_S).astype(int)))
+    views = []
+    for (start_ns, stamp_ns), z in zip(steps, pixels[1:], strict=True):
+        swapped = rng.choice(POINTS, round(wrong * POINTS), replace=False)
+        z[swapped] = z[np.roll(swapped, 1)]
+        views.append(View(step(readings.samples(), start_ns, stamp_ns, imu or IMU), np.arange(POINTS), z))
+    R = flown.pose(0.0).R
+    return Case(pixels[0], views, R.T @ flown.velocity(0.0), R.T @ DOWN, readings.gyro_bias[50])
+
+
+def observe(flown: Trajectory, t: float, ground: Array, sigma_px: float, rng: np.random.Generator) -> Array:
+    points_left = (flown.pose(t) @ RIG.T_body_left).inverse().apply(ground)
+    return RIG.project(points_left) + rng.normal(0.0, sigma_px, (len(ground), 4))
+
+
+def step(samples: list[ImuSample], start_ns: int, stamp_ns: int, imu: ImuConfig) -> ImuIncrement:
+    zero = np.zeros(3)
+    return preintegrate(samples, int(start_ns), int(stamp_ns), gyro_bias=zero, accel_bias=zero, imu=imu)
+
+
+@pytest.mark.parametrize(("speed", "hover"), [(20.0, False), (0.0, True), (-3.0, False)])
+def test_without_noise_the_motion_is_found_exactly(speed: float, hover: bool) -> None:
+    case = window(motion(speed, hover=hover))
+    found = case.solve(sigma_px=0.01)
+    # what the midpoint rule at 500 Hz leaves, 1e-5 m over a second
+    np.testing.assert_allclose(found.velocity, case.velocity_body, atol=1e-3)
+    np.testing.assert_allclose(found.gravity, case.gravity_body, atol=1e-3)
+    assert found.inliers.tolist() == [POINTS] * 7
+
+
+@pytest.mark.parametrize("grade", ["adis16480", "consumer"])
+@pytest.mark.parametrize("hover", [False, True])
+def test_the_covariance_is_as_large_as_the_errors(grade: str, hover: bool) -> None:
+    imu, found = IMU_GRADES[grade], []
+    for seed in range(RUNS):
+        case = window(motion(0.0 if hover else 20.0, hover=hover), sigma_px=1.0, imu=imu, seed=seed)
+        found.append(case.nees(case.solve(imu=imu)))
+    velocity, gravity = np.mean(found, axis=0)
+    assert BAND[0] < velocity < BAND[1]
+    assert gravity < BAND[1]  # its norm is known better than the 0.03 m/s^2 that are allowed for
+
+
+def test_a_noisy_inertial_unit_is_not_trusted_over_a_long_window() -> None:
+    """Its noise moves the last frame by decimetres, hundred times what the pixels can tell in a hover at 70 m."""
+    noisy = ImuConfig(gyro_noise=2e-3, accel_noise=0.1)
+    nees = []
+    for seed in range(RUNS):
+        case = window(motion(0.0, hover=True), frames=16, sigma_px=0.2, imu=noisy, seed=seed)
+        nees.append(case.nees(case.solve(imu=noisy, sigma_px=0.2)))
+    velocity, gravity = np.mean(nees, axis=0)
+    assert velocity < BAND[1]
+    assert gravity < BAND[1]
+
+
+@pytest.mark.parametrize("wrong", [0.1, 0.3])
+def test_wrong_matches_are_outvoted(wrong: float) -> None:
+    case = window(motion(20.0), sigma_px=1.0, wrong=wrong, imu=IMU)
+    found = case.solve()
+    assert np.linalg.norm(found.velocity - case.velocity_body) < 0.5
+    right = round((1 - wrong) * POINTS)
+    assert np.all(np.abs(found.inliers - right) <= 5)
+
+
+def test_a_large_gyro_bias_is_found() -> None:
+    imu = ImuConfig(gyro_bias_sigma=0.03)
+    case = window(motion(20.0), sigma_px=0.3, imu=imu, seed=4)
+    found = case.solve(imu=imu, sigma_px=0.3)
+    assert np.linalg.norm(case.gyro_bias) > 0.02
+    error = found.gyro_bias - case.gyro_bias
+    assert error @ np.linalg.solve(found.covariance[GYRO_BIAS, GYRO_BIAS], error) < chi2.ppf(0.999, 3)
+    assert np.linalg.norm(error) < 0.1 * np.linalg.norm(case.gyro_bias)
+
+
+def test_what_is_given_is_not_modified() -> None:
+    case = window(motion(20.0), sigma_px=1.0, imu=IMU)
+    before = [case.pixels.copy(), *(view.pixels.copy() for view in case.views)]
+    case.solve()
+    for a, b in zip(before, [case.pixels, *(view.pixels for view in case.views)], strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_nothing_seen_again_leaves_the_motion_open() -> None:
+    """The biases keep what was known of them, and the velocity is not known at all."""
+    case = window(motion(20.0))
+    blind = [View(view.motion, view.rows[:1], view.pixels[:1] + 400.0) for view in case.views]
+    found = align(RIG, case.pixels, blind, imu=IMU, sigma_px=1.0)
+    assert np.isfinite(found.velocity).all()
+    assert np.sqrt(found.covariance[0, 0]) > 5.0
+    prior = np.repeat([IMU.gyro_bias_sigma, IMU.accel_bias_sigma], 3)
+    assert np.all(np.sqrt(np.diag(found.covariance)[BIASES]) <= prior * (1 + 1e-6))

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A start state for a vehicle that is flying already: gravity and stereo odometry give all but where it is.
+
+The first usable frame is the origin and faces yaw 0, which is the map's definition. Frames are held back until a window
+of them agrees on a motion; then the filter starts at the window's first frame and is given them all. What the window
+said of velocity and tilt only centres a prior much wider than its error, so that no frame counts twice.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import UavVslamError
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.alignment import levelled
+from uav_vslam.ins.preintegration import compose
+from uav_vslam.slam.visual_inertial_alignment import GRAVITY, VELOCITY, Alignment, View, align
+from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
+from uav_vslam.vision.matching.nn_ratio import match_descriptors
+
+Frame = tuple[StereoFeatures, ImuIncrement | None]
+
+MIN_VIEWS = 3  # later frames that see the first one's points: velocity and gravity are six numbers, two views' worth
+MAX_VIEWS = 8  # more of them, spread over the window, add little
+MIN_AGREEING = 0.5  # share of the matches that must fit one motion
+MAX_BIAS_TURN_RAD = 0.1  # by the gyro bias over the window; increments follow a bias to first order only
+
+
+class ThinEvidence(UavVslamError):
+    """A window of frames does not tell how the vehicle moves; the text says why not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What has been found.
+
+    Attributes:
+        initial: state at the first of the frames.
+        frames: all frames held back, with the motion that leads to each; none to the first.
+    """
+
+    initial: NavEstimate
+    frames: list[Frame]
+
+
+class InFlightStart:
+    """Slides a window over the frames until one will do.
+
+    Attributes:
+        reason: why there is no start yet.
+        dropped: frames given up as the window slid on.
+    """
+
+    def __init__(self, rig: StereoRig, config: VehicleConfig) -> None:
+        self._rig, self._config = rig, config
+        self._held: list[Frame] = []
+        self.reason = "no frame has come"
+        self.dropped = 0
+
+    @property
+    def waiting(self) -> int:
+        """Frames held back."""
+        return len(self._held)
+
+    def add(self, features: StereoFeatures, increment: ImuIncrement | None) -> Start | None:
+        """Take in the next frame with the motion since the one before; return the start once it is found."""
+        if increment is None or not self._joins(increment):
+            self.dropped += len(self._held)
+            self._held = [(features, None)]
+        else:
+            self._held.append((features, increment))
+        while self._window_is_full():
+            try:
+                return Start(self._find(), self._held)
+            except ThinEvidence as error:
+                self.reason = str(error)
+                self._slide()
+        return None
+
+    def _joins(self, increment: ImuIncrement) -> bool:
+        return bool(self._held) and increment.start_ns == self._held[-1][0].stamp_ns
+
+    def _window_is_full(self) -> bool:
+        span_ns = self._held[-1][0].stamp_ns - self._held[0][0].stamp_ns
+        full = len(self._held) > MIN_VIEWS and span_ns >= self._config.start.window_s * NS_PER_S
+        if not full and self.dropped == 0:
+            self.reason = f"{len(self._held)} frames over {span_ns / NS_PER_S:.1f} s have come, not yet enough"
+        return full
+
+    def _slide(self) -> None:
+        self.dropped += 1
+        self._held = [(features, None if k == 0 else step) for k, (features, step) in enumerate(self._held[1:])]
+
+    def _find(self) -> NavEstimate:
+        first = self._held[0][0]
+        pixels = first.pixels.astype(float)
+        usable = np.flatnonzero(np.isfinite(self._rig.triangulate(pixels)).all(axis=1))
+        views = self._views(first.descriptors[usable])
+        found = align(self._rig, pixels[usable], views, imu=self._config.imu, sigma_px=self._config.backend.sigma_px)
+        self._judge(found, views)
+        imu, start = self._config.imu, self._config.start
+        return levelled(
+            first.stamp_ns,
+            up_body=-found.gravity,
+            v_body=found.velocity,
+            gyro_bias=found.gyro_bias,
+            sigma_velocity=start.velocity_sigma,
+            sigma_tilt=float(np.deg2rad(start.tilt_sigma_deg)),
+            sigma_gyro_bias=imu.gyro_bias_sigma,
+            sigma_accel_bias=imu.accel_bias_sigma,
+        )
+
+    def _views(self, descriptors: NDArray[np.uint8]) -> list[View]:
+        """Return what later frames, spread over the window, show of the first one's points."""
+        chosen = set(np.linspace(1, len(self._held) - 1, MAX_VIEWS).round().astype(int))
+        views: list[View] = []
+        counts: list[int] = []
+        motion: ImuIncrement | None = None  # since the previous view
+        for k, (features, step) in enumerate(self._held[1:], start=1):
+            assert step is not None
+            motion = step if motion is None else compose(motion, step)
+            if k not in chosen:
+                continue
+            matches = match_descriptors(descriptors, features.descriptors, self._config.frontend.ratio)
+            counts.append(len(matches))
+            if len(matches) >= self._config.backend.min_pnp_inliers:
+                views.append(View(motion, matches[:, 0], features.pixels[matches[:, 1]].astype(float)))
+                motion = None
+        if len(views) < MIN_VIEWS:
+            raise ThinEvidence(
+                f"of {len(descriptors)} points only {', '.join(map(str, counts))} are found again in later frames; "
+                f"{MIN_VIEWS} frames with {self._config.backend.min_pnp_inliers} are needed"
+            )
+        return views
+
+    def _judge(self, found: Alignment, views: list[View]) -> None:
+        """Refuse what too few matches agree on, or what is less certain than the filter would be told."""
+        agreeing, matched = int(found.inliers.sum()), sum(len(view.rows) for view in views)
+        enough = (found.inliers >= self._config.backend.min_pnp_inliers).sum() >= MIN_VIEWS
+        if not enough or agreeing < MIN_AGREEING * matched:
+            raise ThinEvidence(
+                f"{agreeing} of {matched} matches fit one motion; check calibration, IMU axes and units, and sigma_px"
+            )
+        span_s = sum(view.motion.dt_s for view in views)
+        turn = float(np.linalg.norm(found.gyro_bias)) * span_s
+        if turn > MAX_BIAS_TURN_RAD:
+            raise ThinEvidence(
+                f"the gyro's bias alone turns by {turn:.2f} rad within {span_s:.1f} s, more than "
+                f"{MAX_BIAS_TURN_RAD:g}: frames are too far apart, or the gyro needs calibration"
+            )
+        velocity = float(np.sqrt(np.linalg.eigvalsh(found.covariance[VELOCITY, VELOCITY])[-1]))
+        tilt = float(np.sqrt(np.linalg.eigvalsh(found.covariance[GRAVITY, GRAVITY])[-1]) / self._config.imu.gravity)
+        start = self._config.start
+        if velocity > start.velocity_sigma or np.rad2deg(tilt) > start.tilt_sigma_deg:
+            raise ThinEvidence(
+                f"velocity is known to {velocity:.2f} m/s and tilt to {np.rad2deg(tilt):.2f} deg only, but the filter "
+                f"would be told {start.velocity_sigma:g} m/s and {start.tilt_sigma_deg:g} deg; raise start.window_s, "
+                "or start.velocity_sigma and start.tilt_sigma_deg"
+            )

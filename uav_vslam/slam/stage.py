@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The back end as a stage: features and increments in, processed frames out, once start state and rig are known.
+
+The node `slam_backend` and the offline pipeline both run it, so that they give the same numbers.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.propagator import advance
+from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
+from uav_vslam.slam.frame_queue import FrameQueue
+from uav_vslam.slam.in_flight_start import Frame, InFlightStart
+from uav_vslam.slam.start_monitor import StartMonitor
+from uav_vslam.types import ImuIncrement, JointInformation, NavEstimate, StereoFeatures
+
+
+@dataclass(frozen=True, slots=True)
+class FrameOutput:
+    """Everything that a frame produced.
+
+    Attributes:
+        report: own-only SLAM.
+        dead_reckoning: the uncorrected INS at the same stamp.
+        joint: the belief over pose and landmarks, at epochs only.
+        warning: what the user should look into; empty as a rule.
+    """
+
+    report: FrameReport
+    dead_reckoning: NavEstimate
+    joint: JointInformation | None
+    warning: str = ""
+
+
+class SlamStage:
+    """Joins features with motion, finds the start in flight where it must, and runs `SlamBackend`.
+
+    Attributes:
+        rig: calibration; nothing is processed while it is None.
+        initial: start state; None until it is given or found.
+    """
+
+    def __init__(self, config: VehicleConfig, *, vehicle: str, session: int = 1) -> None:
+        self._config, self._vehicle, self._session = config, vehicle, session
+        self._in_flight = config.start.method == "in_flight"
+        self._queue = FrameQueue()
+        self._search: InFlightStart | None = None
+        self._backend: SlamBackend | None = None
+        self._monitor = StartMonitor()
+        self._previous_ns: int | None = None
+        self.rig: StereoRig | None = None
+        self.initial: NavEstimate | None = None
+
+    @property
+    def missing_start(self) -> str:
+        """Why there is no start state yet; empty once there is one."""
+        if self.initial is not None:
+            return ""
+        return self._search.reason if self._search else "none has been given"
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Frames that were not processed, by reason, and those that are held back for a start state."""
+        before_start = self._queue.before_start
+        if self._search is not None:
+            before_start += self._search.dropped + (self._search.waiting if self.initial is None else 0)
+        return {
+            "before_start": before_start,
+            "frame_lost": self._queue.lost,
+            "without_motion": self._queue.without_motion,
+        }
+
+    def start(self, initial: NavEstimate) -> None:
+        """Begin at a state; only the first one counts."""
+        if self.initial is None:
+            self.initial = self._reckoned = initial
+            if self._queue.start_ns is None:
+                self._queue.start_ns = initial.state.stamp_ns
+
+    def add_features(self, features: StereoFeatures) -> None:
+        """Add what a frame showed."""
+        self._queue.add_features(features)
+
+    def add_increment(self, increment: ImuIncrement) -> None:
+        """Add the motion between two images."""
+        if self._in_flight and self._queue.start_ns is None:
+            self._queue.start_ns = increment.start_ns
+        self._queue.add_increment(increment)
+
+    def run(self) -> Iterator[FrameOutput]:
+        """Process every frame whose features and motion have both come."""
+        if self.rig is None:
+            return
+        while (frame := self._queue.pop()) is not None:
+            for ready in self._from_start_on(frame, self.rig):
+                yield self._process(self.rig, *ready)
+
+    def _from_start_on(self, frame: Frame, rig: StereoRig) -> list[Frame]:
+        """Return the frame; without a start state hold it back, and return all of them as soon as there is one."""
+        if self.initial is not None:
+            return [frame]
+        self._search = self._search or InFlightStart(rig, self._config)
+        found = self._search.add(*frame)
+        if found is None:
+            return []
+        self.start(found.initial)
+        return found.frames
+
+    def _process(self, rig: StereoRig, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:
+        if self._backend is None:
+            assert self.initial is not None
+            self._backend = SlamBackend(
+                self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
+            )
+        report = self._backend.process(features, increment)
+        if increment is not None:
+            self._reckoned = advance(self._reckoned, increment, self._config.imu)
+        at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
+        self._previous_ns = features.stamp_ns
+        joint = self._backend.joint_information() if at_epoch else None
+        return FrameOutput(report, self._reckoned, joint, self._monitor.add(report, self._reckoned))

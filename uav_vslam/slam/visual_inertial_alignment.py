@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Velocity and gravity in the body frame, from a few stereo frames and the inertial readings between them.
+
+The stereo baseline gives the scale and the gyroscope the turns, so the problem is linear but for the projection. In the
+first frame's body axes, with the increments' dR_k, dp_k and t_k from the first frame to frame k:
+
+    p_k = v t_k + g t_k^2 / 2 + dp_k(b, n),    z_ik = h(R_left_body (dR_k(b, n)^T (l_i - p_k) - t_body_left))
+
+Unknown are x = (v, g, gyro bias, accelerometer bias, n) and the points l_i. |g| is known, the biases b have the spread
+that `ImuConfig` gives them, and n ~ N(0, I) makes the increments' noise through a factor of its covariance. This is
+Gauss-Newton on the pixels with the points eliminated, first with Cauchy weights against wrong matches, then on what
+agrees. No pose is estimated from one pair of frames: far points are too uncertain for that.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.geometry.rotation import skew, so3_exp
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.preintegration import compose, error_transfer
+from uav_vslam.types import ImuIncrement
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+VELOCITY, GRAVITY, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, 12, 3))
+BIASES, NOISE = slice(6, 12), slice(12, None)
+POSE = 6  # rotation from the right, position: what of a frame's motion shows in its pixels
+INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # the same among (rotation, velocity, position)
+SIGMA_GRAVITY = 0.03  # [m/s^2] how far the norm of gravity may be from the configured one
+ROBUST_STEPS, FINAL_STEPS = 12, 4
+PIXELS = 4  # of one stereo observation
+MEDIAN_CHI2, INLIER_CHI2 = (float(chdtri(PIXELS, beyond)) for beyond in (0.5, 1e-3))
+MIN_DEPTH_M = 0.05  # a point nearer than this, or behind, is projected as if it were so far
+TINY_INFORMATION = 1e-9  # of what nothing observes, so that the equations stay regular
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What a later frame shows of the first frame's points.
+
+    Attributes:
+        motion: since the previous view, or since the first frame.
+        rows: (M,) which points, each at most once.
+        pixels: (M, 4) where it sees them [px].
+    """
+
+    motion: ImuIncrement
+    rows: Rows
+    pixels: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """The motion at the first frame, in its body axes.
+
+    Attributes:
+        velocity: (3,) [m/s].
+        gravity: (3,) [m/s^2].
+        gyro_bias: (3,) [rad/s].
+        covariance: (12, 12) of velocity, gravity, gyro and accelerometer bias, provided that the inliers are right.
+        inliers: observations of each view that agree with the result.
+    """
+
+    velocity: Array
+    gravity: Array
+    gyro_bias: Array
+    covariance: Array
+    inliers: NDArray[np.int64]
+
+
+def align(rig: StereoRig, pixels: Array, views: list[View], *, imu: ImuConfig, sigma_px: float) -> Alignment:
+    """Solve for the motion at the first frame.
+
+    Args:
+        rig: calibration.
+        pixels: (N, 4) the first frame's points, all of which triangulate [px].
+        views: later frames in stamp order, one or more, each with at least one match; at no bias.
+        imu: gravity, and how far the biases may be off.
+        sigma_px: standard deviation of each pixel coordinate [px].
+    """
+    motion = _Motion.through(views)
+    z, seen = _table(pixels, views)
+    points = rig.T_body_left.apply(rig.triangulate(pixels))
+    x = _first_guess(rig, motion, z, points, imu.gravity)
+    for step in range(ROBUST_STEPS + FINAL_STEPS):
+        residual, J_pose, J_point = _linearise(rig, motion, x, points, z, sigma_px)
+        chi2 = np.einsum("nki,nki->nk", residual, residual)
+        weight = _cauchy(chi2, seen) if step < ROBUST_STEPS else seen * (chi2 <= INLIER_CHI2)
+        system = _Reduced.of(residual, J_pose, J_point, weight)
+        H, b = _prior(x, imu)
+        H, b = H + motion.by_x.T @ system.H @ motion.by_x, b + motion.by_x.T @ system.b
+        dx = np.linalg.solve(H, b)
+        x, points = x + dx, points + system.points(motion.by_x @ dx)
+    covariance = np.asarray(np.linalg.inv(H)[: NOISE.start, : NOISE.start])
+    return Alignment(x[VELOCITY], x[GRAVITY], x[GYRO_BIAS], covariance, (weight[:, 1:] > 0).sum(axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """The frames' motion since the first of them, number 0, as far as readings tell; K frames in all.
+
+    Attributes:
+        times_s: (K,).
+        delta_R: (K, 3, 3), delta_p: (K, 3) [m] at no bias, without gravity and velocity.
+        by_x: (6K, 12 + 6(K-1)) derivative of all poses by x.
+    """
+
+    times_s: Array
+    delta_R: Array
+    delta_p: Array
+    by_x: Array
+
+    @staticmethod
+    def through(views: list[View]) -> "_Motion":
+        wholes, covariance = [views[0].motion], views[0].motion.covariance
+        for view in views[1:]:
+            A, _ = error_transfer(wholes[-1], view.motion)
+            cross = A @ covariance[-9:]
+            wholes.append(compose(wholes[-1], view.motion))
+            covariance = np.block([[covariance, cross.T], [cross, wholes[-1].covariance]])
+        rows = np.concatenate([9 * k + np.array(INCREMENT_POSE) for k in range(len(wholes))])
+        values, vectors = np.linalg.eigh(covariance[np.ix_(rows, rows)])
+        by_x = np.zeros((POSE * (len(wholes) + 1), NOISE.start + len(rows)))
+        by_x[POSE:, NOISE] = vectors * np.sqrt(np.maximum(values, 0.0))
+        times_s = np.array([0.0, *np.cumsum([view.motion.dt_s for view in views])])
+        for k, (t, whole) in enumerate(zip(times_s[1:], wholes, strict=True), start=1):
+            pose = slice(POSE * k, POSE * (k + 1))
+            by_x[pose, BIASES] = whole.bias_jacobian[INCREMENT_POSE]
+            by_x[pose, VELOCITY][3:], by_x[pose, GRAVITY][3:] = t * np.eye(3), 0.5 * t**2 * np.eye(3)
+        delta_R = np.stack([np.eye(3), *(whole.delta_R for whole in wholes)])
+        return _Motion(times_s, delta_R, np.stack([np.zeros(3), *(whole.delta_p for whole in wholes)]), by_x)
+
+    def poses(self, x: Array) -> tuple[Array, Array]:
+        """Return R_first_k (K, 3, 3) and p_k (K, 3)."""
+        shift = (self.by_x @ x).reshape(-1, POSE)
+        return self.delta_R @ so3_exp(shift[:, :3]), self.delta_p + shift[:, 3:]
+
+
+def _table(pixels: Array, views: list[View]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return pixels (N, K, 4) of each point in each frame, and where there are any (N, K)."""
+    z, seen = np.zeros((len(pixels), len(views) + 1, PIXELS)), np.zeros((len(pixels), len(views) + 1), bool)
+    z[:, 0], seen[:, 0] = pixels, True
+    for k, view in enumerate(views, start=1):
+        z[view.rows, k], seen[view.rows, k] = view.pixels, True
+    return z, seen
+
+
+def _first_guess(rig: StereoRig, motion: _Motion, z: Array, points: Array, gravity: float) -> Array:
+    """Return x of an unaccelerated vehicle, with the median of the velocities that single points would give."""
+    x = np.zeros(motion.by_x.shape[1])
+    t, moved = motion.times_s[1:, None], motion.delta_p[1:]
+    force = motion.delta_p[-1]
+    x[GRAVITY] = -gravity * force / np.linalg.norm(force)
+    found = rig.T_body_left.apply(rig.triangulate(z[:, 1:])).reshape(len(points), len(t), 3)
+    displacement = points[:, None] - np.einsum("kij,nkj->nki", motion.delta_R[1:], found)
+    velocities = ((displacement - 0.5 * x[GRAVITY] * t**2 - moved) / t).reshape(-1, 3)
+    finite = np.isfinite(velocities).all(axis=1)
+    if finite.any():
+        x[VELOCITY] = np.median(velocities[finite], axis=0)
+    return x
+
+
+def _linearise(
+    rig: StereoRig, motion: _Motion, x: Array, points: Array, z: Array, sigma_px: float
+) -> tuple[Array, Array, Array]:
+    """Return residuals (N, K, 4) in sigmas, and the prediction by pose (N, K, 4, 6) and by point (N, K, 4, 3)."""
+    R, p = motion.poses(x)
+    body = np.einsum("kji,nkj->nki", R, points[:, None] - p)
+    left = (body - rig.T_body_left.t) @ rig.T_body_left.R
+    left[..., 2] = np.maximum(left[..., 2], MIN_DEPTH_M)
+    J_body = rig.project_jacobian(left) @ rig.T_body_left.R.T / sigma_px
+    J_point = J_body @ R.transpose(0, 2, 1)
+    J_pose = np.concatenate([J_body @ skew(body), -J_point], axis=-1)
+    return (z - rig.project(left)) / sigma_px, J_pose, J_point
+
+
+def _cauchy(chi2: Array, seen: NDArray[np.bool_]) -> Array:
+    """Weigh (N, K) squared residuals down where they are large against the median, or against the noise."""
+    scale = max(1.0, float(np.median(chi2[seen])) / MEDIAN_CHI2)
+    return np.asarray(seen / (1.0 + chi2 / (PIXELS * scale)))
+
+
+def _prior(x: Array, imu: ImuConfig) -> tuple[Array, Array]:
+    """Return information and vector of what is known beforehand."""
+    information = np.full(len(x), TINY_INFORMATION)
+    information[GYRO_BIAS] = 1.0 / imu.gyro_bias_sigma**2
+    information[ACCEL_BIAS] = 1.0 / imu.accel_bias_sigma**2
+    information[NOISE] = 1.0
+    H, b = np.diag(information), -information * x
+    norm = float(np.linalg.norm(x[GRAVITY]))
+    down = x[GRAVITY] / norm
+    H[GRAVITY, GRAVITY] += np.outer(down, down) / SIGMA_GRAVITY**2
+    b[GRAVITY] += down * (imu.gravity - norm) / SIGMA_GRAVITY**2
+    return H, b
+
+
+@dataclass(frozen=True, slots=True)
+class _Reduced:
+    """Normal equations of all poses, H (6K, 6K) and b (6K,), with the points eliminated.
+
+    Attributes:
+        H, b: the equations.
+        inverse: (N, 3, 3) of the points' own blocks, b_points: (N, 3) their side, cross: (N, 6K, 3) with the poses.
+    """
+
+    H: Array
+    b: Array
+    inverse: Array
+    b_points: Array
+    cross: Array
+
+    @staticmethod
+    def of(residual: Array, J_pose: Array, J_point: Array, weight: Array) -> "_Reduced":
+        count, frames = weight.shape
+        W_pose = weight[..., None, None] * J_pose.swapaxes(-1, -2)
+        W_point = weight[..., None, None] * J_point.swapaxes(-1, -2)
+        own = (W_point @ J_point).sum(axis=1) + TINY_INFORMATION * np.eye(3)
+        inverse = np.linalg.inv(own)
+        b_points = np.einsum("nkai,nki->na", W_point, residual)
+        cross = (W_pose @ J_point).reshape(count, POSE * frames, 3)
+        gain = cross @ inverse
+        H = -np.einsum("nai,nbi->ab", gain, cross, optimize=True)
+        for k, block in enumerate((W_pose @ J_pose).sum(axis=0)):
+            H[POSE * k : POSE * (k + 1), POSE * k : POSE * (k + 1)] += block
+        b = np.einsum("nkai,nki->ka", W_pose, residual).ravel() - np.einsum("nai,ni->a", gain, b_points)
+        return _Reduced(H, b, inverse, b_points, cross)
+
+    def points(self, poses: Array) -> Array:
+        """Return the points' step (N, 3) that belongs to a step of the poses (6K,)."""
+        return np.einsum("nij,nj->ni", self.inverse, self.b_points - np.einsum("nai,a->ni", self.cross, poses))
