@@ -131,6 +131,20 @@ def test_two_vehicles_estimate_the_same_in_the_graph_and_in_its_twin(
         assert not np.array_equal(own[-1], fused[-1])  # cooperation did something that could differ
 
 
+@pytest.mark.ros
+def test_a_start_found_in_flight_is_the_same_in_the_graph(rendered: Case, launched: Launched, tmp_path: Path) -> None:
+    """The recording holds a start state, which neither of them may use."""
+    (bag,) = load_fleet(rendered.fleet).replay.bags
+    sample = (ROOT / "config" / "sample.yaml").read_text()
+    (tmp_path / "in_flight.yaml").write_text(f"{sample}start: {{method: in_flight}}\n")
+    twin = fly_twin(write_fleet(tmp_path, bag, str(tmp_path / "in_flight.yaml"), vehicles=("uav1",), mode="none"))
+    first = twin.tracks["uav1"].outputs[0].report.pose
+    np.testing.assert_array_equal(first.T_map_body.t, np.zeros(3))
+    outputs = run_graph(launched, twin, tmp_path, timeout_s=100.0)
+    assert_parity(outputs, twin)
+    assert len(outputs["uav1"].own_only) == FRAMES
+
+
 def test_the_twin_gives_the_same_bytes_whatever_the_number_of_workers(
     rendered: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,12 +2,13 @@
 """One description of the fleet's processes, read by both launchers."""
 
 import ast
+import dataclasses
 import json
 from pathlib import Path
 
 import pytest
 
-from uav_vslam.config import BackendConfig, FleetConfig, FusionConfig, ReplayConfig, VehicleConfig
+from uav_vslam.config import BackendConfig, FleetConfig, FusionConfig, ReplayConfig, StartConfig, VehicleConfig
 from uav_vslam.ros.fleet_commands import VEHICLE_NODES, differences, node_specs
 
 ROOT = Path(__file__).parents[2]
@@ -32,6 +33,15 @@ def test_fusion_hears_every_vehicle_but_its_own() -> None:
         if "peers" in s.parameters
     }
     assert heard == {"a": ["b", "c"], "b": ["a", "c"], "c": ["a", "b"]}
+
+
+def test_a_start_state_that_a_vehicle_finds_itself_is_not_replayed() -> None:
+    found = fleet("a", "b", "c")
+    methods = {"a": "given", "b": "static", "c": "in_flight"}
+    vehicles = {name: VehicleConfig(start=StartConfig(method=method)) for name, method in methods.items()}
+    replay = node_specs(dataclasses.replace(found, vehicles=vehicles))[-1]
+    assert replay.parameters["finding_start"] == ["b", "c"]
+    assert "finding_start" not in node_specs(found)[-1].parameters
 
 
 def test_a_lone_vehicle_has_no_peers_parameter_because_ros_cannot_type_an_empty_list() -> None:

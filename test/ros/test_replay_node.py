@@ -27,6 +27,7 @@ from uav_vslam.geometry.camera import PinholeCamera  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.geometry.stereo import StereoRig  # noqa: E402
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE  # noqa: E402
+from uav_vslam.ros.recording import Recording  # noqa: E402
 from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
 from uav_vslam.types import ImuSample, NavEstimate, NavState, StereoFrame  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
@@ -189,6 +190,14 @@ def test_lock_step_delivers_everything_once_and_each_frame_after_the_answer_to_t
         assert vehicle.starts == [START_NS]
         assert vehicle.early == []
     assert fleet.clock[-1] == 5
+
+
+def test_a_recorded_start_state_is_left_out_for_a_vehicle_that_finds_its_own(bags: list[Path]) -> None:
+    recording = Recording(bags, finding_start=["uav2"])
+    assert recording.starts_ns == {"uav1": START_NS}
+    assert "/uav1/initial_state" in recording.topics
+    assert "/uav2/initial_state" not in recording.topics
+    assert {raw.topic for raw in recording.latched} == {"/uav1/initial_state", "/tf_static"}
 
 
 def test_the_static_transforms_of_all_bags_come_as_one_message(fleet: Fleet, bags: list[Path]) -> None:

@@ -51,6 +51,8 @@ def node_specs(fleet: FleetConfig) -> list[NodeSpec]:
             specs.append(NodeSpec(executable, executable, f"/{vehicle}", {**shared, **own}))
     if replayed:
         parameters = {"vehicles": list(fleet.vehicles), **differences(fleet.replay)}
+        finding = [name for name, config in fleet.vehicles.items() if config.start.method != "given"]
+        parameters |= {"finding_start": finding} if finding else {}
         specs.append(NodeSpec("replay", "replay", "/", parameters))
     return specs
 

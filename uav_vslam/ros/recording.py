@@ -31,12 +31,19 @@ class Recording:
     Attributes:
         vehicles: names, in the order asked for.
         topics: what is replayed, by name.
-        starts_ns: stamp of each vehicle's start state [ns]; absent where none was recorded.
+        starts_ns: stamp of each vehicle's start state [ns]; absent where none is replayed.
         damage: what was met instead of the end of a bag.
     """
 
-    def __init__(self, paths: Sequence[Path], vehicles: Sequence[str] = ()) -> None:
+    def __init__(
+        self, paths: Sequence[Path], vehicles: Sequence[str] = (), *, finding_start: Sequence[str] = ()
+    ) -> None:
         """Look at the bags; replay `vehicles`, or all that have images.
+
+        Args:
+            paths: the bags.
+            vehicles: names.
+            finding_start: those that find their start state themselves: a recorded one would contradict it.
 
         Raises:
             BagError: a bag is missing or none, or lacks what a vehicle needs.
@@ -44,6 +51,7 @@ class Recording:
         if not paths:
             raise BagError("no recording to replay; set the parameter bags, or give --bag")
         self._paths, known = tuple(paths), topics_of(paths)
+        self._finding_start = frozenset(finding_start)
         self.vehicles = tuple(vehicles) or _with_images(known)
         self.topics = {topic: info for topic, info in known.items() if self._is_input(topic)}
         self.damage: list[str] = []
@@ -101,6 +109,8 @@ class Recording:
     def _is_input(self, topic: str) -> bool:
         vehicle, _ = self.classify(topic)
         name = topic.removeprefix(f"/{vehicle}/")
+        if name == INITIAL_STATE and vehicle in self._finding_start:
+            return False
         return topic == TF_STATIC or (vehicle != "" and name not in OUTPUTS and not name.startswith(OUTPUT_FOLDERS))
 
     def _require(self, vehicle: str) -> None:

@@ -3,7 +3,7 @@
 
 in   /<vehicle>/<each of wait_for>    nav_msgs/Odometry, answers to a frame by its stamp; they pace lock-step (rate 0)
      /<vehicle>/ins/odometry          nav_msgs/Odometry, tells how many readings the INS has yet to take in
-     /<vehicle>/initial_state, stereo_features    where no start state was recorded: found by the vehicle itself
+     /<vehicle>/initial_state, stereo_features    where no start state is replayed: found by the vehicle itself
 out  /<vehicle>/...                   the recorded inputs, byte for byte
      /<vehicle>/initial_state         uav_vslam_msgs/NavigationState, latched, before all else
      /tf_static                       tf2_msgs/TFMessage, latched, of all bags together
@@ -56,7 +56,8 @@ class ReplayNode(Node):
         names = [name for name in self.declare_parameter("vehicles", [""]).value if name]
         wait_for = self.declare_parameter("wait_for", ["odometry", "fused/odometry"]).value
         self._wait_for = [topic for topic in wait_for if topic]
-        self._recording = Recording(self._config.bags, names)
+        finding = [name for name in self.declare_parameter("finding_start", [""]).value if name]
+        self._recording = Recording(self._config.bags, names, finding_start=finding)
         self._vehicles, self._starts_ns = self._recording.vehicles, dict(self._recording.starts_ns)
         self._answers = Answers(self._vehicles, self._starts_ns, self._wait_for)
         self._readings = Readings(self._vehicles, self._starts_ns, IMU_AHEAD if self._wait_for else None)
