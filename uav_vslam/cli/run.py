@@ -64,6 +64,9 @@ def run(args: argparse.Namespace) -> int:
     folder = write_results(result, args.results, plot=None if args.no_plots else write_plots)
     print_summary(build_summary(result, git=None))
     print(f"results: {folder}")
+    for vehicle, track in tracks.items():
+        for text in track.warnings:
+            print(f"uav-vslam: warning: {vehicle}: {text}", file=sys.stderr)
     broken = sorted({track.broken for track in tracks.values() if track.broken})  # vehicles may share a bag
     for reason in broken:
         print(f"uav-vslam: warning: {reason}", file=sys.stderr)
