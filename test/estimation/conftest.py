@@ -3,6 +3,7 @@
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,16 +11,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uav_vslam.config import BackendConfig, ImuConfig
+from uav_vslam.config import BackendConfig, ImuConfig, RigConfig
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.filters import BOUNDED, FILTERS
 from uav_vslam.estimation.information import InformationBelief
+from uav_vslam.estimation.observation import projectable
 from uav_vslam.estimation.square_root import SquareRootBelief
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import preintegrate
-from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
+from uav_vslam.simulation.landmarks import scatter_landmarks
+from uav_vslam.simulation.scenario import SCENARIOS, Purpose, SimulatedVehicle, simulate_vehicle
 from uav_vslam.types import ImuIncrement, NavEstimate, NavState
 
 Array = NDArray[np.float64]
@@ -98,3 +101,79 @@ def course() -> Course:
     middle: Pose = vehicle.true_state(int(stamps[FRAMES // 2])).T_map_body
     below = middle.t[:2] + rng.uniform(-9, 9, (IN_VIEW, 2))
     return Course(vehicle, increments, np.column_stack([below, rng.normal(0, 3, IN_VIEW)]))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a flight.
+
+    Attributes:
+        filter: as it is then.
+        position_nees: over 3.
+        nis_per_dof: mean of all frames.
+    """
+
+    filter: Filter
+    position_nees: float
+    nis_per_dof: float
+
+
+def _fly(
+    vehicle: SimulatedVehicle,
+    rig: RigConfig | None = None,
+    *,
+    name: str = "eif",
+    model: str = "ri15",
+    sigma_px: float = 1.0,
+    offset_s: float = 0.0,
+) -> Outcome:
+    """Fly over known points; a frame's estimate is asked for as the back end does.
+
+    Args:
+        vehicle: its true rig sees the points, `offset_s` after the stamp, with a noise of `sigma_px`.
+        rig: how far it is trusted.
+        name, model: of the filter.
+        sigma_px: of each pixel coordinate.
+        offset_s: true time offset.
+    """
+    points = scatter_landmarks([vehicle], per_frame=20).points_world
+    rng, imu, zero = vehicle.scenario.rng(0, Purpose.PIXELS), vehicle.scenario.imu_config, np.zeros(3)
+    options = {"gamma": BackendConfig().gamma} if name in BOUNDED else {}
+    f = FILTERS[name](
+        vehicle.initial,
+        rig=vehicle.rig,
+        imu=imu,
+        model=model,
+        sigma_px=sigma_px,
+        depth_sigma_ratio=BackendConfig().depth_sigma_ratio,
+        rig_config=rig,
+        **options,
+    )
+    samples, stamps = vehicle.imu.samples(), vehicle.frame_stamps_ns.tolist()
+    known, nis, dof = np.zeros(0, np.int64), 0.0, 0
+    for frame, stamp in enumerate(stamps):
+        if frame:
+            first, last = np.searchsorted(vehicle.imu.stamps_ns, stamps[frame - 1 : frame + 1])
+            around = samples[first - 1 : last + 2]
+            f.predict(preintegrate(around, stamps[frame - 1], stamp, gyro_bias=zero, accel_bias=zero, imu=imu))
+        true_rig, t_s = vehicle.true_rig(frame), float(vehicle.truth.time_s(stamp)) + offset_s
+        points_left = (vehicle.truth.pose(t_s) @ true_rig.T_body_left).inverse().apply(points)
+        seen = np.flatnonzero(projectable(true_rig, points_left))
+        z = true_rig.project(points_left[seen]) + rng.normal(0.0, sigma_px, (len(seen), 4))
+        _, rows, places = np.intersect1d(known, seen, return_indices=True)
+        innovation = f.update(rows, z[places])
+        nis, dof = nis + innovation.nis, dof + innovation.dof
+        f.marginalise(np.flatnonzero(~np.isin(known, seen)))
+        fresh = ~np.isin(seen, known) & np.isfinite(f.rig.triangulate(z)).all(axis=1)
+        f.add_landmarks(z[fresh])
+        known = np.append(known[np.isin(known, seen)], seen[fresh])
+        estimate = f.nav_estimate()
+    error = vehicle.true_state(stamps[-1]).T_map_body.t - estimate.state.T_map_body.t
+    P = estimate.covariance[:3, :3]
+    return Outcome(f, float(error @ np.linalg.solve(P, error)) / 3.0, nis / dof)
+
+
+@pytest.fixture(scope="session")
+def fly() -> Callable[..., Outcome]:
+    """What flies a simulated vehicle to its last frame: `fly(vehicle, rig)`."""
+    return _fly

@@ -2,7 +2,6 @@
 """Simulated flights whose rig is not what its calibration says: what the filter finds, and how sure it is of it."""
 
 import dataclasses
-import itertools
 
 import numpy as np
 import pytest
@@ -11,11 +10,7 @@ from scipy.stats import chi2
 
 from uav_vslam.config import RigConfig
 from uav_vslam.estimation.filter import Filter
-from uav_vslam.estimation.filters import FILTERS
-from uav_vslam.estimation.observation import projectable
-from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.imu import simulate_imu
-from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Purpose, Scenario, SimulatedVehicle, initial_estimate, simulate_vehicle
 from uav_vslam.simulation.trajectory import Trajectory
 
@@ -28,54 +23,8 @@ FLEXING = RigConfig(flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0
 LATE = RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=0.02)
 
 
-@dataclasses.dataclass(frozen=True)
-class Outcome:
-    """The end of a flight.
-
-    Attributes:
-        filter: as it is then.
-        position_nees: over 3.
-        nis_per_dof: mean of all frames.
-    """
-
-    filter: Filter
-    position_nees: float
-    nis_per_dof: float
-
-
 def simulated(seed: int, **truth) -> SimulatedVehicle:
     return simulate_vehicle(Scenario(seed=seed, frames=FRAMES, vehicles=1, **truth), 0)
-
-
-def fly(vehicle: SimulatedVehicle, rig: RigConfig, *, name: str = "eif", offset_s: float = 0.0) -> Outcome:
-    """Fly over known points, each seen with 1 px of noise by the true rig, `offset_s` after the stamp."""
-    points = scatter_landmarks([vehicle], per_frame=20).points_world
-    scenario, rng = vehicle.scenario, vehicle.scenario.rng(0, Purpose.PIXELS)
-    f = FILTERS[name](
-        vehicle.initial, rig=vehicle.rig, imu=scenario.imu_config, depth_sigma_ratio=0.043, rig_config=rig
-    )
-    samples, zero = vehicle.imu.samples(), np.zeros(3)
-    known, nis, dof = np.zeros(0, np.int64), 0.0, 0
-    for frame, (before, stamp) in enumerate(itertools.pairwise([None, *vehicle.frame_stamps_ns.tolist()])):
-        if before is not None:
-            first, last = np.searchsorted(vehicle.imu.stamps_ns, [before, stamp])
-            around = samples[first - 1 : last + 2]
-            f.predict(preintegrate(around, before, stamp, gyro_bias=zero, accel_bias=zero, imu=scenario.imu_config))
-        T_left_map = (
-            vehicle.truth.pose(float(vehicle.truth.time_s(stamp)) + offset_s) @ vehicle.rig.T_body_left
-        ).inverse()
-        seen = np.flatnonzero(projectable(vehicle.true_rig(frame), T_left_map.apply(points)))
-        z = vehicle.true_rig(frame).project(T_left_map.apply(points[seen])) + rng.normal(size=(len(seen), 4))
-        _, rows, places = np.intersect1d(known, seen, return_indices=True)
-        innovation = f.update(rows, z[places])
-        nis, dof = nis + innovation.nis, dof + innovation.dof
-        f.marginalise(np.flatnonzero(~np.isin(known, seen)))
-        fresh = ~np.isin(seen, known)
-        f.add_landmarks(z[fresh])
-        known = np.append(known[np.isin(known, seen)], seen[fresh])
-    estimate, truth = f.nav_estimate(), vehicle.true_state(int(vehicle.frame_stamps_ns[-1]))
-    error = truth.T_map_body.t - estimate.state.T_map_body.t
-    return Outcome(f, nees(error, estimate.covariance[:3, :3]), nis / dof)
 
 
 def nees(error: Array, P: Array) -> float:
@@ -87,7 +36,7 @@ def rig_covariance(f: Filter) -> Array:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_flexing_rigs_bias_is_found(axis: int) -> None:
+def test_a_flexing_rigs_bias_is_found(fly, axis: int) -> None:
     """0.05 degrees about any axis of the right camera, and 0.02 degrees of vibration."""
     bias = tuple(0.05 * np.eye(3)[axis])
     f = fly(simulated(3, extrinsic_bias_deg=bias, vibration_deg=0.02), FLEXING).filter
@@ -98,7 +47,7 @@ def test_a_flexing_rigs_bias_is_found(axis: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["eif", "ukf"])
-def test_position_and_bias_of_a_flexing_rig_are_as_sure_as_they_say(name: str) -> None:
+def test_position_and_bias_of_a_flexing_rig_are_as_sure_as_they_say(fly, name: str) -> None:
     """Three degrees of freedom a flight; NIS too, but that alone says little, see below."""
     outcomes, attitude = [], []
     bias = np.array([0.03, -0.03, 0.04])
@@ -115,7 +64,7 @@ def test_position_and_bias_of_a_flexing_rig_are_as_sure_as_they_say(name: str) -
     assert nis == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_bias_about_the_disparitys_axis_ruins_a_filter_that_trusts_the_rig_and_no_residual_shows_it() -> None:
+def test_a_bias_about_the_disparitys_axis_ruins_a_filter_that_trusts_the_rig_and_no_residual_shows_it(fly) -> None:
     vehicle = simulated(3, extrinsic_bias_deg=(0.05, 0.0, 0.0))
     trusting, flexing = fly(vehicle, EXACT), fly(vehicle, FLEXING)
     assert trusting.position_nees > 50.0
@@ -123,7 +72,7 @@ def test_a_bias_about_the_disparitys_axis_ruins_a_filter_that_trusts_the_rig_and
     assert flexing.position_nees < 4.0
 
 
-def test_evidence_against_a_trusted_rig_grows_where_it_is_wrong_alone() -> None:
+def test_evidence_against_a_trusted_rig_grows_where_it_is_wrong_alone(fly) -> None:
     """Told 0.002 degrees, ten sigmas about either axis that moves pixels go beyond the limit."""
     limit = chi2.ppf(0.99, 3)
     for seed in (1, 2):
@@ -151,7 +100,7 @@ def swaying(seed: int) -> SimulatedVehicle:
 
 
 @pytest.mark.parametrize("offset_s", [0.01, -0.01])
-def test_a_time_offset_is_found_while_the_motion_is_slow(offset_s: float) -> None:
+def test_a_time_offset_is_found_while_the_motion_is_slow(fly, offset_s: float) -> None:
     """Cameras whose stamps are 10 ms early or late; a filter that believes them flies worse by far.
 
     To 15 % only: the rate at the stamp is taken to be the increment's mean, which is 70 ms old.
@@ -164,7 +113,7 @@ def test_a_time_offset_is_found_while_the_motion_is_slow(offset_s: float) -> Non
 
 
 @pytest.mark.xfail(strict=True, reason="the increment's mean rate, which lags vibration, stands for that at its end")
-def test_a_time_offset_is_found_on_a_shaking_airframe() -> None:
+def test_a_time_offset_is_found_on_a_shaking_airframe(fly) -> None:
     told = fly(simulated(1), LATE, offset_s=0.01)
     sigma = np.sqrt(rig_covariance(told.filter)[0, 0])
     assert told.filter.rig_state.time_offset_s == pytest.approx(0.01, abs=4 * sigma)

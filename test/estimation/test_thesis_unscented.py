@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The thesis's own unscented filters: right on a linear problem, and where and why they fail while ours go on.
+
+What the thesis reports of its UKF, a covariance that diagonal loading can't mend, depends on beta alone. Over one pair
+of sigma points per column, with the pairs' bends q_i, the unscented transform leaves over, beside what is positive
+semidefinite, (beta - alpha^2) s s^T with s = sum q_i. So beta = 2 keeps the covariance definite whatever the centre's
+weight of (3 - n)/3, and beta = 0 does not.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from uav_vslam.config import RigConfig
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation import thesis_unscented
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.linearisation import Jacobians, PredictedObservation
+from uav_vslam.estimation.models import MODELS
+from uav_vslam.estimation.observation import point_jacobian
+from uav_vslam.estimation.thesis_unscented import ThesisUnscentedFilter
+from uav_vslam.ins.propagation import propagate, transition
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
+
+Array = NDArray[np.float64]
+
+ALL = np.arange(12)
+SCALED = 1e-9
+THESIS_PX = float(np.sqrt(10.0))  # "a value of 10 on the diagonal element of the covariance"
+INDEFINITE = r"in spite of diagonal loading|is not positive definite"
+
+
+@pytest.mark.parametrize("model", sorted(MODELS))
+def test_on_a_linear_problem_the_thesis_ukf_is_the_kalman_filter(course, monkeypatch, model: str) -> None:
+    """Camera and motion are replaced by their tangents; two steps, every output of each."""
+    unscented, kalman = course.flown(model, "thesis_ukf", frames=1), course.flown(model, "ekf", frames=1)
+    unscented.nav, unscented.landmarks, unscented.belief = kalman.nav, kalman.landmarks, kalman.belief
+    coordinates, m = MODELS[model](), kalman.vehicle
+    for frame in (1, 2):
+        start, increment = kalman.nav, course.increments[frame - 1]
+        process = Jacobians().process(coordinates, start, kalman.belief, increment, course.imu)
+        end = propagate(start, increment, gravity=course.imu.gravity)
+
+        def linear_motion(nav, *_, start=start, end=end, F=process.F, **__):
+            return coordinates.retract(end, np.zeros((0, 3)), F @ coordinates.local(start, nav))[0]
+
+        def linear_camera(self, chi: Array, predicted: PredictedObservation) -> Array:
+            own = chi[:, landmark_rows(m, predicted.landmarks)].reshape(len(chi), -1, 3)
+            seen = np.einsum("nka,sa->snk", predicted.H_vehicle, chi[:, :m])
+            seen += np.einsum("nka,sna->snk", predicted.H_landmark, own) + predicted.expected
+            return seen.reshape(len(chi), -1)
+
+        monkeypatch.setattr(thesis_unscented, "propagate", linear_motion)
+        monkeypatch.setattr(ThesisUnscentedFilter, "_project", linear_camera)
+        pixels = course.pixels(frame, ALL, np.random.default_rng(frame))
+        innovations = []
+        for f in (unscented, kalman):
+            f.predict(increment)
+            innovations.append(f.update(ALL, pixels))
+        P = kalman.covariance()
+        sigma = np.sqrt(np.diag(P))
+        off = np.append(coordinates.local(kalman.nav, unscented.nav), (unscented.landmarks - kalman.landmarks).ravel())
+        np.testing.assert_allclose(off / sigma, 0.0, rtol=0, atol=SCALED)
+        error = unscented.covariance() - P
+        np.testing.assert_allclose(error / np.outer(sigma, sigma), 0.0, rtol=0, atol=SCALED)
+        a, b = innovations
+        assert a.nis == pytest.approx(b.nis, rel=SCALED)
+        assert a.log_likelihood == pytest.approx(b.log_likelihood, rel=SCALED)
+
+
+def unscented(points: Array, centre_weight: float) -> tuple[Array, Array]:
+    """Return mean and deviations of (2n+1, k) images of sigma points, kappa = 3 - n; Eq. (4.3.2), (4.3.4)."""
+    mean = centre_weight * points[0] + points[1:].sum(axis=0) / 6.0
+    return mean, points - mean
+
+
+@pytest.mark.parametrize("model", sorted(MODELS))
+def test_prediction_and_update_follow_the_equations_of_the_thesis(course, model: str) -> None:
+    """Eq. (4.3.6) and (4.3.7), with three times the doubt so that there is something to bend."""
+    f, coordinates, none = course.flown(model, "thesis_ukf", frames=1), MODELS[model](), np.zeros((0, 3))
+    course.set_covariance(f, 9.0 * f.covariance())
+    m, n, increment = f.vehicle, f.belief.size, course.increments[1]
+    centre_weight = (3.0 - n) / 3.0
+    weights = np.append(centre_weight + 2.0, np.full(2 * n, 1.0 / 6.0))
+
+    columns = np.linalg.cholesky(3.0 * f.covariance()).T
+    chi = np.vstack([np.zeros(n), columns, -columns])
+    centre = propagate(f.nav, increment, gravity=course.imu.gravity)
+    ends = chi.copy()
+    for k, start in enumerate(chi[:, :m]):
+        moved, _ = coordinates.retract(f.nav, none, start)
+        ends[k, :m] = coordinates.local(centre, propagate(moved, increment, gravity=course.imu.gravity))
+    mean, D = unscented(ends, centre_weight)
+    nav, landmarks = coordinates.retract(centre, f.landmarks, mean)
+    P, (_, Q) = (D.T * weights) @ D, transition(f.nav, increment, course.imu)
+    P[:m, :m] += coordinates.from_map(nav) @ Q @ coordinates.from_map(nav).T
+    f.predict(increment)
+    sigma = np.sqrt(np.diag(P))
+    np.testing.assert_allclose((f.covariance() - P) / np.outer(sigma, sigma), 0.0, rtol=0, atol=SCALED)
+    np.testing.assert_allclose(f.nav.T_map_body.matrix, nav.T_map_body.matrix, rtol=0, atol=SCALED)
+    np.testing.assert_allclose(f.landmarks, landmarks, rtol=0, atol=SCALED)
+
+    columns = np.linalg.cholesky(3.0 * f.covariance()).T
+    chi, seen = np.vstack([np.zeros(n), columns, -columns]), []
+    for error in chi:
+        there, marks = coordinates.retract(f.nav, f.landmarks, error)
+        seen.append(course.rig.project(point_jacobian(course.rig, there, marks).points_left).ravel())
+    y, D = unscented(np.array(seen), centre_weight)
+    S, P_xy = (D.T * weights) @ D + np.eye(len(y)), (chi.T * weights) @ D
+    K = P_xy @ np.linalg.inv(S)
+    pixels = course.pixels(2, ALL, np.random.default_rng(1))
+    nu = pixels.ravel() - y
+    before, marks = f.nav, f.landmarks
+    innovation = f.update(ALL, pixels)
+    assert innovation.nis == pytest.approx(float(nu @ np.linalg.solve(S, nu)), rel=1e-7)
+    nav, landmarks = coordinates.retract(before, marks, K @ nu)
+    np.testing.assert_allclose(f.nav.T_map_body.matrix, nav.T_map_body.matrix, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(f.landmarks, landmarks, rtol=0, atol=1e-6)
+    if not coordinates.invariant:  # else sheared, as `Filter` does after each correction
+        P = P - K @ S @ K.T
+        np.testing.assert_allclose((f.covariance() - P) / np.outer(sigma, sigma), 0.0, rtol=0, atol=1e-7)
+
+
+def leftover(course, seed: int) -> float:
+    """Return the smallest eigenvalue of what the unscented transform leaves of a bent function, scaled to one."""
+    rng = np.random.default_rng(seed)
+    f = course.flown("ri15", "thesis_ukf", frames=1)
+    chi, mean_weights, weights = f._sigma_points()
+    A = rng.normal(size=(3, chi.shape[1])) / np.sqrt(np.diag(f.covariance()))
+    y = (chi @ A.T) ** 2 + np.cos(chi @ A[::-1].T)
+    D = y - mean_weights @ y
+    S = (D.T * weights) @ D
+    cross = (D.T * weights) @ chi
+    values = np.linalg.eigvalsh(S - cross @ np.linalg.solve(f.covariance(), cross.T))
+    return float(values[0] / np.abs(values).max())
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_with_the_beta_of_the_thesis_no_function_makes_the_covariance_indefinite(course, seed: int) -> None:
+    assert leftover(course, seed) > -SCALED
+
+
+def test_without_beta_a_bent_function_makes_it_indefinite(course, monkeypatch) -> None:
+    monkeypatch.setattr(thesis_unscented, "BETA", 0.0)
+    assert min(leftover(course, seed) for seed in range(5)) < -0.1
+
+
+def flight(**truth) -> SimulatedVehicle:
+    return simulate_vehicle(Scenario(**{"seed": 1, "frames": 25, "vehicles": 1, **truth}), 0)
+
+
+@pytest.mark.parametrize("model", ["euler9", "ri15"])
+def test_thesis_ukf_holds_at_one_pixel_with_beta_and_fails_without(fly, monkeypatch, model: str) -> None:
+    """At 70 m with an ADIS16480: diagonal loading does not help."""
+    assert fly(flight(), name="thesis_ukf", model=model).position_nees < 10.0
+    monkeypatch.setattr(thesis_unscented, "BETA", 0.0)
+    with pytest.raises(FilterDivergence, match=INDEFINITE):
+        fly(flight(frames=4), name="thesis_ukf", model=model)
+
+
+@pytest.mark.parametrize("alpha", [1e-2, 1e-4])
+def test_a_smaller_spread_changes_little(fly, monkeypatch, alpha: float) -> None:
+    """alpha may be 1e-4 to 1: weights of 1e9 cost digits, but not the definiteness."""
+    wide = fly(flight(frames=10), name="thesis_ukf")
+    monkeypatch.setattr(thesis_unscented, "SPREAD", alpha * np.sqrt(3.0))
+    monkeypatch.setattr(thesis_unscented, "BETA", 1.0 - alpha**2 + 2.0)
+    narrow = fly(flight(frames=10), name="thesis_ukf")
+    shift = wide.filter.nav.T_map_body.t - narrow.filter.nav.T_map_body.t
+    sigma = np.sqrt(np.diag(wide.filter.nav_estimate().covariance)[:3])
+    assert (np.abs(shift) < 0.2 * sigma).all()
+
+
+@pytest.mark.parametrize("model", ["euler9", "ri15"])
+def test_vague_landmarks_stop_the_thesis_ukf_and_not_ours(fly, model: str) -> None:
+    """100 m up, with the thesis's 10 px^2, a new landmark's depth is known to 35 m: over the whole state, sigma points
+    are sqrt(3) sigmas and more from the mean, and some lie behind the camera. Ours span a pose and a landmark, and
+    leave such a landmark to its Jacobian.
+    """
+    vehicle = flight(altitude=100.0)
+    with pytest.raises(FilterDivergence, match="a sigma point puts a landmark behind the camera"):
+        fly(vehicle, name="thesis_ukf", model=model, sigma_px=THESIS_PX)
+    for name in ("ukf", "uhf"):
+        assert fly(vehicle, name=name, model=model, sigma_px=THESIS_PX).position_nees < 4.0
+
+
+@pytest.mark.parametrize("model", sorted(MODELS))
+@pytest.mark.parametrize("imu", ["adis16480", "thesis_w1", "thesis_w4"])
+def test_the_fixed_gamma_of_the_thesis_uhf_makes_its_covariance_indefinite_at_once(fly, model: str, imu: str) -> None:
+    """gamma = 1.5 on the whole state is below what is feasible as soon as an error exceeds 1.5 m."""
+    with pytest.raises(FilterDivergence, match=INDEFINITE):
+        fly(flight(frames=4, imu=imu), name="thesis_uhf", model=model)
+    held = fly(flight(frames=4, imu=imu), name="uhf", model=model)
+    assert held.filter.feasibility > 1.0
+
+
+def test_the_thesis_filters_believe_the_rig_whatever_is_configured(course) -> None:
+    f = course.filter("euler9", "thesis_ukf", rig_config=RigConfig(flexing=True, time_offset_sigma_s=0.01))
+    assert f.vehicle == 9
+
+
+def test_steps_without_landmarks_and_observations_are_possible(course) -> None:
+    f = course.filter("euler9", "thesis_ukf")
+    f.predict(course.increments[0])
+    innovation = f.update(np.zeros(0, np.int64), np.zeros((0, 4)))
+    assert (innovation.nis, innovation.dof, innovation.accepted) == (0.0, 0, True)
+    assert np.isfinite(f.nav_estimate().covariance).all()
