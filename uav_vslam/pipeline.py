@@ -83,7 +83,7 @@ class VehiclePipeline:
             self._slam.add_increment(increment)
         outputs = list(self._slam.run())
         self.track.outputs += outputs
-        self.track.warnings += [output.warning for output in outputs if output.warning]
+        self.track.warnings += [text for output in outputs for text in output.warnings]
         dropped = {**self._slam.dropped, **self._refused}
         self.track.dropped = {reason: count for reason, count in dropped.items() if count}
         return outputs

@@ -105,3 +105,15 @@ def test_in_flight_a_frame_from_before_the_first_motion_is_dropped(flown, first:
     outputs = feed(stage, flight.frames[first + 1 :])
     assert stamps(outputs) == [features.stamp_ns for features, _ in flight.frames[first:]]
     assert stage.dropped["before_start"] == first
+
+
+def test_a_filter_that_begins_anew_is_warned_of(flown) -> None:
+    flight = flown(1)
+    stage = make(flight)
+    stage.start(flight.vehicle.initial)
+    assert [o.warnings for o in feed(stage, flight.frames[:8])] == [()] * 8
+    stage._backend._filter.belief.Y[3, 3] = -1.0
+    outputs = feed(stage, flight.frames[8:12])
+    assert [len(o.warnings) for o in outputs] == [1, 0, 0, 0]
+    assert "begins anew" in outputs[0].warnings[0]
+    assert "not positive definite" in outputs[0].warnings[0]

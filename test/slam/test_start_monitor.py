@@ -29,7 +29,7 @@ def warnings_of(flight, initial: NavEstimate) -> list[str]:
         stage.add_features(features)
         if increment is not None:
             stage.add_increment(increment)
-    return [output.warning for output in stage.run() if output.warning]
+    return [text for output in stage.run() for text in output.warnings]
 
 
 def moved(initial: NavEstimate, *, velocity=ZERO, rotation_deg=ZERO) -> NavEstimate:

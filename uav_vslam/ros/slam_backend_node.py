@@ -129,13 +129,14 @@ class SlamBackendNode(VehicleNode):
         self.counts["frames"] += 1
         self.counts["frames_coasted"] += report.associated == 0
         self.counts["relocalisations"] += report.relocalised
+        self.counts["recoveries"] += report.recovery != ""
         self.notes["landmarks"] = str(report.landmarks)
         self.notes["associated"] = str(report.associated)
         if report.innovation is not None:
             self.notes["nis_per_dof"] = f"{report.innovation.nis / max(report.innovation.dof, 1):.2f}"
-        if output.warning:
-            self.get_logger().warning(output.warning)
-            self.notes["start"] = output.warning
+        for text in output.warnings:
+            self.get_logger().warning(text)
+            self.notes["warning"] = text
 
 
 def main(args: list[str] | None = None) -> int:

@@ -13,6 +13,7 @@ from uav_vslam.ins.propagator import advance
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.in_flight_start import Frame, InFlightStart
+from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.start_monitor import StartMonitor
 from uav_vslam.types import ImuIncrement, JointInformation, NavEstimate, StereoFeatures
 
@@ -25,13 +26,13 @@ class FrameOutput:
         report: own-only SLAM.
         dead_reckoning: the uncorrected INS at the same stamp.
         joint: the belief over pose and landmarks, at epochs only.
-        warning: what the user should look into; empty as a rule.
+        warnings: what the user should look into; none as a rule.
     """
 
     report: FrameReport
     dead_reckoning: NavEstimate
     joint: JointInformation | None
-    warning: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 class SlamStage:
@@ -48,7 +49,7 @@ class SlamStage:
         self._queue = FrameQueue()
         self._search: InFlightStart | None = None
         self._backend: SlamBackend | None = None
-        self._monitor = StartMonitor()
+        self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
         self._previous_ns: int | None = None
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
@@ -120,4 +121,12 @@ class SlamStage:
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
         joint = self._backend.joint_information() if at_epoch else None
-        return FrameOutput(report, self._reckoned, joint, self._monitor.add(report, self._reckoned))
+        return FrameOutput(report, self._reckoned, joint, self._warnings(report))
+
+    def _warnings(self, report: FrameReport) -> tuple[str, ...]:
+        found = (
+            f"the filter begins anew: {report.recovery}" if report.recovery else "",
+            self._start_monitor.add(report, self._reckoned),
+            self._rig_monitor.add(report),
+        )
+        return tuple(text for text in found if text)
