@@ -124,9 +124,10 @@ class SlamStage:
         return FrameOutput(report, self._reckoned, joint, self._warnings(report))
 
     def _warnings(self, report: FrameReport) -> tuple[str, ...]:
-        found = (
-            f"the filter begins anew: {report.recovery}" if report.recovery else "",
-            self._start_monitor.add(report, self._reckoned),
-            self._rig_monitor.add(report),
-        )
+        if report.recovery:
+            self._start_monitor.stop(report.pose.stamp_ns)
+            return (f"the filter begins anew: {report.recovery}",)
+        found = [self._start_monitor.add(report, self._reckoned)]
+        if self._start_monitor.trusts(report.pose.stamp_ns):  # a wrong start would speak against a right rig
+            found.append(self._rig_monitor.add(report))
         return tuple(text for text in found if text)

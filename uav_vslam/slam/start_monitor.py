@@ -34,6 +34,14 @@ class StartMonitor:
         self._nis, self._dof, self._coasted, self._landmarks = 0.0, 0, 0, 0
         self._warned = False
 
+    def stop(self, stamp_ns: int) -> None:
+        """End the watch: from here on the state does not come from the start."""
+        self._end_ns = stamp_ns
+
+    def trusts(self, stamp_ns: int) -> bool:
+        """Tell whether the start has passed: the watch is over by this time and found nothing."""
+        return not self._warned and self._end_ns is not None and stamp_ns > self._end_ns
+
     def add(self, report: FrameReport, reckoned: NavEstimate) -> str:
         """Take note of a frame and return a warning, empty as a rule and after the first.
 
