@@ -406,18 +406,6 @@ def test_pose_landmark_information_is_the_inverse_of_the_marginal_covariance(cou
     assert_same_covariance(np.linalg.inv(f.pose_landmark_information()), J @ f.covariance() @ J.T, 1e-5)
 
 
-def test_a_restart_keeps_the_vehicle_alone_with_more_doubt(course, name: str, model: str) -> None:
-    f = course.flown(model, name, rig_config=RigConfig(flexing=True, time_offset_sigma_s=0.01))
-    P, nav, rig = f.covariance()[: f.vehicle, : f.vehicle], f.nav, f.rig_state
-    f.restart(4.0)
-    assert_same_covariance(f.covariance(), 4.0 * P)
-    assert f.landmarks.shape == (0, 3)
-    assert (f.nav is nav, f.rig_state is rig) == (True, True)
-    f.predict(course.increments[3])
-    f.add_landmarks(course.pixels(4, ALL))
-    assert len(f.covariance()) == f.vehicle + 36
-
-
 def test_a_divergence_is_never_handed_on_and_names_the_time(course, name: str, model: str) -> None:
     f = course.flown(model, name)
     f.belief = type(f.belief)(np.full_like(f.covariance(), np.nan), f.vehicle)

@@ -102,7 +102,7 @@ class Filter:
             robust: weigh observations down that fit badly after the update, as [huber64] does.
             rig_config: how far the rig is trusted; wholly unless given.
         """
-        self._imu, self._form, self._gamma = imu, form, gamma
+        self._imu, self._gamma = imu, gamma
         self._linear: Linearisation = linearisation or Jacobians()
         self._model: StateModel = MODELS[model]()
         self._errors = RigErrors(rig, rig_config or RigConfig(rigid_sigma_deg=0.0), self._model.nav_dim)
@@ -236,12 +236,6 @@ class Filter:
         with _stamped(self.nav.stamp_ns):
             self.belief = self.belief.marginalised(landmarks)
         self.landmarks = np.delete(self.landmarks, landmarks, axis=0)
-
-    def restart(self, inflation: float) -> None:
-        """Forget all landmarks and begin again from here, the vehicle's covariance multiplied."""
-        P = self.belief.covariance(np.zeros(0, np.int64))
-        self.belief = self._form.from_covariance(symmetrise(inflation * P))
-        self.landmarks = np.zeros((0, 3))
 
     def nav_estimate(self) -> NavEstimate:
         """Return the navigation state with its (15, 15) map-frame covariance; states a model lacks have none.
