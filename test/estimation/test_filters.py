@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filters by name: as the configuration spells them, made as it says."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from uav_vslam import config
+from uav_vslam.config import BackendConfig, RigConfig, VehicleConfig
+from uav_vslam.estimation.filters import BOUNDED, FILTERS, make_filter
+
+OWN = [name for name in FILTERS if not name.startswith("thesis")]
+
+
+def test_the_configuration_knows_the_same_names() -> None:
+    assert set(config.FILTERS) == set(FILTERS)
+    assert set(BOUNDED) < set(FILTERS)
+
+
+def made(course, name: str, **backend):
+    rig = RigConfig(rigid_sigma_deg=0.0)  # as `Filter` believes when it is not told
+    settings = VehicleConfig(imu=course.imu, rig=rig, backend=BackendConfig(filter=name, **backend))
+    return make_filter(course.initial, rig=course.rig, config=settings)
+
+
+@pytest.mark.parametrize("name", sorted(FILTERS))
+@pytest.mark.parametrize("model", config.STATE_MODELS)
+def test_a_configured_filter_is_the_one_of_that_name(course, name: str, model: str) -> None:
+    """To the last bit, over an increment and an update."""
+    found = made(course, name, model=model, sigma_px=0.7, depth_sigma_ratio=0.03, gamma=50.0)
+    gamma = {"gamma": 50.0} if name in BOUNDED else {}
+    expected = course.filter(model, name, sigma_px=0.7, depth_sigma_ratio=0.03, **gamma)
+    for f in (found, expected):
+        f.add_landmarks(course.pixels(0, np.arange(4)))
+        f.predict(course.increments[0])
+        f.update(np.arange(4), course.pixels(1, np.arange(4)))
+    np.testing.assert_array_equal(found.nav.T_map_body.matrix, expected.nav.T_map_body.matrix)
+    np.testing.assert_array_equal(found.covariance(), expected.covariance())
+    assert found.feasibility == expected.feasibility
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_robustness_and_doubt_of_the_rig_are_passed_on(course, name: str) -> None:
+    settings = VehicleConfig(imu=course.imu, rig=RigConfig(flexing=True, time_offset_sigma_s=0.01))
+    for robust in (True, False):
+        backend = BackendConfig(filter=name, robust=robust)
+        f = make_filter(course.initial, rig=course.rig, config=dataclasses.replace(settings, backend=backend))
+        assert f.vehicle == 15 + 7
+        f.add_landmarks(course.pixels(0, np.arange(12)))
+        f.predict(course.increments[0])
+        wrong = course.pixels(1, np.arange(12))
+        wrong[4] += 100.0
+        assert (f.update(np.arange(12), wrong).weighed_down > 0) is robust
