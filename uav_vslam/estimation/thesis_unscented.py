@@ -2,8 +2,10 @@
 """The unscented filters as chapter 4 of [thesis] has them: baselines that show why ours differ.
 
 Sigma points span the whole state with kappa = 3 - n (Eq. 4.3.3), so the centre's weight is (3 - n)/3: far below zero
-once there are landmarks. A covariance summed with such a weight need not be positive definite, and soon it is not. The
-thesis's remedy, "diagonal loading", is here too; where it does not help, the filter has failed and says so.
+once there are landmarks. What the transform leaves over beside its positive parts is (beta - alpha^2) s s^T, with s the
+shift of the mean: with beta = 2 the covariance stays definite for all that, with beta < alpha^2 it need not. Then the
+thesis's remedy, "diagonal loading", is here too; where it does not help, the filter has failed and says so. So it does
+when a sigma point, sqrt(3) sigmas and more away, puts a vague landmark behind the camera.
 
 Symbols: chi sigma points as errors from the mean, W weights, D deviations from the weighted mean (rows are points).
 """
