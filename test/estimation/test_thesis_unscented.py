@@ -175,9 +175,8 @@ def test_a_smaller_spread_changes_little(fly, monkeypatch, alpha: float) -> None
 
 @pytest.mark.parametrize("model", ["euler9", "ri15"])
 def test_vague_landmarks_stop_the_thesis_ukf_and_not_ours(fly, model: str) -> None:
-    """100 m up, with the thesis's 10 px^2, a new landmark's depth is known to 35 m: over the whole state, sigma points
-    are sqrt(3) sigmas and more from the mean, and some lie behind the camera. Ours span a pose and a landmark, and
-    leave such a landmark to its Jacobian.
+    """100 m up, with the thesis's 10 px^2, a new landmark's depth is known to 35 m and more: its points, up to sqrt(3)
+    sigmas away, fall behind the camera. Ours leave such a landmark to its Jacobian.
     """
     vehicle = flight(altitude=100.0)
     with pytest.raises(FilterDivergence, match="a sigma point puts a landmark behind the camera"):

@@ -5,7 +5,7 @@ Sigma points span the whole state with kappa = 3 - n (Eq. 4.3.3), so the centre'
 once there are landmarks. What the transform leaves over beside its positive parts is (beta - alpha^2) s s^T, with s the
 shift of the mean: with beta = 2 the covariance stays definite for all that, with beta < alpha^2 it need not. Then the
 thesis's remedy, "diagonal loading", is here too; where it does not help, the filter has failed and says so. So it does
-when a sigma point, sqrt(3) sigmas and more away, puts a vague landmark behind the camera.
+when a sigma point, up to sqrt(3) sigmas away, puts a vague landmark behind the camera.
 
 Symbols: chi sigma points as errors from the mean, W weights, D deviations from the weighted mean (rows are points).
 """
