@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 FAILURE_RULE = (
     "a run fails if the filter breaks down, so that the back end gives up or begins anew, if its estimate is not "
     "finite, or if it ends farther from the truth than the INS does on root mean square over the same runs; errors and "
-    "NEES are over all runs that came to the end of their flight, failed or not"
+    "NEES are over all runs that came to the end of their flight with one filter, however far off"
 )
 
 
@@ -40,18 +40,16 @@ def pooled(runs: Sequence[Run]) -> Row:
 
 
 def is_finished(run: Run) -> bool:
-    """Tell whether a run reached the end of its flight with numbers."""
+    """Tell whether a run reached the end of its flight with numbers, and with the filter that it began with."""
     estimate = run.track.estimate
-    return not run.track.failure and len(estimate) == len(run.truth) and bool(np.isfinite(estimate.positions).all())
+    broke = run.track.failure or run.track.restarts > 0
+    return not broke and len(estimate) == len(run.truth) and bool(np.isfinite(estimate.positions).all())
 
 
 def failures(runs: Sequence[Run]) -> int:
     """Count the runs that failed, see FAILURE_RULE; the INS itself can't."""
     ins_end_m = rms([float(np.linalg.norm(run.ins.positions[-1] - run.truth.positions[-1])) for run in runs]) or 0.0
-    return sum(
-        not is_finished(run) or run.track.restarts > 0 or (run.name != INS and end_error_m(run) > ins_end_m)
-        for run in runs
-    )
+    return sum(not is_finished(run) or (run.name != INS and end_error_m(run) > ins_end_m) for run in runs)
 
 
 def end_error_m(run: Run) -> float:
