@@ -10,18 +10,23 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from uav_vslam.config import BackendConfig, FusionConfig, VehicleConfig
+from uav_vslam.config import BackendConfig, FusionConfig, StartConfig, VehicleConfig
+from uav_vslam.evaluation.consistency import nees
+from uav_vslam.evaluation.start_frame import in_start_frame
+from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import CooperativeTrack, cooperate
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.types import ImuSample, PoseEstimate, StereoFeatures
+from uav_vslam.studies.flights import true_trajectory
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, PoseEstimate, StereoFeatures
 
 Array = NDArray[np.float64]
 
 FRAMES = 40  # 5.5 s, 110 m
 RUNS = 12  # of the consistency test
+SEEDS_IN_FLIGHT = range(1, 7)
 
 # A consistent filter's end NEES over 12 flights of 3 degrees of freedom each is chi-square with 36. The 99 % band of
 # its mean is 0.50 to 1.71. Power: an over-confidence of 2.5 (sigmas too small by 1.6) is noticed with 92 %, the
@@ -183,6 +188,62 @@ def test_an_output_is_given_as_soon_as_the_readings_reach_its_frame() -> None:
         else:
             outputs = pipeline.add_frame(event)
             assert [o.report.pose.stamp_ns for o in outputs] in ([], [event.stamp_ns])
+
+
+@functools.cache
+def flown_from_nowhere(seed: int) -> tuple[SimulatedSource, VehicleTrack]:
+    """A flight of 8 s without any start state but gravity; the filter is told 5 m/s."""
+    (source,) = simulated(seed, frames=58)
+    config = dataclasses.replace(config_of(source), start=StartConfig(method="in_flight", velocity_sigma=5.0))
+    pipeline = VehiclePipeline(None, rig=source.rig, config=config, vehicle=source.vehicle)
+    for _ in pipeline.run(source.iter_events()):
+        pass
+    assert pipeline.missing_start == ""
+    return source, pipeline.track
+
+
+@pytest.mark.parametrize("seed", SEEDS_IN_FLIGHT)
+def test_a_start_in_flight_settles_within_five_seconds(seed: int) -> None:
+    source, track = flown_from_nowhere(seed)
+    assert len(track.outputs) == track.frames_in == 58
+    assert track.dropped == {}
+    assert track.warnings == []
+    start_ns = track.outputs[0].report.pose.stamp_ns
+    for output in track.outputs:
+        if output.report.pose.stamp_ns < start_ns + 5 * NS_PER_S:
+            continue
+        true, state = source.simulated.true_state(output.report.pose.stamp_ns), output.report.nav.state
+        R, R_true = state.T_map_body.R, true.T_map_body.R
+        assert np.linalg.norm(R.T @ state.v_map - R_true.T @ true.v_map) < 0.5  # in the body: maps differ in yaw
+        assert np.rad2deg(np.arccos(R[2] @ R_true[2])) < 1.5  # five sigmas of the accelerometer's bias
+
+
+def test_after_a_start_in_flight_the_filter_is_as_good_as_it_says() -> None:
+    """In the vehicle's own frame: its first frame is the origin and faces yaw zero, by definition."""
+    found = []
+    for seed in SEEDS_IN_FLIGHT:
+        source, track = flown_from_nowhere(seed)
+        first_ns = track.outputs[0].report.pose.stamp_ns
+        estimate = Trajectory.from_estimates([output.report.pose for output in track.outputs])
+        truth = in_start_frame(true_trajectory(source.simulated), first_ns)
+        assert truth is not None
+        values = nees(estimate, truth)
+        assert values is not None
+        found.append(float(values.position[estimate.stamps_ns > first_ns + 5 * NS_PER_S].mean()))
+    assert np.mean(found) < 2.0
+
+
+def test_a_start_that_the_first_frames_contradict_is_told() -> None:
+    (source,) = simulated(1, frames=24)
+    initial = source.initial_state
+    wrong = dataclasses.replace(initial.state, v_map=initial.state.v_map + np.array([2.0, 0.0, 0.0]))
+    pipeline = VehiclePipeline(
+        NavEstimate(wrong, initial.covariance), rig=source.rig, config=config_of(source), vehicle="uav1"
+    )
+    for _ in pipeline.run(source.iter_events()):
+        pass
+    (warning,) = pipeline.track.warnings
+    assert "check initial_state's covariance" in warning
 
 
 @pytest.mark.parametrize("order", [("uav1", "uav2"), ("uav2", "uav1")])

@@ -194,13 +194,13 @@ class StartConfig:
     rest_s: float = 1.0  # static: readings that are averaged [s]
     window_s: float = 1.0  # in_flight: frames that the start is found from [s]
     velocity_sigma: float = 5.0  # in_flight: doubt of the start's velocity that the filter is told, per axis [m/s]
-    tilt_sigma_deg: float = 1.5  # in_flight: likewise of roll and pitch [deg]
+    max_tilt_sigma_deg: float = 3.0  # in_flight: frames that leave roll and pitch more doubtful won't do [deg]
 
     def __post_init__(self) -> None:
         _require(self.method in START_METHODS, self, "method", f"one of {', '.join(START_METHODS)}")
         for key in ("rest_s", "window_s"):
             _require(getattr(self, key) > 0, self, key, "a positive time [s]")
-        for key in ("velocity_sigma", "tilt_sigma_deg"):
+        for key in ("velocity_sigma", "max_tilt_sigma_deg"):
             _require(getattr(self, key) > 0, self, key, "a positive standard deviation")
 
 

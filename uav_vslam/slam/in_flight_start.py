@@ -3,7 +3,9 @@
 
 The first usable frame is the origin and faces yaw 0, which is the map's definition. Frames are held back until a window
 of them agrees on a motion; then the filter starts at the window's first frame and is given them all. What the window
-said of velocity and tilt only centres a prior much wider than its error, so that no frame counts twice.
+said of velocity and tilt only centres a prior wider than its error, so that its frames hardly count twice. Wide is no
+virtue in itself: a filter that is free to follow the first frames' noise by degrees of tilt linearises there, and is
+over-confident for the rest of the flight.
 """
 
 from dataclasses import dataclass
@@ -25,6 +27,7 @@ Frame = tuple[StereoFeatures, ImuIncrement | None]
 MIN_VIEWS = 3  # later frames that see the first one's points: velocity and gravity are six numbers, two views' worth
 MAX_VIEWS = 8  # more of them, spread over the window, add little
 MIN_AGREEING = 0.5  # share of the matches that must fit one motion
+TOLD_PER_TILT_SIGMA = 2.0  # told the filter, of what the window leaves; most of that is the accelerometer's bias anyway
 MAX_BIAS_TURN_RAD = 0.1  # by the gyro bias over the window; increments follow a bias to first order only
 
 
@@ -100,17 +103,21 @@ class InFlightStart:
         views = self._views(first.descriptors[usable])
         found = align(self._rig, pixels[usable], views, imu=self._config.imu, sigma_px=self._config.backend.sigma_px)
         self._judge(found, views)
-        imu, start = self._config.imu, self._config.start
+        imu = self._config.imu
         return levelled(
             first.stamp_ns,
             up_body=-found.gravity,
             v_body=found.velocity,
             gyro_bias=found.gyro_bias,
-            sigma_velocity=start.velocity_sigma,
-            sigma_tilt=float(np.deg2rad(start.tilt_sigma_deg)),
+            sigma_velocity=self._config.start.velocity_sigma,
+            sigma_tilt=TOLD_PER_TILT_SIGMA * self._sigma_tilt(found),
             sigma_gyro_bias=imu.gyro_bias_sigma,
             sigma_accel_bias=imu.accel_bias_sigma,
         )
+
+    def _sigma_tilt(self, found: Alignment) -> float:
+        """Return the standard deviation of the worst known horizontal axis [rad]."""
+        return float(np.sqrt(np.linalg.eigvalsh(found.covariance[GRAVITY, GRAVITY])[-1]) / self._config.imu.gravity)
 
     def _views(self, descriptors: NDArray[np.uint8]) -> list[View]:
         """Return what later frames, spread over the window, show of the first one's points."""
@@ -150,12 +157,11 @@ class InFlightStart:
                 f"the gyro's bias alone turns by {turn:.2f} rad within {span_s:.1f} s, more than "
                 f"{MAX_BIAS_TURN_RAD:g}: frames are too far apart, or the gyro needs calibration"
             )
+        start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt(found)))
         velocity = float(np.sqrt(np.linalg.eigvalsh(found.covariance[VELOCITY, VELOCITY])[-1]))
-        tilt = float(np.sqrt(np.linalg.eigvalsh(found.covariance[GRAVITY, GRAVITY])[-1]) / self._config.imu.gravity)
-        start = self._config.start
-        if velocity > start.velocity_sigma or np.rad2deg(tilt) > start.tilt_sigma_deg:
+        if velocity > start.velocity_sigma or tilt_deg > start.max_tilt_sigma_deg:
             raise ThinEvidence(
-                f"velocity is known to {velocity:.2f} m/s and tilt to {np.rad2deg(tilt):.2f} deg only, but the filter "
-                f"would be told {start.velocity_sigma:g} m/s and {start.tilt_sigma_deg:g} deg; raise start.window_s, "
-                "or start.velocity_sigma and start.tilt_sigma_deg"
+                f"velocity is known to {velocity:.2f} m/s and tilt to {tilt_deg:.2f} deg only, not to "
+                f"{start.velocity_sigma:g} m/s and {start.max_tilt_sigma_deg:g} deg; raise start.window_s, or "
+                "start.velocity_sigma and start.max_tilt_sigma_deg"
             )

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the offline graph takes the start state from, and what its result is compared with."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import StartConfig, VehicleConfig
+from uav_vslam.errors import UavVslamError
+from uav_vslam.offline import flight_result, track_vehicle
+from uav_vslam.simulation.landmarks import scatter_landmarks
+from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
+from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.studies.flights import true_trajectory
+from uav_vslam.types import StereoFeatures
+
+IN_FLIGHT = StartConfig(method="in_flight")
+FRAMES = 14
+
+
+@pytest.fixture(scope="module")
+def source() -> SimulatedSource:
+    vehicle = simulate_vehicle(dataclasses.replace(SCENARIOS["kagaru"], frames=FRAMES, vehicles=1), 0)
+    return SimulatedSource(vehicle, scatter_landmarks([vehicle]))
+
+
+def config(source: SimulatedSource, start: StartConfig) -> VehicleConfig:
+    return VehicleConfig(imu=source.simulated.scenario.imu_config, start=start)
+
+
+def test_a_start_found_in_flight_is_compared_in_its_own_frame(source: SimulatedSource) -> None:
+    """The recorded start state lies 70 m up in the world; what is found in flight is the origin."""
+    settings = {source.vehicle: config(source, IN_FLIGHT)}
+    track = track_vehicle(source, settings[source.vehicle])
+    truths = {source.vehicle: true_trajectory(source.simulated)}
+    result = flight_result("x", {source.vehicle: track}, {}, truths, settings).vehicles[source.vehicle]
+    assert result.truth is not None
+    assert len(result.s_slam) == FRAMES
+    np.testing.assert_array_equal(result.s_slam.positions[0], np.zeros(3))
+    np.testing.assert_allclose(result.truth.positions[0], np.zeros(3), atol=1e-9)
+    assert np.linalg.norm(result.s_slam.positions[-1] - result.truth.positions[-1]) < 1.5  # after 36 m
+
+
+def test_a_given_start_is_compared_in_the_world(source: SimulatedSource) -> None:
+    settings = {source.vehicle: config(source, StartConfig())}
+    track = track_vehicle(source, settings[source.vehicle])
+    truths = {source.vehicle: true_trajectory(source.simulated)}
+    result = flight_result("x", {source.vehicle: track}, {}, truths, settings).vehicles[source.vehicle]
+    assert result.truth is truths[source.vehicle]
+    assert abs(result.s_slam.positions[0, 2] - 70.0) < 5.0
+
+
+def test_a_flight_that_never_lets_a_start_be_found_says_why(source: SimulatedSource) -> None:
+    blind = tuple(StereoFeatures.empty(int(stamp_ns)) for stamp_ns in source.simulated.frame_stamps_ns)
+    dark = dataclasses.replace(source, features=blind)
+    with pytest.raises(UavVslamError, match=rf"none of {FRAMES} frames would do to start in flight; the last: of 0"):
+        track_vehicle(dark, config(source, IN_FLIGHT))
+
+
+def test_a_flying_vehicle_is_refused_by_static_alignment_with_the_remedy(source: SimulatedSource) -> None:
+    with pytest.raises(UavVslamError, match=r"set start\.method: in_flight"):
+        track_vehicle(source, config(source, StartConfig(method="static", rest_s=0.5)))
+
+
+def test_a_recording_without_a_start_state_names_all_remedies(source: SimulatedSource) -> None:
+    class Nameless:
+        vehicle, rig, initial_state = source.vehicle, source.rig, None
+        iter_events = source.iter_events
+
+    with pytest.raises(UavVslamError, match=r"static for a vehicle that starts at rest, in_flight for one that flies"):
+        track_vehicle(Nameless(), config(source, StartConfig()))
