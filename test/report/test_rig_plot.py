@@ -36,6 +36,11 @@ def test_each_method_has_a_mark_a_condition(rows):
     assert errors.get_xscale() == nees.get_xscale() == "log"
 
 
+def test_any_number_of_methods_is_drawn(rows):
+    errors, _ = rig_plot([{**row, "method": f"S-SLAM, {k}"} for k in range(5) for row in rows[1:2]]).axes
+    assert [marks(errors, f"S-SLAM, {k}") for k in range(5)] == [[[1.0, 0.0]]] * 5
+
+
 def test_the_ins_is_a_line_and_no_condition(rows):
     errors, _ = rig_plot(rows).axes
     (line,) = [line for line in errors.lines if line.get_color() == STYLES["ins"].colour]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws the study of the rig: end error and consistency of each condition, with and without the attitude as a state."""
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,12 @@ from matplotlib.figure import Figure
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import STYLES, clean, plain_log, save
 
-MARKS = (("#d55e00", "s"), ("#0072b2", "o"))  # colour and marker by method, in the order of the rows
+MARKS = (  # colour, marker and size by method in the order of the rows; the next ones are again the first
+    ("#d55e00", "s", 10.0),
+    ("#0072b2", "o", 7.0),
+    ("#009e73", "^", 6.0),
+    ("#000000", "x", 6.0),
+)
 LINK = "#bbbbbb"
 
 
@@ -50,7 +56,7 @@ def _draw(axes: Axes, rows: list[Row], places: dict[str, int], key: str) -> None
         values = [row[key] for row in rows if row["condition"] == condition]
         axes.plot(values, [place] * len(values), color=LINK, linewidth=2.0, zorder=1)
     names = dict.fromkeys(row["method"] for row in rows)
-    for name, (colour, marker) in zip(names, MARKS, strict=False):
+    for name, (colour, marker, size) in zip(names, itertools.cycle(MARKS), strict=False):
         found = [row for row in rows if row["method"] == name]
         where = [places[row["condition"]] for row in found]
-        axes.plot([row[key] for row in found], where, marker, color=colour, label=name, markersize=7, zorder=3)
+        axes.plot([row[key] for row in found], where, marker, color=colour, label=name, markersize=size, zorder=3)
