@@ -143,12 +143,13 @@ class InFlightStart:
         return views
 
     def _judge(self, found: Alignment, views: list[View]) -> None:
-        """Refuse what too few matches agree on, or what is less certain than the filter would be told."""
+        """Refuse what too few matches agree on, or what is less certain than asked for."""
         agreeing, matched = int(found.inliers.sum()), sum(len(view.rows) for view in views)
         enough = (found.inliers >= self._config.backend.min_pnp_inliers).sum() >= MIN_VIEWS
         if not enough or agreeing < MIN_AGREEING * matched:
             raise ThinEvidence(
-                f"{agreeing} of {matched} matches fit one motion; check calibration, IMU axes and units, and sigma_px"
+                f"{agreeing} of {matched} matches fit one motion; check calibration, IMU axes and units, "
+                "imu.gyro_bias_sigma and backend.sigma_px"
             )
         span_s = sum(view.motion.dt_s for view in views)
         turn = float(np.linalg.norm(found.gyro_bias)) * span_s
