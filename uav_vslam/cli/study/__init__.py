@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study import euroc, filters, flights, fusion, long, outliers, rig
+from uav_vslam.cli.study import euroc, filters, flights, fusion, long, outliers, rig, start
 
 HELP = "compare methods over many flights"
 EXAMPLES = """examples:
@@ -16,6 +16,7 @@ EXAMPLES = """examples:
   uav-vslam study rig                      rendered images, a right camera that vibrates or is turned; an hour
   uav-vslam study outliers                 landmark level: wrong matches, far ones and look-alikes; an hour
   uav-vslam study euroc V1_01_easy/mav0    a recording with truth, by every filter from many starts; an hour
+  uav-vslam study start                    landmark level: no start state, and wrong ones; minutes
   uav-vslam study STUDY --help             arguments and examples of one study
 """
 STUDIES = {
@@ -26,6 +27,7 @@ STUDIES = {
     "rig": rig,
     "outliers": outliers,
     "euroc": euroc,
+    "start": start,
 }
 
 
