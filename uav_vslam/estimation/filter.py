@@ -154,7 +154,7 @@ class Filter:
     def predict_observations(self, landmarks: Indices) -> PredictedObservation:
         """Return what should be seen of the chosen landmarks; they must be projectable."""
         with _stamped(self.nav.stamp_ns):
-            return self._predicted(landmarks)
+            return self._predicted(landmarks, self.belief)
 
     def joint_innovation(self, landmarks: Indices, pixels: Array) -> tuple[Array, Array]:
         """Return the innovations (M, 4) of stereo observations and their joint covariance (4M, 4M) [px], [px^2]."""
@@ -182,7 +182,9 @@ class Filter:
         Args:
             landmarks: (M,) rows of `landmarks`, each at most once.
             pixels: (M, 4) undistorted stereo pixels.
-            linearise_at: T_map_body where to linearise instead of at the mean; for a mean known to be far off.
+            linearise_at: T_map_body where to linearise instead of at the mean; for a mean known to be far off. No line
+                fits over the belief of so vague a mean, so a regression is made over what the update will leave of it,
+                as in [garcia15].
             significance: the update is refused if right observations were as far off together with less probability.
         """
         before = (self.nav, self.belief)
@@ -190,7 +192,9 @@ class Filter:
         with _stamped(self.nav.stamp_ns):
             if linearise_at is not None and self._model.invariant:
                 prior = self._move_linearisation(linearise_at)
-            predicted = self._predicted(landmarks)
+                predicted = self._predicted(landmarks, self._belief_to_regress_over(landmarks))
+            else:
+                predicted = self._predicted(landmarks, self.belief)
             nu = pixels - predicted.expected
             nu = nu - Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu).apply(prior)
             update, weights = self._updated(predicted, nu)
@@ -273,9 +277,18 @@ class Filter:
         known = values > NOTHING_LEARNT * prior[0, 0]
         return float(np.sum(along[known] ** 2 / values[known]))
 
-    def _predicted(self, landmarks: Indices) -> PredictedObservation:
-        P = self.belief.covariance(landmarks)
-        return self._linear.observation(self._camera(), landmarks, self.landmarks[landmarks], P)
+    def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
+        return self._linear.observation(
+            self._camera(), landmarks, self.landmarks[landmarks], belief.covariance(landmarks)
+        )
+
+    def _belief_to_regress_over(self, landmarks: Indices) -> Belief:
+        """Return the belief that observations of some landmarks will leave, by their Jacobians."""
+        if not self._linear.regresses:
+            return self.belief
+        P, M = self.belief.covariance(landmarks), len(landmarks)
+        first = Jacobians().observation(self._camera(), landmarks, self.landmarks[landmarks], P)
+        return self.belief.updated(_whitened(first, np.zeros((M, STEREO_DOF)), np.ones(M))).belief
 
     def _camera(self) -> Camera:
         return Camera(

@@ -87,7 +87,13 @@ class PredictedObservation:
 
 
 class Linearisation(Protocol):
-    """A way to make things linear."""
+    """A way to make things linear.
+
+    Attributes:
+        regresses: the line is fitted over the whole belief, so that it fits badly where the belief is too wide.
+    """
+
+    regresses: bool
 
     def process(
         self, model: StateModel, nav: NavState, belief: Belief, increment: ImuIncrement, imu: ImuConfig
@@ -107,6 +113,8 @@ class Linearisation(Protocol):
 
 class Jacobians:
     """First-order expansion."""
+
+    regresses = False
 
     def process(
         self, model: StateModel, nav: NavState, belief: Belief, increment: ImuIncrement, imu: ImuConfig
@@ -130,6 +138,8 @@ class Jacobians:
 
 class Cubature:
     """Regression over cubature points; the rig's few errors, tiny angles and times, stay with their Jacobians."""
+
+    regresses = True
 
     def process(
         self, model: StateModel, nav: NavState, belief: Belief, increment: ImuIncrement, imu: ImuConfig
