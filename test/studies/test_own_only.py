@@ -86,7 +86,8 @@ def test_new_beginnings_are_counted(monkeypatch, trial):
         SlamBackend, "process", lambda *args: dataclasses.replace(process(*args), recovery="innovations too large")
     )
     track = run_trial((trial, 1))[2].track
-    assert (track.restarts, track.failure) == (12, "")
+    assert (track.restarts, track.failure) == (12, "innovations too large")
+    assert len(track.estimate) == 12
 
 
 def test_a_wrong_setting_is_refused_before_anything_flies():

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.studies.own_only import INS
-from uav_vslam.studies.scores import failures, is_finished, pooled, relative_error_rate
+from uav_vslam.studies.scores import breakdowns, failures, is_finished, pooled, relative_error_rate
 
 
 def test_errors_and_nees_are_pooled_over_the_runs(make_run):
@@ -39,10 +39,16 @@ def test_a_run_fails_when_it_ends_beyond_what_the_ins_does_on_average(make_run):
     assert failures(runs) == 1
 
 
-def test_a_filter_that_began_anew_has_failed(make_run):
-    row = pooled([make_run(restarts=3), make_run()])
+def test_a_filter_that_began_anew_has_failed_and_its_errors_are_not_its_own(make_run):
+    row = pooled([make_run(end=(1e15, 0.0, 0.0), restarts=3, failure="indefinite"), make_run()])
     assert (row["failures"], row["restarts"]) == (1, 1.5)
     assert row["end_rms_m"] == pytest.approx(1.0)
+
+
+def test_the_first_reason_of_each_breakdown_is_told(make_run):
+    runs = [make_run(), make_run("uhf", seed=2, failure="indefinite"), make_run("uhf", seed=3, failure="lost")]
+    assert breakdowns(runs) == {"Breakdowns": "uhf (first in w1, seed 2): indefinite"}
+    assert breakdowns(runs[:1]) == {}
 
 
 def test_the_ins_can_not_fail_by_its_own_measure(make_run):

@@ -59,8 +59,8 @@ class Track:
 
     Attributes:
         estimate: poses at the frames.
-        failure: why it came no farther; empty at the end of the flight.
-        restarts: how often the filter broke down and the back end began anew.
+        failure: why it broke down first, whether the back end then began anew or gave up; empty if it never did.
+        restarts: how often the back end began anew.
         frame_ms: (F,) time of this process for each frame [ms]; empty where frames are not processed one by one.
         landmarks: (F,) in the state after each frame.
         resident_mb: (F,) memory of this process after each frame [MB].
@@ -194,13 +194,14 @@ def run_backend(flight: Flight, *, config: VehicleConfig) -> Track:
         try:
             report = backend.process(features, increment)
         except (UavVslamError, np.linalg.LinAlgError) as error:
-            failure = f"{type(error).__name__}: {error}"
+            failure = failure or f"{type(error).__name__}: {error}"
             break
         frame_ms.append(1e-6 * (time.process_time_ns() - started_ns))
         resident_mb.append(_resident_mb())
         poses.append(report.pose)
         landmarks.append(report.landmarks)
         restarts += bool(report.recovery)
+        failure = failure or report.recovery
     return Track(
         Trajectory.from_estimates(poses),
         failure,

@@ -42,14 +42,22 @@ def pooled(runs: Sequence[Run]) -> Row:
 def is_finished(run: Run) -> bool:
     """Tell whether a run reached the end of its flight with numbers, and with the filter that it began with."""
     estimate = run.track.estimate
-    broke = run.track.failure or run.track.restarts > 0
-    return not broke and len(estimate) == len(run.truth) and bool(np.isfinite(estimate.positions).all())
+    return not run.track.failure and len(estimate) == len(run.truth) and bool(np.isfinite(estimate.positions).all())
 
 
 def failures(runs: Sequence[Run]) -> int:
     """Count the runs that failed, see FAILURE_RULE; the INS itself can't."""
     ins_end_m = rms([float(np.linalg.norm(run.ins.positions[-1] - run.truth.positions[-1])) for run in runs]) or 0.0
     return sum(not is_finished(run) or (run.name != INS and end_error_m(run) > ins_end_m) for run in runs)
+
+
+def breakdowns(runs: Sequence[Run]) -> dict[str, str]:
+    """Return a note on why candidates broke down, the first reason of each; no note if none did."""
+    reasons: dict[str, str] = {}
+    for run in runs:
+        if run.track.failure:
+            reasons.setdefault(run.name, f"{run.name} (first in {run.condition}, seed {run.seed}): {run.track.failure}")
+    return {"Breakdowns": "; ".join(reasons.values())} if reasons else {}
 
 
 def end_error_m(run: Run) -> float:

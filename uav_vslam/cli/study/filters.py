@@ -35,11 +35,13 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.filter_plots import draw_filters
     from uav_vslam.studies.filters import NOTES, consistency_rows, consistency_trial, noise_rows, noise_trials
     from uav_vslam.studies.own_only import run_trials
+    from uav_vslam.studies.scores import breakdowns
 
     flights = [consistency_trial(frames=args.frames, vehicles=args.vehicles)]
     scales = noise_trials(frames=args.steps, altitude=args.altitude, speed=args.speed)
     seeds, runs = seeds_of(args), list(range(1, args.runs + 1))
     with progress_bar("study filters", len(seeds) + len(scales) * len(runs)) as advance:
-        rows = consistency_rows(run_trials(flights, seeds, workers=args.workers, on_job=advance))
-        rows += noise_rows(run_trials(scales, runs, workers=args.workers, on_job=advance))
-    return show(write_study("study_filters", rows, seeds, args.results, notes=NOTES, plot=draw_filters))
+        calm = run_trials(flights, seeds, workers=args.workers, on_job=advance)
+        noisy = run_trials(scales, runs, workers=args.workers, on_job=advance)
+    rows, notes = consistency_rows(calm) + noise_rows(noisy), NOTES | breakdowns(calm + noisy)
+    return show(write_study("study_filters", rows, seeds, args.results, notes=notes, plot=draw_filters))

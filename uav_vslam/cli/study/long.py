@@ -35,10 +35,15 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.long_plot import draw_long
     from uav_vslam.studies.long import NOTES, POLICIES, long_rows, long_series, long_trial
     from uav_vslam.studies.own_only import run_trials
+    from uav_vslam.studies.scores import breakdowns
 
     trial = long_trial(variants_of(args) or POLICIES, frames=args.frames)
     seeds = seeds_of(args)
     with progress_bar("study long", len(seeds)) as advance:
         runs = run_trials([trial], seeds, workers=args.workers, on_job=advance)
     rows, series = long_rows(runs), long_series(runs)
-    return show(write_study("study_long", rows, seeds, args.results, notes=NOTES, series=series, plot=draw_long))
+    return show(
+        write_study(
+            "study_long", rows, seeds, args.results, notes=NOTES | breakdowns(runs), series=series, plot=draw_long
+        )
+    )

@@ -35,9 +35,13 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.outlier_plot import draw_outliers
     from uav_vslam.studies.outliers import NOTES, ROBUST, outlier_rows, outlier_trials
     from uav_vslam.studies.own_only import run_trials
+    from uav_vslam.studies.scores import breakdowns
 
     trials = outlier_trials(variants_of(args) or ROBUST, frames=args.frames, vehicles=args.vehicles)
     seeds = seeds_of(args)
     with progress_bar("study outliers", len(trials) * len(seeds)) as advance:
-        rows = outlier_rows(run_trials(trials, seeds, workers=args.workers, on_job=advance))
-    return show(write_study("study_outliers", rows, seeds, args.results, notes=NOTES, plot=draw_outliers))
+        runs = run_trials(trials, seeds, workers=args.workers, on_job=advance)
+    rows = outlier_rows(runs)
+    return show(
+        write_study("study_outliers", rows, seeds, args.results, notes=NOTES | breakdowns(runs), plot=draw_outliers)
+    )
