@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One direction of an emulated radio link: rate, queue, delay, jitter, loss, duplication and blackouts.
+
+The order is that of a real radio: a packet waits in the sender's queue until the rate lets it out, and what leaves may
+then be lost on air, come late, or come twice. The same seed and the same calls give the same packets.
+"""
+
+import heapq
+from collections import Counter, deque
+from dataclasses import dataclass, fields
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from uav_vslam.errors import ConfigError
+from uav_vslam.types import NS_PER_S
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class LinkConfig:
+    """What a link does to packets; the default is a perfect one."""
+
+    rate_bytes_per_s: float = 0.0  # 0: unlimited
+    burst_bytes: int = 1500  # leave at once after a pause; a larger packet takes its time
+    queue_bytes: int = 16384  # wait for the rate; a packet that finds no room is dropped
+    delay_s: float = 0.0  # from leaving the queue to arrival
+    jitter_s: float = 0.0  # further delay, drawn evenly up to this for each packet, so that packets overtake each other
+    loss: float = 0.0  # share of the packets that never arrive
+    duplication: float = 0.0  # share of the packets that arrive twice
+    blackouts: tuple[tuple[float, float], ...] = ()  # [start, end) since the first packet, in which all is lost [s]
+    seed: int = 0  # of all draws
+
+    def __post_init__(self) -> None:
+        for name in (f.name for f in fields(self) if f.name != "blackouts"):
+            if not getattr(self, name) >= 0:
+                raise ConfigError(f"LinkConfig.{name} = {getattr(self, name)!r} is not allowed; use zero or more")
+        for name in ("loss", "duplication"):
+            if not getattr(self, name) <= 1:
+                raise ConfigError(f"LinkConfig.{name} = {getattr(self, name)!r} is not allowed; use a share of 0 to 1")
+        for span in self.blackouts:
+            if not (isinstance(span, tuple | list) and len(span) == 2 and 0 <= span[0] < span[1]):
+                raise ConfigError(f"LinkConfig.blackouts holds {span!r}; use pairs [start_s, end_s] with start < end")
+
+
+class Link(Generic[Item]):
+    """Carries items of a stated size from one sender to one receiver.
+
+    Attributes:
+        packets, size_bytes: how many packets and bytes were offered, queue_dropped, blacked_out, lost, duplicated and
+            delivered. offered + duplicated = queue_dropped + blacked_out + lost + delivered + those under way.
+    """
+
+    def __init__(self, config: LinkConfig) -> None:
+        self._config = config
+        self._rng = np.random.default_rng(config.seed)
+        self._start_ns: int | None = None
+        self._free_ns = 0  # when the last packet has left the queue
+        self._tokens = float(config.burst_bytes)  # at that time [byte]
+        self._queue: deque[tuple[int, int]] = deque()  # (when it has left, size) of the packets not yet out
+        self._air: list[tuple[int, int, int, Item]] = []  # heap of (arrival, serial, size, item)
+        self._serial = 0
+        self.packets: Counter[str] = Counter()
+        self.size_bytes: Counter[str] = Counter()
+
+    @property
+    def queued_bytes(self) -> int:
+        """What waited in the queue at the last `send`."""
+        return sum(size for _, size in self._queue)
+
+    def send(self, now_ns: int, size_bytes: int, item: Item) -> None:
+        """Offer a packet."""
+        if self._start_ns is None:
+            self._start_ns = self._free_ns = now_ns
+        self._count("offered", size_bytes)
+        lost, doubled, *late = self._rng.random(4)  # always as many draws: one packet's fate leaves the next's alone
+        leaves_ns = self._enqueue(now_ns, size_bytes)
+        if leaves_ns is None:
+            self._count("queue_dropped", size_bytes)
+        elif self._is_dark((leaves_ns - self._start_ns) / NS_PER_S):
+            self._count("blacked_out", size_bytes)
+        elif lost < self._config.loss:
+            self._count("lost", size_bytes)
+        else:
+            twice = doubled < self._config.duplication
+            if twice:
+                self._count("duplicated", size_bytes)
+            for share in late[: 1 + twice]:
+                flight_s = self._config.delay_s + share * self._config.jitter_s
+                self._serial += 1
+                heapq.heappush(self._air, (leaves_ns + round(flight_s * NS_PER_S), self._serial, size_bytes, item))
+
+    def receive(self, now_ns: int) -> list[Item]:
+        """Return what has arrived since the last call, in the order of arrival."""
+        arrived = []
+        while self._air and self._air[0][0] <= now_ns:
+            _, _, size_bytes, item = heapq.heappop(self._air)
+            self._count("delivered", size_bytes)
+            arrived.append(item)
+        return arrived
+
+    def _enqueue(self, now_ns: int, size_bytes: int) -> int | None:
+        """Return when the packet's last byte has left, None where the queue has no room for it."""
+        rate = self._config.rate_bytes_per_s
+        if rate == 0:
+            return now_ns
+        while self._queue and self._queue[0][0] <= now_ns:
+            self._queue.popleft()
+        begin_ns = max(now_ns, self._free_ns)
+        earned = (begin_ns - self._free_ns) / NS_PER_S * rate
+        tokens = min(self._tokens + earned, float(self._config.burst_bytes))
+        wait_s = max(size_bytes - tokens, 0.0) / rate
+        leaves_ns = begin_ns + int(np.ceil(wait_s * NS_PER_S))
+        if leaves_ns > now_ns:
+            if self.queued_bytes + size_bytes > self._config.queue_bytes:
+                return None
+            self._queue.append((leaves_ns, size_bytes))
+        self._free_ns, self._tokens = leaves_ns, max(tokens - size_bytes, 0.0)
+        return leaves_ns
+
+    def _is_dark(self, since_start_s: float) -> bool:
+        return any(start <= since_start_s < end for start, end in self._config.blackouts)
+
+    def _count(self, what: str, size_bytes: int) -> None:
+        self.packets[what] += 1
+        self.size_bytes[what] += size_bytes
