@@ -159,6 +159,10 @@ class RigConfig:
                 _require(getattr(self, f.name) >= 0, self, f.name, "zero or more")
 
 
+FUSION_SCHEMES = ("split_ci", "full_ci", "overlay", "inverse_ci")
+FUSION_WEIGHTS = ("position_trace", "trace", "determinant", "niehsen", "franken_hupper")
+
+
 @dataclass(frozen=True, slots=True)
 class FusionConfig:
     """Cooperation with peers."""
@@ -166,6 +170,10 @@ class FusionConfig:
     mode: str = "wideband"  # wideband or none
     epoch_s: float = 1.0  # a packet is sent and a fusion made whenever a frame's stamp passes a multiple of this
     min_delay_s: float = 0.2  # only packets at least this much older than the epoch enter: makes replay repeatable
+    scheme: str = "split_ci"  # how packets are brought in, in cooperation.schemes: split_ci, full_ci, ...
+    weighing: str = "position_trace"  # how the own weight of an intersection is found, see FUSION_WEIGHTS
+    prior_id: str = ""  # hash of a loaded map or shared survey that the start state rests on; "" for none
+    memory_landmarks: int = 40  # shared landmarks that are remembered after they have left the filter's state
     max_packet_landmarks: int = 64  # landmarks in one packet
     ratio: float = 0.8  # descriptor ratio test between vehicles, made before the gate
     gate_probability: float = 0.99  # of the chi-square gate on a common landmark
@@ -174,6 +182,9 @@ class FusionConfig:
 
     def __post_init__(self) -> None:
         _require(self.mode in {"wideband", "none"}, self, "mode", "wideband or none")
+        _require(self.scheme in FUSION_SCHEMES, self, "scheme", f"one of {', '.join(FUSION_SCHEMES)}")
+        _require(self.weighing in FUSION_WEIGHTS, self, "weighing", f"one of {', '.join(FUSION_WEIGHTS)}")
+        _require(self.memory_landmarks >= 0, self, "memory_landmarks", "zero or more")
         _require(self.epoch_s > 0, self, "epoch_s", "a positive time [s]")
         _require(self.min_delay_s >= 0, self, "min_delay_s", "zero or more [s]")
         _require(self.max_packet_landmarks > 0, self, "max_packet_landmarks", "a positive count")

@@ -62,7 +62,7 @@ def from_sources(packet: LandmarkPacket, *sources: str) -> LandmarkPacket:
 def fuse(
     own: JointInformation, *packets: LandmarkPacket, config: FusionConfig = EXACT, prior_id: str = ""
 ) -> FusedEpoch:
-    fusion = Fusion("uav1", config, prior_id=prior_id)
+    fusion = Fusion("uav1", dataclasses.replace(config, prior_id=prior_id))
     for packet in packets:
         fusion.inbox.add(packet)
     return fusion.fuse(own)

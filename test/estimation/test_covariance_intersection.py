@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever the correlation of the dependent shares, the fused covariance bounds the true error; a plain sum doesn't."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,8 +12,11 @@ from numpy.typing import NDArray
 from uav_vslam.estimation.covariance_intersection import (
     WEIGHT_BOUNDS,
     WEIGHT_SKIP,
+    WEIGHTS,
+    Encounter,
     Fused,
     Split,
+    inverse_covariance_intersection,
     split_covariance_intersection,
 )
 from uav_vslam.estimation.numerics import symmetrise
@@ -53,7 +58,7 @@ def true_covariance(fused: Fused, own: Split, peer: Split, J: Array) -> Array:
 
 def gain(own: Split, peer: Split, **options) -> Array:
     """Return the gain column by column, from the correction of unit innovations."""
-    columns = [split_covariance_intersection(own, E, e, peer, cost=trace, **options).delta for e in np.eye(PEER)]
+    columns = [split_covariance_intersection(own, E, e, peer, **options).delta for e in np.eye(PEER)]
     return np.column_stack(columns)
 
 
@@ -68,7 +73,7 @@ def test_fusion_is_never_overconfident_whatever_the_correlation(seed: int, indep
     scale = 1.0 if independent_share else 0.0
     own = Split(scale * spd(rng, OWN), spd(rng, OWN))
     peer = Split(scale * spd(rng, PEER), spd(rng, PEER))
-    fused = split_covariance_intersection(own, E, np.zeros(PEER), peer, cost=trace)
+    fused = split_covariance_intersection(own, E, np.zeros(PEER), peer)
     assert overconfidence(fused.P.total, true_covariance(fused, own, peer, joint(rng, own, peer))) >= -ROUNDING
     assert np.linalg.eigvalsh(fused.P.independent)[0] >= -ROUNDING * trace(fused.P.total)
     assert np.linalg.eigvalsh(fused.P.dependent)[0] >= -ROUNDING * trace(fused.P.total)
@@ -80,7 +85,7 @@ def test_a_plain_sum_of_correlated_information_is_overconfident() -> None:
         rng = np.random.default_rng(seed)
         own, peer = Split(np.zeros((OWN, OWN)), spd(rng, OWN)), Split(np.zeros((PEER, PEER)), spd(rng, PEER))
         naive_own, naive_peer = (Split(s.dependent, s.independent) for s in (own, peer))
-        fused = split_covariance_intersection(naive_own, E, np.zeros(PEER), naive_peer, cost=trace)
+        fused = split_covariance_intersection(naive_own, E, np.zeros(PEER), naive_peer)
         true = true_covariance(fused, naive_own, naive_peer, joint(rng, own, peer))
         failed += overconfidence(fused.P.total, true) < -1e-3
     assert failed > 25
@@ -90,18 +95,16 @@ def test_summing_the_same_estimate_twice_halves_its_covariance_and_intersection_
     P = np.diag([4.0, 1.0, 9.0])
     zero = np.zeros_like(P)
     innovation = np.zeros(3)
-    naive = split_covariance_intersection(Split(P, zero), np.eye(3), innovation, Split(P, zero), cost=trace)
+    naive = split_covariance_intersection(Split(P, zero), np.eye(3), innovation, Split(P, zero))
     np.testing.assert_allclose(naive.P.total, P / 2)
-    ours = split_covariance_intersection(Split(zero, P), np.eye(3), innovation, Split(zero, P), cost=trace)
+    ours = split_covariance_intersection(Split(zero, P), np.eye(3), innovation, Split(zero, P))
     np.testing.assert_allclose(ours.P.total, P)
 
 
 def test_nothing_dependent_is_the_kalman_update() -> None:
     rng = np.random.default_rng(0)
     P, R, innovation = spd(rng, OWN), spd(rng, PEER), rng.normal(size=PEER)
-    fused = split_covariance_intersection(
-        Split(P, np.zeros_like(P)), E, innovation, Split(R, np.zeros_like(R)), cost=trace
-    )
+    fused = split_covariance_intersection(Split(P, np.zeros_like(P)), E, innovation, Split(R, np.zeros_like(R)))
     Y = np.linalg.inv(P) + E.T @ np.linalg.inv(R) @ E
     np.testing.assert_allclose(fused.P.total, np.linalg.inv(Y), rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(fused.delta, np.linalg.solve(Y, E.T @ np.linalg.solve(R, innovation)), rtol=1e-8)
@@ -115,7 +118,7 @@ def test_all_dependent_is_covariance_intersection(weight: float) -> None:
     rng = np.random.default_rng(1)
     P, R, innovation = spd(rng, OWN), spd(rng, PEER), rng.normal(size=PEER)
     fused = split_covariance_intersection(
-        Split(np.zeros_like(P), P), E, innovation, Split(np.zeros_like(R), R), cost=trace, weight=weight
+        Split(np.zeros_like(P), P), E, innovation, Split(np.zeros_like(R), R), weigh=lambda _: weight
     )
     Y = weight * np.linalg.inv(P) + (1 - weight) * E.T @ np.linalg.inv(R) @ E
     np.testing.assert_allclose(fused.P.total, np.linalg.inv(Y), rtol=1e-8, atol=1e-10)
@@ -125,26 +128,74 @@ def test_all_dependent_is_covariance_intersection(weight: float) -> None:
     assert fused.weight == weight
 
 
+COSTS: dict[str, Callable[[Array], float]] = {
+    "position_trace": lambda P: trace(P[:3, :3]),
+    "trace": trace,
+    "determinant": lambda P: float(np.exp(np.linalg.slogdet(P)[1] / OWN)),
+}
+
+
+@pytest.mark.parametrize("criterion", COSTS)
 @settings(max_examples=30)
-@given(st.integers(0, 2**32 - 1))
-def test_the_weight_minimises_the_cost_within_its_bounds(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_weight_minimises_its_cost_within_its_bounds(criterion: str, seed: int) -> None:
+    rng, cost = np.random.default_rng(seed), COSTS[criterion]
     own, peer = Split(spd(rng, OWN), spd(rng, OWN)), Split(spd(rng, PEER), spd(rng, PEER))
 
     def cost_at(weight: float) -> float:
-        return trace(split_covariance_intersection(own, E, np.zeros(PEER), peer, cost=trace, weight=weight).P.total)
+        return cost(split_covariance_intersection(own, E, np.zeros(PEER), peer, weigh=lambda _: weight).P.total)
 
-    fused = split_covariance_intersection(own, E, np.zeros(PEER), peer, cost=trace)
+    fused = split_covariance_intersection(own, E, np.zeros(PEER), peer, weigh=WEIGHTS[criterion])
     assert fused.weight == 1.0 or WEIGHT_BOUNDS[0] <= fused.weight <= WEIGHT_SKIP
     best = min(cost_at(w) for w in np.linspace(WEIGHT_BOUNDS[0], WEIGHT_SKIP - 1e-4, 40))
     # The search stops 1e-3 from the minimum, and skips a fusion that gains next to nothing.
-    assert trace(fused.P.total) <= min(best * 1.01, trace(own.total) * (1 + ROUNDING))
+    assert cost(fused.P.total) <= min(best, cost(own.total)) * 1.01
+
+
+@pytest.mark.parametrize("name", WEIGHTS)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_fusion_is_consistent_with_every_way_to_weigh(name: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    own, peer = Split(spd(rng, OWN), spd(rng, OWN)), Split(spd(rng, PEER), spd(rng, PEER))
+    weight = WEIGHTS[name](Encounter(own, E, peer))
+    fused = split_covariance_intersection(own, E, np.zeros(PEER), peer, weigh=lambda _: weight)
+    if fused.weight < 1.0:
+        A = np.eye(OWN) - (K := gain(own, peer, weigh=lambda _: weight)) @ E
+        J = joint(rng, own, peer)
+        true = np.hstack([A, K]) @ J @ np.hstack([A, K]).T
+        assert overconfidence(fused.P.total, true) >= -ROUNDING
+
+
+def test_closed_form_weights_trust_equals_equally_and_the_better_one_more() -> None:
+    zero = np.zeros((PEER, PEER))
+    for name in ("niehsen", "franken_hupper"):
+        equal = Encounter(Split(zero, np.eye(PEER)), np.eye(PEER), Split(zero, np.eye(PEER)))
+        better = Encounter(Split(zero, np.eye(PEER)), np.eye(PEER), Split(zero, 3.0 * np.eye(PEER)))
+        assert WEIGHTS[name](equal) == pytest.approx(0.5)
+        assert WEIGHTS[name](better) > 0.6
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_inverse_intersection_is_consistent_for_common_information_and_tighter(seed: int) -> None:
+    """Both estimates are a prior that they share and a measurement of their own [noack17]."""
+    rng = np.random.default_rng(seed)
+    prior, mine, theirs = (np.linalg.inv(spd(rng, PEER)) for _ in range(3))
+    A, B = np.linalg.inv(prior + mine), np.linalg.inv(prior + theirs)
+    J = np.block([[A, A @ prior @ B], [B @ prior @ A, B]])
+    I = np.eye(PEER)
+    fused = inverse_covariance_intersection(A, I, np.zeros(PEER), B)
+    K = np.column_stack([inverse_covariance_intersection(A, I, e, B).delta for e in I])
+    true = np.hstack([I - K, K]) @ J @ np.hstack([I - K, K]).T
+    assert overconfidence(fused.P.total, true) >= -1e-7
+    zero = np.zeros_like(A)
+    plain = split_covariance_intersection(Split(zero, A), I, np.zeros(PEER), Split(zero, B), weigh=WEIGHTS["trace"])
+    assert trace(fused.P.total) <= trace(plain.P.total) * 1.01
 
 
 def test_a_useless_peer_is_skipped_and_changes_nothing() -> None:
     own = Split(np.zeros((OWN, OWN)), np.eye(OWN))
     peer = Split(np.zeros((PEER, PEER)), 1e6 * np.eye(PEER))
-    fused = split_covariance_intersection(own, E, np.ones(PEER), peer, cost=trace)
+    fused = split_covariance_intersection(own, E, np.ones(PEER), peer)
     assert fused.weight == 1.0
     np.testing.assert_array_equal(fused.delta, np.zeros(OWN))
     np.testing.assert_array_equal(fused.P.total, own.total)
@@ -154,6 +205,6 @@ def test_inputs_are_not_modified() -> None:
     rng = np.random.default_rng(2)
     own, peer = Split(spd(rng, OWN), spd(rng, OWN)), Split(spd(rng, PEER), spd(rng, PEER))
     before = [a.copy() for a in (own.independent, own.dependent, peer.independent, peer.dependent)]
-    split_covariance_intersection(own, E, np.ones(PEER), peer, cost=trace)
+    split_covariance_intersection(own, E, np.ones(PEER), peer)
     for then, now in zip(before, (own.independent, own.dependent, peer.independent, peer.dependent), strict=True):
         np.testing.assert_array_equal(then, now)

@@ -6,6 +6,7 @@ intersection. A packet whose sources and prior are disjoint from everything fuse
 adds; any overlap makes its share dependent. In between, the fused pose is carried by the own-only motion.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,10 @@ from numpy.typing import NDArray
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.common_landmarks import find_common
 from uav_vslam.cooperation.inbox import Inbox
-from uav_vslam.estimation.covariance_intersection import Split, split_covariance_intersection
+from uav_vslam.cooperation.memory import LandmarkMemory
+from uav_vslam.cooperation.schemes import SCHEMES, Evidence
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.covariance_intersection import Split
 from uav_vslam.estimation.numerics import inverse_spd, symmetrise
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
@@ -49,10 +53,12 @@ class FusedEpoch:
 class Fusion:
     """The fusion node's core."""
 
-    def __init__(self, vehicle: str, config: FusionConfig, *, prior_id: str = "") -> None:
+    def __init__(self, vehicle: str, config: FusionConfig) -> None:
         self.inbox = Inbox(vehicle)
         self._config = config
-        self._prior_id = prior_id
+        self._memory = LandmarkMemory(config.memory_landmarks)
+        self._known: JointInformation | None = None
+        self._shared: set[int] = set()
         self.epoch: FusedEpoch | None = None
         self.packets_sent = 0
         self.bytes_sent = 0
@@ -65,12 +71,14 @@ class Fusion:
 
     def packet(self, joint: JointInformation) -> LandmarkPacket:
         """Make the next packet from the own-only belief; fused numbers are never sent as own."""
+        if self._known is not None and self._known.stamp_ns == joint.stamp_ns:
+            joint = self._known
         packet = make_packet(
             joint,
             sequence=self.packets_sent + 1,
             max_landmarks=self._config.max_packet_landmarks,
             matched_ids=self.epoch.matched_ids if self.epoch else (),
-            prior_id=self._prior_id,
+            prior_id=self._config.prior_id,
         )
         self.packets_sent += 1
         self.bytes_sent += payload_bytes(packet)
@@ -80,33 +88,29 @@ class Fusion:
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
         """Start from the own belief and bring in each peer's newest packet that is old enough."""
+        joint = self._known = self._memory.extended(joint, self._shared)
         P = inverse_spd(joint.information, "own joint information")
         T_map_body, positions = joint.T_map_body, joint.positions
         own_pose = PoseEstimate(joint.stamp_ns, T_map_body, P[:POSE_DIM, :POSE_DIM])
         belief = Split(P, np.zeros_like(P))
-        sources, priors = {f"{joint.vehicle}/{joint.session}"}, {self._prior_id} - {""}
+        sources, priors = {f"{joint.vehicle}/{joint.session}"}, {self._config.prior_id} - {""}
         weight, common, matched = 1.0, {}, set()
-        not_after_ns = joint.stamp_ns - round(self._config.min_delay_s * NS_PER_S)
-        for peer in sorted(self.inbox.peers):
-            packet = self.inbox.newest(peer, not_after_ns)
-            if packet is None or self._config.mode == "none":
-                continue
-            if packet.descriptors.shape[1] != joint.descriptors.shape[1]:
-                self.inbox.peers[peer].dropped["descriptor_size"] += 1
-                continue
-            total = belief.total
-            pairs = find_common(positions, total[POSE_DIM:, POSE_DIM:], joint.descriptors, packet, config=self._config)
+        for peer, packet in self._packets_for(joint):
+            pairs = self._common(joint, positions, belief, packet)
             self._note(peer, packet, len(pairs))
             common[peer] = len(pairs)
             matched |= set(joint.ids[pairs[:, 0]].tolist())
             if len(pairs) == 0:
                 continue
             dependent = bool(sources & set(packet.sources)) or packet.prior_id in priors
-            belief, delta, used = self._bring_in(belief, positions, packet, pairs, dependent=dependent)
-            T_map_body, positions = move(T_map_body, positions, delta)
-            weight = min(weight, used)
+            evidence = self._evidence(positions, packet, pairs, dependent=dependent)
+            fused = SCHEMES[self._config.scheme](belief, evidence, self._config.weighing)
+            belief = fused.P
+            T_map_body, positions = move(T_map_body, positions, fused.delta)
+            weight = min(weight, fused.weight)
             sources |= set(packet.sources)
             priors |= {packet.prior_id} - {""}
+        self._shared |= matched
         fused_pose = PoseEstimate(joint.stamp_ns, T_map_body, belief.total[:POSE_DIM, :POSE_DIM])
         self.epoch = FusedEpoch(own_pose, fused_pose, joint.ids, positions, weight, common, frozenset(matched))
         return self.epoch
@@ -117,27 +121,37 @@ class Fusion:
             return own
         return carried(self.epoch, own)
 
-    def _bring_in(
-        self, belief: Split, positions: Array, packet: LandmarkPacket, pairs: NDArray[np.intp], *, dependent: bool
-    ) -> tuple[Split, Array, float]:
-        n = len(belief.independent)
-        columns = (POSE_DIM + 3 * pairs[:, :1] + np.arange(3)).ravel()
-        rows = (3 * pairs[:, 1:] + np.arange(3)).ravel()
-        E = np.zeros((len(columns), n))
+    def _packets_for(self, joint: JointInformation) -> Iterator[tuple[str, LandmarkPacket]]:
+        """Yield each peer's newest packet that an epoch may use."""
+        not_after_ns = joint.stamp_ns - round(self._config.min_delay_s * NS_PER_S)
+        for peer in sorted(self.inbox.peers) if self._config.mode != "none" else ():
+            packet = self.inbox.newest(peer, not_after_ns)
+            if packet is None:
+                continue
+            if packet.descriptors.shape[1] != joint.descriptors.shape[1]:
+                self.inbox.peers[peer].dropped["descriptor_size"] += 1
+                continue
+            yield peer, packet
+
+    def _common(
+        self, joint: JointInformation, positions: Array, belief: Split, packet: LandmarkPacket
+    ) -> NDArray[np.intp]:
+        covariance = belief.total[POSE_DIM:, POSE_DIM:]
+        return find_common(positions, covariance, joint.descriptors, packet, config=self._config)
+
+    def _evidence(
+        self, positions: Array, packet: LandmarkPacket, pairs: NDArray[np.intp], *, dependent: bool
+    ) -> Evidence:
+        columns, rows = landmark_rows(POSE_DIM, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
+        E = np.zeros((len(columns), POSE_DIM + positions.size))
         E[np.arange(len(columns)), columns] = 1.0
-        floor = self._config.floor_sigma_m**2 * np.eye(len(rows))
-        R = packet.covariance[np.ix_(rows, rows)]
-        zero = np.zeros_like(R)
-        if dependent:
-            belief = Split(np.zeros_like(belief.total), belief.total)
-        fused = split_covariance_intersection(
-            belief,
-            E,
-            (packet.positions[pairs[:, 1]] - positions[pairs[:, 0]]).ravel(),
-            Split(floor, R) if dependent else Split(R + floor, zero),
-            cost=lambda P: float(np.trace(P[:3, :3])),
+        return Evidence(
+            E=E,
+            innovation=(packet.positions[pairs[:, 1]] - positions[pairs[:, 0]]).ravel(),
+            R=packet.covariance[np.ix_(rows, rows)],
+            floor=self._config.floor_sigma_m**2 * np.eye(len(rows)),
+            dependent=dependent,
         )
-        return fused.P, fused.delta, fused.weight
 
     def _note(self, peer: str, packet: LandmarkPacket, common: int) -> None:
         record = self.inbox.peers[peer]

@@ -4,6 +4,8 @@
 Split covariance intersection [julier01] writes each covariance as an independent and a dependent share and is
 consistent whatever the correlation of the dependent shares. Its corners: nothing dependent is the Kalman update (plain
 addition of information), all dependent is covariance intersection, Eq. (7.1) of [thesis].
+
+    P1 = P1dep / w + P1ind,  P2 = P2dep / (1 - w) + P2ind,  K = P1 E^T (E P1 E^T + P2)^-1,  P+ = (I - K E) P1
 """
 
 from collections.abc import Callable
@@ -11,14 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
-from uav_vslam.estimation.numerics import solve_spd, symmetrise
+from uav_vslam.estimation.numerics import cholesky, log_det_of, symmetrise
 
 Array = NDArray[np.float64]
 
 WEIGHT_BOUNDS = (0.3, 1.0)  # of the own information: a peer never takes over
 WEIGHT_SKIP = 0.995  # a weight above it is no gain worth the fusion
+POSITION = slice(0, 3)  # rows of the own state
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,47 +51,134 @@ class Fused:
     weight: float
 
 
+class Encounter:
+    """Two estimates before they are fused: x with a split covariance, and a peer's of E x.
+
+    What depends on the size of x alone is multiplied once, so that a weight costs no more than the peer's size cubed.
+    """
+
+    def __init__(self, own: Split, E: Array, peer: Split) -> None:
+        """Take `own` (n, n), `E` (k, n) and `peer` (k, k)."""
+        self.own, self.peer = own, peer
+        self.cross = Split(own.independent @ E.T, own.dependent @ E.T)
+        self.common = Split(symmetrise(E @ self.cross.independent), symmetrise(E @ self.cross.dependent))
+
+    def trace(self, weight: float, rows: slice) -> float:
+        """Return the trace of some rows of the fused covariance."""
+        _, W = self._whitened(weight, rows)
+        own = np.diagonal(self.own.independent)[rows] + np.diagonal(self.own.dependent)[rows] / weight
+        return float(own.sum() - np.sum(W**2))
+
+    def log_det(self, weight: float) -> float:
+        """Return the logarithm of the fused covariance's determinant: of P1 P2 / S."""
+        P2 = self.peer.inflated(1.0 - weight)
+        P1 = self.own.inflated(weight)
+        S = self.common.inflated(weight) + P2
+        return float(sum(sign * log_det_of(cholesky(A, "covariance")) for sign, A in ((1, P1), (1, P2), (-1, S))))
+
+    def fused(self, innovation: Array, weight: float, peer_weight: float) -> Fused:
+        """Return the fusion of a (k,) innovation, the peer's estimate minus E x."""
+        L, W = self._whitened(weight, slice(None), peer_weight)
+        K = solve_triangular(L, W, lower=True, trans="T", check_finite=False).T
+        P = self.own.inflated(weight) - W.T @ W
+        if not self.own.dependent.any() and not self.peer.dependent.any():
+            return Fused(K @ innovation, Split(P, np.zeros_like(P)), weight)
+        taken = K @ self.cross.independent.T
+        given = K @ (self.common.independent + self.peer.independent) @ K.T
+        independent = symmetrise(self.own.independent - taken - taken.T + given)
+        return Fused(K @ innovation, Split(independent, symmetrise(P - independent)), weight)
+
+    def _whitened(self, weight: float, rows: slice, peer_weight: float | None = None) -> tuple[Array, Array]:
+        """Return the factor L of S, and L^-1 E P1 of some rows."""
+        peer = self.peer.inflated(1.0 - weight if peer_weight is None else peer_weight)
+        L = cholesky(symmetrise(self.common.inflated(weight) + peer), "innovation of a fusion")
+        cross = self.cross.independent[rows] + self.cross.dependent[rows] / weight
+        return L, solve_triangular(L, cross.T, lower=True, check_finite=False)
+
+
+def search(cost: Callable[[float], float]) -> float:
+    """Return the weight of the least cost, which is convex in it."""
+    bounds = (WEIGHT_BOUNDS[0], WEIGHT_BOUNDS[1] - 1e-6)
+    return float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-3}).x)
+
+
+def niehsen(encounter: Encounter) -> float:
+    """Return tr P2 / (tr P1 + tr P2) of what both estimate [niehsen02]."""
+    own, peer = np.trace(encounter.common.total), np.trace(encounter.peer.total)
+    return float(np.clip(peer / (own + peer), *WEIGHT_BOUNDS))
+
+
+def franken_hupper(encounter: Encounter) -> float:
+    """Return (|Y1 + Y2| - |Y2| + |Y1|) / (2 |Y1 + Y2|) of what both estimate [franken05].
+
+    In many dimensions |Y1 + Y2| outgrows the others, and the weight tends to 1/2 whatever the estimates.
+    """
+    P1 = cholesky(encounter.common.total, "own covariance of what is common")
+    P2 = cholesky(encounter.peer.total, "covariance of a peer")
+    both = cholesky(symmetrise(encounter.common.total + encounter.peer.total), "innovation of a fusion")
+    log_sum = log_det_of(both) - log_det_of(P1) - log_det_of(P2)  # |Y1 + Y2| = |P1 + P2| / (|P1| |P2|)
+    own, peer = np.exp(-log_det_of(P1) - log_sum), np.exp(-log_det_of(P2) - log_sum)
+    return float(np.clip(0.5 * (1.0 - peer + own), *WEIGHT_BOUNDS))
+
+
+WEIGHTS: dict[str, Callable[[Encounter], float]] = {
+    "position_trace": lambda encounter: search(lambda w: encounter.trace(w, POSITION)),
+    "trace": lambda encounter: search(lambda w: encounter.trace(w, slice(None))),
+    "determinant": lambda encounter: search(encounter.log_det),  # over a whole map it always trusts the own side alone
+    "niehsen": niehsen,
+    "franken_hupper": franken_hupper,
+}
+
+
 def split_covariance_intersection(
     own: Split,
     E: Array,
     innovation: Array,
     peer: Split,
     *,
-    cost: Callable[[Array], float],
-    weight: float | None = None,
+    weigh: Callable[[Encounter], float] = WEIGHTS["position_trace"],
 ) -> Fused:
-    """Fuse a peer's estimate of E x into an own estimate of x.
-
-    P1 = P1dep/w + P1ind, P2 = P2dep/(1-w) + P2ind, K = P1 E^T (E P1 E^T + P2)^-1, P+ = (I - K E) P1.
+    """Fuse a peer's estimate of E x into an own estimate of x; consistent whatever the dependent shares have in common.
 
     Args:
         own: (n, n) covariance of x.
         E: (k, n) selection of what the peer estimates.
         innovation: (k,) the peer's estimate minus E x.
         peer: (k, k) covariance of the peer's estimate.
-        cost: what the weight minimises, as a function of the fused covariance.
-        weight: fixed weight of the own information instead of a search over WEIGHT_BOUNDS.
+        weigh: finds the weight of the own information.
     """
+    encounter = Encounter(own, E, peer)
     if not own.dependent.any() or not peer.dependent.any():
-        return _fuse(own, E, innovation, peer, 1.0, 1.0)  # nothing in common: both count in full
-    if weight is None:
-        found = minimize_scalar(
-            lambda w: cost(_fuse(own, E, innovation, peer, w, 1.0 - w).P.total),
-            bounds=(WEIGHT_BOUNDS[0], WEIGHT_BOUNDS[1] - 1e-6),
-            method="bounded",
-            options={"xatol": 1e-3},
-        )
-        weight = float(found.x)
+        return encounter.fused(innovation, 1.0, 1.0)  # nothing in common: both count in full
+    weight = weigh(encounter)
     if weight > WEIGHT_SKIP:
         return Fused(np.zeros(len(own.independent)), own, 1.0)
-    return _fuse(own, E, innovation, peer, weight, 1.0 - weight)
+    return encounter.fused(innovation, weight, 1.0 - weight)
 
 
-def _fuse(own: Split, E: Array, innovation: Array, peer: Split, own_weight: float, peer_weight: float) -> Fused:
-    P1, P2 = own.inflated(own_weight), peer.inflated(peer_weight)
-    S = symmetrise(E @ P1 @ E.T + P2)
-    K = solve_spd(S, E @ P1, "innovation of a fusion").T
-    A = np.eye(len(P1)) - K @ E
-    P = symmetrise(A @ P1)
-    independent = symmetrise(A @ own.independent @ A.T + K @ peer.independent @ K.T)
-    return Fused(K @ innovation, Split(independent, symmetrise(P - independent)), own_weight)
+def inverse_covariance_intersection(own: Array, E: Array, innovation: Array, peer: Array) -> Fused:
+    """Fuse by inverse covariance intersection [noack17], tighter than covariance intersection.
+
+    Consistent where two estimates of the same things are correlated only because the same information went into both,
+    and not where their noise is correlated otherwise. What E leaves out follows by its own covariance with E x.
+
+    Args:
+        own: (n, n) covariance of x.
+        E: (k, n) selection of what the peer estimates.
+        innovation: (k,) the peer's estimate minus E x.
+        peer: (k, k) covariance of the peer's estimate.
+    """
+    cross = own @ E.T
+    A, B = symmetrise(E @ cross), peer
+    A_inv, B_inv = np.linalg.inv(A), np.linalg.inv(B)
+
+    def fused(weight: float) -> tuple[Array, Array]:
+        common_inv = np.linalg.inv((1.0 - weight) * A + weight * B)
+        P = np.linalg.inv(symmetrise(A_inv + B_inv - common_inv))
+        return P, P @ (B_inv - weight * common_inv)
+
+    weight = search(lambda w: float(np.trace(fused(w)[0])))
+    P_common, gain = fused(weight)
+    K = cross @ A_inv
+    P = symmetrise(own - K @ (A - P_common) @ K.T)
+    return Fused(K @ (gain @ innovation), Split(np.zeros_like(P), P), weight)

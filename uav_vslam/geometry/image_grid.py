@@ -30,6 +30,15 @@ def spread(pixels: ArrayLike, count: int, *, size: tuple[float, float], taken: A
     return np.argsort(rank[len(before) :], kind="stable")[:count]
 
 
+def spread_on_ground(positions: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """Choose `count` of (N, 3) points [m] likewise, over the ground that they cover; all where there are no more."""
+    if len(positions) <= count:
+        return np.arange(len(positions))
+    plan = positions[:, :2] - positions[:, :2].min(axis=0)
+    extent = np.maximum(plan.max(axis=0), 1e-3)
+    return spread(plan, count, size=(float(extent[0]), float(extent[1])))
+
+
 def _cells(points: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.intp]:
     index = np.floor(points / np.asarray(size, dtype=float) * CELLS_PER_AXIS).astype(np.intp)
     index = np.clip(index, 0, CELLS_PER_AXIS - 1)

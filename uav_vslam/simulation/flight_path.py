@@ -87,11 +87,28 @@ def racetrack_pattern(
     return _repeat([Segment(leg_m / speed, 0.0), Segment(np.pi * radius / speed, np.pi)], duration_s)
 
 
+def parting_pattern(
+    duration_s: float, speed: float, *, together_s: float = 60.0, bank_deg: float = 25.0
+) -> list[Segment]:
+    """One straight leg, then a quarter turn to the left and away; see `MIRRORED`."""
+    radius = speed**2 / (GRAVITY * np.tan(np.deg2rad(bank_deg)))
+    turn = Segment(0.5 * np.pi * radius / speed, 0.5 * np.pi)
+    away_s = max(duration_s - together_s - turn.duration_s, 0.0) + 2.0 * MARGIN_S
+    return [Segment(together_s, 0.0), turn, Segment(away_s, 0.0)]
+
+
 PATTERNS: dict[str, Callable[[float, float], list[Segment]]] = {
     "leg": leg_pattern,
     "lawnmower": lawnmower_pattern,
     "racetrack": racetrack_pattern,
+    "parting": parting_pattern,
 }
+MIRRORED = ("parting",)  # every second vehicle turns to the other side
+
+
+def mirrored(segments: list[Segment]) -> list[Segment]:
+    """Return the segments with all turns to the other side."""
+    return [Segment(s.duration_s, -s.turn_rad) for s in segments]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from uav_vslam.errors import ConfigError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.simulation.flight_path import PATTERNS, fly
+from uav_vslam.simulation.flight_path import MIRRORED, PATTERNS, fly, mirrored
 from uav_vslam.simulation.imu import ImuReadings, simulate_imu
 from uav_vslam.simulation.rig import kagaru_rig, rotated_right
 from uav_vslam.simulation.trajectory import Trajectory
@@ -107,6 +107,7 @@ SCENARIOS = {
     "kagaru": Scenario(),
     "sample": Scenario(name="sample", frames=64, scale=0.375, noise_sigma=1.0, imu="consumer"),
     "long": Scenario(name="long", frames=1000, pattern="lawnmower"),
+    "parting": Scenario(name="parting", frames=1000, pattern="parting"),
 }
 
 
@@ -199,8 +200,9 @@ def initial_estimate(scenario: Scenario, truth: Trajectory, *, rng: np.random.Ge
 
 
 def _motion(scenario: Scenario, index: int, start_ns: int) -> Trajectory:
+    segments = PATTERNS[scenario.pattern](scenario.duration_s, scenario.speed)
     return fly(
-        PATTERNS[scenario.pattern](scenario.duration_s, scenario.speed),
+        mirrored(segments) if index % 2 and scenario.pattern in MIRRORED else segments,
         start_ns=start_ns,
         duration_s=scenario.duration_s,
         speed=scenario.speed,

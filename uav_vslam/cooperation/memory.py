@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shared landmarks that have left the filter's state, so that what a peer taught about them is not forgotten.
+
+When a landmark leaves, nothing will be measured of it again. What is left to know is how it lies to the landmarks that
+stay, and that never changes: g = A x + e, where e is independent of everything to come. So the own belief of any later
+time and this conditional together are the belief over both; in information form they simply add:
+
+    Y(x, g) = Y_own(x) + [A^T C^-1 A   -A^T C^-1]      C = cov(e)
+                         [ -C^-1 A        C^-1  ]
+
+Only own measurements are inside: that a landmark is remembered, not what is known of it, comes from peers.
+"""
+
+import dataclasses
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.numerics import cholesky, inverse_from_cholesky, inverse_spd, solve_spd, symmetrise
+from uav_vslam.geometry.image_grid import spread_on_ground
+from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.types import JointInformation
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.uint32]
+
+OWN_SIGMA_M = 0.01  # added to C: numbers never know a remembered landmark better
+
+
+@dataclass(frozen=True, slots=True)
+class _Conditional:
+    """p(g | x): remembered landmarks given some that are in the state.
+
+    Attributes:
+        given: (R,) identifiers of the landmarks in the state, and `at` (R, 3) where they were [m].
+        ids, positions, descriptors: of the (G,) remembered ones, when the given ones were there.
+        A: (3G, 3R), C: (3G, 3G).
+    """
+
+    given: Ids
+    at: Array
+    ids: Ids
+    positions: Array
+    descriptors: NDArray[np.uint8]
+    A: Array
+    C: Array
+
+
+class LandmarkMemory:
+    """Extends each belief of one vehicle by the landmarks that are remembered."""
+
+    def __init__(self, capacity: int) -> None:
+        """Remember at most `capacity` landmarks, spread over the ground."""
+        self._capacity = capacity
+        self._last: JointInformation | None = None  # extended
+        self._own: Ids = np.zeros(0, np.uint32)  # of its landmarks, those in the filter's state
+        self._known: _Conditional | None = None
+
+    def extended(self, joint: JointInformation, shared: Collection[int]) -> JointInformation:
+        """Return a belief with the remembered landmarks behind its own.
+
+        Args:
+            joint: the own belief, later than the last one.
+            shared: landmarks that peers were found to share, and that are remembered once they leave.
+        """
+        if self._last is not None and joint.session != self._last.session:
+            self._last = self._known = None
+        if self._last is not None:
+            self._remember(self._last, joint, shared)
+        extended = joint if self._known is None else _joined(joint, self._known)
+        self._last, self._own = extended, joint.ids
+        return extended
+
+    def _remember(self, last: JointInformation, joint: JointInformation, shared: Collection[int]) -> None:
+        """Express what has left, and what was remembered before, by the landmarks that stay."""
+        stay = np.isin(last.ids, joint.ids)
+        left = np.isin(last.ids, self._own) & ~stay & np.isin(last.ids, np.fromiter(shared, np.uint32, len(shared)))
+        old = ~np.isin(last.ids, self._own)
+        given_left = self._known is not None and not np.isin(self._known.given, joint.ids).all()
+        if not left.any() and not given_left:
+            return
+        wanted = np.flatnonzero(old | left)
+        wanted = wanted[spread_on_ground(last.positions[wanted], self._capacity)]
+        if not stay.any() or len(wanted) == 0:  # the filter began anew: nothing ties the past to it
+            self._known = None
+            return
+        try:
+            self._known = _conditional(last, np.flatnonzero(stay), wanted)
+        except FilterDivergence:
+            self._known = None
+
+
+def _conditional(joint: JointInformation, given: NDArray[np.intp], wanted: NDArray[np.intp]) -> _Conditional:
+    P = inverse_spd(joint.information, "joint information")
+    x, g = landmark_rows(POSE_DIM, given), landmark_rows(POSE_DIM, wanted)
+    P_xg = P[np.ix_(x, g)]
+    A = solve_spd(P[np.ix_(x, x)], P_xg, "covariance of the landmarks that stay").T
+    C = symmetrise(P[np.ix_(g, g)] - A @ P_xg) + OWN_SIGMA_M**2 * np.eye(len(g))
+    return _Conditional(
+        given=joint.ids[given],
+        at=joint.positions[given],
+        ids=joint.ids[wanted],
+        positions=joint.positions[wanted],
+        descriptors=joint.descriptors[wanted],
+        A=A,
+        C=C,
+    )
+
+
+def _joined(joint: JointInformation, known: _Conditional) -> JointInformation:
+    """Return the belief over state and remembered landmarks."""
+    order = np.argsort(joint.ids)
+    places = order[np.searchsorted(joint.ids, known.given, sorter=order)]
+    moved = (joint.positions[places] - known.at).ravel()
+    C_inv = inverse_from_cholesky(cholesky(known.C, "covariance of remembered landmarks"))
+    CA = C_inv @ known.A
+    n, g = len(joint.information), len(known.C)
+    Y = np.zeros((n + g, n + g))
+    Y[:n, :n] = joint.information
+    x = landmark_rows(POSE_DIM, places)
+    Y[np.ix_(x, x)] += symmetrise(known.A.T @ CA)
+    Y[n:, x] = -CA
+    Y[x, n:] = -CA.T
+    Y[n:, n:] = C_inv
+    return dataclasses.replace(
+        joint,
+        ids=np.concatenate([joint.ids, known.ids]),
+        positions=np.vstack([joint.positions, known.positions + (known.A @ moved).reshape(-1, 3)]),
+        information=Y,
+        descriptors=np.vstack([joint.descriptors, known.descriptors]),
+    )

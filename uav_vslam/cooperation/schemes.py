@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ways to bring a peer's packet into the own belief; all read it only, nothing is written back into the filter.
+
+The thesis's forms, which do write back, are in `write_back`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.covariance_intersection import (
+    WEIGHTS,
+    Fused,
+    Split,
+    inverse_covariance_intersection,
+    split_covariance_intersection,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a packet says of the own state x.
+
+    Attributes:
+        E: (k, n) what it speaks of.
+        innovation: (k,) its estimate minus E x [m].
+        R: (k, k) its covariance [m^2].
+        floor: (k, k) that two descriptors do not meet on the very same point; nobody else's error [m^2].
+        dependent: some of its measurements, or a prior, are in the own belief already.
+    """
+
+    E: Array
+    innovation: Array
+    R: Array
+    floor: Array
+    dependent: bool
+
+
+def split_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:
+    """Add what is independent and intersect what is not: always consistent, and as good as a sum where a sum may be."""
+    if not evidence.dependent:
+        return _add(own, evidence)
+    return _intersect(own, evidence, weigh)
+
+
+def full_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:
+    """Intersect the whole joint belief with every packet, one weight for all: always consistent, and cautious."""
+    return _intersect(own, evidence, weigh)
+
+
+def overlay(own: Split, evidence: Evidence, weigh: str) -> Fused:
+    """Add every packet: consistent only if no two beliefs ever shared a measurement or a prior."""
+    del weigh
+    return _add(own, evidence)
+
+
+def inverse_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:
+    """Inverse covariance intersection: consistent if beliefs are correlated by common information alone [noack17]."""
+    del weigh
+    R = evidence.R + evidence.floor
+    return inverse_covariance_intersection(own.total, evidence.E, evidence.innovation, R)
+
+
+SCHEMES: dict[str, Callable[[Split, Evidence, str], Fused]] = {
+    "split_ci": split_ci,
+    "full_ci": full_ci,
+    "overlay": overlay,
+    "inverse_ci": inverse_ci,
+}
+
+
+def _add(own: Split, evidence: Evidence) -> Fused:
+    R = evidence.R + evidence.floor
+    return split_covariance_intersection(own, evidence.E, evidence.innovation, Split(R, np.zeros_like(R)))
+
+
+def _intersect(own: Split, evidence: Evidence, weigh: str) -> Fused:
+    dependent = Split(np.zeros_like(own.total), own.total)
+    peer = Split(evidence.floor, evidence.R)
+    return split_covariance_intersection(dependent, evidence.E, evidence.innovation, peer, weigh=WEIGHTS[weigh])
