@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uav_vslam.config import RigConfig
-from uav_vslam.estimation.belief import Observation
+from uav_vslam.estimation.belief import Marginals, Observation
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.linearisation import (
     Camera,
@@ -109,7 +109,7 @@ def test_no_landmarks_are_predicted_as_none(course, model) -> None:
     camera = look(course, model, FLEXING, BENT)
     vehicle = model.nav_dim + camera.errors.dim
     for linear in (Jacobians(), Cubature()):
-        predicted = linear.observation(camera, NONE, np.zeros((0, 3)), np.eye(vehicle))
+        predicted = linear.observation(camera, NONE, np.zeros((0, 3)), blocks(np.eye(vehicle), 0))
         assert predicted.expected.shape == (0, 4)
         assert predicted.H_vehicle.shape == (0, 4, vehicle)
         assert predicted.S.shape == (0, 4, 4)
@@ -234,14 +234,19 @@ def doubted(P: Array, row: int, factor: float) -> Array:
     return P * np.outer(scale, scale)
 
 
+def blocks(P: Array, count: int) -> Marginals:
+    """Return those of a whole covariance over a vehicle and some landmarks."""
+    return CovarianceBelief(P, len(P) - 3 * count).marginals(np.arange(count))
+
+
 @pytest.mark.parametrize("smoothing", [0.0, 0.043])
 def test_cubature_becomes_the_jacobian_as_uncertainty_vanishes(course, model, smoothing: float) -> None:
     """What differs is of second order: a thousandth of the uncertainty leaves a millionth of the difference."""
     camera = dataclasses.replace(look(course, model, FLEXING, BENT), depth_sigma_ratio=smoothing)
     rows = np.array([4, 0, 7])
     P = uncertain(course, model, FLEXING, 1e-3, 3)
-    first = Jacobians().observation(camera, rows, course.landmarks[rows], P)
-    second = Cubature().observation(camera, rows, course.landmarks[rows], P)
+    first = Jacobians().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
+    second = Cubature().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
     assert_close(second.H_vehicle, first.H_vehicle, 1e-6)
     assert_close(second.H_landmark, first.H_landmark, 1e-6)
     np.testing.assert_allclose(second.expected, first.expected, rtol=0, atol=1e-4)
@@ -259,7 +264,9 @@ def test_cubature_predicts_what_draws_show_better_than_the_jacobian(course, mode
     body = model.perturbed_arms(camera.nav, arm, draws[:, POSE], draws[:, -3:])
     z = camera.rig.project((body - camera.rig.T_body_left.t) @ camera.rig.T_body_left.R)
     mean, S = z.mean(axis=0), np.cov(z.T) + np.eye(4)
-    first, second = (linear.observation(camera, np.array([4]), at, P) for linear in (Jacobians(), Cubature()))
+    first, second = (
+        linear.observation(camera, np.array([4]), at, blocks(P, 1)) for linear in (Jacobians(), Cubature())
+    )
     assert np.abs(first.expected[0] - mean).max() > 1.0  # [px]: the height's doubt bends the projection
     assert np.abs(second.expected[0] - mean).max() < 0.2
     missing = [np.linalg.norm(predicted.S[0] - S) for predicted in (first, second)]
@@ -273,7 +280,7 @@ def test_cubature_observation_is_the_mean_and_covariance_over_its_points(course,
     camera = dataclasses.replace(look(course, model, RIGID, CALIBRATED), depth_sigma_ratio=smoothing)
     rows, m = np.array([4, 0, 7]), model.nav_dim
     P, landmarks = uncertain(course, model, RIGID, 1.0, 3), course.landmarks[rows]
-    predicted = Cubature().observation(camera, rows, landmarks, P)
+    predicted = Cubature().observation(camera, rows, landmarks, blocks(P, 3))
     points, J_vehicle, J_landmark = camera_points(camera, landmarks)
     for n in range(3):
         own = m + 3 * n + np.arange(3)
@@ -300,8 +307,8 @@ def test_a_landmark_whose_points_fall_behind_the_camera_keeps_its_jacobian(cours
     camera, rows = look(course, model, FLEXING, BENT), np.array([4, 0, 7])
     P = uncertain(course, model, FLEXING, 1.0, 3)
     P = doubted(P, -4, 200.0)  # the height of the second landmark: 400 m of doubt, seen from 70 m
-    first = Jacobians().observation(camera, rows, course.landmarks[rows], P)
-    second = Cubature().observation(camera, rows, course.landmarks[rows], P)
+    first = Jacobians().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
+    second = Cubature().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
     same = [np.array_equal(getattr(second, f)[1], getattr(first, f)[1]) for f in ("H_vehicle", "H_landmark", "R", "S")]
     assert same == [True] * 4
     np.testing.assert_array_equal(second.expected[1], first.expected[1])
@@ -312,10 +319,11 @@ def test_a_landmark_whose_points_fall_behind_the_camera_keeps_its_jacobian(cours
 
 def test_cubature_leaves_inputs_alone(course, model) -> None:
     camera, rows = look(course, model, FLEXING, BENT), np.array([4, 0, 7])
-    P, landmarks = uncertain(course, model, FLEXING, 1.0, 3), course.landmarks[rows]
-    before = P.copy(), landmarks.copy(), rows.copy()
+    P, landmarks = blocks(uncertain(course, model, FLEXING, 1.0, 3), 3), course.landmarks[rows]
+    arrays = P.vehicle, P.cross, P.landmarks, landmarks, rows
+    before = [a.copy() for a in arrays]
     Cubature().observation(camera, rows, landmarks, P)
-    for then, now in zip(before, (P, landmarks, rows), strict=True):
+    for then, now in zip(before, arrays, strict=True):
         np.testing.assert_array_equal(now, then)
 
 

@@ -8,7 +8,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.numerics import cholesky, inverse_spd, marginalise_information, solve_spd, symmetrise
+from uav_vslam.estimation.numerics import (
+    SMALL_TRIANGLE,
+    cholesky,
+    inverse_of_triangle,
+    inverse_spd,
+    marginalise_information,
+    solve_spd,
+    submatrix,
+    symmetrise,
+)
 
 Array = NDArray[np.float64]
 
@@ -34,6 +43,23 @@ def test_inverse_and_solve_agree_with_the_definition(A: Array) -> None:
     L = cholesky(A, "A")
     np.testing.assert_array_equal(L, np.tril(L))
     np.testing.assert_allclose(L @ L.T, A, rtol=RELATIVE, atol=RELATIVE)
+
+
+@pytest.mark.parametrize("n", [0, 1, SMALL_TRIANGLE, SMALL_TRIANGLE + 1, 3 * SMALL_TRIANGLE])
+def test_a_triangle_is_inverted_whole_or_by_halves(n: int) -> None:
+    L = cholesky(random_spd(n, n), "A")
+    before = L.copy()
+    inverse = inverse_of_triangle(L)
+    np.testing.assert_array_equal(inverse, np.tril(inverse))
+    np.testing.assert_allclose(inverse @ L, np.eye(n), rtol=0, atol=RELATIVE)
+    np.testing.assert_array_equal(L, before)
+
+
+def test_a_submatrix_has_the_rows_and_columns_in_the_order_asked_for() -> None:
+    A, rows, columns = np.arange(30.0).reshape(5, 6), np.array([3, 0]), np.array([5, 1, 2])
+    np.testing.assert_array_equal(submatrix(A, rows), A[np.ix_(rows, rows)])
+    np.testing.assert_array_equal(submatrix(A, rows, columns), A[np.ix_(rows, columns)])
+    assert not np.shares_memory(submatrix(A, np.arange(5), np.arange(6)), A)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 12), st.data())

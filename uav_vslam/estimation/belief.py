@@ -42,6 +42,32 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
+class Marginals:
+    """Covariances of the vehicle and of each of M landmarks on its own: all that a gate needs.
+
+    Attributes:
+        vehicle: (vehicle, vehicle).
+        cross: (M, vehicle, 3) of the vehicle with each landmark.
+        landmarks: (M, 3, 3).
+    """
+
+    vehicle: Array
+    cross: Array
+    landmarks: Array
+
+    @classmethod
+    def of_factor(cls, G_vehicle: Array, G_landmarks: Array) -> "Marginals":
+        """Return G G^T for the rows of the vehicle (vehicle, k) and of the landmarks (M, 3, k)."""
+        cross = (G_vehicle @ G_landmarks.reshape(-1, G_vehicle.shape[1]).T).reshape(len(G_vehicle), -1, 3)
+        own = np.einsum("mik,mjk->mij", G_landmarks, G_landmarks)
+        return cls(G_vehicle @ G_vehicle.T, cross.transpose(1, 0, 2), own)
+
+    def chosen(self, landmarks: Indices) -> "Marginals":
+        """Return those of some of the M landmarks."""
+        return Marginals(self.vehicle.copy(), self.cross[landmarks], self.landmarks[landmarks])
+
+
+@dataclass(frozen=True, slots=True)
 class Update:
     """The outcome of an update.
 
@@ -75,6 +101,9 @@ class Belief(Protocol):
 
     def covariance(self, landmarks: Indices) -> Array:
         """Return (vehicle + 3M, vehicle + 3M), the covariance of the vehicle and the chosen landmarks; read-only."""
+
+    def marginals(self, landmarks: Indices) -> Marginals:
+        """Return the blocks of this covariance that concern one landmark each, at less cost."""
 
     def information(self, rows: Indices) -> Array:
         """Return the (R, R) information over some rows of the error, the others marginalised out."""

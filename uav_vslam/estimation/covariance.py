@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from uav_vslam.estimation.belief import Indices, Observation, Update, landmark_rows, state_rows
-from uav_vslam.estimation.numerics import cholesky, inverse_spd, log_det_of, symmetrise
+from uav_vslam.estimation.belief import Indices, Marginals, Observation, Update, landmark_rows, state_rows
+from uav_vslam.estimation.numerics import cholesky, inverse_spd, log_det_of, submatrix, symmetrise
 
 Array = NDArray[np.float64]
 
@@ -29,11 +29,15 @@ class CovarianceBelief:
         return cls(P.copy(), len(P))
 
     def covariance(self, landmarks: Indices) -> Array:
-        rows = state_rows(self.vehicle, landmarks)
-        return self.P[np.ix_(rows, rows)]
+        return submatrix(self.P, state_rows(self.vehicle, landmarks))
+
+    def marginals(self, landmarks: Indices) -> Marginals:
+        m, P = self.vehicle, self.P
+        own = landmark_rows(m, landmarks).reshape(-1, 3)
+        return Marginals(P[:m, :m].copy(), P[own, :m].transpose(0, 2, 1), P[own[:, :, None], own[:, None, :]])
 
     def information(self, rows: Indices) -> Array:
-        return inverse_spd(self.P[np.ix_(rows, rows)], "covariance")
+        return inverse_spd(submatrix(self.P, rows), "covariance")
 
     def predicted(self, F: Array, Q: Array) -> Self:
         m, P = self.vehicle, self.P.copy()
@@ -87,7 +91,7 @@ class CovarianceBelief:
 
     def marginalised(self, landmarks: Indices) -> Self:
         rows = np.delete(np.arange(self.size), landmark_rows(self.vehicle, landmarks))
-        return type(self)(self.P[np.ix_(rows, rows)], self.vehicle)
+        return type(self)(submatrix(self.P, rows), self.vehicle)
 
     def sheared(self, B: Array, columns: slice) -> Self:
         P = self.P - B @ self.P[columns]

@@ -279,15 +279,15 @@ class Filter:
 
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
         return self._linear.observation(
-            self._camera(), landmarks, self.landmarks[landmarks], belief.covariance(landmarks)
+            self._camera(), landmarks, self.landmarks[landmarks], belief.marginals(landmarks)
         )
 
     def _belief_to_regress_over(self, landmarks: Indices) -> Belief:
         """Return the belief that observations of some landmarks will leave, by their Jacobians."""
         if not self._linear.regresses:
             return self.belief
-        P, M = self.belief.covariance(landmarks), len(landmarks)
-        first = Jacobians().observation(self._camera(), landmarks, self.landmarks[landmarks], P)
+        marginals, M = self.belief.marginals(landmarks), len(landmarks)
+        first = Jacobians().observation(self._camera(), landmarks, self.landmarks[landmarks], marginals)
         return self.belief.updated(_whitened(first, np.zeros((M, STEREO_DOF)), np.ones(M))).belief
 
     def _camera(self) -> Camera:

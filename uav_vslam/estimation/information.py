@@ -18,14 +18,24 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.blas import dgemm
 
-from uav_vslam.estimation.belief import Indices, Observation, Update, add_normal_equations, landmark_rows, state_rows
+from uav_vslam.estimation.belief import (
+    Indices,
+    Marginals,
+    Observation,
+    Update,
+    add_normal_equations,
+    landmark_rows,
+    state_rows,
+)
 from uav_vslam.estimation.numerics import (
     cholesky,
     inverse_from_cholesky,
+    inverse_of_triangle,
     inverse_spd,
     log_det_of,
     marginalise_information,
     square_root,
+    submatrix,
     symmetrise,
 )
 
@@ -42,7 +52,7 @@ class _Focus:
         L: factor of the rest's information, W: (rest, focus) as above.
         Y: (vehicle + 3K, ...) information of the focus.
         factor: lower Cholesky factor of Y.
-        P: its inverse, once it was asked for.
+        marginals: of the focus, once they were asked for.
     """
 
     landmarks: Indices
@@ -52,7 +62,7 @@ class _Focus:
     W: Array
     Y: Array
     factor: Array
-    P: Array | None = None
+    marginals: Marginals | None = None
 
 
 class InformationBelief:
@@ -81,13 +91,14 @@ class InformationBelief:
             self._P_vehicle.flags.writeable = False
             return self._P_vehicle
         focus = self._focused(landmarks)
-        if focus.P is None:
-            focus.P = inverse_from_cholesky(focus.factor)
-            focus.P.flags.writeable = False
-        if np.array_equal(landmarks, focus.landmarks):
-            return focus.P
-        rows = state_rows(self.vehicle, _places(focus, landmarks))
-        return focus.P[np.ix_(rows, rows)]
+        return submatrix(inverse_from_cholesky(focus.factor), state_rows(self.vehicle, _places(focus, landmarks)))
+
+    def marginals(self, landmarks: Indices) -> Marginals:
+        focus = self._focused(landmarks)
+        if focus.marginals is None:
+            G = inverse_of_triangle(focus.factor).T
+            focus.marginals = Marginals.of_factor(G[: self.vehicle], G[self.vehicle :].reshape(-1, 3, len(G)))
+        return focus.marginals.chosen(_places(focus, landmarks))
 
     def information(self, rows: Indices) -> Array:
         rest = np.delete(np.arange(self.size), rows)
@@ -179,11 +190,11 @@ class InformationBelief:
         rows = state_rows(self.vehicle, landmarks)
         rest = np.delete(np.arange(self.size), rows)
         whole = np.array_equal(rows, np.arange(self.size))
-        Y = self.Y if whole else self.Y[np.ix_(rows, rows)]
+        Y = self.Y if whole else submatrix(self.Y, rows)
         L, W = np.zeros((0, 0)), np.zeros((0, len(rows)))
         if len(rest):
-            L = cholesky(self.Y[np.ix_(rest, rest)], "information of what is out of view")
-            W = solve_triangular(L, self.Y[np.ix_(rest, rows)], lower=True, check_finite=False)
+            L = cholesky(submatrix(self.Y, rest), "information of what is out of view")
+            W = solve_triangular(L, submatrix(self.Y, rest, rows), lower=True, check_finite=False)
             Y -= W.T @ W
         return _Focus(landmarks, rows, rest, L, W, Y, cholesky(Y, "information"))
 

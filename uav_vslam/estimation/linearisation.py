@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.estimation.belief import Belief, Indices
+from uav_vslam.estimation.belief import Belief, Indices, Marginals
 from uav_vslam.estimation.models import POSE, StateModel
 from uav_vslam.estimation.numerics import cholesky, symmetrise
 from uav_vslam.estimation.observation import MIN_DEPTH_M, point_jacobian, smoothed
@@ -100,14 +100,14 @@ class Linearisation(Protocol):
     ) -> Process:
         """Predict the navigation state over an increment."""
 
-    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Array) -> PredictedObservation:
+    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Marginals) -> PredictedObservation:
         """Predict observations of (M, 3) landmarks.
 
         Args:
             camera: where it is.
             which: (M,) their indices, handed on.
             landmarks: (M, 3) [m]; before the cameras.
-            P: (vehicle + 3M, vehicle + 3M) covariance of the vehicle and these landmarks.
+            P: of the vehicle and these landmarks.
         """
 
 
@@ -124,7 +124,7 @@ class Jacobians:
         to_map, from_map = model.to_map(nav), model.from_map(moved)
         return Process(moved, from_map @ F15 @ to_map, from_map @ Q15 @ from_map.T)
 
-    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Array) -> PredictedObservation:
+    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Marginals) -> PredictedObservation:
         points_left, J_vehicle, J_landmark = camera_points(camera, landmarks)
         P_c = _point_covariance(J_vehicle, J_landmark, P)
         at = smoothed(points_left, P_c[:, 2, 2], depth_sigma_ratio=camera.depth_sigma_ratio)
@@ -158,7 +158,7 @@ class Cubature:
         from_map = model.from_map(moved)
         return Process(moved, F, from_map @ Q15 @ from_map.T + extra)
 
-    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Array) -> PredictedObservation:
+    def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Marginals) -> PredictedObservation:
         """As `Jacobians` does, but for the landmarks whose points all lie before the cameras."""
         first = Jacobians().observation(camera, which, landmarks, P)
         if len(landmarks) == 0:
@@ -166,7 +166,7 @@ class Cubature:
         _, J_vehicle, J_landmark = camera_points(camera, landmarks)
         depth_variance = _point_covariance(J_vehicle, J_landmark, P)[:, 2, 2]
         at = smoothed(first.points_left, depth_variance, depth_sigma_ratio=camera.depth_sigma_ratio)
-        L = np.asarray(np.linalg.cholesky(_pose_landmark_covariance(P, len(landmarks))), dtype=np.float64)
+        L = np.asarray(np.linalg.cholesky(_pose_landmark_covariance(P)), dtype=np.float64)
         points = self._points(camera, landmarks, cubature_offsets(L)) + (at - first.points_left)[:, None]
         near = np.minimum(points[..., 2], camera.rig.T_right_left.apply(points)[..., 2]).min(axis=1)
         good = near > MIN_DEPTH_M
@@ -240,27 +240,23 @@ def regress(values: Array, centre: Array, L: Array) -> tuple[Array, Array, Array
     return shift, A, np.swapaxes(bend, -1, -2) @ bend / d
 
 
-def _point_covariance(J_vehicle: Array, J_landmark: Array, P: Array) -> Array:
+def _point_covariance(J_vehicle: Array, J_landmark: Array, P: Marginals) -> Array:
     """Return (M, 3, 3) covariances of the landmarks in the camera frame."""
-    landmark = np.broadcast_to(J_landmark, (len(J_vehicle), 3, 3))
-    return _innovation_covariance(J_vehicle, landmark, P)
+    return _innovation_covariance(J_vehicle, np.broadcast_to(J_landmark, (len(J_vehicle), 3, 3)), P)
 
 
-def _innovation_covariance(H_vehicle: Array, H_landmark: Array, P: Array) -> Array:
-    """Return (M, k, k) H P H^T for the vehicle and each landmark on its own, P (vehicle + 3M, ...)."""
-    count, m = len(H_vehicle), H_vehicle.shape[2]
-    own = np.arange(count)
-    P_vl = P[:m, m:].reshape(m, count, 3).transpose(1, 0, 2)
-    P_ll = P[m:, m:].reshape(count, 3, count, 3)[own, :, own]
-    cross = H_vehicle @ P_vl @ np.swapaxes(H_landmark, -1, -2)
-    S = H_vehicle @ P[:m, :m] @ np.swapaxes(H_vehicle, -1, -2) + cross + np.swapaxes(cross, -1, -2)
-    return np.asarray(S + H_landmark @ P_ll @ np.swapaxes(H_landmark, -1, -2))
+def _innovation_covariance(H_vehicle: Array, H_landmark: Array, P: Marginals) -> Array:
+    """Return (M, k, k) H P H^T for the vehicle and each landmark on its own."""
+    cross = H_vehicle @ P.cross @ np.swapaxes(H_landmark, -1, -2)
+    S = H_vehicle @ P.vehicle @ np.swapaxes(H_vehicle, -1, -2) + cross + np.swapaxes(cross, -1, -2)
+    return np.asarray(S + H_landmark @ P.landmarks @ np.swapaxes(H_landmark, -1, -2))
 
 
-def _pose_landmark_covariance(P: Array, count: int) -> Array:
+def _pose_landmark_covariance(P: Marginals) -> Array:
     """Return (M, 9, 9) covariances of the pose and each landmark."""
-    m = len(P) - 3 * count
-    rows = np.empty((count, 9), dtype=np.int64)
-    rows[:, :6] = POSE
-    rows[:, 6:] = m + np.arange(3 * count).reshape(count, 3)
-    return np.asarray(P[rows[:, :, None], rows[:, None, :]])
+    joint = np.empty((len(P.landmarks), 9, 9))
+    joint[:, :6, :6] = P.vehicle[np.ix_(POSE, POSE)]
+    joint[:, :6, 6:] = P.cross[:, POSE]
+    joint[:, 6:, :6] = np.swapaxes(joint[:, :6, 6:], -1, -2)
+    joint[:, 6:, 6:] = P.landmarks
+    return joint

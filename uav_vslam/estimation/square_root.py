@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from uav_vslam.estimation.belief import Indices, Observation, Update, landmark_rows, state_rows
+from uav_vslam.estimation.belief import Indices, Marginals, Observation, Update, landmark_rows, state_rows
 from uav_vslam.estimation.numerics import cholesky, inverse_spd, square_root
 
 Array = NDArray[np.float64]
@@ -30,6 +30,10 @@ class SquareRootBelief:
     def covariance(self, landmarks: Indices) -> Array:
         G = self.G[state_rows(self.vehicle, landmarks)]
         return np.asarray(G @ G.T)
+
+    def marginals(self, landmarks: Indices) -> Marginals:
+        own = landmark_rows(self.vehicle, landmarks).reshape(-1, 3)
+        return Marginals.of_factor(self.G[: self.vehicle], self.G[own])
 
     def information(self, rows: Indices) -> Array:
         return inverse_spd(self.G[rows] @ self.G[rows].T, "covariance")

@@ -187,7 +187,8 @@ class SlamBackend:
             self._map.remove(gone)
 
     def _variance(self) -> NDArray[np.float64]:
-        return np.diagonal(self._filter.covariance())[-3 * len(self._map) :].reshape(-1, 3).sum(axis=1)
+        marginals = self._filter.belief.marginals(np.arange(len(self._map)))
+        return np.asarray(np.trace(marginals.landmarks, axis1=1, axis2=2))
 
     def _add_landmarks(self, matches: Matches, features: StereoFeatures) -> None:
         rig, points_left = self._filter.rig, self._filter.points_left()
