@@ -163,11 +163,17 @@ FUSION_SCHEMES = ("split_ci", "full_ci", "overlay", "inverse_ci")
 FUSION_WEIGHTS = ("position_trace", "trace", "determinant", "niehsen", "franken_hupper")
 
 
+# Communication modes, and what a vehicle may send in each: payload, before DDS, UDP and IP [B/s].
+MODE_BUDGETS = {"wideband": 100_000, "narrowband": 900, "none": 0}
+
+
 @dataclass(frozen=True, slots=True)
 class FusionConfig:
     """Cooperation with peers."""
 
-    mode: str = "wideband"  # wideband or none
+    mode: str = "wideband"  # wideband, narrowband or none
+    budget_bytes_per_s: int = 0  # payload that is sent at most; 0: as much as the mode allows
+    silent_after_s: float = 5.0  # a peer whose last packet was made longer ago is reported as silent
     epoch_s: float = 1.0  # a packet is sent and a fusion made whenever a frame's stamp passes a multiple of this
     min_delay_s: float = 0.2  # only packets at least this much older than the epoch enter: makes replay repeatable
     scheme: str = "split_ci"  # how packets are brought in, in cooperation.schemes: split_ci, full_ci, ...
@@ -181,7 +187,9 @@ class FusionConfig:
     floor_sigma_m: float = 0.3  # added to each packet landmark: descriptors do not meet on the very same point
 
     def __post_init__(self) -> None:
-        _require(self.mode in {"wideband", "none"}, self, "mode", "wideband or none")
+        _require(self.mode in MODE_BUDGETS, self, "mode", f"one of {', '.join(MODE_BUDGETS)}")
+        _require(self.budget_bytes_per_s >= 0, self, "budget_bytes_per_s", "a positive rate [B/s] or 0")
+        _require(self.silent_after_s > 0, self, "silent_after_s", "a positive time [s]")
         _require(self.scheme in FUSION_SCHEMES, self, "scheme", f"one of {', '.join(FUSION_SCHEMES)}")
         _require(self.weighing in FUSION_WEIGHTS, self, "weighing", f"one of {', '.join(FUSION_WEIGHTS)}")
         _require(self.memory_landmarks >= 0, self, "memory_landmarks", "zero or more")

@@ -5,12 +5,20 @@ Own-only tracks know nothing of the network, so they can be computed first, one 
 packets and the fusion follow in stamp order, exactly as in lock-step replay.
 """
 
+import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.cooperation.link import Link, LinkConfig
+from uav_vslam.cooperation.outbox import Outbox
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.pipeline import VehicleTrack
-from uav_vslam.types import PoseEstimate
+from uav_vslam.slam.packet import payload_bytes
+from uav_vslam.types import LandmarkPacket, PoseEstimate
+
+PacketLink = Link[LandmarkPacket]
 
 
 @dataclass(slots=True)
@@ -18,35 +26,62 @@ class CooperativeTrack:
     """A whole flight of one vehicle with its peers' help.
 
     Attributes:
-        fusion: the fusion core; it knows what was sent, received, used and dropped.
+        fusion: the fusion core; it knows what was received, used and dropped.
+        outbox: it knows what was sent, and what the budget held back.
         poses: fused pose at every own-only frame.
     """
 
     fusion: Fusion
+    outbox: Outbox
     poses: list[PoseEstimate] = field(default_factory=list)
 
 
-def cooperate(tracks: dict[str, VehicleTrack], configs: dict[str, VehicleConfig]) -> dict[str, CooperativeTrack]:
+def cooperate(
+    tracks: dict[str, VehicleTrack],
+    configs: dict[str, VehicleConfig],
+    links: Callable[[str, str], PacketLink] | None = None,
+) -> dict[str, CooperativeTrack]:
     """Exchange packets and fuse.
 
     Args:
         tracks: own-only tracks by vehicle.
         configs: their configurations; a vehicle whose `fusion.mode` is none neither sends nor listens.
+        links: makes the radio link from a sender to a receiver; without it all arrives at once.
 
     Returns:
         A cooperative track for each vehicle.
     """
-    fleet = {name: CooperativeTrack(Fusion(name, configs[name].fusion)) for name in tracks}
+    fleet = {
+        name: CooperativeTrack(Fusion(name, configs[name].fusion), Outbox(configs[name].fusion)) for name in tracks
+    }
     on_air = [name for name in tracks if configs[name].fusion.mode != "none"]
+    air: dict[tuple[str, str], PacketLink] = {
+        (sender, receiver): links(sender, receiver) if links else Link(LinkConfig())
+        for sender in on_air
+        for receiver in on_air
+        if sender != receiver
+    }
     frames = [(output.report.pose.stamp_ns, name, output) for name, track in tracks.items() for output in track.outputs]
-    for _, name, output in sorted(frames, key=lambda frame: frame[:2]):
+    for stamp_ns, name, output in sorted(frames, key=lambda frame: frame[:2]):
         member = fleet[name]
         if output.joint is not None:
+            _deliver(air, fleet, stamp_ns)
             member.fusion.fuse(output.joint)
             if name in on_air:
                 packet = member.fusion.packet(output.joint)
-                for peer in on_air:
-                    if peer != name:
-                        fleet[peer].fusion.inbox.add(packet)
+                if member.outbox.take(packet.stamp_ns, payload_bytes(packet)):
+                    for (sender, _), link in air.items():
+                        if sender == name:
+                            link.send(stamp_ns, payload_bytes(packet), packet)
         member.poses.append(member.fusion.carry(output.report.pose))
+    if frames:
+        _deliver(air, fleet, max(stamp_ns for stamp_ns, _, _ in frames))
     return fleet
+
+
+def _deliver(air: dict[tuple[str, str], PacketLink], fleet: dict[str, CooperativeTrack], now_ns: int) -> None:
+    """Hand over what has arrived; what an inbox refuses, it counts."""
+    for (_, receiver), link in air.items():
+        for packet in link.receive(now_ns):
+            with contextlib.suppress(InvalidMessage):
+                fleet[receiver].fusion.inbox.add(packet)

@@ -14,7 +14,6 @@ from typing import Any, Protocol
 import cv2
 
 from uav_vslam.config import VehicleConfig, to_tree
-from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
 from uav_vslam.evaluation.start_frame import in_start_frame
@@ -123,16 +122,16 @@ def flight_result(
     )
 
 
-def link_counters(fusion: Fusion) -> LinkCounters:
+def link_counters(member: CooperativeTrack) -> LinkCounters:
     """Return what a vehicle's radio did."""
-    peers = fusion.inbox.peers.values()
+    peers = member.fusion.inbox.peers.values()
     dropped: dict[str, int] = {}
     for record in peers:
         for reason, count in record.dropped.items():
             dropped[reason] = dropped.get(reason, 0) + count
     return LinkCounters(
-        sent_bytes_per_s=fusion.sent_bytes_per_s,
-        packets_sent=fusion.packets_sent,
+        sent_bytes_per_s=member.outbox.sent_bytes_per_s,
+        packets_sent=member.outbox.packets_sent,
         packets_received=sum(record.received for record in peers),
         packets_used=sum(len(record.used) for record in peers),
         dropped=dropped,
@@ -153,7 +152,7 @@ def _vehicle_result(
         c_slam=Trajectory.from_estimates(member.poses) if member else None,
         frames_in=track.frames_in,
         frames_processed=len(track.outputs),
-        link=link_counters(member.fusion) if member else LinkCounters(),
+        link=link_counters(member) if member else LinkCounters(),
     )
 
 

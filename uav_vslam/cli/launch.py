@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=float, metavar="R", help="multiple of real time; 0: paced by the graph (lock-step)"
     )
-    parser.add_argument("--mode", choices=["wideband", "none"], help="how the vehicles communicate")
+    parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate")
     parser.add_argument("--record", type=Path, metavar="DIR", help="record the estimates into this new bag")
     parser.add_argument("--log-dir", type=Path, metavar="DIR", help="also keep each process's output in a file here")
     parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain, 0 to 101 (default: ROS_DOMAIN_ID)")

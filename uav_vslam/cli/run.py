@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting (bags only)"
     )
-    parser.add_argument("--mode", choices=["wideband", "none"], help="communication mode")
+    parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="communication mode")
     parser.add_argument("--name", help="of the results folder (default: that of the input)")
     parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
     parser.add_argument("--workers", type=int, default=2, help="processes, one a vehicle at most (default 2)")

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The offline twin's radio: packets go through the links between the vehicles and within the senders' budgets."""
+
+import dataclasses
+
+import pytest
+
+from uav_vslam.config import FusionConfig, VehicleConfig
+from uav_vslam.cooperation.link import Link, LinkConfig
+from uav_vslam.fleet import CooperativeTrack, PacketLink, cooperate
+from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
+from uav_vslam.simulation.landmarks import scatter_landmarks
+from uav_vslam.simulation.scenario import SCENARIOS, simulate_fleet
+from uav_vslam.simulation.source import SimulatedSource
+
+FRAMES = 40  # 5.5 s: five epochs
+VEHICLES = ("uav1", "uav2", "uav3")
+
+
+@pytest.fixture(scope="module")
+def tracks() -> dict[str, VehicleTrack]:
+    fleet = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], frames=FRAMES, vehicles=len(VEHICLES), seed=1))
+    landmarks, found = scatter_landmarks(fleet), {}
+    for vehicle in fleet:
+        source = SimulatedSource(vehicle, landmarks)
+        config = VehicleConfig(imu=vehicle.scenario.imu_config)
+        pipeline = VehiclePipeline(source.initial_state, rig=source.rig, config=config, vehicle=source.vehicle)
+        for _ in pipeline.run(source.iter_events()):
+            pass
+        found[source.vehicle] = pipeline.track
+    assert tuple(found) == VEHICLES
+    return found
+
+
+def configs(**fusion: object) -> dict[str, VehicleConfig]:
+    return dict.fromkeys(VEHICLES, VehicleConfig(fusion=FusionConfig(**fusion)))
+
+
+def received(member: CooperativeTrack) -> dict[str, int]:
+    return {peer: record.received for peer, record in member.fusion.inbox.peers.items()}
+
+
+def test_without_links_every_packet_reaches_every_peer(tracks: dict[str, VehicleTrack]) -> None:
+    fleet = cooperate(tracks, configs())
+    sent = {name: member.outbox.packets_sent for name, member in fleet.items()}
+    assert min(sent.values()) >= 5
+    for name, member in fleet.items():
+        assert received(member) == {peer: count for peer, count in sent.items() if peer != name}
+
+
+def test_each_direction_has_a_link_of_its_own(tracks: dict[str, VehicleTrack]) -> None:
+    made: dict[tuple[str, str], PacketLink] = {}
+
+    def deaf_to_uav1(sender: str, receiver: str) -> PacketLink:
+        return made.setdefault((sender, receiver), Link(LinkConfig(loss=float(sender == "uav1"))))
+
+    fleet = cooperate(tracks, configs(), deaf_to_uav1)
+    assert set(made) == {(a, b) for a in VEHICLES for b in VEHICLES if a != b}
+    assert set(received(fleet["uav1"])) == {"uav2", "uav3"}
+    assert set(received(fleet["uav2"])) == {"uav3"}
+    assert made["uav1", "uav2"].packets["lost"] == fleet["uav1"].outbox.packets_sent
+
+
+def test_a_packet_counts_from_when_it_arrives(tracks: dict[str, VehicleTrack]) -> None:
+    early = cooperate(tracks, configs(), lambda a, b: Link(LinkConfig(delay_s=0.1)))
+    late = cooperate(tracks, configs(), lambda a, b: Link(LinkConfig(delay_s=2.5)))
+    assert sum(received(early["uav1"]).values()) > sum(received(late["uav1"]).values()) > 0
+    after_2_8_s = [fleet["uav1"].poses[20].T_map_body.t.tolist() for fleet in (early, late)]
+    assert after_2_8_s[0] != after_2_8_s[1]  # the one had packets to fuse by then, the other none
+
+
+def test_a_packet_that_comes_twice_is_counted_and_changes_nothing(tracks: dict[str, VehicleTrack]) -> None:
+    once = cooperate(tracks, configs())
+    twice = cooperate(tracks, configs(), lambda a, b: Link(LinkConfig(duplication=1.0)))
+    for name in VEHICLES:
+        dropped = [record.dropped["duplicate"] for record in twice[name].fusion.inbox.peers.values()]
+        assert dropped == [record.received for record in once[name].fusion.inbox.peers.values()]
+        assert [p.T_map_body.t.tolist() for p in twice[name].poses] == [
+            p.T_map_body.t.tolist() for p in once[name].poses
+        ]
+
+
+def test_what_the_budget_has_no_room_for_reaches_nobody(tracks: dict[str, VehicleTrack]) -> None:
+    fleet = cooperate(tracks, configs(budget_bytes_per_s=1))
+    for member in fleet.values():
+        assert member.outbox.packets_sent == 0
+        assert member.outbox.over_budget >= 5
+        assert received(member) == {}

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What leaves a vehicle: every packet passes here, and one that the byte budget has no room for is not sent.
+
+A packet is self-contained, so nothing needs to be made good later: the next epoch's replaces the one held back.
+"""
+
+from uav_vslam.config import MODE_BUDGETS, FusionConfig
+from uav_vslam.cooperation.budget import ByteBudget
+from uav_vslam.types import NS_PER_S
+
+SAVED_EPOCHS = 2.0  # epochs are a frame longer or shorter than their mean: what a long one earned, a short one needs
+
+
+class Outbox:
+    """Counts what is sent and holds back what is too much.
+
+    Attributes:
+        packets_sent, bytes_sent: what was let through (payload).
+        over_budget: packets held back.
+    """
+
+    def __init__(self, config: FusionConfig) -> None:
+        self.packets_sent = 0
+        self.bytes_sent = 0
+        self.over_budget = 0
+        self._first_ns = self._last_ns = 0
+        self.configure(config)
+
+    def configure(self, config: FusionConfig) -> None:
+        """Begin a new budget, as another communication mode has it; counts go on."""
+        self._epoch_s = config.epoch_s
+        rate = config.budget_bytes_per_s or MODE_BUDGETS[config.mode]
+        self._budget = ByteBudget(rate, round(rate * config.epoch_s * SAVED_EPOCHS))
+
+    @property
+    def sent_bytes_per_s(self) -> float:
+        """Mean payload rate since the first packet; each packet counts for one epoch [B/s]."""
+        return self.bytes_sent / ((self._last_ns - self._first_ns) / NS_PER_S + self._epoch_s)
+
+    def available(self, now_ns: int) -> int:
+        """Return how large a packet may be now [byte]."""
+        return self._budget.available(now_ns)
+
+    def take(self, stamp_ns: int, size_bytes: int) -> bool:
+        """Tell whether a packet of that stamp and payload may be sent, and count it."""
+        if not self._budget.spend(stamp_ns, size_bytes):
+            self.over_budget += 1
+            return False
+        if self.packets_sent == 0:
+            self._first_ns = stamp_ns
+        self._last_ns = stamp_ns
+        self.packets_sent += 1
+        self.bytes_sent += size_bytes
+        return True
