@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a peer's map lies in ours, found from landmarks that look alike; refused while the evidence is too thin.
+
+Descriptors alone say which landmarks may be the same, and on farmland many of them are wrong. Two-point RANSAC finds
+the transform on which most agree. Its gate knows only how well each map knows its own shape: what a map's landmarks
+share, their drift, is part of the transform. Then a weighted least-squares fit with both joint covariances, in which
+each pair has to fit what all the others predict.
+
+Gravity gives both maps the same vertical, so tilt is not estimated: over flat ground it can't be.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from uav_vslam.cooperation.common_landmarks import blocks
+from uav_vslam.cooperation.point_pairs import (
+    FLAT_SIGMA,
+    FRAME_DIM,
+    YAW,
+    PointPairs,
+    Rows,
+    frame_jacobian,
+    moved,
+)
+from uav_vslam.cooperation.two_point import GATE, Hypotheses, gated, hypotheses
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.numerics import inverse_spd, symmetrise
+from uav_vslam.geometry.pose import Pose
+
+Array = NDArray[np.float64]
+
+MIN_INLIERS = 8
+LOG_CHANCE = np.log(1e-6)  # of wrong matches agreeing like this anywhere: with one try a second, once in ten days
+RIVAL_SHARE = 0.5  # a second transform with this share of the best one's inliers makes the best one doubtful
+MAX_SIGMA_YAW = np.deg2rad(2.0)  # from the shape of the inliers alone, see `sigma_yaw`
+STEP_SIGMA_M = 1.0  # by which a known frame may be off: two maps drift apart by less between packets
+GATHER_ROUNDS = 5  # of fitting and gating anew; two or three are enough
+FIT_ROUNDS = 10
+CONVERGED = 1e-9  # largest step of a fit [m], [rad]
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """A peer's map frame in ours.
+
+    Attributes:
+        T_own_peer: rotation about the vertical and translation.
+        covariance: (4, 4) of translation and yaw, as `point_pairs` orders its error, against the true frames: it
+            contains both maps' drift.
+        inliers: (K,) ascending rows of the pairs it rests on.
+    """
+
+    T_own_peer: Pose
+    covariance: Array
+    inliers: Rows
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """No alignment, and why."""
+
+    reason: str
+
+
+def align(pairs: PointPairs, *, seed: int = 0) -> Alignment | Refusal:
+    """Find T_own_peer from pairs of which many may be wrong.
+
+    Args:
+        pairs: putative pairs.
+        seed: of the choice among very many hypotheses.
+    """
+    if len(pairs) < MIN_INLIERS:
+        return Refusal(f"{len(pairs)} matches, {MIN_INLIERS} needed")
+    relative = pairs.relative()
+    tried = hypotheses(relative, rng=np.random.default_rng(seed))
+    if len(tried) == 0:
+        return Refusal(f"no two of {len(pairs)} matches agree")
+    best = tried.best()
+    found = _gathered(pairs, relative, best, gated(relative, best))
+    agreeing = len(found.inliers) if found else 0
+    if found is None or agreeing < MIN_INLIERS:
+        return Refusal(f"{agreeing} of {len(pairs)} matches agree, {MIN_INLIERS} needed")
+    return _doubt(found, relative, tried) or found
+
+
+def follow(pairs: PointPairs, T_own_peer: Pose) -> Alignment | None:
+    """Fit a transform that is nearly known to the pairs that agree with it and with each other; None of less than two.
+
+    How many there are, and how well they determine it, is the caller's to judge.
+    """
+    relative = pairs.relative()
+    return _gathered(pairs, relative, T_own_peer, gated(relative, T_own_peer, doubt=STEP_SIGMA_M**2 * np.eye(3)))
+
+
+def sigma_yaw(relative: PointPairs, found: Alignment) -> float:
+    """Return how well the inliers' shape determines yaw, each pair taken for itself: small where they are spread."""
+    inliers = relative.take(found.inliers)
+    S = inliers.pair_covariances(found.T_own_peer.R)
+    A = frame_jacobian(found.T_own_peer, inliers.peer).reshape(-1, 3, FRAME_DIM)
+    Y = np.einsum("kai,kaj->ij", A, np.linalg.solve(S, A))
+    return float(np.sqrt(inverse_spd(Y + np.diag(FLAT_SIGMA**-2), "a fit of two maps")[YAW, YAW]))
+
+
+def _gathered(pairs: PointPairs, relative: PointPairs, T_own_peer: Pose, rows: Rows) -> Alignment | None:
+    """Fit and gate until the rows stay the same, then take out what contradicts all others."""
+    for _ in range(GATHER_ROUNDS):
+        if len(rows) < 2:
+            return None
+        T_own_peer, shape_covariance = fit(relative.take(rows), T_own_peer)
+        A = frame_jacobian(T_own_peer, pairs.peer).reshape(-1, 3, FRAME_DIM)
+        before, rows = rows, gated(relative, T_own_peer, doubt=A @ shape_covariance @ A.transpose(0, 2, 1))
+        if np.array_equal(rows, before):
+            break
+    rows = rows[_borne_out(pairs.take(rows), T_own_peer)]
+    return Alignment(*fit(pairs.take(rows), T_own_peer), rows) if len(rows) >= 2 else None
+
+
+def fit(pairs: PointPairs, T_own_peer: Pose) -> tuple[Pose, Array]:
+    """Minimise r^T S^-1 r over yaw and translation by Gauss-Newton; return T_own_peer and its (4, 4) covariance.
+
+    What the pairs don't determine stays as it was, with the sigmas of a flat prior.
+    """
+    for _ in range(FIT_ROUNDS):
+        W, A = _weights(pairs, T_own_peer)
+        covariance = inverse_spd(A.T @ W @ A + np.diag(FLAT_SIGMA**-2), "a fit of two maps")
+        delta = covariance @ (A.T @ (W @ pairs.residuals(T_own_peer).ravel()))
+        T_own_peer = moved(T_own_peer, delta)
+        if np.abs(delta).max() < CONVERGED:
+            break
+    return T_own_peer, covariance
+
+
+def _weights(pairs: PointPairs, T_own_peer: Pose) -> tuple[Array, Array]:
+    """Return the (3K, 3K) information of the residuals and their (3K, 4) derivative by T, but for the sign."""
+    W = inverse_spd(pairs.covariance(T_own_peer.R), "covariance of matches between two maps")
+    return W, frame_jacobian(T_own_peer, pairs.peer)
+
+
+def _borne_out(pairs: PointPairs, T_own_peer: Pose) -> Rows:
+    """Return the rows that remain when the pair farthest from what all others predict goes, until none is outside.
+
+    With T unknown the residuals' information is B = W - W A (A^T W A)^-1 A^T W. Pair k lies B_kk^-1 (B r)_k off what
+    the others predict, with covariance B_kk^-1 [baarda68]. Taking it out is a Schur complement of B.
+    """
+    rows, residual = np.arange(len(pairs)), pairs.residuals(T_own_peer)
+    W, A = _weights(pairs, T_own_peer)
+    B = W - W @ A @ np.linalg.solve(A.T @ W @ A + np.diag(FLAT_SIGMA**-2), A.T @ W)
+    while len(rows) > 2:  # two fit always
+        k = np.arange(len(rows))
+        pull, own = (B @ residual[rows].ravel()).reshape(-1, 3), blocks(B)[k, k]
+        distance2 = np.einsum("ni,ni->n", pull, np.linalg.solve(own, pull[..., None])[..., 0])
+        worst = int(np.argmax(distance2))
+        if distance2[worst] <= GATE:
+            break
+        gone, kept = landmark_rows(0, k[worst : worst + 1]), landmark_rows(0, np.delete(k, worst))
+        B = symmetrise(
+            B[np.ix_(kept, kept)] - B[np.ix_(kept, gone)] @ np.linalg.solve(own[worst], B[np.ix_(gone, kept)])
+        )
+        rows = np.delete(rows, worst)
+    return rows
+
+
+def _doubt(found: Alignment, relative: PointPairs, tried: Hypotheses) -> Refusal | None:
+    """Return why an alignment should not be believed yet, if there is a reason."""
+    agreeing, count = len(found.inliers), len(relative)
+    if log_chance(found, relative) > LOG_CHANCE:
+        return Refusal(f"{agreeing} of {count} matches agree, which wrong ones may do by chance")
+    yaw = sigma_yaw(relative, found)
+    if not yaw < MAX_SIGMA_YAW:
+        return Refusal(f"{agreeing} matches lie too close together: yaw to {np.rad2deg(yaw):.1f} degrees only")
+    others = np.delete(tried.inliers, found.inliers, axis=1)
+    rival = int(others.sum(axis=1).max(initial=0))
+    if rival >= RIVAL_SHARE * agreeing:
+        return Refusal(f"ambiguous: {agreeing} matches agree, {rival} others on another transform")
+    return None
+
+
+def log_chance(found: Alignment, relative: PointPairs) -> float:
+    """Return the logarithm of how many sets as large as the inliers wrong matches would give, cf. [moisan04].
+
+    A wrong match lies anywhere in the map, so it fits a transform with p = area of its gate / area of the map: on flat
+    ground height tells nothing. Any two of n matches make a transform, and any k - 2 of the others may fit it.
+    """
+    n, k = len(relative), len(found.inliers)
+    spread = np.cov(relative.own[:, :2], rowvar=False)
+    map_area = 12.0 * np.sqrt(np.linalg.det(spread))  # of a rectangle with the same second moments
+    gates = relative.take(found.inliers).pair_covariances(found.T_own_peer.R)[:, :2, :2]
+    area = np.pi * GATE * float(np.sqrt(np.linalg.det(gates)).mean())
+    p = min(1.0, area / map_area) if map_area > 0 else 1.0
+    sets = gammaln(n - 1) - gammaln(k - 1) - gammaln(n - k + 1)  # log C(n - 2, k - 2)
+    return float(np.log(n * (n - 1) / 2) + sets + (k - 2) * np.log(p))

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two-point RANSAC [fischler81] between two maps whose tilt gravity fixes: yaw and translation from two pairs.
+
+Two pairs can only both be right if their distance along the ground and their difference in height are the same in both
+maps. That test leaves few of the K (K - 1) / 2 twos, so that most often every one of them is tried.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from uav_vslam.cooperation.common_landmarks import blocks
+from uav_vslam.cooperation.point_pairs import PointPairs
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import rotation_from_rpy
+
+Array = NDArray[np.float64]
+
+GATE = 16.3  # chi-square of a pair, 3 degrees of freedom: 99.9 %
+TWO_GATE = float(chdtri(2, 0.001))  # of two pairs' distance and difference in height
+MAX_YAW_SIGMA = np.deg2rad(10.0)  # two points too close to each other say nothing about yaw
+MAX_HYPOTHESES = 600
+
+
+@dataclass(frozen=True, slots=True)
+class Hypotheses:
+    """Transforms that some two pairs agree on.
+
+    Attributes:
+        R, t: (H, 3, 3) and (H, 3) T_own_peer.
+        distance2: (H, K) squared Mahalanobis distances of all pairs' residuals.
+    """
+
+    R: Array
+    t: Array
+    distance2: Array
+
+    def __len__(self) -> int:
+        return len(self.R)
+
+    @property
+    def inliers(self) -> NDArray[np.bool_]:
+        """(H, K) pairs inside the gate."""
+        return self.distance2 <= GATE
+
+    def best(self) -> Pose:
+        """Return the transform that fits many pairs well: with the least sum of distances cut off at the gate."""
+        h = int(np.argmin(np.minimum(self.distance2, GATE).sum(axis=1)))  # MSAC [torr00]
+        return Pose(self.R[h], self.t[h])
+
+
+def hypotheses(pairs: PointPairs, *, rng: np.random.Generator) -> Hypotheses:
+    """Return the transforms by every two pairs that may both be right, or by a random choice of many.
+
+    Args:
+        pairs: with the covariances of each map's landmarks relative to one another.
+        rng: chooses where there are more than MAX_HYPOTHESES.
+    """
+    i, j = np.triu_indices(len(pairs), 1)
+    fits = np.flatnonzero(_agree(pairs, i, j))
+    if len(fits) > MAX_HYPOTHESES:
+        fits = np.sort(rng.choice(fits, MAX_HYPOTHESES, replace=False))
+    i, j = i[fits], j[fits]
+    own, peer = pairs.own[j] - pairs.own[i], pairs.peer[j] - pairs.peer[i]
+    yaw = np.arctan2(peer[:, 0] * own[:, 1] - peer[:, 1] * own[:, 0], (peer[:, :2] * own[:, :2]).sum(axis=1))
+    R = rotation_from_rpy(np.zeros_like(yaw), np.zeros_like(yaw), yaw)
+    centre = 0.5 * (pairs.peer[i] + pairs.peer[j])
+    t = 0.5 * (pairs.own[i] + pairs.own[j]) - np.einsum("hab,hb->ha", R, centre)
+    residuals = pairs.own - np.einsum("hab,kb->hka", R, pairs.peer) - t[:, None]
+    return Hypotheses(R, t, _mahalanobis2(residuals, pairs.pair_covariances(R)))
+
+
+def gated(pairs: PointPairs, T_own_peer: Pose, *, doubt: Array | float = 0.0) -> NDArray[np.intp]:
+    """Return the rows of pairs that fit a transform within their own covariances, and (K, 3, 3) that it adds [m^2]."""
+    S = pairs.pair_covariances(T_own_peer.R) + doubt
+    return np.flatnonzero(_mahalanobis2(pairs.residuals(T_own_peer), S) <= GATE)
+
+
+def _agree(pairs: PointPairs, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return which twos (i, j) have equal distances and heights, and are far enough apart to give a yaw."""
+    own, peer = pairs.own[j] - pairs.own[i], pairs.peer[j] - pairs.peer[i]
+    own_m, peer_m = (np.linalg.norm(d[:, :2], axis=1) for d in (own, peer))
+    variances = _along(pairs.own_covariance, own, i, j) + _along(pairs.peer_covariance, peer, i, j)
+    along, across, up = (variances + 2.0 * pairs.floor_variance).T
+    distance2 = (own_m - peer_m) ** 2 / along + (own[:, 2] - peer[:, 2]) ** 2 / up
+    return np.asarray((distance2 <= TWO_GATE) & (np.sqrt(across) < MAX_YAW_SIGMA * np.minimum(own_m, peer_m)))
+
+
+def _along(covariance: Array, offset: Array, i: NDArray[np.intp], j: NDArray[np.intp]) -> Array:
+    """Return (M, 3) variances of x_j - x_i along the offset on the ground, across it, and up."""
+    B = blocks(covariance)
+    C = B[i, i] + B[j, j] - B[i, j] - B[j, i]
+    length = np.maximum(np.linalg.norm(offset[:, :2], axis=1), np.finfo(float).tiny)
+    x, y = offset[:, 0] / length, offset[:, 1] / length
+    axes = np.zeros((len(i), 3, 3))
+    axes[:, 0, 0], axes[:, 0, 1] = x, y
+    axes[:, 1, 0], axes[:, 1, 1] = -y, x
+    axes[:, 2, 2] = 1.0
+    return np.asarray(np.einsum("mab,mbc,mac->ma", axes, C, axes))
+
+
+def _mahalanobis2(residual: Array, S: Array) -> Array:
+    """Return (...) squared distances of (..., 3) residuals with covariances (..., 3, 3)."""
+    return np.asarray(np.einsum("...a,...a->...", residual, np.linalg.solve(S, residual[..., None])[..., 0]))
