@@ -79,6 +79,7 @@ class ImuIncrement:
         delta_R: (3, 3) R_start_end.
         delta_v: (3,) velocity gained without gravity, in the start body frame [m/s].
         delta_p: (3,) displacement gained without gravity and initial velocity, in the start body frame [m].
+        rate_end: (3,) the gyroscope's reading at the end, its bias included, body frame [rad/s].
         gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
         bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); the rotation perturbs from
             the right.
@@ -91,6 +92,7 @@ class ImuIncrement:
     delta_R: Array
     delta_v: Array
     delta_p: Array
+    rate_end: Array
     gyro_bias: Array
     accel_bias: Array
     bias_jacobian: Array

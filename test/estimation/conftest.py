@@ -165,6 +165,7 @@ def _fly(
         nis, dof = nis + innovation.nis, dof + innovation.dof
         f.marginalise(np.flatnonzero(~np.isin(known, seen)))
         fresh = ~np.isin(seen, known) & np.isfinite(f.rig.triangulate(z)).all(axis=1)
+        fresh &= f.places_landmarks
         f.add_landmarks(z[fresh])
         known = np.append(known[np.isin(known, seen)], seen[fresh])
         estimate = f.nav_estimate()

@@ -172,6 +172,28 @@ def test_prediction_lets_the_rig_walk_and_draws_its_vibration_anew(course, name:
     assert (f.rig_state.attitude is state.attitude, f.rig_state.time_offset_s) == (True, state.time_offset_s)
 
 
+def test_a_time_offset_shows_in_the_picture_as_the_turn_and_the_flight_at_its_stamp(course, model: str) -> None:
+    """The turn that the gyroscope reads at the increment's very end, less its bias."""
+    f = course.flown(model, rig_config=RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=0.01))
+    turning = dataclasses.replace(course.increments[3], rate_end=np.array([0.3, -0.2, 0.5]) + f.nav.gyro_bias)
+    f.predict(turning)
+    columns, later = f.predict_observations(ALL).H_vehicle[:, :, -1], 1e-6
+    nav, before = f.nav, f.predict_observations(ALL).expected
+    R, t = nav.T_map_body.R, nav.T_map_body.t
+    turned = Pose(R @ so3_exp(np.array([0.3, -0.2, 0.5]) * later), t + nav.v_map * later)
+    f.nav = dataclasses.replace(nav, T_map_body=turned)
+    np.testing.assert_allclose((f.predict_observations(ALL).expected - before) / later, columns, rtol=0, atol=1e-2)
+
+
+def test_landmarks_wait_for_the_first_increment_where_the_time_offset_is_a_state(course) -> None:
+    rig = RigConfig(time_offset_sigma_s=0.01)
+    f = course.filter(rig_config=rig)
+    assert not f.places_landmarks
+    f.predict(course.increments[0])
+    assert f.places_landmarks
+    assert course.filter().places_landmarks
+
+
 def test_update_is_the_kalman_update_in_every_output(course, name: str, model: str) -> None:
     f = course.flown(model, name, sigma_px=SIGMA_PX)
     pixels = course.pixels(3, SOME, np.random.default_rng(1))

@@ -217,6 +217,17 @@ def test_a_silent_imu_gives_a_hover_of_unknown_motion() -> None:
     assert (sigma[3:6] >= 0.5).all()  # half a metre a second of doubt after 0.2 s: a turn may have begun
     assert (sigma[:3] >= 0.05).all()
     np.testing.assert_array_equal(increment.bias_jacobian, 0.0)
+    np.testing.assert_array_equal(increment.rate_end, GYRO_BIAS)  # as it reads when nothing turns
+
+
+def test_the_rate_at_the_end_is_what_the_gyroscope_reads_there(readings) -> None:
+    """Between two readings when the end lies there; the bias is left in, whatever the increment is linearised at."""
+    samples = readings(START_S, FRAME_S, 28)
+    np.testing.assert_array_equal(integrate(samples).rate_end, samples[-1].gyro)
+    before, after = samples[-2:]
+    end_ns = (3 * before.stamp_ns + after.stamp_ns) // 4
+    early = preintegrate(samples, samples[0].stamp_ns, end_ns, gyro_bias=GYRO_BIAS, accel_bias=ACCEL_BIAS, imu=IMU)
+    np.testing.assert_allclose(early.rate_end, 0.75 * before.gyro + 0.25 * after.gyro, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 1_000])
@@ -289,6 +300,7 @@ def test_two_composed_increments_are_the_one_over_both(readings) -> None:
     np.testing.assert_allclose(difference(composed, whole), np.zeros(9), rtol=0, atol=1e-12)
     np.testing.assert_allclose(composed.bias_jacobian, whole.bias_jacobian, rtol=0, atol=1e-12)
     np.testing.assert_allclose(composed.covariance, whole.covariance, rtol=1e-9, atol=1e-20)
+    np.testing.assert_array_equal(composed.rate_end, whole.rate_end)
 
 
 def test_errors_of_two_increments_pass_into_the_whole_as_their_derivatives_say(readings) -> None:

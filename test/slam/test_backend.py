@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_vslam.config import FILTERS, STATE_MODELS, BackendConfig, VehicleConfig
+from uav_vslam.config import FILTERS, STATE_MODELS, BackendConfig, RigConfig, VehicleConfig
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
@@ -60,6 +60,14 @@ def test_the_first_frame_fills_the_map_and_moves_nothing(flight: Flight) -> None
     np.testing.assert_array_equal(report.pose.T_map_body.matrix, flight.vehicle.initial.state.T_map_body.matrix)
     ids, positions = backend.landmarks
     assert len(ids) == len(positions) == report.landmarks
+
+
+def test_without_knowing_its_turn_an_unsynchronised_rig_places_no_landmark(flight: Flight) -> None:
+    config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, rig=RigConfig(time_offset_sigma_s=0.01))
+    backend = SlamBackend(flight.vehicle.initial, rig=flight.vehicle.rig, config=config, vehicle="uav1")
+    first, second = (backend.process(flight.features[k], flight.increments[k]) for k in range(2))
+    assert first.landmarks == 0
+    assert second.landmarks > 0
 
 
 def test_a_flight_with_a_tenth_of_wrong_matches_stays_on_its_track(flight: Flight) -> None:

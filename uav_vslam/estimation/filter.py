@@ -35,7 +35,6 @@ from uav_vslam.estimation.numerics import cholesky, symmetrise
 from uav_vslam.estimation.observation import smoothed, triangulation_covariance
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState
@@ -107,7 +106,7 @@ class Filter:
         self._model: StateModel = MODELS[model]()
         self._errors = RigErrors(rig, rig_config or RigConfig(rigid_sigma_deg=0.0), self._model.nav_dim)
         self._sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
-        self._rate_map: Array = np.zeros(3)
+        self._rate_map: Array | None = None  # [rad/s] at the end of the last increment
         self.nav: NavState = initial.state
         self.rig_state = RigState()
         self.landmarks: Array = np.zeros((0, 3))
@@ -125,18 +124,27 @@ class Filter:
         """Rows of the error that are the vehicle's."""
         return self._model.nav_dim + self._errors.dim
 
+    @property
+    def places_landmarks(self) -> bool:
+        """Tell whether landmarks can be added.
+
+        Where the time offset is a state, not before the first increment: where they lie depends on how fast the vehicle
+        turned when they were seen.
+        """
+        return self._rate_map is not None or self._errors.time_offset.start == self._errors.time_offset.stop
+
     def covariance(self) -> Array:
         """Return (vehicle + 3N, vehicle + 3N), the whole covariance in the model's coordinates."""
         return self.belief.covariance(np.arange(len(self.landmarks))).copy()
 
     def predict(self, increment: ImuIncrement) -> None:
         """Propagate over an increment."""
-        nav_dim, dt = self._model.nav_dim, increment.dt_s
+        nav_dim = self._model.nav_dim
         with _stamped(increment.stamp_ns):
             process = self._linear.process(self._model, self.nav, self.belief, increment, self._imu)
             F, Q = np.eye(self.vehicle), np.zeros((self.vehicle, self.vehicle))
             F[:nav_dim, :nav_dim], Q[:nav_dim, :nav_dim] = process.F, process.Q
-            Q[self._errors.rows, self._errors.rows] = np.diag(self._errors.noise_variance(dt))
+            Q[self._errors.rows, self._errors.rows] = np.diag(self._errors.noise_variance(increment.dt_s))
             self.belief = self.belief.predicted(F, Q)
             if self._errors.vibration_variance > 0:
                 rows = np.arange(self._errors.vibration.start, self._errors.vibration.stop)
@@ -145,7 +153,7 @@ class Filter:
             if self._gamma is not None:
                 self.belief, self.feasibility = bounded(self.belief, nav_dim, self._gamma)
         self.nav = process.nav
-        self._rate_map = self.nav.T_map_body.R @ so3_log(increment.delta_R) / dt
+        self._rate_map = self.nav.T_map_body.R @ (increment.rate_end - self.nav.gyro_bias)
 
     def points_left(self) -> Array:
         """Return the (N, 3) landmarks in the left camera frame [m]."""
@@ -209,13 +217,13 @@ class Filter:
         )
         if innovation.accepted:
             with _stamped(self.nav.stamp_ns):
-                self._correct(update.belief, prior + update.delta)
+                self.correct(update.belief, prior + update.delta)
         else:
             self.nav, self.belief = before
         return innovation
 
     def add_landmarks(self, pixels: Array) -> None:
-        """Append landmarks at their triangulated positions.
+        """Append landmarks at their triangulated positions; see `places_landmarks`.
 
         The four pixel coordinates are reduced to the three that the point follows; the fourth, off the epipolar line,
         is left unused.
@@ -291,12 +299,13 @@ class Filter:
         return self.belief.updated(_whitened(first, np.zeros((M, STEREO_DOF)), np.ones(M))).belief
 
     def _camera(self) -> Camera:
+        rate_map = np.zeros(3) if self._rate_map is None else self._rate_map
         return Camera(
             rig=self.rig,
             errors=self._errors,
             model=self._model,
-            nav=self._errors.at_exposure(self.rig_state, self.nav, self._rate_map),
-            rate_map=self._rate_map,
+            nav=self._errors.at_exposure(self.rig_state, self.nav, rate_map),
+            rate_map=rate_map,
             sigma_px=self._sigma_px,
             depth_sigma_ratio=self._depth_sigma_ratio,
         )
@@ -330,7 +339,7 @@ class Filter:
         nav_dim = self._model.nav_dim
         return np.concatenate([offset[:nav_dim], np.zeros(self._errors.dim), offset[nav_dim:]])
 
-    def _correct(self, belief: Belief, delta: Array) -> None:
+    def correct(self, belief: Belief, delta: Array) -> None:
         before, landmarks = self.nav, self.landmarks
         on_manifold = np.delete(delta, np.arange(self._errors.rows.start, self._errors.rows.stop))
         self.nav, self.landmarks = self._model.retract(before, landmarks, on_manifold)

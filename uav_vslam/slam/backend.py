@@ -198,7 +198,7 @@ class SlamBackend:
             self._config.max_in_view - int(in_view.sum()),
             self._config.max_landmarks - len(self._map),
         )
-        if room <= 0 or len(features) == 0:
+        if room <= 0 or len(features) == 0 or not self._filter.places_landmarks:
             return
         free = np.setdiff1d(np.arange(len(features)), matches.features)
         free = free[np.isfinite(rig.triangulate(features.pixels[free])).all(axis=1)]
