@@ -22,16 +22,20 @@ from uav_vslam.config import (
     VehicleConfig,
     build,
     find_config,
+    find_link,
     flatten,
+    load,
     load_fleet,
     load_vehicle,
     to_tree,
 )
+from uav_vslam.cooperation.link import LinkConfig
 from uav_vslam.errors import ConfigError
 from uav_vslam.estimation.models import MODELS
 from uav_vslam.slam.map_manager import RETENTION
 from uav_vslam.vision.features import EXTRACTORS
 
+ROOT = Path(__file__).parents[1]
 Write = Callable[[str], Path]
 
 
@@ -286,3 +290,18 @@ def test_a_configuration_is_found_by_path_or_by_name(write: Write) -> None:
     assert load_vehicle(find_config("kagaru"))
     with pytest.raises(ConfigError, match=r"'nowhere' is neither a file nor one of ours \(.*kagaru"):
         find_config("nowhere")
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "config" / "links").glob("*.yaml")), ids=lambda file: file.stem)
+def test_every_link_of_ours_can_be_read_by_its_name(file: Path) -> None:
+    assert find_link(file.stem) == find_link(str(file)) == file
+    assert load(LinkConfig, file) != LinkConfig()
+
+
+def test_a_link_file_with_a_wrong_key_or_value_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "key.yaml").write_text("los: 0.1\n")
+    with pytest.raises(ConfigError, match=r"key\.yaml: unknown key los; did you mean loss\?"):
+        load(LinkConfig, tmp_path / "key.yaml")
+    (tmp_path / "value.yaml").write_text("blackouts: [[5, 2]]\n")
+    with pytest.raises(ConfigError, match="start < end"):
+        load(LinkConfig, tmp_path / "value.yaml")

@@ -281,6 +281,11 @@ def find_config(name: str) -> Path:
     raise ConfigError(f"configuration {name!r} is neither a file nor one of ours ({known})")
 
 
+def find_link(name: str) -> Path:
+    """Return the file of an emulated radio link: a path, or the name of a file in `config/links`."""
+    return find_config(name if Path(name).is_file() else f"links/{name}")
+
+
 def load_vehicle(path: Path | None, *, overrides: dict[str, Any] | None = None) -> VehicleConfig:
     """Read a vehicle's YAML file; keys that are absent keep their defaults.
 
@@ -335,6 +340,15 @@ def load_fleet(path: Path, *, overrides: dict[str, Any] | None = None) -> FleetC
         raise ConfigError(f"{path}: replay.bags = {bags!r} must be a list of paths, e.g. [flight]")
     replay_tree = {**replay_tree, "bags": tuple(path.parent / bag for bag in bags)}
     return FleetConfig(vehicles, files, build(ReplayConfig, replay_tree, where=f"{path}: replay"))
+
+
+def load(cls: type, path: Path) -> Any:
+    """Read one configuration class from a YAML file of its own.
+
+    Raises:
+        ConfigError: the file can't be read, or a key or value is wrong.
+    """
+    return build(cls, _read_yaml(path), where=str(path))
 
 
 def build(cls: type, tree: Any, *, where: str, prefix: str = "") -> Any:

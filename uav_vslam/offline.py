@@ -18,7 +18,7 @@ from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
 from uav_vslam.evaluation.start_frame import in_start_frame
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.fleet import CooperativeTrack, cooperate
+from uav_vslam.fleet import CooperativeTrack, PacketLink, cooperate
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
@@ -76,6 +76,7 @@ def fly(
     *,
     workers: int = 1,
     on_frame: Callable[[int], None] = lambda _: None,
+    links: Callable[[str, str], PacketLink] | None = None,
 ) -> tuple[dict[str, VehicleTrack], dict[str, CooperativeTrack]]:
     """Run a fleet.
 
@@ -84,13 +85,14 @@ def fly(
         configs: by vehicle.
         workers: processes; 1 runs everything in this one.
         on_frame: told how many frames have been processed since the last call.
+        links: makes the radio link from a sender to a receiver; without it all arrives at once.
     """
     if workers == 1 or len(sources) == 1:
         tracks = [track_vehicle(s, configs[s.vehicle], lambda: on_frame(1)) for s in sources]
     else:
         tracks = _track_in_workers(sources, configs, workers, on_frame)
     by_name = {track.vehicle: track for track in tracks}
-    return by_name, cooperate(by_name, configs)
+    return by_name, cooperate(by_name, configs, links)
 
 
 def flight_result(

@@ -25,7 +25,9 @@ STAMPED = re.compile(r"^\[(\w+)\] \[[\d.]+\] \[[\w./]+\]: ")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate (default wideband)")
+    parser.add_argument(
+        "--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate (default wideband)"
+    )
     parser.add_argument("--rate", type=float, metavar="R", help="multiple of real time (default 0: lock-step)")
     parser.add_argument("--root", type=Path, default=Path("results"), help="folder of all results (default results)")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep estimates and output in this new folder")

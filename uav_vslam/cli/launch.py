@@ -17,6 +17,7 @@ EXAMPLES = """examples:
   uav-vslam launch config/fleet_demo.yaml                                 replay what the file names, in lock-step
   uav-vslam launch config/fleet_demo.yaml --bag flight --rate 1           another recording, in real time
   uav-vslam launch config/fleet_demo.yaml --mode none --record out/alone  without cooperation, estimates recorded
+  uav-vslam launch config/fleet_demo.yaml --mode narrowband --link bad_radio    over 9.6 kbit/s with 20 % loss
 
 The end of the replay ends the fleet; so does a node that dies, SIGINT and SIGTERM.
 """
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rate", type=float, metavar="R", help="multiple of real time; 0: paced by the graph (lock-step)"
     )
     parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate")
+    parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--record", type=Path, metavar="DIR", help="record the estimates into this new bag")
     parser.add_argument("--log-dir", type=Path, metavar="DIR", help="also keep each process's output in a file here")
     parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain, 0 to 101 (default: ROS_DOMAIN_ID)")
@@ -37,8 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Launch and return the exit code of the first process that failed, or 0."""
+    from uav_vslam.config import find_link
+
     fleet = read_fleet(args.fleet, bags=args.bag, rate=args.rate, mode=args.mode)
-    return launch(fleet, record=args.record, log_dir=args.log_dir, domain_id=args.domain)
+    link = find_link(args.link) if args.link else None
+    return launch(fleet, record=args.record, log_dir=args.log_dir, domain_id=args.domain, link=link)
 
 
 def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, mode: str | None) -> FleetConfig:
@@ -86,6 +91,7 @@ def launch(
     record: Path | None = None,
     log_dir: Path | None = None,
     domain_id: int | None = None,
+    link: Path | None = None,
     on_line: Callable[[str, str], None] | None = None,
 ) -> int:
     """Run a fleet's processes to their end.
@@ -95,18 +101,23 @@ def launch(
         record: bag to record the estimates into.
         log_dir: folder for the output of each process.
         domain_id: ROS domain; None takes the environment's.
+        link: file of an emulated radio link to put between the vehicles.
         on_line: called with (process, line) for each line of output; the default prints it.
 
     Returns:
         The exit code of the first process that failed, 128 + the signal that ended the run, or 0.
     """
+    from uav_vslam.config import load
+    from uav_vslam.cooperation.link import LinkConfig
     from uav_vslam.errors import ConfigError
     from uav_vslam.ros.fleet_commands import NodeSpec, node_specs
     from uav_vslam.ros.supervisor import MAX_DOMAIN_ID, Supervisor, node_command
 
     if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
-    specs = node_specs(fleet)
+    if link is not None:
+        load(LinkConfig, link)  # a mistake in it is told before anything is started
+    specs = node_specs(fleet, link=link)
     if record is not None:
         parameters = {"output": str(record), "vehicles": list(fleet.vehicles)}
         specs.insert(0, NodeSpec("recorder", "recorder", "/", parameters))

@@ -18,6 +18,7 @@ EXAMPLES = """examples:
   uav-vslam run flight --config kagaru           every vehicle of a bag, one configuration for all
   uav-vslam run v101 --config euroc --set backend.sigma_px=0.8
   uav-vslam run uav1_bag uav2_bag --config kagaru --mode none
+  uav-vslam run flight --config kagaru --mode narrowband --link bad_radio    over 9.6 kbit/s with 20 % loss
 """
 
 
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting (bags only)"
     )
     parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="communication mode")
+    parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--name", help="of the results folder (default: that of the input)")
     parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
     parser.add_argument("--workers", type=int, default=2, help="processes, one a vehicle at most (default 2)")
@@ -40,9 +42,12 @@ def run(args: argparse.Namespace) -> int:
     """Run, evaluate, write; return 2 where a recording broke off, after using what there is."""
     import sys
     import time
+    from functools import partial
 
     from rich.progress import Progress
 
+    from uav_vslam.config import find_link, load
+    from uav_vslam.cooperation.link import LinkConfig, link_between
     from uav_vslam.datasets.bag import open_flight
     from uav_vslam.datasets.truth import truth_trajectory
     from uav_vslam.evaluation.output import write_results
@@ -52,12 +57,15 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.table import print_summary
 
     bags, configs = _inputs(args)
+    links = partial(link_between, load(LinkConfig, find_link(args.link))) if args.link else None
     flights = {name: open_flight(bags, name) for name in configs}
     started = time.monotonic()
     with Progress(transient=True) as progress:
         task = progress.add_task("flying", total=sum(flight.frame_count for flight in flights.values()))
         sources: list[FlightSource] = list(flights.values())
-        tracks, fleet = fly(sources, configs, workers=args.workers, on_frame=lambda n: progress.advance(task, n))
+        tracks, fleet = fly(
+            sources, configs, workers=args.workers, on_frame=lambda n: progress.advance(task, n), links=links
+        )
     truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     name = args.name or args.inputs[0].stem
     result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started)

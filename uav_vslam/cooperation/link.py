@@ -6,8 +6,9 @@ then be lost on air, come late, or come twice. The same seed and the same calls 
 """
 
 import heapq
+import zlib
 from collections import Counter, deque
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -125,3 +126,8 @@ class Link(Generic[Item]):
     def _count(self, what: str, size_bytes: int) -> None:
         self.packets[what] += 1
         self.size_bytes[what] += size_bytes
+
+
+def link_between(config: LinkConfig, sender: str, receiver: str) -> Link[Item]:
+    """Make the link of one direction; each direction draws numbers of its own."""
+    return Link(replace(config, seed=zlib.crc32(f"{sender}>{receiver} {config.seed}".encode())))
