@@ -2,6 +2,7 @@
 """Packets of made-up beliefs, and two maps of the same landmarks."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -28,6 +29,22 @@ def make_small_packet(make_joint) -> Callable[..., LandmarkPacket]:
         return make_packet(joint, sequence=sequence, max_landmarks=5)
 
     return make
+
+
+@dataclass(frozen=True)
+class SentMap:
+    """What matching and alignment read of a packet, not rounded by any coding."""
+
+    positions: np.ndarray
+    covariance: np.ndarray
+    descriptors: np.ndarray
+    session: int = 1
+
+
+@pytest.fixture(scope="session")
+def sent_map() -> type[SentMap]:
+    """Return a stand-in for a packet."""
+    return SentMap
 
 
 def _drifted(

@@ -8,7 +8,6 @@ from uav_vslam.cooperation.common_landmarks import blocks
 from uav_vslam.cooperation.point_pairs import FRAME_DIM, PointPairs, frame_jacobian, moved, turned
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
-from uav_vslam.slam.packet import make_packet
 
 STEP = 1e-6
 
@@ -64,11 +63,10 @@ def test_taking_some_pairs_takes_their_covariances(two_maps) -> None:
     assert len(pairs.take(np.zeros(0, np.intp))) == 0
 
 
-def test_pairs_are_selected_from_map_and_packet(make_joint) -> None:
+def test_pairs_are_selected_from_map_and_packet(sent_map) -> None:
     rng = np.random.default_rng(2)
-    factor = rng.normal(size=(15, 15))
-    joint = make_joint(rng.normal(0, 9, (3, 3)), factor @ factor.T + np.eye(15), vehicle="uav2")
-    packet = make_packet(joint, sequence=1, max_landmarks=3)
+    factor = rng.normal(size=(9, 9))
+    packet = sent_map(rng.normal(0, 9, (3, 3)), factor @ factor.T, np.zeros((3, 128), np.uint8))
     positions, P = rng.normal(size=(4, 3)), np.diag(np.arange(12.0))
     pairs = PointPairs.of(positions, P, packet, np.array([[3, 1], [0, 2]]), 0.3)
     np.testing.assert_array_equal(pairs.own, positions[[3, 0]])

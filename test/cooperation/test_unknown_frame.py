@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A frame that is estimated along: as a state with a flat prior would be, and no landmark counts twice."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from uav_vslam.cooperation.point_pairs import FRAME_DIM, moved, turned
+from uav_vslam.cooperation.schemes import SCHEMES
+from uav_vslam.cooperation.unknown_frame import Framed, framed
+from uav_vslam.estimation.covariance_intersection import Fused, Split, split_covariance_intersection
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import rotation_from_rpy, so3_log
+from uav_vslam.slam.packet import POSE_DIM
+
+COUNT = 9
+FLOOR_M = 0.2
+PAIRS = np.column_stack([np.arange(COUNT)] * 2)
+T_TRUE = Pose(rotation_from_rpy(0.0, 0.0, 2.5), np.array([40.0, -30.0, 6.0]))
+POINTS = np.column_stack([np.random.default_rng(0).uniform(-40, 40, (COUNT, 2)), np.linspace(-3, 3, COUNT)])
+SECOND_ORDER = 0.06  # of a sigma: a turn of 0.02 rad bends what lies 60 m away by 12 mm, known to 0.2 m
+RELATIVE = 1e-6  # of a sigma
+
+
+def covariance(*, shift_m: float = 1.0, yaw: float = 0.01, tilt: float = 0.003, own_m: float = 0.2) -> np.ndarray:
+    """Return (6+3N, 6+3N): a shift, yaw and tilt that pose and landmarks share, and each one's own error."""
+    shared = np.zeros((POSE_DIM + 3 * COUNT, 6))
+    shared[:6] = np.eye(6)
+    shared[6:, :3] = np.tile(np.eye(3), (COUNT, 1))
+    shared[6:, 3:] = np.stack([np.cross(axis, POINTS) for axis in np.eye(3)], axis=2).reshape(-1, 3)
+    shared *= [shift_m, shift_m, shift_m, tilt, tilt, yaw]
+    return shared @ shared.T + np.diag([1e-4] * 6 + [own_m**2] * (3 * COUNT))
+
+
+OWN = covariance()
+PEER = covariance(shift_m=2.0, tilt=0.001)
+
+
+@pytest.fixture
+def packet_of(sent_map):
+    """Return a maker of packets from positions in the own frame: what a peer sees of them in its own."""
+
+    def make(positions=POINTS, P=PEER, T: Pose = T_TRUE):
+        looks = np.zeros((len(positions), 128), np.uint8)
+        return sent_map(T.inverse().apply(positions), turned(P[6:, 6:], T.R.T), looks)
+
+    return make
+
+
+def independent(P: np.ndarray) -> Split:
+    return Split(P, np.zeros_like(P))
+
+
+def fuse(
+    packet, T=T_TRUE, positions=POINTS, *, P=OWN, scheme="split_ci", weighing="position_trace", dependent=False
+) -> tuple[Framed, Fused]:
+    brought = framed(positions, packet, PAIRS, T, floor_sigma_m=FLOOR_M, dependent=dependent)
+    return brought, SCHEMES[scheme](independent(P), brought.evidence, weighing)
+
+
+def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
+    """Check a covariance in units of its sigmas."""
+    sigma = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        actual / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), rtol=0, atol=RELATIVE
+    )
+
+
+def test_it_is_what_a_state_with_a_flat_prior_gives(packet_of) -> None:
+    """In information form a flat prior is zeros, so that nothing is lost to large numbers."""
+    seen = POINTS + np.random.default_rng(1).normal(0, 0.3, POINTS.shape)
+    packet = packet_of(seen)
+    brought, fused = fuse(packet)
+    whole = brought.whole
+    n = len(OWN)
+    Y, E = np.zeros((n + FRAME_DIM,) * 2), np.hstack([whole.E, -brought.A])
+    R_inv = np.linalg.inv(whole.R + whole.floor)
+    Y[:n, :n] = np.linalg.inv(OWN)
+    P = np.linalg.inv(Y + E.T @ R_inv @ E)
+    delta = P @ E.T @ R_inv @ whole.innovation
+    frame = brought.frame(fused)
+    assert_close(fused.P.total, P[:n, :n])
+    assert_close(frame.covariance, P[n:, n:])
+    np.testing.assert_allclose(fused.delta, delta[:n], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(frame.T_own_peer.matrix, moved(T_TRUE, delta[n:]).matrix, rtol=0, atol=1e-8)
+
+
+def test_it_is_what_a_state_gives_where_all_is_dependent(packet_of) -> None:
+    """The same weight is found, and the belief is the same; here the flat prior is a large number."""
+    brought, fused = fuse(packet_of(), dependent=True)
+    whole, n = brought.whole, len(OWN)
+    flat = np.diag([1e3**2, 1e3**2, 1e3**2, np.pi**2])
+    independent_part, dependent_part = np.zeros((n + FRAME_DIM,) * 2), np.zeros((n + FRAME_DIM,) * 2)
+    independent_part[n:, n:], dependent_part[:n, :n] = flat, OWN
+    with_state = split_covariance_intersection(
+        Split(independent_part, dependent_part),
+        np.hstack([whole.E, -brought.A]),
+        whole.innovation,
+        Split(whole.floor, whole.R),
+    )
+    assert fused.weight == pytest.approx(with_state.weight, abs=2e-3)
+    sigma = np.sqrt(np.diag(OWN))
+    difference = (fused.P.total - with_state.P.total[:n, :n]) / np.outer(sigma, sigma)
+    np.testing.assert_allclose(difference, 0.0, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("scheme", sorted(SCHEMES))
+def test_where_the_peers_map_lies_teaches_nothing(packet_of, scheme: str) -> None:
+    """Shifted by metres and turned by a degree it says the same of the own state, in every scheme."""
+    seen = POINTS + np.random.default_rng(2).normal(0, 0.3, POINTS.shape)
+    vague, sharp = covariance(shift_m=0.05, own_m=1.0), covariance(own_m=0.05)
+    _, here = fuse(packet_of(seen, sharp), P=vague, scheme=scheme, weighing="trace")
+    drift = Pose(rotation_from_rpy(0.0, 0.0, 0.02), np.array([3.0, -2.0, 4.0]))
+    _, there = fuse(packet_of(seen, sharp, T=drift @ T_TRUE), P=vague, scheme=scheme, weighing="trace")
+    sigma = np.sqrt(np.diag(vague))
+    assert np.abs(here.delta / sigma).max() > 0.1
+    np.testing.assert_allclose(there.delta / sigma, here.delta / sigma, rtol=0, atol=SECOND_ORDER)
+    assert there.weight == pytest.approx(here.weight, abs=0.02)
+
+
+def test_a_frame_taken_as_known_would_count_the_landmarks_twice(packet_of) -> None:
+    """Maps of perfect shape: with the frame unknown nothing is learnt of where the own map lies."""
+    rigid = covariance(tilt=1e-6, own_m=1e-3)
+    brought, fused = fuse(packet_of(P=rigid), P=rigid)
+    position = slice(0, 3)
+    np.testing.assert_allclose(fused.P.total[position, position], rigid[position, position], rtol=1e-3, atol=1e-6)
+    naive = split_covariance_intersection(
+        independent(rigid),
+        brought.whole.E,
+        brought.whole.innovation,
+        independent(brought.whole.R + brought.whole.floor),
+    )
+    assert np.trace(naive.P.total[position, position]) < 0.8 * np.trace(rigid[position, position])
+
+
+def test_a_peers_better_tilt_and_shape_are_learnt(packet_of) -> None:
+    vague = covariance(tilt=0.01, own_m=0.5)
+    _, fused = fuse(packet_of(P=covariance(tilt=1e-4, own_m=0.01)), P=vague)
+    assert vague[3, 3] - fused.P.total[3, 3] > 0.5 * 0.01**2  # of the tilt that pose and landmarks share
+    assert np.trace(fused.P.total[6:, 6:]) < 0.9 * np.trace(vague[6:, 6:])
+
+
+@pytest.mark.parametrize("dependent", [False, True])
+def test_belief_and_frame_are_consistent(packet_of, dependent: bool) -> None:
+    """NEES over draws from the covariances; independent errors must fill their bounds, and never exceed them."""
+    runs, scores = 150, np.zeros(2)
+    rng = np.random.default_rng(3)
+    L_own, L_peer = np.linalg.cholesky(OWN), np.linalg.cholesky(PEER)
+    shape = packet_of()
+    T_0 = moved(T_TRUE, np.array([0.5, -0.3, 0.2, 0.005]))
+    for _ in range(runs):
+        own, peer = L_own @ rng.normal(size=len(OWN)), L_peer @ rng.normal(size=len(PEER))
+        seen = T_TRUE.inverse().apply(POINTS + peer[6:].reshape(-1, 3) + FLOOR_M * rng.normal(size=POINTS.shape))
+        packet = dataclasses.replace(shape, positions=seen)
+        brought, fused = fuse(packet, T_0, POINTS + own[6:].reshape(-1, 3), dependent=dependent)
+        frame = brought.frame(fused)
+        pose = own[:6] + fused.delta[:6]
+        error = np.append(T_TRUE.t - frame.T_own_peer.t, so3_log(T_TRUE.R @ frame.T_own_peer.R.T)[2])
+        scores += (
+            pose @ np.linalg.solve(fused.P.total[:6, :6], pose) / 6,
+            error @ np.linalg.solve(frame.covariance, error) / FRAME_DIM,
+        )
+    for score, size in zip(scores / runs, (6, FRAME_DIM), strict=True):
+        low, high = chi2.ppf([0.0005, 0.9995], size * runs) / size / runs
+        assert score < high
+        assert dependent or score > low
+
+
+def test_two_pairs_say_how_long_and_steep_their_distance_is(packet_of) -> None:
+    brought = framed(POINTS, packet_of(), PAIRS[:2], T_TRUE, floor_sigma_m=FLOOR_M, dependent=False)
+    assert brought.evidence.E.shape == (2, len(OWN))
+    np.testing.assert_allclose(brought.evidence.E[:, :POSE_DIM], 0.0)
+    fused = SCHEMES["split_ci"](independent(OWN), brought.evidence, "position_trace")
+    np.testing.assert_allclose(fused.delta, 0.0, atol=1e-9)

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fusing the packet of a peer whose map frame is not known: the frame is estimated along, with a flat prior.
+
+An alignment rests on the very landmarks that are about to be fused. Taken as known it would count them twice; so it is
+only the point of linearisation, and T_own_peer is a state of which nothing is known. With the true
+l_own = T_own_peer l_peer and T's error dT (4,),
+
+    r = T^ l^_peer - l^_own = E dx - A dT + e,   e ~ R.
+
+A state with a flat prior needs no place in the belief: with N an orthonormal basis of what A leaves alone, N^T A = 0,
+
+    N^T r = N^T E dx + N^T e
+
+says all that r says of x, in every scheme of fusion. Afterwards dT = G dx - C A^T R^-1 r with covariance C + G P+ G^T,
+where C = (A^T R^-1 A)^-1 and G = C A^T R^-1 E. What a peer then adds is its map's shape, not where it lies.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.cooperation.point_pairs import FRAME_DIM, frame_jacobian, moved, turned
+from uav_vslam.cooperation.schemes import Evidence
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.covariance_intersection import Fused
+from uav_vslam.estimation.numerics import inverse_spd, symmetrise
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.types import LandmarkPacket
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameEstimate:
+    """A peer's map frame in ours as a fusion leaves it: for publication, and never a prior of the next fusion.
+
+    Attributes:
+        T_own_peer: rotation about the vertical and translation.
+        covariance: (4, 4) of translation [m^2] and yaw [rad^2], as `point_pairs` orders its error.
+    """
+
+    T_own_peer: Pose
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Framed:
+    """A packet in an unknown frame.
+
+    Attributes:
+        evidence: what it says of the own state, whatever the frame.
+        T_own_peer: where the frame was linearised.
+        A: (3K, 4), whole: what it says of state and frame together, before the frame was taken out.
+    """
+
+    evidence: Evidence
+    T_own_peer: Pose
+    A: Array
+    whole: Evidence
+
+    def frame(self, fused: Fused) -> FrameEstimate:
+        """Return the frame after `evidence` was fused."""
+        R_inv = inverse_spd(self.whole.R + self.whole.floor, "covariance of a packet")
+        C = inverse_spd(symmetrise(self.A.T @ R_inv @ self.A), "a peer's frame")
+        gain = C @ self.A.T @ R_inv
+        G = gain @ self.whole.E
+        covariance = C + symmetrise(G @ fused.P.total @ G.T)
+        if fused.P.dependent.any():  # x and e may be correlated in any way: (a + b)(a + b)^T <= 2 (a a^T + b b^T)
+            covariance = 2.0 * covariance
+        return FrameEstimate(moved(self.T_own_peer, G @ fused.delta - gain @ self.whole.innovation), covariance)
+
+
+def framed(
+    positions: Array,
+    packet: LandmarkPacket,
+    pairs: NDArray[np.intp],
+    T_own_peer: Pose,
+    *,
+    floor_sigma_m: float,
+    dependent: bool,
+) -> Framed:
+    """Express a packet's landmarks in the own frame and take out what depends on where that frame lies.
+
+    Args:
+        positions: (N, 3) own landmarks [m].
+        packet: the peer's.
+        pairs: (K, 2) rows of own landmarks and of the packet.
+        T_own_peer: from an alignment, for linearisation only.
+        floor_sigma_m: of each pair: descriptors do not meet on the very same point [m].
+        dependent: as of `Evidence`.
+    """
+    columns, rows = landmark_rows(POSE_DIM, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
+    peer = packet.positions[pairs[:, 1]]
+    E = np.zeros((len(columns), POSE_DIM + positions.size))
+    E[np.arange(len(columns)), columns] = 1.0
+    whole = Evidence(
+        E=E,
+        innovation=(T_own_peer.apply(peer) - positions[pairs[:, 0]]).ravel(),
+        R=turned(packet.covariance[np.ix_(rows, rows)], T_own_peer.R),
+        floor=floor_sigma_m**2 * np.eye(len(rows)),
+        dependent=dependent,
+    )
+    A = frame_jacobian(T_own_peer, peer)
+    N = np.linalg.qr(A, mode="complete")[0][:, FRAME_DIM:]
+    evidence = Evidence(
+        E=N.T @ whole.E,
+        innovation=N.T @ whole.innovation,
+        R=symmetrise(N.T @ whole.R @ N),
+        floor=floor_sigma_m**2 * np.eye(N.shape[1]),
+        dependent=dependent,
+    )
+    return Framed(evidence, T_own_peer, A, whole)
