@@ -29,17 +29,20 @@ class CooperativeTrack:
         fusion: the fusion core; it knows what was received, used and dropped.
         outbox: it knows what was sent, and what the budget held back.
         poses: fused pose at every own-only frame.
+        common_ns: epochs at which landmarks were shared with a peer.
     """
 
     fusion: Fusion
     outbox: Outbox
     poses: list[PoseEstimate] = field(default_factory=list)
+    common_ns: list[int] = field(default_factory=list)
 
 
 def cooperate(
     tracks: dict[str, VehicleTrack],
     configs: dict[str, VehicleConfig],
     links: Callable[[str, str], PacketLink] | None = None,
+    on_packet: Callable[[Fusion, LandmarkPacket, int], None] = lambda *_: None,
 ) -> dict[str, CooperativeTrack]:
     """Exchange packets and fuse.
 
@@ -47,6 +50,7 @@ def cooperate(
         tracks: own-only tracks by vehicle.
         configs: their configurations; a vehicle whose `fusion.mode` is none neither sends nor listens.
         links: makes the radio link from a sender to a receiver; without it all arrives at once.
+        on_packet: shown every packet that is sent, who made it, and its size [byte].
 
     Returns:
         A cooperative track for each vehicle.
@@ -66,13 +70,16 @@ def cooperate(
         member = fleet[name]
         if output.joint is not None:
             _deliver(air, fleet, stamp_ns)
-            member.fusion.fuse(output.joint)
+            epoch = member.fusion.fuse(output.joint)
+            member.common_ns += [stamp_ns] if any(epoch.common.values()) else []
             if name in on_air:
-                packet = member.fusion.packet(output.joint)
-                if member.outbox.take(packet.stamp_ns, payload_bytes(packet)):
+                packet = member.fusion.packet(output.joint, byte_limit=member.outbox.available(stamp_ns))
+                size = payload_bytes(packet)
+                if member.outbox.take(packet.stamp_ns, size):
+                    on_packet(member.fusion, packet, size)
                     for (sender, _), link in air.items():
                         if sender == name:
-                            link.send(stamp_ns, payload_bytes(packet), packet)
+                            link.send(stamp_ns, size, packet)
         member.poses.append(member.fusion.carry(output.report.pose))
     if frames:
         _deliver(air, fleet, max(stamp_ns for stamp_ns, _, _ in frames))

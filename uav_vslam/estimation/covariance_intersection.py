@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
-from uav_vslam.estimation.numerics import cholesky, log_det_of, symmetrise
+from uav_vslam.estimation.numerics import cholesky, inverse_spd, log_det_of, symmetrise
 
 Array = NDArray[np.float64]
 
@@ -170,11 +170,11 @@ def inverse_covariance_intersection(own: Array, E: Array, innovation: Array, pee
     """
     cross = own @ E.T
     A, B = symmetrise(E @ cross), peer
-    A_inv, B_inv = np.linalg.inv(A), np.linalg.inv(B)
+    A_inv, B_inv = inverse_spd(A, "own covariance of what is common"), inverse_spd(B, "covariance of a peer")
 
     def fused(weight: float) -> tuple[Array, Array]:
-        common_inv = np.linalg.inv((1.0 - weight) * A + weight * B)
-        P = np.linalg.inv(symmetrise(A_inv + B_inv - common_inv))
+        common_inv = inverse_spd((1.0 - weight) * A + weight * B, "common information")
+        P = inverse_spd(symmetrise(A_inv + B_inv - common_inv), "fused information")
         return P, P @ (B_inv - weight * common_inv)
 
     weight = search(lambda w: float(np.trace(fused(w)[0])))

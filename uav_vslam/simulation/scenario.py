@@ -70,6 +70,7 @@ class Scenario:
     sigma_velocity: float = 0.1  # of the initial state, per axis [m/s]
     sigma_tilt_deg: float = 0.2  # of the initial state, about east and north
     sigma_yaw_deg: float = 0.5  # of the initial state, about the vertical
+    sigma_map_m: float = 0.0  # of the map that all start states were found in, so that they share this error, per axis
 
     def __post_init__(self) -> None:
         if self.pattern not in PATTERNS:
@@ -193,6 +194,8 @@ def initial_estimate(scenario: Scenario, truth: Trajectory, *, rng: np.random.Ge
     )
     sigma[6:9] = tilt, tilt, yaw
     error = rng.normal(0.0, 1.0, 9) * sigma[:9]
+    error[:3] += scenario.rng(FLEET, Purpose.INITIAL).normal(0.0, 1.0, 3) * scenario.sigma_map_m
+    sigma[:3] = np.hypot(sigma[:3], scenario.sigma_map_m)
     true_pose = truth.pose(0.0)
     pose = Pose(so3_exp(-error[6:9]) @ true_pose.R, true_pose.t - error[:3])
     state = NavState(truth.start_ns, pose, truth.velocity(0.0) - error[3:6], np.zeros(3), np.zeros(3))

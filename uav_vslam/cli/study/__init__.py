@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study import euroc, filters, flights, fusion, long, outliers, rig, start
+from uav_vslam.cli.study import euroc, filters, flights, fusion, long, models, outliers, rig, start
 
 HELP = "compare methods over many flights"
 EXAMPLES = """examples:
-  uav-vslam study fusion --seeds 20        landmark level: INS, S-SLAM, C-SLAM and the thesis's model; minutes
+  uav-vslam study models --seeds 20        landmark level: INS, S-SLAM, C-SLAM and the thesis's model; minutes
+  uav-vslam study fusion                   landmark level: ways to fuse, bad radios, large fleets; over an hour
   uav-vslam study flights --seeds 8        rendered images, both inertial grades; about a quarter of an hour
   uav-vslam study filters                  landmark level: every filter with every state model; an hour
   uav-vslam study long                     landmark level: 2.8 km with each retention policy; minutes
@@ -20,6 +21,7 @@ EXAMPLES = """examples:
   uav-vslam study STUDY --help             arguments and examples of one study
 """
 STUDIES = {
+    "models": models,
     "fusion": fusion,
     "flights": flights,
     "filters": filters,

@@ -1,51 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`uav-vslam study fusion`: what each idea in the estimator is worth, alone and with a peer."""
+"""`uav-vslam study fusion`: what cooperation gains, and whether it stays consistent."""
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
 
-if TYPE_CHECKING:
-    from uav_vslam.studies.flights import Method
-
-HELP = "INS, S-SLAM, C-SLAM and the thesis's model, at landmark level"
+HELP = "ways to fuse, the thesis's among them; bad radios; fleets of 2, 4 and 8; at landmark level"
 EXAMPLES = """examples:
-  uav-vslam study fusion --seeds 20        minutes
+  uav-vslam study fusion                                20 seeds of everything; over an hour
+  uav-vslam study fusion --parts schemes --seeds 4      a first look; minutes
+  uav-vslam study fusion --parts network fleets
 """
+PARTS = ("schemes", "network", "fleets")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's arguments."""
     add_run_arguments(parser, seeds=20)
-    parser.add_argument("--frames", type=int, default=160, help="frames of each vehicle (default 160)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="which (default all)")
+    parser.add_argument("--frames", type=int, default=160, help="of the short flights (default 160)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the study; print its table and write study.json."""
+    """Run the study; print its tables, write and draw them."""
     from uav_vslam.evaluation.output import write_study
-    from uav_vslam.studies.flights import run_study
+    from uav_vslam.report.fusion_plots import draw_fusion
+    from uav_vslam.studies.fusion import NOTES, PARTS, run_parts
 
+    parts = [part for name in args.parts for part in PARTS[name](args.frames)]
     seeds = seeds_of(args)
-    with progress_bar("study fusion", len(seeds)) as advance:
-        rows = run_study(methods(args.frames), seeds, workers=args.workers, on_seed=advance)
-    return show(write_study("study_fusion", rows, seeds, args.results))
-
-
-def methods(frames: int) -> list[Method]:
-    """Landmark level, 1 px: the default, and what each idea in it is worth."""
-    from uav_vslam.config import VehicleConfig
-    from uav_vslam.simulation.scenario import Scenario
-    from uav_vslam.studies.flights import Method, with_backend
-
-    scenario = Scenario(frames=frames)
-    condition = f"landmarks, {frames} frames, 1 px, {scenario.imu}"
-    default = VehicleConfig()
-    return [
-        Method("ri15", condition, scenario, default),
-        Method("ri15, no depth smoothing", condition, scenario, with_backend(default, depth_sigma_ratio=0.0)),
-        Method("so15", condition, scenario, with_backend(default, model="so15")),
-        Method("euler9", condition, scenario, with_backend(default, model="euler9", depth_sigma_ratio=0.0)),
-    ]
+    with progress_bar("study fusion", len(parts) * len(seeds)) as advance:
+        rows = run_parts(parts, seeds, workers=args.workers, on_job=advance)
+    return show(write_study("study_fusion", rows, seeds, args.results, notes=NOTES, plot=draw_fusion))
