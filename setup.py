@@ -13,10 +13,13 @@ setup(
     description="Cooperative stereo-inertial SLAM for several UAVs without GPS and without a server.",
     license="Apache-2.0",
     packages=find_packages(include=["uav_vslam", "uav_vslam.*"]),
+    package_data={"uav_vslam.vision": ["data/*.npz"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
         (f"share/{package_name}/config", sorted(glob("config/*.yaml") + glob("config/*.xml"))),
+        (f"share/{package_name}/config/links", sorted(glob("config/links/*.yaml"))),
+        (f"share/{package_name}/config/dds", sorted(glob("config/dds/*.xml"))),
         (f"share/{package_name}/launch", sorted(glob("launch/*.launch.py"))),
         # The nodes belong in lib/uav_vslam, where `ros2 run` looks; only the command is put on PATH.
         ("bin", ["bin/uav-vslam"]),
@@ -31,6 +34,7 @@ setup(
             "ins_propagator = uav_vslam.ros.ins_propagator_node:main",
             "slam_backend = uav_vslam.ros.slam_backend_node:main",
             "fusion = uav_vslam.ros.fusion_node:main",
+            "link_emulator = uav_vslam.ros.link_emulator_node:main",
             "recorder = uav_vslam.ros.recorder_node:main",
         ],
     },

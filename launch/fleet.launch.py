@@ -12,13 +12,14 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-from uav_vslam.config import load_fleet
+from uav_vslam.config import find_link, load_fleet
 from uav_vslam.ros.fleet_commands import node_specs
 
 
 def start_fleet(context):
     """Return one action a node; the end of the replay ends the launch."""
     file = Path(LaunchConfiguration("fleet").perform(context)).resolve()
+    link = LaunchConfiguration("link").perform(context)
     return [
         Node(
             package="uav_vslam",
@@ -26,10 +27,11 @@ def start_fleet(context):
             name=spec.name,
             namespace=spec.namespace,
             parameters=[spec.parameters],
+            remappings=list(spec.remappings.items()),
             output="screen",
             on_exit=Shutdown(reason="the replay has ended") if spec.executable == "replay" else None,
         )
-        for spec in node_specs(load_fleet(file))
+        for spec in node_specs(load_fleet(file), link=find_link(link) if link else None)
     ]
 
 
@@ -39,6 +41,7 @@ def generate_launch_description():
     return LaunchDescription(
         [
             DeclareLaunchArgument("fleet", default_value=demo, description="fleet file: vehicles, replay, mode"),
+            DeclareLaunchArgument("link", default_value="", description="emulated radio link: a name in config/links"),
             OpaqueFunction(function=start_fleet),
         ]
     )

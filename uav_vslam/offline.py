@@ -127,7 +127,7 @@ def flight_result(
 def link_counters(member: CooperativeTrack) -> LinkCounters:
     """Return what a vehicle's radio did."""
     peers = member.fusion.inbox.peers.values()
-    dropped: dict[str, int] = {}
+    dropped = {"budget": member.outbox.over_budget} if member.outbox.over_budget else {}
     for record in peers:
         for reason, count in record.dropped.items():
             dropped[reason] = dropped.get(reason, 0) + count

@@ -35,14 +35,15 @@ def status(vehicle, k, mode, peers):
     links = [
         message(
             "uav_vslam_msgs/msg/PeerLink", peer=peer, session=1, last_sequence=k, packets_received=k,
-            packets_used=k - 1, drop_reasons=["stale"], drop_counts=np.array([1], np.uint64),
-            common_landmarks=9, age_s=0.1,
+            packets_used=k - 1, received_bytes=1000 * k, received_bytes_per_s=1234.5,
+            drop_reasons=["stale"], drop_counts=np.array([1], np.uint64), common_landmarks=9, age_s=0.1, silent=False,
         )
         for peer in peers
     ]  # fmt: skip
     return message(
         "uav_vslam_msgs/msg/FusionStatus", header=header, vehicle=vehicle, mode=mode, own_weight=1.0, packets_sent=k,
-        bytes_sent=1000 * k, sent_bytes_per_s=1234.5, peers=links,
+        packets_held_back=2, bytes_sent=1000 * k, sent_bytes_per_s=1234.5, recent_bytes_per_s=1000.0, peers=links,
+        radio_interface="", wire_sent_bytes=0, wire_received_bytes=0, wire_sent_bytes_per_s=0.0,
     )  # fmt: skip
 
 
@@ -91,7 +92,7 @@ def test_known_errors_come_out_as_figures(pair, tmp_path, capsys):
     assert vehicle["s_slam"]["nees_position"] == pytest.approx((1.0 / 0.5) ** 2 / 3)
     assert vehicle["link"] == {
         "sent_bytes_per_s": 1234.5, "packets_sent": 20, "packets_received": 20, "packets_used": 19,
-        "dropped": {"stale": 1},
+        "dropped": {"budget": 2, "stale": 1},
     }  # fmt: skip
     assert (summary["name"], summary["mode"], summary["realtime_factor"]) == ("made up", "wideband", None)
     assert summary["duration_s"] == pytest.approx(0.1 * (FRAMES - 1))

@@ -70,6 +70,19 @@ def test_arguments_name_the_node_and_keep_the_types_of_parameters() -> None:
     assert {key: json.loads(value) for key, value in values.items()} == fusion.parameters
 
 
+def test_with_an_emulated_link_the_vehicles_hear_each_other_through_it_alone() -> None:
+    link = ROOT / "config" / "links" / "bad_radio.yaml"
+    specs = node_specs(fleet("a", "b", "c"), link=link)
+    assert [(spec.namespace, spec.executable) for spec in specs[-2:]] == [("/", "link_emulator"), ("/", "replay")]
+    assert specs[-2].parameters == {"vehicles": ["a", "b", "c"], "link": str(link), "use_sim_time": True}
+    remapped = {spec.namespace: spec.remappings for spec in specs if spec.remappings}
+    assert remapped["/a"] == {"/b/landmark_information": "/a/heard/b", "/c/landmark_information": "/a/heard/c"}
+    assert set(remapped) == {"/a", "/b", "/c"}
+    fusion = next(spec for spec in specs if spec.executable == "fusion")
+    assert "/b/landmark_information:=/a/heard/b" in fusion.ros_arguments()
+    assert not any(spec.remappings for spec in node_specs(fleet("a", "b", "c")))
+
+
 @pytest.mark.ros
 def test_rclpy_reads_the_arguments_as_the_parameters_that_were_meant() -> None:
     rclpy = pytest.importorskip("rclpy", reason="needs ROS")

@@ -32,7 +32,7 @@ class LinkRecord:
         packets_sent: since the start.
         sent_bytes_per_s: mean rate since the first packet [B/s].
         packets_received, packets_used: over all peers.
-        dropped: packets dropped, by reason, over all peers.
+        dropped: packets dropped, by reason, over all peers; "budget" are own ones that were not sent.
         peers: names of the peers that were heard.
     """
 
@@ -128,7 +128,7 @@ def _pose_estimate(built: Any, topic: str) -> PoseEstimate:
 
 
 def _link(built: Any) -> LinkRecord:
-    dropped: dict[str, int] = {}
+    dropped = {"budget": int(built.packets_held_back)} if built.packets_held_back else {}
     for peer in built.peers:
         for reason, count in zip(peer.drop_reasons, peer.drop_counts, strict=True):
             dropped[reason] = dropped.get(reason, 0) + int(count)

@@ -24,23 +24,32 @@ class NodeSpec:
         name: node name.
         namespace: of the vehicle, with its slash ("/uav1"); "/" for what serves the whole fleet.
         parameters: ROS parameters by dotted name; absent ones keep their defaults.
+        remappings: topics that are taken from elsewhere, by the name that the node itself uses.
     """
 
     executable: str
     name: str
     namespace: str
     parameters: dict[str, Any]
+    remappings: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def ros_arguments(self) -> list[str]:
         """Return the arguments that make `executable` this node."""
         arguments = ["--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:={self.namespace}"]
+        for topic, other in self.remappings.items():
+            arguments += ["-r", f"{topic}:={other}"]
         for key, value in self.parameters.items():
             arguments += ["-p", f"{key}:={json.dumps(value)}"]  # JSON is YAML, and keeps "none" and "1" strings
         return arguments
 
 
-def node_specs(fleet: FleetConfig) -> list[NodeSpec]:
-    """List every node of the fleet: four a vehicle, then the replay (if there is something to replay)."""
+def node_specs(fleet: FleetConfig, *, link: Path | None = None) -> list[NodeSpec]:
+    """List every node of the fleet: four a vehicle, then what serves all of them.
+
+    Args:
+        fleet: with recordings, a replay of them comes last.
+        link: file of an emulated radio link; the vehicles then hear each other through it alone.
+    """
     replayed = bool(fleet.replay.bags)
     specs = []
     for vehicle, config in fleet.vehicles.items():
@@ -48,13 +57,27 @@ def node_specs(fleet: FleetConfig) -> list[NodeSpec]:
         for executable in VEHICLE_NODES:
             peers = [name for name in fleet.vehicles if name != vehicle]
             own = {"peers": peers} if executable == "fusion" and peers else {}  # ROS can't type an empty list
-            specs.append(NodeSpec(executable, executable, f"/{vehicle}", {**shared, **own}))
+            via = {packets_of(p): heard_as(vehicle, p) for p in peers} if executable == "fusion" and link else {}
+            specs.append(NodeSpec(executable, executable, f"/{vehicle}", {**shared, **own}, via))
+    if link is not None:
+        parameters = {"vehicles": list(fleet.vehicles), "link": str(link.resolve()), "use_sim_time": replayed}
+        specs.append(NodeSpec("link_emulator", "link_emulator", "/", parameters))
     if replayed:
         parameters = {"vehicles": list(fleet.vehicles), **differences(fleet.replay)}
         finding = [name for name, config in fleet.vehicles.items() if config.start.method != "given"]
         parameters |= {"finding_start": finding} if finding else {}
         specs.append(NodeSpec("replay", "replay", "/", parameters))
     return specs
+
+
+def packets_of(vehicle: str) -> str:
+    """Return the topic on which a vehicle sends its packets."""
+    return f"/{vehicle}/landmark_information"
+
+
+def heard_as(receiver: str, sender: str) -> str:
+    """Return the topic on which what a link let through of a sender reaches a receiver."""
+    return f"/{receiver}/heard/{sender}"
 
 
 def differences(config: Any) -> dict[str, Any]:

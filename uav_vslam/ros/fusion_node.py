@@ -3,7 +3,7 @@
 
 in   joint_information                     uav_vslam_msgs/JointInformation, own host only
      odometry                              nav_msgs/Odometry, own-only
-     /<peer>/landmark_information          uav_vslam_msgs/LandmarkInformation, every peer's
+     /<peer>/landmark_information          uav_vslam_msgs/LandmarkInformation, every peer's, over the radio
 out  landmark_information                  uav_vslam_msgs/LandmarkInformation at epochs: all that leaves the vehicle
      fused/odometry                        nav_msgs/Odometry per frame, world frame
      fused/path, fused/landmarks           nav_msgs/Path, sensor_msgs/PointCloud2 at epochs, world frame
@@ -11,15 +11,20 @@ out  landmark_information                  uav_vslam_msgs/LandmarkInformation at
      /tf                                   world to <vehicle>/map
 """
 
+import dataclasses
 from collections import deque
-from functools import partial
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
+from uav_vslam.config import MODE_BUDGETS, FusionConfig
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.cooperation.outbox import Outbox
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.convert import (
     cloud_to_msg,
@@ -27,16 +32,18 @@ from uav_vslam.ros.convert import (
     joint_from_msg,
     odometry_from_msg,
     odometry_to_msg,
-    packet_from_msg,
-    packet_to_msg,
     pose_to_msg,
     transform_to_msg,
 )
-from uav_vslam.ros.qos import STATE, WIDEBAND
+from uav_vslam.ros.fusion_status import StatusReporter
+from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
+from uav_vslam.ros.qos import STATE
+from uav_vslam.ros.radio import Participant, Radio
 from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.ros.traffic import Interface
 from uav_vslam.slam.backend import crosses_epoch
-from uav_vslam.types import NS_PER_S, JointInformation, PoseEstimate
-from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation, PeerLink
+from uav_vslam.types import JointInformation, PoseEstimate
+from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
 
 WORLD = "world"
@@ -45,17 +52,26 @@ MAX_PATH = 2000  # poses in a published path
 
 
 class FusionNode(VehicleNode):
-    """Feeds `Fusion` in stamp order: an epoch's joint information before the odometry of the same stamp."""
+    """Feeds `Fusion` in stamp order: an epoch's joint information before the odometry of the same stamp.
+
+    Parameters: `peers`, names of the other vehicles; `mode`, communication mode, which may be set in flight (default:
+    `fusion.mode`); `radio_domain_id`, ROS domain of the radio (-1: the vehicle's own), `radio_peers`, addresses that
+    are sought there; `radio_interface`, whose traffic is reported.
+    """
 
     def __init__(self) -> None:
         super().__init__("fusion")
-        peers = [p for p in self.declare_parameter("peers", [""]).value if p and p != self.vehicle]
-        self._fusion = Fusion(self.vehicle, self.config.fusion)
         self._joints: dict[int, JointInformation] = {}
         self._waiting: deque[PoseEstimate] = deque()
         self._previous_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
-        self._packets = self.advertise(LandmarkInformation, "landmark_information", WIDEBAND)
+        self._settings: FusionConfig = self.config.fusion
+        self._fusion = Fusion(self.vehicle, self._settings)
+        self._outbox = Outbox(self._settings)
+        interface = self.declare_parameter("radio_interface", "").value
+        self._reporter = StatusReporter(
+            self.vehicle, self._fusion, self._outbox, Interface(interface) if interface else None
+        )
         self._odometry = self.advertise(Odometry, "fused/odometry", STATE)
         self._paths = self.advertise(Path, "fused/path", STATE)
         self._landmarks = self.advertise(PointCloud2, "fused/landmarks", STATE)
@@ -63,12 +79,50 @@ class FusionNode(VehicleNode):
         self._tf = self.advertise(TFMessage, "/tf", STATE)
         self.listen(JointInformationMsg, "joint_information", self._on_joint, STATE)
         self.listen(Odometry, "odometry", self._on_odometry, STATE)
-        if self.config.fusion.mode != "none":
-            for peer in peers:
-                topic = f"/{peer}/landmark_information"
-                self.listen(LandmarkInformation, topic, partial(self._on_packet, peer), WIDEBAND)
+        self._participant = self._open_participant()
+        peers = [p for p in self.declare_parameter("peers", [""]).value if p and p != self.vehicle]
+        host = self._participant.node if self._participant else None
+        self._radio = Radio(self, peers, self._on_packet, host=host)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self._tune(self.declare_parameter("mode", self._settings.mode).value)
+        self.add_post_set_parameters_callback(self._on_parameters)
 
-    def _on_packet(self, peer: str, message: LandmarkInformation) -> None:
+    def destroy_node(self) -> None:
+        """Leave the radio, then the vehicle's graph."""
+        if self._participant is not None:
+            self._participant.close()
+        super().destroy_node()
+
+    def _open_participant(self) -> Participant | None:
+        domain_id = self.declare_parameter("radio_domain_id", -1).value
+        addresses = [address for address in self.declare_parameter("radio_peers", [""]).value if address]
+        return Participant(self, domain_id, addresses) if domain_id >= 0 else None
+
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        for one in parameters:
+            if one.name == "mode" and one.value not in MODE_BUDGETS:
+                reason = f"mode = {one.value!r} is not allowed; use one of {', '.join(MODE_BUDGETS)}"
+                return SetParametersResult(successful=False, reason=reason)
+            if one.name == "fusion.mode":
+                return SetParametersResult(successful=False, reason="fusion.mode counts at the start; set mode instead")
+        return SetParametersResult(successful=True)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> None:
+        for one in parameters:
+            if one.name == "mode" and one.value != self._settings.mode:
+                self._tune(one.value)
+
+    def _tune(self, mode: str) -> None:
+        """Begin a communication mode; estimates go on as they are."""
+        self._settings = dataclasses.replace(self._settings, mode=mode)
+        self._fusion._config = self._settings
+        self._outbox.configure(self._settings)
+        self._radio.tune(mode)
+        self.notes["mode"] = mode
+        self.get_logger().info(f"communication mode: {mode}")
+
+    def _on_packet(self, peer: str, message: LandmarkInformation, size_bytes: int) -> None:
+        self._reporter.received_bytes[peer] += size_bytes
         if message.vehicle != peer:
             raise InvalidMessage("sender", f"{peer}'s topic carries a packet of {message.vehicle!r}")
         self._fusion.inbox.add(packet_from_msg(message))
@@ -85,7 +139,7 @@ class FusionNode(VehicleNode):
     def _work(self) -> None:
         while self._waiting:
             own = self._waiting[0]
-            if crosses_epoch(self._previous_ns, own.stamp_ns, self.config.fusion.epoch_s):
+            if crosses_epoch(self._previous_ns, own.stamp_ns, self._settings.epoch_s):
                 joint = self._joints.pop(own.stamp_ns, None)
                 if joint is not None:
                     self._run_epoch(joint)
@@ -98,12 +152,22 @@ class FusionNode(VehicleNode):
 
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
-        if self.config.fusion.mode != "none":
-            self._packets.publish(packet_to_msg(self._fusion.packet(joint), frame_id=self.map_frame))
+        if self._settings.mode != "none":
+            self._send(joint)
         stamp_ns = joint.stamp_ns
         self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=WORLD))
         self._paths.publish(Path(header=header(stamp_ns, WORLD), poses=list(self._path)))
-        self._status.publish(self._status_message(stamp_ns, epoch.weight))
+        self._report(stamp_ns, epoch.weight)
+
+    def _send(self, joint: JointInformation) -> None:
+        """Send a packet, unless the budget has no room for it: then the next epoch's replaces it."""
+        packet = self._fusion.packet(joint)
+        data = serialize_message(packet_to_msg(packet))
+        if self._outbox.take(packet.stamp_ns, len(data)):
+            self._radio.send(data)
+        else:
+            left = self._outbox.available(packet.stamp_ns)
+            self.drop("budget", f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B left")
 
     def _publish_pose(self, own: PoseEstimate, fused: PoseEstimate) -> None:
         T_world_map = fused.T_map_body @ own.T_map_body.inverse()
@@ -112,33 +176,21 @@ class FusionNode(VehicleNode):
         self._path.append(PoseStamped(header=header(fused.stamp_ns, WORLD), pose=pose_to_msg(fused.T_map_body)))
         self._odometry.publish(odometry_to_msg(fused, frame_id=WORLD, child_frame_id=self.base_frame))
 
-    def _status_message(self, stamp_ns: int, weight: float) -> FusionStatus:
-        self.notes["peers"] = str(len(self._fusion.inbox.peers))
-        return FusionStatus(
-            header=header(stamp_ns, WORLD),
-            vehicle=self.vehicle,
-            mode=self.config.fusion.mode,
-            own_weight=weight,
-            packets_sent=self._fusion.packets_sent,
-            bytes_sent=self._fusion.bytes_sent,
-            sent_bytes_per_s=self._fusion.sent_bytes_per_s,
-            peers=[self._peer_message(name, stamp_ns) for name in sorted(self._fusion.inbox.peers)],
-        )
-
-    def _peer_message(self, name: str, stamp_ns: int) -> PeerLink:
-        record = self._fusion.inbox.peers[name]
-        newest = record.packets[-1] if record.packets else None
-        return PeerLink(
-            peer=name,
-            session=newest.session if newest else 0,
-            last_sequence=newest.sequence if newest else 0,
-            packets_received=record.received,
-            packets_used=len(record.used),
-            drop_reasons=list(record.dropped),
-            drop_counts=list(record.dropped.values()),
-            common_landmarks=record.common_landmarks,
-            age_s=(stamp_ns - newest.stamp_ns) / NS_PER_S if newest else 0.0,
-        )
+    def _report(self, stamp_ns: int, own_weight: float) -> None:
+        before = set(self._reporter.silent)
+        mode, silent_after_s = self._settings.mode, self._settings.silent_after_s
+        status = self._reporter.report(stamp_ns, WORLD, mode=mode, own_weight=own_weight, silent_after_s=silent_after_s)
+        self._status.publish(status)
+        self.alarms = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
+        for peer in before - set(self._reporter.silent):
+            self.get_logger().info(f"{peer} is heard again")
+        for peer in set(self._reporter.silent) - before:
+            self.get_logger().warning(f"{peer} has fallen silent")
+        self.notes["peers"] = str(len(status.peers))
+        self.notes["sent_bytes_per_s"] = f"{status.recent_bytes_per_s:.0f}"
+        if status.radio_interface:
+            self.notes["wire_sent_bytes_per_s"] = f"{status.wire_sent_bytes_per_s:.0f}"
+        self.notes |= {f"received_bytes_per_s/{link.peer}": f"{link.received_bytes_per_s:.0f}" for link in status.peers}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -10,6 +10,7 @@ from uav_vslam.ros.runtime import READERS, UNMATCHED
 
 DIAGNOSTICS = "/diagnostics"
 FLEET = "fleet"  # what is in no vehicle's namespace
+SERVING = ("recorder", "link_emulator")  # nodes of the fleet that a replay waits for
 UNNAMED = "_NODE_NAMESPACE_UNKNOWN_"  # the middleware's word for an endpoint whose node it has yet to hear of
 
 
@@ -21,7 +22,7 @@ class Readiness:
     """
 
     def __init__(self, node: Node, vehicles: Sequence[str]) -> None:
-        """Listen on behalf of a node for those of `vehicles` and for the recorder."""
+        """Listen on behalf of a node for those of `vehicles` and for what serves the fleet."""
         self._node, self._vehicles = node, tuple(vehicles)
         self._unmatched: dict[str, list[str]] = {}
         self._readers: dict[str, dict[str, int]] = {}
@@ -50,7 +51,7 @@ class Readiness:
         return [
             f"{owner}: {name}"
             for owner, name in found
-            if owner in self._vehicles or owner == UNNAMED or (owner, name) == (FLEET, "recorder")
+            if owner in self._vehicles or owner == UNNAMED or (owner == FLEET and name in SERVING)
         ]
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

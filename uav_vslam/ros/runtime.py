@@ -41,6 +41,7 @@ class VehicleNode(Node):
         self.config: VehicleConfig = declare(self, VehicleConfig)
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
+        self.alarms: dict[str, str] = {}  # by subject: what is wrong at present; makes the state a warning
         self._inputs: list[Input] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
@@ -74,14 +75,28 @@ class VehicleNode(Node):
             instead_of: another topic that this one can stand in for: the node misses only one of them.
         """
 
-        def guarded(message: Any) -> None:
+        one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic)
+        one.subscribe(self)
+        self.watch(one)
+
+    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback that drops and counts what `callback` refuses."""
+
+        def call(message: Any) -> None:
             try:
                 callback(message)
             except (ValueError, UavVslamError) as error:
                 self.drop(getattr(error, "reason", "refused"), f"{topic}: {error}")
 
-        self._inputs.append(Input(message_type, topic, guarded, qos, instead_of or topic))
-        self._inputs[-1].subscribe(self)
+        return call
+
+    def watch(self, one: Input) -> None:
+        """Report in the diagnostics what an input lacks, and let it follow what is offered."""
+        self._inputs.append(one)
+
+    def unwatch(self, one: Input) -> None:
+        """Forget an input that has been closed."""
+        self._inputs.remove(one)
 
     def advertise(self, message_type: Any, topic: str, qos: QoSProfile) -> Any:
         """Create a publisher whose policies can be overridden by parameters qos_overrides.<topic>.publisher."""
@@ -96,7 +111,9 @@ class VehicleNode(Node):
     def _follow_reliability(self) -> None:
         for one in self._inputs:
             if one.follow(self):
-                self.get_logger().info(f"{one.subscription.topic_name} is offered as best effort: taking it so")
+                self.get_logger().info(
+                    f"{one.subscription.topic_name} is taken as it is offered: {one.qos.reliability.name}"
+                )
 
     def _report_missing(self) -> None:
         waiting = []
@@ -113,6 +130,8 @@ class VehicleNode(Node):
         level, text = DiagnosticStatus.OK, "running"
         if missing:
             level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"
+        elif self.alarms:
+            level, text = DiagnosticStatus.WARN, "; ".join(self.alarms.values())
         elif dropped:
             level, text = DiagnosticStatus.WARN, f"{dropped} messages dropped"
         values = {

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fusion node on its radio: modes that change in flight, a hard budget, peers that come late or fall silent."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from nav_msgs.msg import Odometry  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import ReliabilityPolicy  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
+
+from uav_vslam.config import FusionConfig  # noqa: E402
+from uav_vslam.cooperation.fusion import Fusion  # noqa: E402
+from uav_vslam.ros.convert import joint_to_msg, odometry_to_msg  # noqa: E402
+from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
+from uav_vslam.ros.packet_message import packet_to_msg  # noqa: E402
+from uav_vslam.ros.qos import RADIO, STATE  # noqa: E402
+from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
+from uav_vslam.types import NS_PER_S, JointInformation, PoseEstimate  # noqa: E402
+from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
+from uav_vslam_msgs.msg import JointInformation as JointInformationMsg  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+PATIENCE_S = 10.0
+QUIET_S = 0.7  # long enough for what should not come
+PACKETS = "/uav1/landmark_information"
+
+
+class Flight:
+    """A fusion node of uav1, spun here, with its back end and its peer uav2 played by a second node."""
+
+    def __init__(self, make_joint: Callable[..., JointInformation], *parameters: str) -> None:
+        arguments = ["--ros-args", "-r", "__ns:=/uav1", "-p", "peers:=[uav2]"]
+        for parameter in parameters:
+            arguments += ["-p", parameter]
+        self.domain_id = free_domain_id()
+        rclpy.init(args=arguments, domain_id=self.domain_id)
+        self._make_joint = make_joint
+        self._peer = Fusion("uav2", FusionConfig())
+        self.executor = SingleThreadedExecutor()
+        self.node = FusionNode()
+        self.others = rclpy.create_node("others", use_global_arguments=False)
+        self.executor.add_node(self.node)
+        self.executor.add_node(self.others)
+        self.status: list[FusionStatus] = []
+        self.heard: list[LandmarkInformation] = []
+        status = self.others.create_subscription(FusionStatus, "/uav1/fusion/status", self.status.append, STATE)
+        self._joints = self.others.create_publisher(JointInformationMsg, "/uav1/joint_information", STATE)
+        self._odometry = self.others.create_publisher(Odometry, "/uav1/odometry", STATE)
+        assert self.spin(lambda: self._odometry.get_subscription_count() and self._joints.get_subscription_count())
+        assert self.spin(lambda: status.get_publisher_count() and self.node._status.get_subscription_count())
+        self._move(NS_PER_S // 2)  # a frame before the first epoch
+
+    def spin(self, until: Callable[[], Any], timeout_s: float = PATIENCE_S) -> bool:
+        end_s = time.monotonic() + timeout_s
+        while not until() and time.monotonic() < end_s:
+            self.executor.spin_once(timeout_sec=0.02)
+        return bool(until())
+
+    def rest(self, duration_s: float = QUIET_S) -> None:
+        self.spin(lambda: False, duration_s)
+
+    def listen(self, mode: str, node: Any = None) -> Any:
+        """Hear uav1 as a peer in that mode does; return the subscription once it is matched."""
+        node = node or self.others
+        made = node.create_subscription(LandmarkInformation, PACKETS, self.heard.append, RADIO[mode])
+        return made
+
+    def joint(self, second: int, vehicle: str) -> JointInformation:
+        points = [[4.0 * k, 7.0 * (k % 3), 0.0] for k in range(6)]
+        return self._make_joint(points, np.eye(24), vehicle=vehicle, stamp_ns=second * NS_PER_S)
+
+    def epoch(self, second: int) -> FusionStatus:
+        """Feed the frame of an epoch and return the status that it brings."""
+        joint, count = self.joint(second, "uav1"), len(self.status)
+        self._joints.publish(joint_to_msg(joint, frame_id="uav1/map"))
+        self._move(joint.stamp_ns)
+        assert self.spin(lambda: len(self.status) > count)
+        return self.status[-1]
+
+    def _move(self, stamp_ns: int) -> None:
+        pose = PoseEstimate(stamp_ns, self.joint(1, "uav1").T_map_body, np.eye(6))
+        self._odometry.publish(odometry_to_msg(pose, frame_id="uav1/map", child_frame_id="uav1/base_link"))
+
+    def peer(self, mode: str) -> Any:
+        """Return uav2's publisher in that mode, once uav1 hears it."""
+        publisher = self.others.create_publisher(LandmarkInformation, "/uav2/landmark_information", RADIO[mode])
+        assert self.spin(lambda: publisher.get_subscription_count() > 0)
+        return publisher
+
+    def packet(self, second: int) -> LandmarkInformation:
+        return packet_to_msg(self._peer.packet(self.joint(second, "uav2")))
+
+    def newest_ns(self) -> int:
+        """Stamp of the newest packet that uav1 has of uav2, 0 for none."""
+        packet = self.node._fusion.inbox.newest("uav2", 10**18)
+        return packet.stamp_ns if packet else 0
+
+    def set(self, name: str, value: Any) -> Any:
+        (result,) = self.node.set_parameters([Parameter(name, value=value)])
+        return result
+
+    def offered(self) -> list[ReliabilityPolicy]:
+        return [i.qos_profile.reliability for i in self.others.get_publishers_info_by_topic(PACKETS)]
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.others.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def fly(make_joint: Callable[..., JointInformation]) -> Iterator[Callable[..., Flight]]:
+    made: list[Flight] = []
+
+    def start(*parameters: str) -> Flight:
+        made.append(Flight(make_joint, *parameters))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.close()
+    rclpy.try_shutdown()
+
+
+def test_the_mode_is_switched_in_flight_and_estimates_go_on(fly: Callable[..., Flight]) -> None:
+    flight = fly()
+    assert flight.spin(lambda: flight.offered() == [ReliabilityPolicy.RELIABLE])
+    assert flight.epoch(1).mode == "wideband"
+    assert flight.set("mode", "narrowband").successful
+    assert flight.spin(lambda: flight.offered() == [ReliabilityPolicy.BEST_EFFORT])
+    assert flight.epoch(2).mode == "narrowband"
+    assert flight.set("mode", "none").successful
+    assert flight.spin(lambda: flight.offered() == [])
+    status = flight.epoch(3)
+    assert (status.mode, status.packets_sent) == ("none", 2)
+    assert flight.set("mode", "wideband").successful
+    assert flight.spin(lambda: flight.offered() == [ReliabilityPolicy.RELIABLE])
+    assert flight.epoch(4).packets_sent == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [("mode", "radio", "use one of wideband, narrowband, none"), ("fusion.mode", "none", "set mode instead")],
+)
+def test_a_mode_that_there_is_not_is_refused(fly: Callable[..., Flight], name: str, value: str, reason: str) -> None:
+    flight = fly()
+    result = flight.set(name, value)
+    assert not result.successful
+    assert reason in result.reason
+    assert flight.epoch(1).mode == "wideband"
+
+
+def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., Flight]) -> None:
+    flight = fly("mode:=narrowband")
+    for second in (1, 2, 3):
+        flight.epoch(second)
+    subscription = flight.listen("narrowband")
+    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    flight.rest()
+    assert flight.heard == []
+    flight.epoch(4)
+    assert flight.spin(lambda: flight.heard)
+    assert flight.heard[0].sequence == 4
+    assert len(flight.heard[0].ids) == 6
+
+
+def test_what_the_budget_has_no_room_for_is_counted_and_never_sent(fly: Callable[..., Flight]) -> None:
+    flight = fly("fusion.budget_bytes_per_s:=1")
+    subscription = flight.listen("wideband")
+    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    flight.epoch(1)
+    status = flight.epoch(2)
+    flight.rest()
+    assert (status.packets_sent, status.packets_held_back, status.bytes_sent) == (0, 2, 0)
+    assert flight.node.counts["dropped/budget"] == 2
+    assert flight.heard == []
+
+
+def test_the_bytes_that_the_status_gives_are_those_that_were_sent_and_heard(fly: Callable[..., Flight]) -> None:
+    flight = fly("radio_interface:=lo")
+    subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
+    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    for second in (1, 2, 3):
+        publisher.publish(flight.packet(second))
+        assert flight.spin(lambda ns=second * NS_PER_S: flight.newest_ns() == ns)
+        status = flight.epoch(second)
+    assert flight.spin(lambda: len(flight.heard) == 3)
+    sizes = [len(serialize_message(message)) for message in flight.heard]
+    assert status.bytes_sent == sum(sizes)
+    assert status.recent_bytes_per_s == pytest.approx(np.mean(sizes[1:]))
+    (link,) = status.peers
+    assert link.received_bytes == 3 * len(serialize_message(flight.packet(9)))
+    assert link.received_bytes_per_s > 0
+    assert status.radio_interface == "lo"
+    assert status.wire_sent_bytes > 0
+
+
+def test_a_peer_that_falls_silent_is_told_and_welcomed_back(fly: Callable[..., Flight]) -> None:
+    flight = fly("fusion.silent_after_s:=3.0")
+    publisher = flight.peer("wideband")
+    for second, expected in ((1, False), (3, False), (5, True), (6, False)):
+        if second in (1, 6):
+            publisher.publish(flight.packet(second))
+            newest = second * NS_PER_S
+            assert flight.spin(lambda ns=newest: flight.newest_ns() == ns)
+        (link,) = flight.epoch(second).peers
+        assert link.silent is expected, second
+        assert ("uav2" in flight.node.alarms) is expected
+
+
+@pytest.mark.parametrize(("own", "theirs"), [("wideband", "narrowband"), ("narrowband", "wideband")])
+def test_vehicles_in_different_modes_hear_each_other(fly: Callable[..., Flight], own: str, theirs: str) -> None:
+    flight = fly(f"mode:={own}")
+    publisher = flight.peer(theirs)
+    publisher.publish(flight.packet(1))
+    assert flight.spin(lambda: "uav2" in flight.node._fusion.inbox.peers)
+    assert flight.node.counts["radio/uav2/incompatible_qos"] == 1  # found out from the middleware, and cured
+
+
+def test_a_missed_deadline_and_bytes_that_are_no_packet_are_counted(fly: Callable[..., Flight]) -> None:
+    flight = fly("mode:=narrowband")
+    publisher = flight.peer("narrowband")
+    publisher.publish(b"\x00\x01\x00\x00nonsense")
+    assert flight.spin(lambda: flight.node.counts["dropped/undecodable"] == 1)
+    assert flight.spin(lambda: flight.node.counts["radio/uav2/deadline"] > 0)
+    assert flight.node._fusion.inbox.peers == {}
+
+
+def test_a_radio_domain_carries_the_packets_and_nothing_else(
+    fly: Callable[..., Flight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_STATIC_PEERS", "127.0.0.1")
+    radio_id = (free_domain_id() + 50) % 101 + 1
+    flight = fly(f"radio_domain_id:={radio_id}", "radio_peers:=['127.0.0.1']")
+    assert os.environ["ROS_STATIC_PEERS"] == "127.0.0.1"
+    context = rclpy.Context()
+    context.init(args=[], domain_id=radio_id)
+    peer = rclpy.create_node("uav2", context=context, use_global_arguments=False)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(peer)
+    try:
+        subscription = flight.listen("wideband", node=peer)
+        assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+        flight.epoch(1)
+        assert flight.spin(lambda: executor.spin_once(timeout_sec=0.02) or flight.heard)
+        nodes = peer.get_node_names_and_namespaces
+        assert flight.spin(lambda: [name for name, namespace in nodes() if namespace == "/uav1"] == ["radio"])
+        assert peer.get_publisher_names_and_types_by_node("radio", "/uav1") == [
+            (PACKETS, ["uav_vslam_msgs/msg/LandmarkInformation"])
+        ]
+        assert [t for t, _ in peer.get_subscriber_names_and_types_by_node("radio", "/uav1")] == [
+            "/uav2/landmark_information"
+        ]
+        assert peer.get_service_names_and_types_by_node("radio", "/uav1") == []
+        assert flight.others.get_publishers_info_by_topic(PACKETS) == []
+    finally:
+        executor.shutdown()
+        peer.destroy_node()
+        context.try_shutdown()

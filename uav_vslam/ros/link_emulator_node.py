@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""link_emulator: a bad radio between the vehicles of one host: it delays, loses, doubles and reorders their packets.
+
+in   /<sender>/landmark_information        uav_vslam_msgs/LandmarkInformation, every vehicle's
+out  /<receiver>/heard/<sender>            the same bytes, as far as the link lets them through
+     /diagnostics                          what became of the packets, by direction
+
+A receiver listens here if its fusion node's /<sender>/landmark_information is remapped to /<receiver>/heard/<sender>.
+Time is that of the ROS clock, so that a replay at any rate meets the same link.
+"""
+
+from functools import partial
+from itertools import permutations
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+
+from uav_vslam.config import find_link, load
+from uav_vslam.cooperation.link import Link, LinkConfig, link_between
+from uav_vslam.errors import ConfigError
+from uav_vslam.ros.fleet_commands import heard_as, packets_of
+from uav_vslam.ros.inputs import unmatched
+from uav_vslam.ros.qos import RADIO
+from uav_vslam.ros.radio import PeerInput
+from uav_vslam.ros.runtime import FOLLOW_PERIOD_S, READERS, UNMATCHED, run_node
+from uav_vslam_msgs.msg import LandmarkInformation
+
+POLL_S = 0.01  # how late a packet may be
+REPORT_S = 1.0
+
+
+class LinkEmulatorNode(Node):
+    """Relays bytes through one `Link` a direction.
+
+    Parameters: `vehicles`, their names; `link`, a YAML file or the name of one in config/links.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("link_emulator")
+        vehicles = [name for name in self.declare_parameter("vehicles", [""]).value if name]
+        name = self.declare_parameter("link", "").value
+        if len(vehicles) < 2 or not name:
+            raise ConfigError("link_emulator: set the parameters vehicles (two names or more) and link (a YAML file)")
+        config = load(LinkConfig, find_link(name))
+        self._links: dict[tuple[str, str], Link[bytes]] = {
+            (sender, receiver): link_between(config, sender, receiver) for sender, receiver in permutations(vehicles, 2)
+        }
+        self._outputs = {
+            (sender, receiver): self.create_publisher(
+                LandmarkInformation, heard_as(receiver, sender), RADIO["wideband"]
+            )
+            for sender, receiver in self._links
+        }
+        self._inputs = [self._listen(sender) for sender in vehicles]
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(POLL_S, self._deliver, clock=wall_clock)
+        self.create_timer(FOLLOW_PERIOD_S, self._follow, clock=wall_clock)
+        self.create_timer(REPORT_S, self._report, clock=wall_clock)
+        self.get_logger().info(f"{len(self._links)} links: {config}")
+
+    def _listen(self, sender: str) -> PeerInput:
+        wanted, topic = RADIO["wideband"], packets_of(sender)
+        one = PeerInput(
+            message_type=LandmarkInformation,
+            topic=topic,
+            callback=partial(self._on_packet, sender),
+            qos=wanted,
+            stands_for=topic,
+            host=self,
+            wanted=wanted,
+            events=SubscriptionEventCallbacks(incompatible_qos=lambda _: None),  # `follow` sees to it
+        )
+        one.subscribe(self)
+        return one
+
+    def _on_packet(self, sender: str, data: bytes) -> None:
+        now_ns = self.get_clock().now().nanoseconds
+        for (other, _), link in self._links.items():
+            if other == sender:
+                link.send(now_ns, len(data), data)
+
+    def _deliver(self) -> None:
+        now_ns = self.get_clock().now().nanoseconds
+        for direction, link in self._links.items():
+            for data in link.receive(now_ns):
+                self._outputs[direction].publish(data)
+
+    def _follow(self) -> None:
+        for one in self._inputs:
+            one.follow(self)
+
+    def _report(self) -> None:
+        values: dict[str, Any] = {
+            UNMATCHED: " ".join(unmatched(self._inputs)),
+            READERS: " ".join(f"{p.topic_name}={p.get_subscription_count()}" for p in self._outputs.values()),
+        }
+        for (sender, receiver), link in self._links.items():
+            for fate, count in sorted(link.packets.items()):
+                values[f"{sender}>{receiver}/{fate}"] = f"{count} packets, {link.size_bytes[fate]} B"
+            values[f"{sender}>{receiver}/queued"] = f"{link.queued_bytes} B"
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.OK,
+            name="fleet: link_emulator",
+            message="relaying",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point."""
+    return run_node(LinkEmulatorNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

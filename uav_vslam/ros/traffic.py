@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many bytes pass: rates of counters, and the kernel's own count of what crosses a network interface."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from uav_vslam.errors import ConfigError
+from uav_vslam.types import NS_PER_S
+
+WINDOW_S = 10.0
+INTERFACES = Path("/sys/class/net")
+
+
+@dataclass(slots=True)
+class Rate:
+    """Mean rate of a counter over the last seconds."""
+
+    window_s: float = WINDOW_S
+    _samples: deque[tuple[int, int]] = field(default_factory=deque)
+
+    def update(self, now_ns: int, total: int) -> float:
+        """Note the counter and return its rate since the last value that is at least a window old [1/s]."""
+        if self._samples and now_ns < self._samples[-1][0]:
+            self._samples.clear()  # a clock that was set back
+        self._samples.append((now_ns, total))
+        while len(self._samples) > 2 and now_ns - self._samples[1][0] >= self.window_s * NS_PER_S:
+            self._samples.popleft()
+        begin_ns, begin = self._samples[0]
+        return (total - begin) / ((now_ns - begin_ns) / NS_PER_S) if now_ns > begin_ns else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """A network interface, with all that the kernel counts on it: discovery, headers, and other programs' traffic.
+
+    Attributes:
+        name: as `ip link` shows it.
+    """
+
+    name: str
+
+    def __post_init__(self) -> None:
+        if "/" in self.name or not (INTERFACES / self.name).is_dir():
+            known = ", ".join(sorted(path.name for path in INTERFACES.iterdir()))
+            raise ConfigError(f"radio_interface = {self.name!r} is no network interface of this host ({known})")
+
+    @property
+    def sent_bytes(self) -> int:
+        """Sent since the host started, link headers included."""
+        return self._read("tx_bytes")
+
+    @property
+    def received_bytes(self) -> int:
+        """Received since the host started, link headers included."""
+        return self._read("rx_bytes")
+
+    def _read(self, counter: str) -> int:
+        return int((INTERFACES / self.name / "statistics" / counter).read_text())
