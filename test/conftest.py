@@ -45,6 +45,14 @@ def data_root() -> Path:
     return _data_root()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep the numbers of the tests' sessions out of the user's home, for the processes that they start too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 def _descriptors(identities: ArrayLike) -> NDArray[np.uint8]:
     """Return (N, 128) descriptors; the same identity looks the same to every vehicle."""
     looks = [np.random.default_rng(int(k)).integers(0, 256, 128, np.uint8) for k in np.atleast_1d(identities)]

@@ -185,6 +185,9 @@ class FusionConfig:
     gate_probability: float = 0.99  # of the chi-square gate on a common landmark
     min_common: int = 3  # pairs that must agree with each other before any is used
     floor_sigma_m: float = 0.3  # added to each packet landmark: descriptors do not meet on the very same point
+    fleet_key_file: str = ""  # secret of 16 bytes or more that the fleet shares: packets without its tag are dropped
+    signing_key_file: str = ""  # instead: this vehicle's own Ed25519 key (PEM)
+    peer_keys_folder: str = ""  # with it: <vehicle>.pem, the public key of every vehicle
 
     def __post_init__(self) -> None:
         _require(self.mode in MODE_BUDGETS, self, "mode", f"one of {', '.join(MODE_BUDGETS)}")
@@ -200,6 +203,10 @@ class FusionConfig:
         _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
         _require(self.min_common >= 1, self, "min_common", "one or more")
         _require(self.floor_sigma_m >= 0, self, "floor_sigma_m", "zero or more [m]")
+        one = not (self.fleet_key_file and self.signing_key_file)
+        _require(one, self, "fleet_key_file", "either a fleet key or signing keys")
+        pair = bool(self.signing_key_file) == bool(self.peer_keys_folder)
+        _require(pair, self, "peer_keys_folder", "signing_key_file and peer_keys_folder together")
 
 
 START_METHODS = ("given", "static", "in_flight")

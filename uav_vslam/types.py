@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.geometry.coded_points import CodedPoints
 from uav_vslam.geometry.pose import Pose
 
 Array = NDArray[np.float64]
@@ -188,15 +189,17 @@ class LandmarkPacket:
     Attributes:
         stamp_ns: time of the estimate [ns].
         vehicle, session, sequence: the sender's key; a newer (session, sequence) replaces an older packet whole.
-        sources: "vehicle/session" of every measurement that is inside.
+        sources: "vehicle/session" of every measurement that is inside, the sender's own among them.
         prior_id: hash of a loaded map or shared survey; "" for none.
         ids: (N,) landmark identifiers of the sender.
-        origin: (3,) in the sender's map frame [m].
-        offsets: (N, 3) float32 landmarks minus origin [m].
-        covariance_factor: (3N (3N+1) / 2,) float32 rows of the lower Cholesky factor of the covariance [m].
-        covariance_scale: factor >= 1 already applied, so that the coded covariance bounds the exact one.
+        origin: (3,) int32 in the sender's map frame, from which points are measured [m].
+        points: the landmarks and their covariance as they are coded.
+        covariance_scale: factor >= 1 by which the coded covariance has to be multiplied, so that it bounds the exact
+            one.
+        descriptor_basis: what the descriptors are: a number in vision.compact_descriptors, 0 for raw ones.
         descriptors: (N, D) uint8.
-        checksum: CRC-32 over all other fields, see slam.packet.
+        checksum: CRC-32 over all other fields but the tag, see slam.packet.
+        tag: what proves who sent it, see cooperation.authentication; empty for nothing.
     """
 
     stamp_ns: int
@@ -206,12 +209,13 @@ class LandmarkPacket:
     sources: tuple[str, ...]
     prior_id: str
     ids: NDArray[np.uint32]
-    origin: Array
-    offsets: NDArray[np.float32]
-    covariance_factor: NDArray[np.float32]
+    origin: NDArray[np.int32]
+    points: CodedPoints
     covariance_scale: float
+    descriptor_basis: int
     descriptors: NDArray[np.uint8]
     checksum: int
+    tag: bytes = b""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -222,14 +226,16 @@ class LandmarkPacket:
         return f"{self.vehicle}/{self.session}"
 
     @property
+    def other_sources(self) -> tuple[str, ...]:
+        """The sources but the sender's own, which goes without saying."""
+        return tuple(source for source in self.sources if source != self.source)
+
+    @property
     def positions(self) -> Array:
         """(N, 3) landmarks in the sender's map frame [m]."""
-        return np.asarray(self.origin + self.offsets.astype(float))
+        return np.asarray(self.origin + self.points.offsets_m)
 
     @property
     def covariance(self) -> Array:
-        """(3N, 3N) covariance of the landmarks [m^2]."""
-        n = 3 * len(self.ids)
-        L = np.zeros((n, n))
-        L[np.tril_indices(n)] = self.covariance_factor
-        return np.asarray(L @ L.T)
+        """(3N, 3N) covariance of the landmarks [m^2], which bounds what the sender knows."""
+        return np.asarray(self.covariance_scale * self.points.covariance)

@@ -10,7 +10,7 @@ import pytest
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy, so3_exp
-from uav_vslam.slam.packet import make_packet
+from uav_vslam.slam.packet import PacketPolicy, make_packet
 from uav_vslam.types import LandmarkPacket
 
 
@@ -26,7 +26,7 @@ def make_small_packet(make_joint) -> Callable[..., LandmarkPacket]:
             session=session,
             stamp_ns=sequence * 1_000_000_000 if stamp_ns is None else stamp_ns,
         )
-        return make_packet(joint, sequence=sequence, max_landmarks=5)
+        return make_packet(joint, sequence=sequence, policy=PacketPolicy(max_landmarks=5))
 
     return make
 

@@ -6,7 +6,7 @@ import pytest
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.common_landmarks import blocks, find_common
-from uav_vslam.slam.packet import make_packet
+from uav_vslam.slam.packet import PacketPolicy, make_packet
 
 CONFIG = FusionConfig()
 SIGMA_M = 0.3
@@ -38,7 +38,7 @@ def scene(make_joint):
         looks[:wrong] = np.roll(identities[:wrong], 1)  # the descriptors of other landmarks: certain wrong matches
         positions = truth + rng.normal(0, 0.5 * SIGMA_M, truth.shape) + shift_m * np.array([0.7, -0.7, 0.1])
         peer = make_joint(positions, P, vehicle="uav2", identities=looks)
-        packet = make_packet(peer, sequence=1, max_landmarks=COUNT)
+        packet = make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=COUNT))
         pairs = find_common(own.positions, P[6:, 6:], own.descriptors, packet, config=config)
         return [(int(a), int(packet.ids[b]) - 1) for a, b in pairs]
 
@@ -83,7 +83,7 @@ def test_an_empty_side_shares_nothing(make_joint, own_count: int, peer_count: in
         make_joint(rng.normal(0, 9, (n, 3)), np.eye(6 + 3 * n), vehicle=v)
         for n, v in ((own_count, "uav1"), (peer_count, "uav2"))
     )
-    packet = make_packet(peer, sequence=1, max_landmarks=9)
+    packet = make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=9))
     pairs = find_common(own.positions, np.eye(3 * own_count), own.descriptors, packet, config=CONFIG)
     assert pairs.shape == (0, 2)
 

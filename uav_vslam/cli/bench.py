@@ -50,7 +50,9 @@ def run(args: argparse.Namespace) -> int:
 
 def measure(effort: Any) -> Iterator[dict[str, Any]]:
     """Yield a row per stage and condition."""
+    from uav_vslam.slam.packet import ANCHOR, PacketPolicy
     from uav_vslam.studies import back_end_speed, speed
+    from uav_vslam.vision.compact_descriptors import COMPACT
 
     vehicle, frames = speed.rendered_frames(effort.pairs)
     yield speed.stereo_front_end(vehicle, frames, _sift())
@@ -60,7 +62,8 @@ def measure(effort: Any) -> Iterator[dict[str, Any]]:
     yield back_end_speed.back_end(200, effort.frames // 3, factorisation=back_end_speed.QR)
     for shared in (10, 50):
         yield speed.fusion(shared, effort.repeats)
-    yield from speed.packets(64, effort.repeats)
+    yield from speed.packets(64, PacketPolicy(), effort.repeats)
+    yield from speed.packets(14, PacketPolicy(form=ANCHOR, descriptor_basis=COMPACT), effort.repeats)
     yield speed.preintegration(effort.repeats)
     yield bag_reading(vehicle, frames, repeats=min(effort.repeats, 10))
 

@@ -12,6 +12,7 @@ from scipy.special import chdtri
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.types import LandmarkPacket
+from uav_vslam.vision.compact_descriptors import RAW, in_basis, load_basis, single_distance
 from uav_vslam.vision.matching.nn_ratio import match_descriptors
 
 Array = NDArray[np.float64]
@@ -33,19 +34,31 @@ def find_common(
     Args:
         positions: (N, 3) own landmarks in the common frame [m].
         covariance: (3N, 3N) their joint covariance [m^2].
-        descriptors: (N, D).
+        descriptors: (N, D) as extracted; they are compressed as the packet's are.
         packet: the peer's.
         config: ratio, gate and the smallest number of pairs that is believed.
 
     Returns:
         (K, 2) rows of own landmarks and of the packet; none where fewer than `min_common` agree.
     """
-    pairs = match_descriptors(descriptors, packet.descriptors, config.ratio)
+    if len(packet) == 0 or not comparable(descriptors, packet):
+        return np.zeros((0, 2), np.intp)
+    basis = packet.descriptor_basis
+    alike = in_basis(descriptors, basis)
+    pairs = match_descriptors(alike, packet.descriptors, config.ratio, single_distance=single_distance(basis))
     peer_positions, peer_covariance = packet.positions, packet.covariance
     floor = config.floor_sigma_m**2
     pairs = pairs[_gated(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
     pairs = pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
     return pairs if len(pairs) >= config.min_common else pairs[:0]
+
+
+def comparable(descriptors: NDArray[np.uint8], packet: LandmarkPacket) -> bool:
+    """Tell whether own descriptors (N, D), as extracted, and a packet's are of one kind."""
+    own = descriptors.shape[1]
+    if packet.descriptor_basis != RAW:
+        return own == len(load_basis(packet.descriptor_basis).mean)
+    return len(packet) == 0 or own == packet.descriptors.shape[1]
 
 
 def blocks(covariance: Array) -> Array:

@@ -2,17 +2,21 @@
 """The packets that peers sent: validated, counted, and at most one per vehicle ever used at a time.
 
 A packet is a self-contained marginal, and a newer one (session, then sequence) replaces an older one whole. So loss,
-duplication and reordering are harmless, and nothing is counted twice.
+duplication and reordering are harmless, and nothing is counted twice. For the same reason a packet that somebody
+recorded and sends again does no harm: an older session or a sequence that was seen or overtaken is refused, as far back
+as this vehicle has listened. (What it replays before the peer's first new packet looks new; that then withdraws it.)
 """
 
 from collections import Counter
 from dataclasses import dataclass, field
 
+from uav_vslam.cooperation.authentication import Authentication, NoAuthentication
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.slam.packet import validate
 from uav_vslam.types import LandmarkPacket
 
 KEPT_PER_PEER = 4  # recent packets, so that an epoch can be served with one old enough
+MAX_PEERS = 64  # made-up names must not fill the memory
 
 
 @dataclass(slots=True)
@@ -27,29 +31,39 @@ class PeerRecord:
 
 
 class Inbox:
-    """One record a peer."""
+    """One record a peer.
 
-    def __init__(self, vehicle: str) -> None:
+    Attributes:
+        peers: by name, of vehicles that sent a packet which could be believed.
+        refused: packets of all others, by reason.
+    """
+
+    def __init__(self, vehicle: str, *, authentication: Authentication | None = None) -> None:
         self._vehicle = vehicle
+        self._authentication = authentication or NoAuthentication()
         self.peers: dict[str, PeerRecord] = {}
+        self.refused: Counter[str] = Counter()
 
     def add(self, packet: LandmarkPacket) -> None:
         """Take a packet in, or count why not.
 
         Raises:
-            InvalidMessage: it is damaged, malformed, stale, repeated, or this vehicle's own.
+            InvalidMessage: it is damaged, malformed, forged, stale, repeated, or this vehicle's own.
         """
-        if packet.vehicle == self._vehicle:
-            raise InvalidMessage("own", f"a packet claims to come from {self._vehicle} itself")
-        record = self.peers.setdefault(packet.vehicle, PeerRecord())
-        record.received += 1
+        record = self.peers.get(packet.vehicle)
         try:
-            self._check(packet, record)
+            self._check(packet)
+            record = record or self._new_record(packet.vehicle)
+            _check_order(packet, record.packets)
         except InvalidMessage as error:
-            record.dropped[error.reason] += 1
+            if record is None:
+                self.refused[error.reason] += 1
+            else:
+                record.received += 1
+                record.dropped[error.reason] += 1
             raise
-        session = record.packets[-1].session if record.packets else packet.session
-        if packet.session > session:
+        record.received += 1
+        if record.packets and packet.session > record.packets[-1].session:
             record.packets.clear()  # a restart withdraws what the earlier session said
         record.packets.append(packet)
         record.packets.sort(key=lambda p: p.sequence)
@@ -61,15 +75,25 @@ class Inbox:
         old_enough = [p for p in record.packets if p.stamp_ns <= not_after_ns] if record else []
         return old_enough[-1] if old_enough else None
 
-    def _check(self, packet: LandmarkPacket, record: PeerRecord) -> None:
+    def _check(self, packet: LandmarkPacket) -> None:
+        if packet.vehicle == self._vehicle:
+            raise InvalidMessage("own", f"a packet claims to come from {self._vehicle} itself")
         validate(packet)
-        if record.packets and packet.session < record.packets[-1].session:
-            raise InvalidMessage("stale_session", f"session {packet.session} of {packet.vehicle} has ended")
-        if any((p.session, p.sequence) == (packet.session, packet.sequence) for p in record.packets):
-            raise InvalidMessage("duplicate", f"packet {packet.sequence} of {packet.source} came twice")
-        if (
-            len(record.packets) == KEPT_PER_PEER
-            and packet.session == record.packets[0].session
-            and packet.sequence < record.packets[0].sequence
-        ):
-            raise InvalidMessage("late", f"packet {packet.sequence} of {packet.source} is older than the last kept")
+        self._authentication.check(packet)
+
+    def _new_record(self, vehicle: str) -> PeerRecord:
+        if len(self.peers) >= MAX_PEERS:
+            raise InvalidMessage("too_many_peers", f"{vehicle!r} would be peer {MAX_PEERS + 1}")
+        return self.peers.setdefault(vehicle, PeerRecord())
+
+
+def _check_order(packet: LandmarkPacket, kept: list[LandmarkPacket]) -> None:
+    """Refuse what was replaced, withdrawn or taken in before."""
+    if not kept or packet.session > kept[-1].session:
+        return
+    if packet.session < kept[-1].session:
+        raise InvalidMessage("stale_session", f"session {packet.session} of {packet.vehicle} has ended")
+    if any(p.sequence == packet.sequence for p in kept):
+        raise InvalidMessage("duplicate", f"packet {packet.sequence} of {packet.source} came twice")
+    if len(kept) == KEPT_PER_PEER and packet.sequence < kept[0].sequence:
+        raise InvalidMessage("late", f"packet {packet.sequence} of {packet.source} is older than the last kept")

@@ -26,22 +26,28 @@ from uav_vslam.types import (
     ImuIncrement,
     ImuSample,
     JointInformation,
-    LandmarkPacket,
     NavEstimate,
     PoseEstimate,
     StereoFeatures,
 )
-from uav_vslam_msgs.msg import (
-    InsIncrement,
-    LandmarkInformation,
-    NavigationState,
-)
+from uav_vslam_msgs.msg import InsIncrement, NavigationState
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
 
 Array = NDArray[np.float64]
 
-TYPECODES = {np.dtype(np.uint8): "B", np.dtype(np.uint32): "I", np.dtype(np.float32): "f", np.dtype(np.float64): "d"}
+TYPECODES = {
+    np.dtype(kind): code
+    for kind, code in (
+        (np.uint8, "B"),
+        (np.int8, "b"),
+        (np.uint16, "H"),
+        (np.int16, "h"),
+        (np.uint32, "I"),
+        (np.float32, "f"),
+        (np.float64, "d"),
+    )
+}
 
 
 def flat(values: NDArray[Any]) -> array:
@@ -125,8 +131,8 @@ def features_to_msg(features: StereoFeatures, *, frame_id: str, size: tuple[int,
 
 def features_from_msg(message: StereoFeaturesMsg) -> StereoFeatures:
     """Return stereo features."""
-    pixels = _rows(message.pixels, np.float32, 4, "pixels")
-    descriptors = _rows(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
+    pixels = rows_of(message.pixels, np.float32, 4, "pixels")
+    descriptors = rows_of(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
     if len(pixels) != len(descriptors):
         raise InvalidMessage("shape", f"{len(pixels)} points but {len(descriptors)} descriptors")
     _finite(pixels, "pixels")
@@ -238,8 +244,8 @@ def joint_from_msg(message: JointInformationMsg) -> JointInformation:
     upper = np.array(message.information, dtype=float)
     if len(upper) != n * (n + 1) // 2:
         raise InvalidMessage("shape", f"{len(ids)} landmarks need {n * (n + 1) // 2} numbers, not {len(upper)}")
-    positions = _rows(message.positions, np.float64, 3, "positions")
-    descriptors = _rows(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
+    positions = rows_of(message.positions, np.float64, 3, "positions")
+    descriptors = rows_of(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
     if not len(ids) == len(positions) == len(descriptors):
         raise InvalidMessage("shape", f"{len(ids)} ids, {len(positions)} positions, {len(descriptors)} descriptors")
     information = np.zeros((n, n))
@@ -253,53 +259,6 @@ def joint_from_msg(message: JointInformationMsg) -> JointInformation:
         positions=_finite(positions, "positions"),
         information=information + np.triu(information, 1).T,
         descriptors=descriptors,
-    )
-
-
-def packet_to_msg(packet: LandmarkPacket, *, frame_id: str) -> LandmarkInformation:
-    """Return the message that crosses the radio."""
-    return LandmarkInformation(
-        header=header(packet.stamp_ns, frame_id),
-        version=LandmarkInformation.VERSION,
-        form=LandmarkInformation.FORM_DENSE,
-        vehicle=packet.vehicle,
-        session=packet.session,
-        sequence=packet.sequence,
-        sources=list(packet.sources),
-        prior_id=packet.prior_id,
-        covariance_scale=packet.covariance_scale,
-        ids=flat(packet.ids),
-        origin=packet.origin,
-        offsets=flat(packet.offsets),
-        covariance_factor=flat(packet.covariance_factor),
-        descriptor_size=packet.descriptors.shape[1],
-        descriptors=flat(packet.descriptors),
-        checksum=packet.checksum,
-    )
-
-
-def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
-    """Return a packet; its contents are checked later by `slam.packet.validate`."""
-    if message.version != LandmarkInformation.VERSION:
-        raise InvalidMessage(
-            "version", f"packet version {message.version}; this one reads {LandmarkInformation.VERSION}"
-        )
-    if message.form != LandmarkInformation.FORM_DENSE:
-        raise InvalidMessage("form", f"packet form {message.form} is not known")
-    return LandmarkPacket(
-        stamp_ns=stamp_ns_of(message),
-        vehicle=message.vehicle,
-        session=int(message.session),
-        sequence=int(message.sequence),
-        sources=tuple(message.sources),
-        prior_id=message.prior_id,
-        ids=np.array(message.ids, dtype=np.uint32),
-        origin=np.array(message.origin, dtype=float),
-        offsets=_rows(message.offsets, np.float32, 3, "offsets"),
-        covariance_factor=np.array(message.covariance_factor, dtype=np.float32),
-        covariance_scale=float(message.covariance_scale),
-        descriptors=_rows(message.descriptors, np.uint8, message.descriptor_size, "descriptors"),
-        checksum=int(message.checksum),
     )
 
 
@@ -330,7 +289,12 @@ def _finite(values: Any, what: str) -> Array:
     return out
 
 
-def _rows(values: Any, dtype: Any, columns: int, what: str) -> NDArray[Any]:
+def rows_of(values: Any, dtype: Any, columns: int, what: str) -> NDArray[Any]:
+    """Return a flat array's numbers in rows of so many columns.
+
+    Raises:
+        InvalidMessage: it does not hold whole rows.
+    """
     data = np.array(values, dtype=dtype)
     if columns == 0 or data.size % columns:
         if data.size == 0:

@@ -14,7 +14,6 @@ out  odometry                              nav_msgs/Odometry per frame, map fram
      /tf                                   <vehicle>/map to <vehicle>/odom
 """
 
-import time
 from collections import deque
 
 from geometry_msgs.msg import PoseStamped
@@ -39,6 +38,7 @@ from uav_vslam.ros.convert import (
 from uav_vslam.ros.qos import LATCHED, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.slam.backend import FrameReport
+from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.types import JointInformation as Joint
 from uav_vslam.types import NavEstimate
@@ -53,7 +53,7 @@ class SlamBackendNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("slam_backend")
-        session: int = self.declare_parameter("session", 0).value or time.time_ns() // 1_000_000
+        session: int = self.declare_parameter("session", 0).value or next_session(self.vehicle)
         self._stage = SlamStage(self.config, vehicle=self.vehicle, session=session)
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._odometry = self.advertise(Odometry, "odometry", STATE)

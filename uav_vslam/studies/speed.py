@@ -6,6 +6,7 @@ of the ratios of neighbours. Times are of the processor, so that what else runs 
 yardstick is in `back_end_speed`; most others are numpy's Cholesky factor of a matrix as large as the stage's own state.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
-from uav_vslam.slam.packet import make_packet, validate
+from uav_vslam.slam.packet import PacketPolicy, make_packet, payload_bytes, validate
 from uav_vslam.types import (
     NS_PER_S,
     ImuIncrement,
@@ -129,7 +130,7 @@ def fusion(shared: int, repeats: int) -> Row:
     theirs = list(range(shared)) + list(range(1000, 1000 + OWN_LANDMARKS - shared))
     peer = _belief("uav2", theirs, stamp_s=10.0)
     core = Fusion("uav1", FusionConfig())
-    packet = make_packet(peer, sequence=1, max_landmarks=64, matched_ids=peer.ids[:shared].tolist())
+    packet = make_packet(peer, sequence=1, policy=PacketPolicy(), matched_ids=peer.ids[:shared].tolist())
     core.inbox.add(packet)
     size = POSE + 3 * OWN_LANDMARKS
     ms, ratio = take_turns([lambda: core.fuse(own)] * repeats, _cholesky(size))
@@ -138,19 +139,24 @@ def fusion(shared: int, repeats: int) -> Row:
     return _row("fusion", condition, _cholesky_name(size), ratio, ms_per_packet=ms, landmarks=found)
 
 
-def packets(landmarks: int, repeats: int) -> list[Row]:
-    """Time making and checking a packet."""
+def packets(landmarks: int, policy: PacketPolicy, repeats: int) -> list[Row]:
+    """Time making a packet and reading it: checks and decoding."""
     joint = _belief("uav1", list(range(OWN_LANDMARKS)), stamp_s=10.0)
-    packet = make_packet(joint, sequence=1, max_landmarks=landmarks)
+    policy = dataclasses.replace(policy, max_landmarks=landmarks)
+    packet = make_packet(joint, sequence=1, policy=policy)
 
-    def make() -> LandmarkPacket:
-        return make_packet(joint, sequence=1, max_landmarks=landmarks)
+    def encode() -> LandmarkPacket:
+        return make_packet(joint, sequence=1, policy=policy)
 
-    rows = []
-    for method, work in (("make packet", make), ("validate packet", lambda: validate(packet))):
+    def decode() -> tuple[Array, Array]:
+        validate(packet)
+        return packet.positions, packet.covariance
+
+    rows, condition = [], f"{policy.form}, {landmarks} landmarks, {payload_bytes(packet)} B"
+    for method, work in (("make packet", encode), ("read packet", decode)):
         ms, ratio = take_turns([work] * repeats, _cholesky(3 * landmarks))
         times = {"ms_per_packet": ms, "us_per_landmark": 1e3 * ms / landmarks}
-        rows.append(_row(method, f"{landmarks} landmarks", _cholesky_name(3 * landmarks), ratio, **times))
+        rows.append(_row(method, condition, _cholesky_name(3 * landmarks), ratio, **times))
     return rows
 
 

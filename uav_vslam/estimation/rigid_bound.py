@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The smallest covariance of the form J P_T J^T + blkdiag(D_i) that bounds a given one.
+
+Least squares or maximum likelihood would fit the form to P closely and still miss the direction or two in which the
+landmarks of one flight err together without being rigid, such as a stretch along the track; scaling the whole up until
+it bounds those too (ten times, for beliefs of our filter) throws away what matters most, the common error. So the
+bound is a constraint here: minimise trace(W R) subject to R >= P, a small semidefinite programme, by Newton's method on
+
+    t trace(W R) - log det(R - P) - log det P_T - sum_i log det D_i,    t -> infinity,
+
+see [boyd04], section 11.6. W = blkdiag(P_ii + q^2 I)^-1 asks for little growth of each landmark's own covariance, as
+seen by a receiver to whom less than q means nothing.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation.numerics import symmetrise
+from uav_vslam.geometry.coded_points import block_diagonal, diagonal_blocks, unpack_lower
+
+Array = NDArray[np.float64]
+
+INDIFFERENCE_M = 0.3  # q: descriptors of two vehicles don't meet on the very same point
+TOLERANCE = 0.02  # relative excess of the cost over its minimum
+SHARPENING = 8.0  # of t, each time that Newton's method has settled
+SETTLED = 1.0  # Newton decrement at which it has
+MAX_STEPS = 60
+STAY_INSIDE = 0.9  # share of the way to the boundary that a step may go
+RANK_TOLERANCE = 1e-9  # of J: one or two points don't show all six rigid motions
+
+
+def smallest_rigid_bound(P: Array, J: Array) -> tuple[Array, Array]:
+    """Return lower factors of P_T (k, k) and D_i (N, 3, 3) with J P_T J^T + blkdiag(D_i) >= P but for rounding.
+
+    P_T may be singular: fewer than three points don't show all rigid motions.
+
+    Args:
+        P: (3N, 3N) positive definite [m^2], N > 0.
+        J: (3N, k) how the common error moves the points.
+
+    Raises:
+        FilterDivergence: P is not positive definite.
+    """
+    # In units in which W is the identity and J has orthonormal columns everything is of the order of one.
+    C = np.linalg.cholesky(symmetrise(diagonal_blocks(P)) + INDIFFERENCE_M**2 * np.eye(3))
+    unit = block_diagonal(np.linalg.inv(C))
+    U, s, Vt = np.linalg.svd(unit @ J, full_matrices=False)
+    seen = s > RANK_TOLERANCE * s[0]
+    common, own = _smallest_unit_bound(symmetrise(unit @ P @ unit.T), U[:, seen])
+    root = (Vt[seen].T / s[seen]) @ np.linalg.cholesky(common)  # P_T = root root^T, brought to lower form by QR
+    triangle = np.zeros((J.shape[1], J.shape[1]))
+    triangle[:, : root.shape[1]] = np.linalg.qr(root.T)[1].T
+    return triangle, C @ np.linalg.cholesky(own)
+
+
+def _smallest_unit_bound(P: Array, Q: Array) -> tuple[Array, Array]:
+    """Minimise trace(X_0) + sum_i trace(X_i) subject to Q X_0 Q^T + blkdiag(X_i) >= P, for orthonormal columns Q."""
+    n, k = len(P) // 3, Q.shape[1]
+    largest = float(np.linalg.eigvalsh(P)[-1])
+    if not largest > 0:
+        raise FilterDivergence(f"covariance of a packet is not positive definite: largest eigenvalue {largest:.3e}")
+    common, own = largest * np.eye(k), np.tile(1.1 * largest * np.eye(3), (n, 1, 1))
+    constraints = 2 * 3 * n + k  # rows of all matrices that must stay positive definite
+    t = constraints / (np.trace(common) + np.trace(own, axis1=1, axis2=2).sum())
+    for _ in range(MAX_STEPS):
+        step_common, step_own, decrement = _newton_step(P, Q, common, own, t)
+        common, own, whole = _walk(P, Q, common, own, step_common, step_own)
+        if whole and decrement < SETTLED:
+            if constraints / t < TOLERANCE * (np.trace(common) + np.trace(own, axis1=1, axis2=2).sum()):
+                break
+            t *= SHARPENING
+    return common, own
+
+
+def _newton_step(P: Array, Q: Array, common: Array, own: Array, t: float) -> tuple[Array, Array, float]:
+    """Return the steps of X_0 and X_i, and the Newton decrement squared."""
+    n, k = len(own), len(common)
+    M = _inverse(Q @ common @ Q.T + block_diagonal(own) - P)
+    G_00, G_0i = Q.T @ M @ Q, (Q.T @ M).reshape(k, n, 3).transpose(1, 0, 2)
+    G_ij = M.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
+    inverse_common, inverse_own = _inverse(common), _inverse(own)
+    S_k, S_3 = _symmetric_basis(k), _symmetric_basis(3)
+
+    gradient_common = np.einsum("aij,ij->a", S_k, t * np.eye(k) - G_00 - inverse_common)
+    gradient_own = np.einsum("aij,nij->na", S_3, t * np.eye(3) - diagonal_blocks(M) - inverse_own)
+    H_00 = _curvature(S_k, G_00, S_k) + _curvature(S_k, inverse_common, S_k)
+    H_0i = _curvature(S_k, G_0i, S_3).transpose(1, 0, 2).reshape(len(S_k), -1)
+    H_ij = _curvature(S_3, G_ij, S_3)
+    H_ij[np.arange(n), np.arange(n)] += _curvature(S_3, inverse_own, S_3)
+    H = np.block([[H_00, H_0i], [H_0i.T, H_ij.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n)]])
+
+    gradient = np.concatenate([gradient_common, gradient_own.ravel()])
+    step = -np.linalg.solve(H, gradient)
+    steps_own = np.einsum("na,aij->nij", step[len(S_k) :].reshape(n, 6), S_3)
+    return np.einsum("a,aij->ij", step[: len(S_k)], S_k), steps_own, float(-gradient @ step)
+
+
+def _walk(P: Array, Q: Array, common: Array, own: Array, step_common: Array, step_own: Array) -> tuple:
+    """Go as far along a step as stays well inside; tell whether that was the whole step."""
+    share = 1.0
+    while True:
+        X_0, X_i = common + share * step_common, own + share * step_own
+        if all(_is_definite(A) for A in (X_0, X_i, Q @ X_0 @ Q.T + block_diagonal(X_i) - P)):
+            break
+        share *= 0.7
+    if share == 1.0:
+        return X_0, X_i, True
+    share *= STAY_INSIDE
+    return common + share * step_common, own + share * step_own, False
+
+
+def _curvature(S_a: Array, G: Array, S_b: Array) -> Array:
+    """Return (..., A, B) of trace(S_a G S_b G^T), for G (..., n_a, n_b)."""
+    left = np.einsum("aij,...jk->...aik", S_a, G)
+    right = np.einsum("...ij,bjk->...bik", G, S_b)
+    flat = (*G.shape[:-2], -1, G.shape[-2] * G.shape[-1])
+    return np.asarray(left.reshape(flat) @ np.swapaxes(right.reshape(flat), -1, -2))
+
+
+def _symmetric_basis(n: int) -> Array:
+    """Return (n (n+1) / 2, n, n) unit symmetric matrices."""
+    L = unpack_lower(np.eye(n * (n + 1) // 2))
+    return np.maximum(L, L.transpose(0, 2, 1))
+
+
+def _inverse(A: Array) -> Array:
+    return symmetrise(np.asarray(np.linalg.inv(A)))
+
+
+def _is_definite(A: Array) -> bool:
+    try:
+        np.linalg.cholesky(A)
+    except np.linalg.LinAlgError:
+        return False
+    return True

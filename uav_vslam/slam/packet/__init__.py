@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The landmark information packet: made from the sender's belief, checked by the receiver.
+
+The sender marginalises its pose and chooses landmarks. Their joint covariance is coded so that R, what the receiver
+decodes, bounds the exact P: `lambda_max(R^-1 P) <= 1` makes `R - P` positive semidefinite, so no receiver is told more
+than the sender knows.
+"""
+
+from uav_vslam.slam.packet.checks import MAX_LANDMARKS, validate
+from uav_vslam.slam.packet.choice import choose_landmarks
+from uav_vslam.slam.packet.making import POSE_DIM, make_packet
+from uav_vslam.slam.packet.policy import ANCHOR, DENSE, PacketPolicy, packet_policy
+from uav_vslam.slam.packet.wire import VERSION, canonical_bytes, checksum, payload_bytes
+
+__all__ = [
+    "ANCHOR",
+    "DENSE",
+    "MAX_LANDMARKS",
+    "POSE_DIM",
+    "VERSION",
+    "PacketPolicy",
+    "canonical_bytes",
+    "checksum",
+    "choose_landmarks",
+    "make_packet",
+    "packet_policy",
+    "payload_bytes",
+    "validate",
+]

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which landmarks a packet shows: shared ones first, then what promises most, then the others in turn."""
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.coded_points import diagonal_blocks
+from uav_vslam.geometry.image_grid import spread
+from uav_vslam.types import JointInformation
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+POSE_DIM = 6
+
+
+def expected_gain(P: Array) -> Array:
+    """Return (N,) what a peer learns from each landmark, 1/2 log det(I + P_i^-1 P_pos) [nat].
+
+    The peer, which flies alike, is taken to be as uncertain of the landmark as this vehicle is of its own position.
+
+    Args:
+        P: (6+3N, 6+3N) covariance of position, rotation and landmarks.
+    """
+    own = diagonal_blocks(P[POSE_DIM:, POSE_DIM:])
+    return np.asarray(0.5 * (np.linalg.slogdet(own + P[:3, :3])[1] - np.linalg.slogdet(own)[1]))
+
+
+def choose_landmarks(
+    joint: JointInformation, gain: Array, count: int, *, matched_ids: Collection[int], sequence: int
+) -> Rows:
+    """Return at most `count` ascending rows.
+
+    Landmarks that a peer is known to share go first. Half of what room they leave goes to those with the largest gain,
+    the other half to the rest in turn, so that over time a peer is shown all of them. Both are spread over the ground.
+
+    Args:
+        joint: the belief.
+        gain: (N,) what each landmark is worth.
+        count: how many are wanted.
+        matched_ids: landmarks that a peer was found to share.
+        sequence: whose turn it is.
+    """
+    plan = joint.positions[:, :2] - joint.positions[:, :2].min(axis=0, initial=np.inf)
+    extent = np.maximum(plan.max(axis=0, initial=0.0), 1e-3)
+    size = (float(extent[0]), float(extent[1]))
+    matched = np.isin(joint.ids, np.fromiter(matched_ids, np.uint32, len(matched_ids)))
+    by_gain = np.argsort(-gain, kind="stable")
+
+    first = by_gain[matched[by_gain]]
+    first = first[spread(plan[first], count, size=size)]
+    room = max(count - len(first), 0)
+    others = by_gain[~matched[by_gain]]
+    best = others[spread(plan[others], room // 2, size=size, taken=plan[first])]
+    rest = np.setdiff1d(others, best)
+    turns = room - len(best)
+    return np.sort(np.concatenate([first, best, np.roll(rest, -sequence * turns)[:turns]]))

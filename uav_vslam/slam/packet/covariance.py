@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rounding points and their covariance, so that what is decoded bounds the exact one.
+
+Whatever rounding did, one factor on the whole makes up for it: s = max(1, lambda_max(R^-1 P)), which the packet states.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from uav_vslam.estimation.numerics import cholesky, symmetrise
+from uav_vslam.estimation.rigid_bound import smallest_rigid_bound
+from uav_vslam.geometry.coded_points import (
+    COMMON_NUMBERS,
+    FACTOR_STEPS,
+    OFFSET_STEP_M,
+    OWN_NUMBERS,
+    AnchoredPoints,
+    DensePoints,
+    pack_lower,
+    rigid_jacobian,
+    size_code,
+    unpack_lower,
+)
+
+Array = NDArray[np.float64]
+
+MARGIN = 1e-9  # error of the computed largest eigenvalue
+ROUNDING_VARIANCE = OFFSET_STEP_M**2 / 12.0  # of an anchored offset, per axis [m^2]
+
+
+def code_dense(offsets: Array, P: Array) -> tuple[DensePoints, float]:
+    """Return offsets (N, 3) and covariance P (3N, 3N) in single precision, and the factor s that R takes."""
+    factor = pack_lower(cholesky(symmetrise(P), "covariance of a packet")).astype(np.float32)
+    return DensePoints(offsets.astype(np.float32), factor), bounding_scale(unpack_lower(factor.astype(float)), P)
+
+
+def code_anchored(offsets: Array, P: Array) -> tuple[AnchoredPoints, float]:
+    """Return offsets (N, 3) in steps of 2 cm, the rigid and the own errors that P comes to, and the factor s.
+
+    P grows by the variance of rounding the offsets, which a receiver can't know of otherwise.
+    """
+    rounded = np.round(offsets / OFFSET_STEP_M).astype(np.int16)
+    if len(offsets) == 0:
+        nothing = np.zeros((0, OWN_NUMBERS), np.int8)
+        return AnchoredPoints(rounded, np.zeros(COMMON_NUMBERS, np.float32), nothing, np.zeros(0, np.uint16)), 1.0
+    P = symmetrise(P) + ROUNDING_VARIANCE * np.eye(len(P))
+    common, own = smallest_rigid_bound(P, rigid_jacobian(np.asarray(rounded * OFFSET_STEP_M, dtype=float)))
+    points = AnchoredPoints(rounded, pack_lower(common).astype(np.float32), *_code_own(own))
+    return points, bounding_scale(cholesky(symmetrise(points.covariance), "coded covariance of a packet"), P)
+
+
+def bounding_scale(L: Array, P: Array) -> float:
+    """Return max(1, lambda_max(R^-1 P)) for R = L L^T, rounded up to single precision."""
+    if len(P) == 0:
+        return 1.0
+    half = solve_triangular(L, P, lower=True)
+    largest = float(np.linalg.eigvalsh(symmetrise(solve_triangular(L, half.T, lower=True)))[-1])
+    return float(np.nextafter(np.float32(max(1.0, largest * (1.0 + MARGIN))), np.float32(np.inf)))
+
+
+def _code_own(factors: Array) -> tuple[NDArray[np.int8], NDArray[np.uint16]]:
+    """Return the (N, 6) entries and (N,) sizes of factors (N, 3, 3), enlarged until each L L^T bounds its own.
+
+    Each landmark pays for its own rounding: through s all would pay for the worst.
+    """
+    packed = pack_lower(factors)
+    sizes = np.abs(packed).max(axis=1)
+    entries = np.round(packed / sizes[:, None] * FACTOR_STEPS)
+    diagonal = np.cumsum(np.arange(1, 4)) - 1
+    entries[:, diagonal] = np.maximum(entries[:, diagonal], 1.0)
+    lost = np.linalg.solve(unpack_lower(entries / FACTOR_STEPS), factors)  # its norm: how much too small L is
+    codes = size_code(np.linalg.norm(lost, ord=2, axis=(1, 2)))
+    return entries.astype(np.int8), codes

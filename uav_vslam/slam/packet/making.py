@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the sender's belief to a packet."""
+
+import dataclasses
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.numerics import inverse_spd
+from uav_vslam.geometry.coded_points import OFFSET_LIMIT_M, CodedPoints
+from uav_vslam.slam.packet.choice import POSE_DIM, choose_landmarks, expected_gain
+from uav_vslam.slam.packet.covariance import code_anchored, code_dense
+from uav_vslam.slam.packet.policy import ANCHOR, PacketPolicy
+from uav_vslam.slam.packet.wire import checksum, payload_size
+from uav_vslam.types import JointInformation, LandmarkPacket
+from uav_vslam.vision.compact_descriptors import in_basis
+
+Array = NDArray[np.float64]
+
+INT32 = np.iinfo(np.int32)
+
+
+def make_packet(
+    joint: JointInformation,
+    *,
+    sequence: int,
+    policy: PacketPolicy,
+    matched_ids: Collection[int] = (),
+    prior_id: str = "",
+    byte_limit: int | None = None,
+) -> LandmarkPacket:
+    """Choose landmarks and code their joint marginal.
+
+    Args:
+        joint: the sender's belief.
+        sequence: number of the packet within the session.
+        policy: form and size.
+        matched_ids: landmarks that a peer was found to share; they go first.
+        prior_id: hash of a loaded map or shared survey behind the belief.
+        byte_limit: what the link has room for now, beside the policy's own limit.
+
+    Returns:
+        A packet with as many landmarks as the limits allow; where they allow none, one without landmarks, which is
+        better not sent: it would replace the one before.
+    """
+    codes = in_basis(joint.descriptors, policy.descriptor_basis)
+    count = _most(joint, policy, codes.shape[1], prior_id, byte_limit)
+    P = inverse_spd(joint.information, "joint information")
+    rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, sequence=sequence)
+    origin = _origin(joint, rows)
+    if policy.form == ANCHOR:
+        near = np.abs(joint.positions[rows] - origin) <= OFFSET_LIMIT_M
+        rows = rows[near.all(axis=1)]
+    columns = (POSE_DIM + 3 * rows[:, None] + np.arange(3)).ravel()
+    points, scale = _code(policy.form, joint.positions[rows] - origin, P[np.ix_(columns, columns)])
+    packet = LandmarkPacket(
+        stamp_ns=joint.stamp_ns,
+        vehicle=joint.vehicle,
+        session=joint.session,
+        sequence=sequence,
+        sources=(f"{joint.vehicle}/{joint.session}",),
+        prior_id=prior_id,
+        ids=joint.ids[rows],
+        origin=origin,
+        points=points,
+        covariance_scale=scale,
+        descriptor_basis=policy.descriptor_basis,
+        descriptors=codes[rows],
+        checksum=0,
+    )
+    return dataclasses.replace(packet, checksum=checksum(packet))
+
+
+def _code(form: str, offsets: Array, P: Array) -> tuple[CodedPoints, float]:
+    return code_anchored(offsets, P) if form == ANCHOR else code_dense(offsets, P)
+
+
+def _origin(joint: JointInformation, rows: NDArray[np.intp]) -> NDArray[np.int32]:
+    """Return the middle of the chosen landmarks [m]: a single far one does not move it."""
+    middle = np.median(joint.positions[rows], axis=0) if len(rows) else joint.T_map_body.t
+    return np.clip(np.round(middle), INT32.min, INT32.max).astype(np.int32)
+
+
+def _most(
+    joint: JointInformation, policy: PacketPolicy, descriptor_size: int, prior_id: str, byte_limit: int | None
+) -> int:
+    """Return how many landmarks number, bytes and belief allow."""
+    count = min(policy.max_landmarks, len(joint.ids))
+    limits = [limit for limit in (policy.max_bytes, byte_limit) if limit is not None]
+
+    def size(landmarks: int) -> int:
+        return payload_size(
+            landmarks,
+            anchored=policy.form == ANCHOR,
+            vehicle=joint.vehicle,
+            prior_id=prior_id,
+            descriptor_size=descriptor_size,
+            tag_size=policy.tag_bytes,
+        )
+
+    while limits and count > 0 and size(count) > min(limits):
+        count -= 1
+    return count

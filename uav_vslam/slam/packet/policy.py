@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a packet may be: its form, how many landmarks, which descriptors, how many bytes."""
+
+from dataclasses import dataclass
+
+from uav_vslam.config import MODE_BUDGETS, FusionConfig
+from uav_vslam.vision.compact_descriptors import COMPACT, RAW
+
+DENSE, ANCHOR = "dense", "anchor"
+NARROWBAND_LANDMARKS = 20
+NARROWBAND_PACKET_BYTES = 1399  # with the headers of RTPS, UDP and IP it stays in one Ethernet frame
+
+
+@dataclass(frozen=True, slots=True)
+class PacketPolicy:
+    """How a packet is made.
+
+    Attributes:
+        form: DENSE or ANCHOR, see geometry.coded_points.
+        max_landmarks: how many at most.
+        descriptor_basis: RAW, or the number of a basis in vision.compact_descriptors.
+        max_bytes: of the payload; None for no limit.
+        tag_bytes: room to leave in it for the sender's authentication.
+    """
+
+    form: str = DENSE
+    max_landmarks: int = 64
+    descriptor_basis: int = RAW
+    max_bytes: int | None = None
+    tag_bytes: int = 0
+
+    def __post_init__(self) -> None:
+        if self.form not in (DENSE, ANCHOR):
+            raise ValueError(f"packet form {self.form!r} is not known; use {DENSE} or {ANCHOR}")
+
+
+def packet_policy(config: FusionConfig, *, tag_bytes: int = 0) -> PacketPolicy:
+    """Return the policy of the configured communication mode: no packet is more than an epoch's share of its budget."""
+    share = int((config.budget_bytes_per_s or MODE_BUDGETS[config.mode]) * config.epoch_s)
+    if config.mode != "narrowband":
+        return PacketPolicy(max_landmarks=config.max_packet_landmarks, max_bytes=share, tag_bytes=tag_bytes)
+    return PacketPolicy(
+        form=ANCHOR,
+        max_landmarks=min(NARROWBAND_LANDMARKS, config.max_packet_landmarks),
+        descriptor_basis=COMPACT,
+        max_bytes=min(NARROWBAND_PACKET_BYTES, share),
+        tag_bytes=tag_bytes,
+    )

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SIFT descriptors in 32 bytes instead of 128: RootSIFT, its principal components, each rounded to 8 bits.
+
+RootSIFT (the square root of each share of the histogram, [arandjelovic12]) makes Euclidean distances those of the
+Hellinger kernel. All components are rounded in the same steps, so that distances between codes are those between
+descriptors but for rounding and for what the components that are left out held. Codes are offset by 128 into uint8,
+which `match_descriptors` compares exactly.
+
+A basis has a number that travels in each packet, and never changes once released: `data/descriptor_basis_<number>.npz`
+is shipped, `scripts/train_descriptors.py` makes it.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.vision.matching.nn_ratio import SINGLE_CANDIDATE_DISTANCE
+
+RAW = 0  # descriptors as the extractor gave them
+COMPACT = 1  # trained on rendered and on real ground, see `provenance` in its file
+BASES = (COMPACT,)
+ZERO_LEVEL = 128
+LEVELS = 127  # on either side of it
+CLIPPED_SHARE = 1e-3  # of the first component's values in training: rounding steps are as small as that allows
+
+
+@dataclass(frozen=True, slots=True)
+class DescriptorBasis:
+    """A trained compression.
+
+    Attributes:
+        mean: (128,) of RootSIFT.
+        components: (K, 128) orthonormal.
+        levels_per_unit: steps of a code for a unit of length, which is that of a whole RootSIFT vector.
+        single_distance: between codes, what `SINGLE_CANDIDATE_DISTANCE` is between raw descriptors.
+        provenance: what it was trained on.
+    """
+
+    mean: NDArray[np.float32]
+    components: NDArray[np.float32]
+    levels_per_unit: float
+    single_distance: float
+    provenance: str
+
+    @property
+    def bytes(self) -> int:
+        """Length of a code."""
+        return len(self.components)
+
+    def compress(self, descriptors: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return (N, K) codes of (N, 128) SIFT descriptors."""
+        projected = (root_sift(descriptors) - self.mean) @ self.components.T
+        codes = np.clip(np.rint(projected * np.float32(self.levels_per_unit)), -LEVELS, LEVELS)
+        return np.asarray(codes + ZERO_LEVEL, np.uint8)
+
+
+def in_basis(descriptors: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
+    """Return raw descriptors as a packet of that basis holds them.
+
+    Raises:
+        InvalidMessage: the basis is not known here, or not for descriptors of this length.
+    """
+    if number == RAW:
+        return descriptors
+    basis = load_basis(number)
+    if descriptors.shape[1] != len(basis.mean):
+        raise InvalidMessage("descriptors", f"basis {number} is not for descriptors of {descriptors.shape[1]} bytes")
+    return basis.compress(descriptors)
+
+
+def single_distance(number: int) -> float:
+    """Return the largest distance at which a lone candidate is a match."""
+    return SINGLE_CANDIDATE_DISTANCE if number == RAW else load_basis(number).single_distance
+
+
+@cache
+def load_basis(number: int) -> DescriptorBasis:
+    """Read a shipped basis.
+
+    Raises:
+        InvalidMessage: this release has none of that number.
+    """
+    if number not in BASES:
+        raise InvalidMessage("descriptors", f"descriptor basis {number} is not known; this release has {BASES}")
+    with files("uav_vslam.vision").joinpath(f"data/descriptor_basis_{number}.npz").open("rb") as file:
+        data = np.load(file)
+        return DescriptorBasis(
+            data["mean"],
+            data["components"],
+            float(data["levels_per_unit"]),
+            float(data["single_distance"]),
+            str(data["provenance"]),
+        )
+
+
+def root_sift(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return (N, D) vectors of length 1: square roots of each entry's share; all zeros stay so."""
+    values = descriptors.astype(np.float32)
+    return np.asarray(np.sqrt(values / np.maximum(values.sum(axis=1, keepdims=True), 1.0)), np.float32)
+
+
+def train_basis(descriptors: NDArray[np.uint8], *, components: int, provenance: str) -> DescriptorBasis:
+    """Return the principal components of (N, 128) descriptors."""
+    vectors = root_sift(descriptors).astype(float)
+    mean = vectors.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(vectors.T))
+    kept = axes[:, ::-1][:, :components].T
+    kept *= np.sign(kept[np.arange(components), np.abs(kept).argmax(axis=1)])[:, None]  # the same on each machine
+    projected = (vectors - mean) @ kept.T
+    levels = LEVELS / float(np.quantile(np.abs(projected[:, 0]), 1.0 - CLIPPED_SHARE))
+    reach = _typical_distance(projected * levels) / _typical_distance(descriptors.astype(float))
+    return DescriptorBasis(
+        mean.astype(np.float32),
+        kept.astype(np.float32),
+        levels,
+        SINGLE_CANDIDATE_DISTANCE * reach,
+        provenance,
+    )
+
+
+def _typical_distance(vectors: NDArray[np.float64]) -> float:
+    """Return the median distance between neighbours in a random order."""
+    order = np.random.default_rng(0).permutation(len(vectors))
+    return float(np.median(np.linalg.norm(np.diff(vectors[order], axis=0), axis=1)))
