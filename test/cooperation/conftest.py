@@ -12,6 +12,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy, so3_exp
 from uav_vslam.slam.packet import PacketPolicy, make_packet
 from uav_vslam.types import LandmarkPacket
+from uav_vslam.vision.compact_descriptors import RAW
 
 
 @pytest.fixture(scope="session")
@@ -39,6 +40,10 @@ class SentMap:
     covariance: np.ndarray
     descriptors: np.ndarray
     session: int = 1
+    descriptor_basis: int = RAW
+
+    def __len__(self) -> int:
+        return len(self.positions)
 
 
 @pytest.fixture(scope="session")

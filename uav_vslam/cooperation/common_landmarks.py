@@ -41,16 +41,26 @@ def find_common(
     Returns:
         (K, 2) rows of own landmarks and of the packet; none where fewer than `min_common` agree.
     """
-    if len(packet) == 0 or not comparable(descriptors, packet):
-        return np.zeros((0, 2), np.intp)
-    basis = packet.descriptor_basis
-    alike = in_basis(descriptors, basis)
-    pairs = match_descriptors(alike, packet.descriptors, config.ratio, single_distance=single_distance(basis))
+    pairs = look_alikes(descriptors, packet, config.ratio)
     peer_positions, peer_covariance = packet.positions, packet.covariance
     floor = config.floor_sigma_m**2
     pairs = pairs[_gated(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
     pairs = pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
     return pairs if len(pairs) >= config.min_common else pairs[:0]
+
+
+def look_alikes(descriptors: NDArray[np.uint8], packet: LandmarkPacket, ratio: float, *, mutual: bool = True) -> Pairs:
+    """Match own descriptors (N, D), as extracted, with a packet's; none where they can't be compared."""
+    if len(packet) == 0 or not comparable(descriptors, packet):
+        return np.zeros((0, 2), np.intp)
+    basis = packet.descriptor_basis
+    return match_descriptors(
+        in_basis(descriptors, basis),
+        packet.descriptors,
+        ratio,
+        mutual=mutual,
+        single_distance=single_distance(basis),
+    )
 
 
 def comparable(descriptors: NDArray[np.uint8], packet: LandmarkPacket) -> bool:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.alignment import MIN_INLIERS, Alignment, Refusal, align, follow
+from uav_vslam.cooperation.common_landmarks import look_alikes
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.types import LandmarkPacket
-from uav_vslam.vision.matching.nn_ratio import match_descriptors
 
 Array = NDArray[np.float64]
 Pairs = NDArray[np.intp]
@@ -51,7 +51,7 @@ class FrameLink:
         Args:
             positions: (N, 3) own landmarks in the own frame [m].
             covariance: (3N, 3N) their joint covariance [m^2].
-            descriptors: (N, D).
+            descriptors: (N, D) as extracted.
             packet: the peer's.
             config: ratio, floor and the smallest number of pairs that is believed.
 
@@ -61,7 +61,7 @@ class FrameLink:
         if packet.session != self._session:
             self._forget()
             self._session = packet.session
-        pairs = match_descriptors(descriptors, packet.descriptors, config.ratio)
+        pairs = look_alikes(descriptors, packet, config.ratio)
         points = PointPairs.of(positions, covariance, packet, pairs, config.floor_sigma_m)
         return pairs[self._inliers(points, config.min_common)]
 
