@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """True pairs are found, wrong ones are not, and too few are not believed."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.common_landmarks import blocks, find_common
-from uav_vslam.slam.packet import PacketPolicy, make_packet
+from uav_vslam.cooperation.common_landmarks import blocks, comparable, find_common
+from uav_vslam.slam.packet import ANCHOR, DENSE, PacketPolicy, make_packet
 
 CONFIG = FusionConfig()
 SIGMA_M = 0.3
 COUNT = 20
+WHOLE = PacketPolicy(max_landmarks=COUNT)
+COMPACT = PacketPolicy(form=ANCHOR, max_landmarks=COUNT, descriptor_basis=1)
 
 
 def block_covariance(count: int, drift_m: float) -> np.ndarray:
@@ -28,7 +32,13 @@ def scene(make_joint):
     truth = np.column_stack([rng.uniform(-30, 30, (COUNT, 2)), rng.normal(0, 1, COUNT)])
 
     def match(
-        *, shift_m: float = 0.0, wrong: int = 0, shared: int = 12, drift_m: float = 1.0, config: FusionConfig = CONFIG
+        *,
+        shift_m: float = 0.0,
+        wrong: int = 0,
+        shared: int = 12,
+        drift_m: float = 1.0,
+        config: FusionConfig = CONFIG,
+        policy: PacketPolicy = WHOLE,
     ):
         P = block_covariance(COUNT, drift_m)
         own = make_joint(truth + rng.normal(0, 0.5 * SIGMA_M, truth.shape), P)
@@ -38,7 +48,7 @@ def scene(make_joint):
         looks[:wrong] = np.roll(identities[:wrong], 1)  # the descriptors of other landmarks: certain wrong matches
         positions = truth + rng.normal(0, 0.5 * SIGMA_M, truth.shape) + shift_m * np.array([0.7, -0.7, 0.1])
         peer = make_joint(positions, P, vehicle="uav2", identities=looks)
-        packet = make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=COUNT))
+        packet = make_packet(peer, sequence=1, policy=policy)
         pairs = find_common(own.positions, P[6:, 6:], own.descriptors, packet, config=config)
         return [(int(a), int(packet.ids[b]) - 1) for a, b in pairs]
 
@@ -50,6 +60,22 @@ def test_shared_landmarks_are_found_even_between_maps_that_drifted(scene, shift_
     found = scene(shift_m=shift_m)
     assert len(found) >= 11
     assert all(a == b < 12 for a, b in found)
+
+
+@pytest.mark.parametrize("policy", [COMPACT, dataclasses.replace(COMPACT, form=DENSE)], ids=lambda p: p.form)
+def test_compressed_descriptors_are_compared_with_own_ones_compressed_alike(scene, policy: PacketPolicy) -> None:
+    assert scene(policy=policy) == scene()
+    assert scene(policy=policy, wrong=5) == scene(wrong=5)
+
+
+def test_descriptors_of_another_kind_match_nothing(make_joint) -> None:
+    own, peer = (make_joint(np.zeros((5, 3)), np.eye(21), vehicle=v) for v in ("uav1", "uav2"))
+    for policy in (WHOLE, COMPACT):
+        packet = make_packet(peer, sequence=1, policy=policy)
+        short = own.descriptors[:, :64]
+        assert comparable(own.descriptors, packet)
+        assert not comparable(short, packet)
+        assert len(find_common(own.positions, np.eye(15), short, packet, config=CONFIG)) == 0
 
 
 @pytest.mark.parametrize("wrong", [2, 5, 8])

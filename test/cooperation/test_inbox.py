@@ -6,7 +6,8 @@ import dataclasses
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from uav_vslam.cooperation.inbox import KEPT_PER_PEER, Inbox
+from uav_vslam.cooperation.authentication import FleetKey
+from uav_vslam.cooperation.inbox import KEPT_PER_PEER, MAX_PEERS, Inbox
 from uav_vslam.errors import InvalidMessage
 
 END_NS = 10**15
@@ -78,6 +79,43 @@ def test_peers_do_not_disturb_each_other(make_small_packet) -> None:
     inbox.add(make_small_packet(1, vehicle="uav3", session=9))
     assert keys(inbox) == [(1, 1)]
     assert keys(inbox, "uav3") == [(9, 1)]
+
+
+def test_strangers_whose_packets_are_bad_get_no_record(make_small_packet) -> None:
+    inbox = Inbox("uav1")
+    for vehicle in ("mallory", "uav7"):
+        packet = make_small_packet(1, vehicle=vehicle)
+        assert offer(inbox, dataclasses.replace(packet, checksum=packet.checksum ^ 1)) == "checksum"
+    assert inbox.peers == {}
+    assert dict(inbox.refused) == {"checksum": 2}
+
+
+def test_made_up_names_do_not_fill_the_memory(make_small_packet) -> None:
+    inbox = Inbox("uav0")
+    reasons = [offer(inbox, make_small_packet(1, vehicle=f"uav{k + 1}")) for k in range(MAX_PEERS + 3)]
+    assert reasons == [""] * MAX_PEERS + ["too_many_peers"] * 3
+    assert offer(inbox, make_small_packet(2, vehicle="uav1")) == ""  # who is known stays welcome
+
+
+def test_without_the_fleets_tag_nothing_comes_in_and_nothing_is_withdrawn(make_small_packet) -> None:
+    key = FleetKey(b"k" * 32)
+    inbox = Inbox("uav1", authentication=key)
+    assert offer(inbox, key.sign(make_small_packet(1))) == ""
+    assert offer(inbox, make_small_packet(2)) == "signature"
+    assert offer(inbox, FleetKey(b"x" * 32).sign(make_small_packet(1, session=9))) == "signature"
+    assert keys(inbox) == [(1, 1)]
+    assert dict(inbox.peers["uav2"].dropped) == {"signature": 2}
+
+
+def test_recorded_packets_that_are_sent_again_are_refused(make_small_packet) -> None:
+    key = FleetKey(b"k" * 32)
+    inbox = Inbox("uav1", authentication=key)
+    recorded = [key.sign(make_small_packet(k, session=s)) for s in (1, 2) for k in range(1, 8)]
+    assert [offer(inbox, packet) for packet in recorded] == [""] * 14
+    before = keys(inbox)
+    reasons = [offer(inbox, packet) for packet in recorded]
+    assert reasons == ["stale_session"] * 7 + ["late"] * 3 + ["duplicate"] * 4
+    assert keys(inbox) == before
 
 
 ARRIVALS = st.lists(st.tuples(st.integers(1, 3), st.integers(1, 7)), min_size=1, max_size=25)

@@ -17,11 +17,9 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ros import convert
-from uav_vslam.slam.packet import make_packet, validate
 from uav_vslam.types import (
     ImuIncrement,
     JointInformation,
-    LandmarkPacket,
     NavEstimate,
     NavState,
     PoseEstimate,
@@ -78,11 +76,6 @@ def joint(request: pytest.FixtureRequest, make_joint: Callable[..., JointInforma
     return make_joint(points, covariance(6 + 3 * request.param), stamp_ns=STAMP_NS, T_map_body=pose())
 
 
-@pytest.fixture
-def packet(joint: JointInformation) -> LandmarkPacket:
-    return make_packet(joint, sequence=7, max_landmarks=3)
-
-
 def travelled(message: Any) -> Any:
     """Return the message as a subscriber gets it."""
     return deserialize_message(serialize_message(message), type(message))
@@ -134,12 +127,6 @@ def test_odometry_comes_back_and_carries_its_velocity_in_the_body_frame() -> Non
 def test_the_joint_information_comes_back(joint: JointInformation) -> None:
     got = convert.joint_from_msg(travelled(convert.joint_to_msg(joint, frame_id="m")))
     assert_same(got, joint)
-
-
-def test_a_packet_comes_back_and_its_checksum_still_fits(packet: LandmarkPacket) -> None:
-    got = convert.packet_from_msg(travelled(convert.packet_to_msg(packet, frame_id="m")))
-    assert_same(got, packet)
-    validate(got)
 
 
 def test_stamps_keep_their_nanoseconds() -> None:
@@ -257,30 +244,6 @@ def test_a_joint_information_that_is_refused(joint: JointInformation, field: str
     message = convert.joint_to_msg(joint, frame_id="m")
     setattr(message, field, value)
     assert refusal(convert.joint_from_msg, message) == reason
-
-
-@pytest.mark.parametrize("joint", [4], indirect=True)
-@pytest.mark.parametrize(
-    ("field", "value", "reason"),
-    [
-        ("version", 2, "version"),
-        ("version", 0, "version"),
-        ("form", 1, "form"),
-        ("form", 255, "form"),
-        ("offsets", [0.0] * 8, "shape"),
-        ("offsets", [0.0] * 6, "shape"),
-        ("covariance_factor", [1.0] * 44, "shape"),
-        ("descriptor_size", 0, "shape"),
-        ("ids", [1, 2], "shape"),
-        ("offsets", [0.0] * 9, "checksum"),
-        ("origin", [0.0, 0.0, NAN], "checksum"),
-        ("sequence", 8, "checksum"),
-    ],
-)
-def test_a_packet_that_is_refused(packet: LandmarkPacket, field: str, value: Any, reason: str) -> None:
-    message = convert.packet_to_msg(packet, frame_id="m")
-    setattr(message, field, value)
-    assert refusal(lambda m: validate(convert.packet_from_msg(m)), message) == reason
 
 
 def test_readings_with_nan_are_refused() -> None:
