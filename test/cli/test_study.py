@@ -11,12 +11,14 @@ from uav_vslam.cli.study import STUDIES
 from uav_vslam.evaluation.output import LATEST
 
 SMALL = {
+    "frames": ["--seeds", "1", "--frames", "12"],
     "fusion": ["--seeds", "1", "--frames", "12"],
     "filters": ["--seeds", "1", "--vehicles", "1", "--frames", "5", "--runs", "1", "--steps", "4"],
     "long": ["--seeds", "1", "--frames", "12"],
     "outliers": ["--seeds", "1", "--vehicles", "1", "--frames", "5"],
 }
 PICTURES = {
+    "frames": set(),
     "fusion": set(),
     "filters": {"consistency.png", "noise_scales.png"},
     "long": {"long.png"},

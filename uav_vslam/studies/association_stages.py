@@ -4,7 +4,7 @@ loses.
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,20 @@ Names = Mapping[int, int]  # true identity of each of a vehicle's landmarks, by 
 
 STAGES = ("ratio", "+ mutual", "+ gate", "+ consistency")
 UNKNOWN_FRAME = "ratio, mutual, alignment (frame unknown)"
+
+
+@dataclass(frozen=True, slots=True)
+class Identities:
+    """What is truly what.
+
+    Attributes:
+        own, peer: true identity of each vehicle's landmarks.
+        mistaken: identifiers of the peer's landmarks that look like others: nobody could find those.
+    """
+
+    own: Names
+    peer: Names
+    mistaken: Collection[int] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,21 +100,12 @@ def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: Fusi
     return dict(zip(STAGES, left, strict=True))
 
 
-def score(
-    pairs: Pairs, joint: JointInformation, packet: LandmarkPacket, names: tuple[Names, Names], mistaken: set[int]
-) -> Score:
-    """Count pairs.
-
-    Args:
-        pairs: (K, 2) rows of the own belief and of the packet.
-        joint, packet: those.
-        names: of own and of the peer's landmarks.
-        mistaken: identifiers of the peer's landmarks that look like others: nobody could find those.
-    """
-    own = [names[0][k] for k in joint.ids.tolist()]
-    peer = [names[1][k] for k in packet.ids.tolist()]
+def score(pairs: Pairs, joint: JointInformation, packet: LandmarkPacket, truth: Identities) -> Score:
+    """Count (K, 2) pairs of rows of a belief and of a packet."""
+    own = [truth.own[k] for k in joint.ids.tolist()]
+    peer = [truth.peer[k] for k in packet.ids.tolist()]
     right = [own[a] for a, b in pairs.tolist() if own[a] == peer[b]]
-    honest = {name for name, k in zip(peer, packet.ids.tolist(), strict=True) if k not in mistaken}
+    honest = {name for name, k in zip(peer, packet.ids.tolist(), strict=True) if k not in truth.mistaken}
     return Score(len(pairs), len(right), len(honest.intersection(right)), len(honest.intersection(own)))
 
 

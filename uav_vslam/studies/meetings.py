@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vehicles that meet: packets go round and are fused, and what each packet found is kept for judging."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.alignment import Alignment
+from uav_vslam.cooperation.frame_link import FrameLink
+from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.cooperation.schemes import Evidence
+from uav_vslam.cooperation.unknown_frame import framed
+from uav_vslam.estimation.covariance_intersection import Split
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.studies.apart import Flown
+from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
+
+Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Meeting:
+    """A packet as it was brought in.
+
+    Attributes:
+        joint: the own belief.
+        packet: the peer's.
+        pairs: (K, 2) rows of both that were taken for the same.
+        alignment: of the peer's frame; None where it is not known, or not asked for.
+    """
+
+    joint: JointInformation
+    packet: LandmarkPacket
+    pairs: Pairs
+    alignment: Alignment | None = None
+
+
+class RecordingFusion(Fusion):
+    """A fusion that remembers its meetings."""
+
+    def __init__(self, vehicle: str, config: FusionConfig) -> None:
+        super().__init__(vehicle, config)
+        self.meetings: list[Meeting] = []
+
+    def _common(self, joint: JointInformation, positions: Array, belief: Split, packet: LandmarkPacket) -> Pairs:
+        pairs = super()._common(joint, positions, belief, packet)
+        self.meetings.append(Meeting(joint, packet, pairs))
+        return pairs
+
+
+class FramingFusion(RecordingFusion):
+    """One that knows no peer's frame."""
+
+    def __init__(self, vehicle: str, config: FusionConfig) -> None:
+        super().__init__(vehicle, config)
+        self._links: dict[str, FrameLink] = {}
+
+    def _common(self, joint: JointInformation, positions: Array, belief: Split, packet: LandmarkPacket) -> Pairs:
+        link = self._links.setdefault(packet.vehicle, FrameLink())
+        covariance = belief.total[POSE_DIM:, POSE_DIM:]
+        pairs = link.find_common(positions, covariance, joint.descriptors, packet, config=self._config)
+        self.meetings.append(Meeting(joint, packet, pairs, link.alignment))
+        return pairs
+
+    def _evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
+        alignment = self._links[packet.vehicle].alignment
+        assert alignment is not None  # there are pairs
+        floor_m = self._config.floor_sigma_m
+        return framed(
+            positions, packet, pairs, alignment.T_own_peer, floor_sigma_m=floor_m, dependent=dependent
+        ).evidence
+
+
+def meet(flown: Flown, fusions: Mapping[str, Fusion]) -> dict[str, Trajectory]:
+    """Exchange packets and fuse, as `fleet.cooperate` does over perfect links; return the fused trajectories."""
+    outputs = [(o.report.pose.stamp_ns, name, o) for name, track in flown.tracks.items() for o in track.outputs]
+    poses: dict[str, list[PoseEstimate]] = {name: [] for name in fusions}
+    for _, name, output in sorted(outputs, key=lambda item: item[:2]):
+        if output.joint is not None:
+            fusions[name].fuse(output.joint)
+            packet = fusions[name].packet(output.joint)
+            for other in fusions:
+                if other != name:
+                    fusions[other].inbox.add(packet)
+        poses[name].append(fusions[name].carry(output.report.pose))
+    return {name: Trajectory.from_estimates(estimates) for name, estimates in poses.items()}
