@@ -19,8 +19,9 @@ from cryptography.hazmat.primitives.serialization import (
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.authentication import Authentication, FleetKey, NoAuthentication, authentication_for
+from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.errors import ConfigError, InvalidMessage
-from uav_vslam.slam.packet import checksum
+from uav_vslam.slam.packet import checksum, payload_bytes
 from uav_vslam.types import LandmarkPacket
 
 FLEET = ("uav1", "uav2", "uav3")
@@ -180,3 +181,17 @@ def test_keys_that_can_not_be_used_are_told(folder_of_keys: Path, tmp_path: Path
 def test_half_a_configuration_is_refused(settings: dict[str, str]) -> None:
     with pytest.raises(ConfigError, match="key"):
         FusionConfig(**settings)
+
+
+def test_a_fleet_with_a_key_fuses_its_own_packets_and_no_strangers(with_fleet_key, make_joint, tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(-40, 40, (30, 3))
+    uav1, uav2 = (make_joint(points, np.eye(96), vehicle=v, stamp_ns=10**10 * k) for k, v in ((2, "uav1"), (1, "uav2")))
+    with_key = FusionConfig(mode="narrowband", fleet_key_file=str(tmp_path / "fleet.key"))
+    receiver, member = Fusion("uav1", with_key), Fusion("uav2", with_key)
+    with pytest.raises(InvalidMessage, match="signature"):
+        receiver.inbox.add(Fusion("uav2", dataclasses.replace(with_key, fleet_key_file="")).packet(uav2))
+    assert receiver.fuse(uav1).common == {}
+    packet = member.packet(uav2)
+    assert payload_bytes(packet) <= 900
+    receiver.inbox.add(packet)
+    assert receiver.fuse(uav1).common == {"uav2": len(packet)}

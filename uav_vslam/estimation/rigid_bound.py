@@ -22,9 +22,9 @@ from uav_vslam.geometry.coded_points import block_diagonal, diagonal_blocks, unp
 Array = NDArray[np.float64]
 
 INDIFFERENCE_M = 0.3  # q: descriptors of two vehicles don't meet on the very same point
-TOLERANCE = 0.02  # relative excess of the cost over its minimum
-SHARPENING = 8.0  # of t, each time that Newton's method has settled
-SETTLED = 1.0  # Newton decrement at which it has
+TOLERANCE = 0.05  # relative excess of the cost over its minimum
+SHARPENING = 20.0  # of t, each time that Newton's method has settled
+SETTLED = 4.0  # square of the Newton decrement at which it has
 MAX_STEPS = 60
 STAY_INSIDE = 0.9  # share of the way to the boundary that a step may go
 RANK_TOLERANCE = 1e-9  # of J: one or two points don't show all six rigid motions
