@@ -31,6 +31,13 @@ def test_each_filter_has_a_panel_with_its_runs_in_the_colour_of_their_start(seri
     assert panels[1].lines[1].get_ydata().tolist() == [0.0, 0.3]
 
 
+def test_errors_are_drawn_from_zero_unless_a_run_flew_away(series):
+    for axes in start_plot(series).axes:
+        assert (axes.get_yscale(), axes.get_ylim()[0]) == ("linear", 0.0)
+    for axes in start_plot([*series, curve("ukf", "frame 50", [0.1, 40.0])]).axes:
+        assert axes.get_yscale() == "log"
+
+
 def test_only_kinds_of_start_that_are_there_are_explained(series):
     (legend,) = start_plot(series[:1]).legends
     assert [text.get_text() for text in legend.get_texts()] == ["recorded start"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the study of starts: each run's position error over time, a panel for each filter."""
+"""Draws the study of starts: each run's position error over time, a panel for each filter, a dot for each frame."""
 
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,8 @@ from uav_vslam.report.style import clean, save
 
 COLOURS = {"recorded": "black", "drawn": "#0072b2", "frame": "#d55e00"}  # by the first word of the start's name
 LABELS = {"recorded": "recorded start", "drawn": "drawn from its covariance", "frame": "truth at a later frame"}
+
+FLOWN_AWAY_M = 1.0  # an error beyond it is shown on a logarithmic axis: on a linear one it would hide all others
 
 
 def draw_starts(tree: dict[str, Any], folder: Path) -> list[Path]:
@@ -28,6 +30,10 @@ def start_plot(series: list[Row]) -> Figure:
     for method, axes in zip(methods, panels, strict=True):
         _draw(axes, [curve for curve in series if curve["method"] == method])
         axes.set_ylabel(f"{method}: error [m]")
+    if max((error for curve in series for error in curve["error_m"]), default=0.0) > FLOWN_AWAY_M:
+        panels[-1].set_yscale("log")
+    else:
+        panels[-1].set_ylim(bottom=0.0)
     panels[-1].set_xlabel("Time since the recorded start [s]")
     kinds = [kind for kind in COLOURS if any(_kind(curve) == kind for curve in series)]
     handles = [Line2D([], [], color=COLOURS[kind], label=LABELS[kind]) for kind in kinds]
@@ -37,9 +43,9 @@ def start_plot(series: list[Row]) -> Figure:
 
 def _draw(axes: Axes, curves: list[Row]) -> None:
     clean(axes)
-    axes.set_yscale("log")
     for curve in curves:
-        axes.plot(curve["time_s"], curve["error_m"], color=COLOURS[_kind(curve)], linewidth=1.2, alpha=0.8)
+        colour = COLOURS[_kind(curve)]
+        axes.plot(curve["time_s"], curve["error_m"], ".-", color=colour, linewidth=1.0, markersize=3.0, alpha=0.8)
 
 
 def _kind(curve: Row) -> str:
