@@ -5,7 +5,6 @@ Own-only tracks know nothing of the network, so they can be computed first, one 
 packets and the fusion follow in stamp order, exactly as in lock-step replay.
 """
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -69,7 +68,7 @@ def cooperate(
     for stamp_ns, name, output in sorted(frames, key=lambda frame: frame[:2]):
         member = fleet[name]
         if output.joint is not None:
-            _deliver(air, fleet, stamp_ns)
+            _deliver(air, fleet, configs, stamp_ns)
             epoch = member.fusion.fuse(output.joint)
             member.common_ns += [stamp_ns] if any(epoch.common.values()) else []
             if name in on_air:
@@ -82,13 +81,25 @@ def cooperate(
                             link.send(stamp_ns, size, packet)
         member.poses.append(member.fusion.carry(output.report.pose))
     if frames:
-        _deliver(air, fleet, max(stamp_ns for stamp_ns, _, _ in frames))
+        _deliver(air, fleet, configs, max(stamp_ns for stamp_ns, _, _ in frames))
     return fleet
 
 
-def _deliver(air: dict[tuple[str, str], PacketLink], fleet: dict[str, CooperativeTrack], now_ns: int) -> None:
-    """Hand over what has arrived; what an inbox refuses, it counts."""
-    for (_, receiver), link in air.items():
+def _deliver(
+    air: dict[tuple[str, str], PacketLink],
+    fleet: dict[str, CooperativeTrack],
+    configs: dict[str, VehicleConfig],
+    now_ns: int,
+) -> None:
+    """Hand over what has arrived; what an inbox refuses, it counts, and what is news, a relay sends on as it came."""
+    for (sender, receiver), link in air.items():
         for packet in link.receive(now_ns):
-            with contextlib.suppress(InvalidMessage):
+            try:
                 fleet[receiver].fusion.inbox.add(packet)
+            except InvalidMessage:
+                continue
+            size = payload_bytes(packet)
+            if configs[receiver].fusion.relay and fleet[receiver].outbox.take(now_ns, size):
+                for (relay, other), onward in air.items():
+                    if relay == receiver and other not in (sender, packet.vehicle):
+                        onward.send(now_ns, size, packet)

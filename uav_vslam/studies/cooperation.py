@@ -40,6 +40,7 @@ class Setting:
         name: label of its rows.
         fusion: settings of `FusionConfig` that differ from the defaults.
         link: the radio, the same in every direction but for its draws; a perfect one unless given.
+        out_of_range: vehicles that can't hear each other.
         restarts: how often the second vehicle is started again, from a checkpoint, spread over the flight.
         write_back: name in `write_back.WRITE_BACK`, instead of the fusion node's way.
     """
@@ -47,6 +48,7 @@ class Setting:
     name: str
     fusion: Mapping[str, Any] = field(default_factory=dict)
     link: LinkConfig = field(default_factory=LinkConfig)
+    out_of_range: tuple[str, ...] = ()
     restarts: int = 0
     write_back: str = ""
 
@@ -110,11 +112,11 @@ def _fused(
     watch = _PacketWatch()
     started = time.process_time()
     try:
-        fleet = cooperate(_restarted(tracks, setting.restarts), configs, _links(scenario, setting.link), watch.see)
+        fleet = cooperate(_restarted(tracks, setting.restarts), configs, _links(scenario, setting), watch.see)
     except UavVslamError as error:
         return [_failed(scenario, setting, name, str(error)) for name in tracks]
     epochs = sum(output.joint is not None for track in tracks.values() for output in track.outputs)
-    shared = {"fusion_ms": 1e3 * (time.process_time() - started) / epochs, "lambda_max": watch.largest}
+    shared = {"fusion_ms": 1e3 * (time.process_time() - started) / epochs, "lambda_excess": watch.largest - 1.0}
     outcomes = []
     for name, track in tracks.items():
         member = fleet[name]
@@ -220,13 +222,14 @@ def _seconds(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> Array:
     return (stamps_ns - truth.stamps_ns[0]) / NS_PER_S
 
 
-def _links(scenario: Scenario, config: LinkConfig) -> Callable[[str, str], PacketLink]:
+def _links(scenario: Scenario, setting: Setting) -> Callable[[str, str], PacketLink]:
     """Return a maker of links whose draws differ by seed and direction."""
+    names = [scenario.vehicle_name(k) for k in range(scenario.vehicles)]
 
     def link(sender: str, receiver: str) -> PacketLink:
-        names = [scenario.vehicle_name(k) for k in range(scenario.vehicles)]
-        number = names.index(sender) * len(names) + names.index(receiver)
-        return Link(dataclasses.replace(config, seed=1000 * scenario.seed + number))
+        apart = sender in setting.out_of_range and receiver in setting.out_of_range
+        seed = 1000 * scenario.seed + names.index(sender) * len(names) + names.index(receiver)
+        return Link(dataclasses.replace(setting.link, seed=seed, loss=1.0 if apart else setting.link.loss))
 
     return link
 
