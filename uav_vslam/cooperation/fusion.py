@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.common_landmarks import find_common
+from uav_vslam.cooperation.authentication import authentication_for
+from uav_vslam.cooperation.common_landmarks import comparable, find_common
 from uav_vslam.cooperation.inbox import Inbox
 from uav_vslam.cooperation.memory import LandmarkMemory
 from uav_vslam.cooperation.schemes import SCHEMES, Evidence
@@ -22,7 +23,7 @@ from uav_vslam.estimation.covariance_intersection import Split
 from uav_vslam.estimation.numerics import inverse_spd, symmetrise
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
-from uav_vslam.slam.packet import POSE_DIM, make_packet, payload_bytes
+from uav_vslam.slam.packet import POSE_DIM, make_packet, packet_policy
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
 
 Array = NDArray[np.float64]
@@ -51,44 +52,47 @@ class FusedEpoch:
 
 
 class Fusion:
-    """The fusion node's core."""
+    """The fusion node's core.
+
+    Attributes:
+        inbox: what peers sent.
+        belief: own belief of the last epoch, with the landmarks that are remembered.
+        epoch: what the last fusion made of it.
+    """
 
     def __init__(self, vehicle: str, config: FusionConfig) -> None:
-        self.inbox = Inbox(vehicle)
+        self._authentication = authentication_for(vehicle, config)
+        self.inbox = Inbox(vehicle, authentication=self._authentication)
         self._config = config
         self._memory = LandmarkMemory(config.memory_landmarks)
-        self._known: JointInformation | None = None
         self._shared: set[int] = set()
+        self._sequence = 0
+        self.belief: JointInformation | None = None
         self.epoch: FusedEpoch | None = None
-        self.packets_sent = 0
-        self.bytes_sent = 0
-        self._first_packet_ns = self._last_packet_ns = 0
 
-    @property
-    def sent_bytes_per_s(self) -> float:
-        """Mean payload rate since the first packet; each packet counts for one epoch [B/s]."""
-        return self.bytes_sent / ((self._last_packet_ns - self._first_packet_ns) / NS_PER_S + self._config.epoch_s)
+    def packet(self, joint: JointInformation, *, byte_limit: int | None = None) -> LandmarkPacket:
+        """Make the next packet from the own-only belief; fused numbers are never sent as own.
 
-    def packet(self, joint: JointInformation) -> LandmarkPacket:
-        """Make the next packet from the own-only belief; fused numbers are never sent as own."""
-        if self._known is not None and self._known.stamp_ns == joint.stamp_ns:
-            joint = self._known
+        Args:
+            joint: the own belief, as it was fused last or newer.
+            byte_limit: what the link has room for now.
+        """
+        if self.belief is not None and self.belief.stamp_ns == joint.stamp_ns:
+            joint = self.belief
+        self._sequence += 1
         packet = make_packet(
             joint,
-            sequence=self.packets_sent + 1,
-            max_landmarks=self._config.max_packet_landmarks,
+            sequence=self._sequence,
+            policy=packet_policy(self._config, tag_bytes=self._authentication.tag_bytes),
             matched_ids=self.epoch.matched_ids if self.epoch else (),
             prior_id=self._config.prior_id,
+            byte_limit=byte_limit,
         )
-        self.packets_sent += 1
-        self.bytes_sent += payload_bytes(packet)
-        self._first_packet_ns = self._first_packet_ns or joint.stamp_ns
-        self._last_packet_ns = joint.stamp_ns
-        return packet
+        return self._authentication.sign(packet)
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
         """Start from the own belief and bring in each peer's newest packet that is old enough."""
-        joint = self._known = self._memory.extended(joint, self._shared)
+        joint = self.belief = self._memory.extended(joint, self._shared)
         P = inverse_spd(joint.information, "own joint information")
         T_map_body, positions = joint.T_map_body, joint.positions
         own_pose = PoseEstimate(joint.stamp_ns, T_map_body, P[:POSE_DIM, :POSE_DIM])
@@ -128,7 +132,7 @@ class Fusion:
             packet = self.inbox.newest(peer, not_after_ns)
             if packet is None:
                 continue
-            if packet.descriptors.shape[1] != joint.descriptors.shape[1]:
+            if not comparable(joint.descriptors, packet):
                 self.inbox.peers[peer].dropped["descriptor_size"] += 1
                 continue
             yield peer, packet
