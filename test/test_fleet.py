@@ -86,3 +86,16 @@ def test_what_the_budget_has_no_room_for_reaches_nobody(tracks: dict[str, Vehicl
         assert member.outbox.packets_sent == 0
         assert member.outbox.over_budget >= 5
         assert received(member) == {}
+
+
+def test_a_relay_hands_on_what_the_ends_cannot_hear(tracks: dict[str, VehicleTrack]) -> None:
+    def ends_apart(sender: str, receiver: str) -> PacketLink:
+        return Link(LinkConfig(loss=float({sender, receiver} == {"uav1", "uav3"})))
+
+    alone, relayed = (cooperate(tracks, configs(relay=relay), ends_apart) for relay in (False, True))
+    assert set(received(alone["uav1"])) == {"uav2"}
+    assert set(received(relayed["uav1"])) == {"uav2", "uav3"}
+    heard, sent = relayed["uav1"].fusion.inbox.peers["uav3"], relayed["uav3"].outbox.packets_sent
+    assert 0 < heard.received <= sent
+    assert heard.used
+    assert heard.packets[-1].sources == ("uav3/1",)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.fusion import FusedEpoch, Fusion, carried, move
+from uav_vslam.cooperation.fused_pose import FusedEpoch, carried, move
+from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.geometry.coded_points import DensePoints, pack_lower
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_log

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a fused correction moves a pose and its landmarks, and how the fused pose follows the own motion afterwards."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.cooperation.unknown_frame import FrameEstimate
+from uav_vslam.estimation.numerics import symmetrise
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
+from uav_vslam.types import PoseEstimate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FusedEpoch:
+    """The own belief improved by peers.
+
+    Attributes:
+        own: own-only pose at the epoch.
+        pose: fused pose.
+        ids, positions: (N,) and (N, 3) fused landmarks [m].
+        weight: smallest weight that the own information got; 1 where all was independent.
+        common: number of common landmarks used, by peer.
+        matched_ids: own landmarks that some peer shares.
+        frames: where the frames of peers lie that have no common origin with ours.
+    """
+
+    own: PoseEstimate
+    pose: PoseEstimate
+    ids: NDArray[np.uint32]
+    positions: Array
+    weight: float
+    common: dict[str, int]
+    matched_ids: frozenset[int]
+    frames: dict[str, FrameEstimate] = field(default_factory=dict)
+
+
+def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]:
+    """Apply a correction (6 + 3N,) of position, xi and landmarks: the exponential of `ri15` without velocity."""
+    xi = delta[3:6]
+    R_xi, J = so3_exp(xi), so3_left_jacobian(xi)
+    arm = landmarks - T_map_body.t
+    shift = delta[6:].reshape(-1, 3) + np.cross(arm, xi)
+    return Pose(R_xi @ T_map_body.R, T_map_body.t + J @ delta[:3]), T_map_body.t + arm @ R_xi.T + shift @ J.T
+
+
+def carried(epoch: FusedEpoch, own: PoseEstimate) -> PoseEstimate:
+    """Carry a fused pose along the own-only motion since its epoch.
+
+    The covariance is carried likewise and grows by what the own covariance grew by over the same motion.
+    """
+    turn = epoch.pose.T_map_body.R @ epoch.own.T_map_body.R.T
+    moved = own.T_map_body.t - epoch.own.T_map_body.t
+    pose = Pose(turn @ own.T_map_body.R, epoch.pose.T_map_body.t + turn @ moved)
+    growth = own.covariance - _transported(epoch.own.covariance, moved)
+    values, vectors = np.linalg.eigh(symmetrise(growth))
+    growth = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    covariance = _transported(epoch.pose.covariance, turn @ moved) + growth
+    return PoseEstimate(own.stamp_ns, pose, symmetrise(covariance))
+
+
+def _transported(covariance: Array, moved: Array) -> Array:
+    """Move a (6, 6) pose covariance rigidly: dp+ = dp - [moved]x xi."""
+    T = np.eye(6)
+    T[:3, 3:] = -skew(moved)
+    return np.asarray(T @ covariance @ T.T)

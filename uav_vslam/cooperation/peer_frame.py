@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a peer's map lies to ours: in a common frame, or in one that has to be found; one of them for each peer."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation import common_landmarks
+from uav_vslam.cooperation.frame_link import FrameLink
+from uav_vslam.cooperation.schemes import Evidence
+from uav_vslam.cooperation.unknown_frame import Framed, FrameEstimate, framed
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.covariance_intersection import Fused
+from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.types import LandmarkPacket
+
+Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
+
+
+class PeerFrame(Protocol):
+    """What turns a packet of one peer into evidence about the own state."""
+
+    @property
+    def reason(self) -> str:
+        """Why the peer's frame is not known; empty if it is."""
+
+    def find_common(
+        self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
+    ) -> Pairs:
+        """Return (K, 2) rows of own landmarks and of the packet; the arguments are `common_landmarks.find_common`'s."""
+
+    def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
+        """Return what the packet says of the own state, position, xi and (N, 3) landmarks."""
+
+    def settled(self, fused: Fused) -> FrameEstimate | None:
+        """Return where the peer's frame lies, now that the last evidence has been fused; None where it is ours."""
+
+
+class CommonFrame:
+    """Both maps began at a known common origin."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        self._config = config
+
+    @property
+    def reason(self) -> str:
+        """Never unknown."""
+        return ""
+
+    def find_common(
+        self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
+    ) -> Pairs:
+        """See `PeerFrame`."""
+        return common_landmarks.find_common(positions, covariance, descriptors, packet, config=self._config)
+
+    def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
+        """See `PeerFrame`."""
+        columns, rows = landmark_rows(POSE_DIM, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
+        E = np.zeros((len(columns), POSE_DIM + positions.size))
+        E[np.arange(len(columns)), columns] = 1.0
+        return Evidence(
+            E=E,
+            innovation=(packet.positions[pairs[:, 1]] - positions[pairs[:, 0]]).ravel(),
+            R=packet.covariance[np.ix_(rows, rows)],
+            floor=self._config.floor_sigma_m**2 * np.eye(len(rows)),
+            dependent=dependent,
+        )
+
+    def settled(self, fused: Fused) -> None:
+        """See `PeerFrame`."""
+
+
+class UnknownFrame:
+    """The peer's map is turned about the vertical and shifted by amounts that nobody knows."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        self._config = config
+        self._link = FrameLink()
+        self._framed: Framed | None = None
+
+    @property
+    def reason(self) -> str:
+        """Why the frame is not known; empty if it is."""
+        return self._link.reason if self._link.alignment is None else ""
+
+    def find_common(
+        self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
+    ) -> Pairs:
+        """See `PeerFrame`; renews the alignment."""
+        return self._link.find_common(positions, covariance, descriptors, packet, config=self._config)
+
+    def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
+        """See `PeerFrame`; where the frame lies is taken out of it."""
+        assert self._link.alignment is not None  # there are pairs
+        T_own_peer, floor_m = self._link.alignment.T_own_peer, self._config.floor_sigma_m
+        self._framed = framed(positions, packet, pairs, T_own_peer, floor_sigma_m=floor_m, dependent=dependent)
+        return self._framed.evidence
+
+    def settled(self, fused: Fused) -> FrameEstimate | None:
+        """See `PeerFrame`."""
+        return self._framed.frame(fused) if self._framed else None
