@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from uav_vslam.cooperation.alignment import MAX_SIGMA_YAW, Alignment, Refusal, align, fit, follow, sigma_yaw
 from uav_vslam.cooperation.point_pairs import FRAME_DIM, PointPairs
+from uav_vslam.cooperation.two_point import gated
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy, so3_log
 
@@ -98,15 +99,16 @@ def test_tilt_is_never_estimated(two_maps) -> None:
 
 
 def test_a_wrong_match_inside_its_own_gate_is_found_by_its_neighbours(two_maps) -> None:
-    """Both maps may be too long or too short by a tenth, so each landmark's gate is wide, but all share one error."""
-    pairs, _ = two_maps(sigma_m=0.1, drift=NO_DRIFT)
-    stretch = 0.1 * (pairs.own - pairs.own.mean(axis=0)).ravel()
+    """The own map may be too long or too short by a tenth, so each landmark's gate is wide, but all share one error."""
+    pairs, T = two_maps(sigma_m=0.1, drift=NO_DRIFT)
+    stretch = 0.1 * (pairs.own - pairs.own.mean(axis=0))
+    k = int(np.argmax(np.linalg.norm(stretch, axis=1)))
     own = pairs.own.copy()
-    k = int(np.argmax(np.linalg.norm(stretch.reshape(-1, 3), axis=1)))
-    own[k, :2] += 3.0
-    pairs = dataclasses.replace(pairs, own=own, own_covariance=pairs.own_covariance + np.outer(stretch, stretch))
-    found = aligned(pairs)
-    assert set(found.inliers) == set(range(RIGHT)) - {k}
+    own[k] += 0.7 * stretch[k]  # less than a sigma
+    covariance = pairs.own_covariance + np.outer(stretch.ravel(), stretch.ravel())
+    pairs = dataclasses.replace(pairs, own=own, own_covariance=covariance)
+    assert k in gated(pairs.relative(), T)
+    assert set(aligned(pairs).inliers) == set(range(RIGHT)) - {k}
 
 
 def test_the_result_is_the_same_each_time_and_in_any_order(two_maps) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from uav_vslam.cooperation import two_point
 from uav_vslam.cooperation.two_point import GATE, gated, hypotheses
+from uav_vslam.geometry.pose import Pose
 
 
 def tried(pairs, seed: int = 0):
@@ -63,6 +64,13 @@ def test_of_very_many_some_are_drawn_the_same_for_a_seed(two_maps, monkeypatch: 
     assert len(tried(pairs)) == 20
     np.testing.assert_array_equal(tried(pairs, 3).t, tried(pairs, 3).t)
     assert not np.array_equal(tried(pairs, 3).t, tried(pairs, 4).t)
+
+
+def test_a_transform_that_may_be_off_fits_more(two_maps) -> None:
+    pairs, T = two_maps(sigma_m=0.1, drift=(0.0, 0.0, 0.0))
+    off = Pose(T.R, T.t + np.array([1.5, 0.0, 0.0]))
+    assert len(gated(pairs.relative(), off)) == 0
+    assert len(gated(pairs.relative(), off, slack_m=1.0)) == len(pairs)
 
 
 @pytest.mark.parametrize("count", [0, 1])

@@ -168,6 +168,27 @@ def test_belief_and_frame_are_consistent(packet_of, dependent: bool) -> None:
         assert dependent or score > low
 
 
+def test_maps_that_err_together_leave_a_doubtful_frame(packet_of) -> None:
+    """The maps share a source, and where one is off to the left the other is off to the right by twice as much."""
+    runs, score = 150, 0.0
+    rng = np.random.default_rng(4)
+    for _ in range(runs):
+        shift = rng.normal(size=3)
+        packet = packet_of(POINTS - 2.0 * shift)
+        brought, fused = fuse(packet, T_TRUE, POINTS + shift, dependent=True)
+        frame = brought.frame(fused)
+        error = T_TRUE.t - frame.T_own_peer.t
+        score += error @ np.linalg.solve(frame.covariance[:3, :3], error) / 3
+    assert score / runs < 1.0
+
+
+def test_the_packets_covariance_is_turned_with_its_landmarks(packet_of) -> None:
+    stretched = PEER + np.diag(np.tile([4.0, 0.0, 1.0], COUNT + 2))
+    brought, _ = fuse(packet_of(P=stretched))
+    np.testing.assert_allclose(brought.whole.R, stretched[6:, 6:], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(brought.whole.innovation, 0.0, atol=1e-12)
+
+
 def test_two_pairs_say_how_long_and_steep_their_distance_is(packet_of) -> None:
     brought = framed(POINTS, packet_of(), PAIRS[:2], T_TRUE, floor_sigma_m=FLOOR_M, dependent=False)
     assert brought.evidence.E.shape == (2, len(OWN))

@@ -92,7 +92,7 @@ def follow(pairs: PointPairs, T_own_peer: Pose) -> Alignment | None:
     How many there are, and how well they determine it, is the caller's to judge.
     """
     relative = pairs.relative()
-    return _gathered(pairs, relative, T_own_peer, gated(relative, T_own_peer, doubt=STEP_SIGMA_M**2 * np.eye(3)))
+    return _gathered(pairs, relative, T_own_peer, gated(relative, T_own_peer, slack_m=STEP_SIGMA_M))
 
 
 def sigma_yaw(relative: PointPairs, found: Alignment) -> float:
@@ -105,17 +105,16 @@ def sigma_yaw(relative: PointPairs, found: Alignment) -> float:
 
 
 def _gathered(pairs: PointPairs, relative: PointPairs, T_own_peer: Pose, rows: Rows) -> Alignment | None:
-    """Fit and gate until the rows stay the same, then take out what contradicts all others."""
+    """Take out what contradicts all others, fit, and see what else the fit brings inside its gate, until nothing."""
     for _ in range(GATHER_ROUNDS):
-        if len(rows) < 2:
+        inliers = rows[_borne_out(pairs.take(rows), T_own_peer)]
+        if len(inliers) < 2:
             return None
-        T_own_peer, shape_covariance = fit(relative.take(rows), T_own_peer)
-        A = frame_jacobian(T_own_peer, pairs.peer).reshape(-1, 3, FRAME_DIM)
-        before, rows = rows, gated(relative, T_own_peer, doubt=A @ shape_covariance @ A.transpose(0, 2, 1))
+        T_own_peer, covariance = fit(pairs.take(inliers), T_own_peer)
+        before, rows = rows, gated(relative, T_own_peer)
         if np.array_equal(rows, before):
             break
-    rows = rows[_borne_out(pairs.take(rows), T_own_peer)]
-    return Alignment(*fit(pairs.take(rows), T_own_peer), rows) if len(rows) >= 2 else None
+    return Alignment(T_own_peer, covariance, inliers)
 
 
 def fit(pairs: PointPairs, T_own_peer: Pose) -> tuple[Pose, Array]:

@@ -72,9 +72,9 @@ def hypotheses(pairs: PointPairs, *, rng: np.random.Generator) -> Hypotheses:
     return Hypotheses(R, t, _mahalanobis2(residuals, pairs.pair_covariances(R)))
 
 
-def gated(pairs: PointPairs, T_own_peer: Pose, *, doubt: Array | float = 0.0) -> NDArray[np.intp]:
-    """Return the rows of pairs that fit a transform within their own covariances, and (K, 3, 3) that it adds [m^2]."""
-    S = pairs.pair_covariances(T_own_peer.R) + doubt
+def gated(pairs: PointPairs, T_own_peer: Pose, *, slack_m: float = 0.0) -> NDArray[np.intp]:
+    """Return the rows of pairs that fit a transform within their own covariances, and a sigma of the transform's."""
+    S = pairs.pair_covariances(T_own_peer.R) + slack_m**2 * np.eye(3)
     return np.flatnonzero(_mahalanobis2(pairs.residuals(T_own_peer), S) <= GATE)
 
 
