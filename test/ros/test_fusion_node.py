@@ -37,8 +37,8 @@ PACKETS = "/uav1/landmark_information"
 class Flight:
     """A fusion node of uav1, spun here, with its back end and its peer uav2 played by a second node."""
 
-    def __init__(self, make_joint: Callable[..., JointInformation], *parameters: str) -> None:
-        arguments = ["--ros-args", "-r", "__ns:=/uav1", "-p", "peers:=[uav2]"]
+    def __init__(self, make_joint: Callable[..., JointInformation], *parameters: str, peers: str = "[uav2]") -> None:
+        arguments = ["--ros-args", "-r", "__ns:=/uav1", "-p", f"peers:={peers}"]
         for parameter in parameters:
             arguments += ["-p", parameter]
         self.domain_id = free_domain_id()
@@ -96,8 +96,9 @@ class Flight:
         assert self.spin(lambda: publisher.get_subscription_count() > 0)
         return publisher
 
-    def packet(self, second: int) -> LandmarkInformation:
-        return packet_to_msg(self._peer.packet(self.joint(second, "uav2")))
+    def packet(self, second: int, *, of: str = "uav2") -> LandmarkInformation:
+        fusion = self._peer if of == "uav2" else Fusion(of, FusionConfig())
+        return packet_to_msg(fusion.packet(self.joint(second, of)))
 
     def newest_ns(self) -> int:
         """Stamp of the newest packet that uav1 has of uav2, 0 for none."""
@@ -122,8 +123,8 @@ class Flight:
 def fly(make_joint: Callable[..., JointInformation]) -> Iterator[Callable[..., Flight]]:
     made: list[Flight] = []
 
-    def start(*parameters: str) -> Flight:
-        made.append(Flight(make_joint, *parameters))
+    def start(*parameters: str, peers: str = "[uav2]") -> Flight:
+        made.append(Flight(make_joint, *parameters, peers=peers))
         return made[-1]
 
     yield start
@@ -216,6 +217,30 @@ def test_a_peer_that_falls_silent_is_told_and_welcomed_back(fly: Callable[..., F
         (link,) = flight.epoch(second).peers
         assert link.silent is expected, second
         assert ("uav2" in flight.node.alarms) is expected
+
+
+@pytest.mark.parametrize("relay", [True, False])
+def test_a_relay_sends_on_what_is_new_to_it_as_it_came(fly: Callable[..., Flight], relay: bool) -> None:
+    flight = fly(f"fusion.relay:={str(relay).lower()}", peers="[uav2, uav3]")
+    subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
+    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    direct, sent_on, homecoming = (flight.packet(1, of=name) for name in ("uav2", "uav3", "uav1"))
+    for message in (direct, sent_on, sent_on, homecoming):
+        publisher.publish(message)
+    assert flight.spin(lambda: "uav3" in flight.node._fusion.inbox.peers)
+    flight.rest()
+    assert [message.vehicle for message in flight.heard] == (["uav2", "uav3"] if relay else [])
+    assert flight.heard == ([direct, sent_on] if relay else [])
+    assert flight.node._outbox.packets_sent == len(flight.heard)
+    assert sum(flight.node.counts[key] for key in list(flight.node.counts) if key.startswith("dropped/")) == 0
+
+
+def test_a_packet_of_a_vehicle_that_is_not_of_the_fleet_is_refused(fly: Callable[..., Flight]) -> None:
+    flight = fly()
+    publisher = flight.peer("wideband")
+    publisher.publish(flight.packet(1, of="stranger"))
+    assert flight.spin(lambda: flight.node.counts["dropped/sender"] == 1)
+    assert flight.node._fusion.inbox.peers == {}
 
 
 @pytest.mark.parametrize(("own", "theirs"), [("wideband", "narrowband"), ("narrowband", "wideband")])

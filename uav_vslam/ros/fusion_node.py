@@ -38,7 +38,7 @@ from uav_vslam.ros.convert import (
 from uav_vslam.ros.fusion_status import StatusReporter
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
 from uav_vslam.ros.qos import STATE
-from uav_vslam.ros.radio import Participant, Radio
+from uav_vslam.ros.radio import Radio, open_participant
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.ros.traffic import Interface
 from uav_vslam.slam.backend import crosses_epoch
@@ -60,6 +60,7 @@ class FusionNode(VehicleNode):
     """
 
     def __init__(self) -> None:
+        self._participant = open_participant("fusion")
         super().__init__("fusion")
         self._joints: dict[int, JointInformation] = {}
         self._waiting: deque[PoseEstimate] = deque()
@@ -79,8 +80,10 @@ class FusionNode(VehicleNode):
         self._tf = self.advertise(TFMessage, "/tf", STATE)
         self.listen(JointInformationMsg, "joint_information", self._on_joint, STATE)
         self.listen(Odometry, "odometry", self._on_odometry, STATE)
-        self._participant = self._open_participant()
+        if self._participant is not None:
+            self._participant.serve(self)
         peers = [p for p in self.declare_parameter("peers", [""]).value if p and p != self.vehicle]
+        self._fleet = {self.vehicle, *peers}
         host = self._participant.node if self._participant else None
         self._radio = Radio(self, peers, self._on_packet, host=host)
         self.add_on_set_parameters_callback(self._check_parameters)
@@ -92,11 +95,6 @@ class FusionNode(VehicleNode):
         if self._participant is not None:
             self._participant.close()
         super().destroy_node()
-
-    def _open_participant(self) -> Participant | None:
-        domain_id = self.declare_parameter("radio_domain_id", -1).value
-        addresses = [address for address in self.declare_parameter("radio_peers", [""]).value if address]
-        return Participant(self, domain_id, addresses) if domain_id >= 0 else None
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for one in parameters:
@@ -121,11 +119,20 @@ class FusionNode(VehicleNode):
         self.notes["mode"] = mode
         self.get_logger().info(f"communication mode: {mode}")
 
-    def _on_packet(self, peer: str, message: LandmarkInformation, size_bytes: int) -> None:
-        self._reporter.received_bytes[peer] += size_bytes
-        if message.vehicle != peer:
+    def _on_packet(self, peer: str, message: LandmarkInformation, data: bytes) -> None:
+        """Take a packet in; a peer may send on those of others, as they came."""
+        self._reporter.received_bytes[peer] += len(data)
+        if message.vehicle != peer and message.vehicle not in self._fleet:
             raise InvalidMessage("sender", f"{peer}'s topic carries a packet of {message.vehicle!r}")
-        self._fusion.inbox.add(packet_from_msg(message))
+        packet = packet_from_msg(message)
+        try:
+            self._fusion.inbox.add(packet)
+        except InvalidMessage:
+            if message.vehicle == peer:
+                raise
+            return  # what is sent on often comes twice, or comes home; the inbox counts it
+        if self._settings.relay and self._outbox.take(packet.stamp_ns, len(data)):
+            self._radio.send(data)
 
     def _on_joint(self, message: JointInformationMsg) -> None:
         joint = joint_from_msg(message)
@@ -161,12 +168,12 @@ class FusionNode(VehicleNode):
 
     def _send(self, joint: JointInformation) -> None:
         """Send a packet, unless the budget has no room for it: then the next epoch's replaces it."""
-        packet = self._fusion.packet(joint)
+        left = self._outbox.available(joint.stamp_ns)
+        packet = self._fusion.packet(joint, byte_limit=left)
         data = serialize_message(packet_to_msg(packet))
         if self._outbox.take(packet.stamp_ns, len(data)):
             self._radio.send(data)
         else:
-            left = self._outbox.available(packet.stamp_ns)
             self.drop("budget", f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B left")
 
     def _publish_pose(self, own: PoseEstimate, fused: PoseEstimate) -> None:

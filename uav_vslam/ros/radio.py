@@ -6,7 +6,8 @@ discover: neither parameters nor logs nor the vehicle's other topics are announc
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,35 +30,41 @@ POLL_S = 0.05  # how often the second context is looked after: packets come once
 CALLBACKS_A_TURN = 4
 DISCOVERY = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")  # read by a context when it is initialised
 
-OnPacket = Callable[[str, LandmarkInformation, int], None]  # (peer, message, bytes)
+OnPacket = Callable[[str, LandmarkInformation, bytes], None]  # (peer, message, as it came)
+
+
+def open_participant(name: str) -> "Participant | None":
+    """Open the radio as the parameters of the node of that name tell, before the node itself opens its domain.
+
+    The first participant of a process has the port that peers look for, so the parameters are read by a node that is
+    gone before it. They are `radio_domain_id` (-1: the radio shares the vehicle's domain) and `radio_peers`.
+    """
+    reader = Node(name, enable_rosout=False, start_parameter_services=False)
+    domain_id = reader.declare_parameter("radio_domain_id", -1).value
+    addresses = [address for address in reader.declare_parameter("radio_peers", [""]).value if address]
+    namespace = reader.get_namespace()
+    reader.destroy_node()
+    return Participant(namespace, domain_id, addresses) if domain_id >= 0 else None
 
 
 class Participant:
     """A bare node in a context and domain of its own, spun by a timer of the vehicle's node."""
 
-    def __init__(self, owner: Node, domain_id: int, peers: Sequence[str]) -> None:
+    def __init__(self, namespace: str, domain_id: int, addresses: Sequence[str]) -> None:
         """Open it.
 
         Args:
-            owner: the node that serves it.
+            namespace: of the vehicle.
             domain_id: of the radio.
-            peers: addresses of the other vehicles; without any the environment's discovery settings hold.
+            addresses: of the other vehicles on the radio; whether multicast finds more is for the DDS profile to say.
         """
         self._context = Context()
-        before = {name: os.environ.get(name) for name in DISCOVERY}
-        if peers:  # nobody is sought by multicast, and no one but these
-            os.environ.update(zip(DISCOVERY, ("LOCALHOST", ";".join(peers)), strict=True))
-        try:
+        with _environment(zip(DISCOVERY, ("SUBNET", ";".join(addresses)), strict=True)):
             self._context.init(args=[], domain_id=domain_id)  # the process's arguments are for the vehicle's node
-        finally:
-            for name, value in before.items():
-                os.environ.pop(name, None)
-                if value is not None:
-                    os.environ[name] = value
         self.node = Node(
             "radio",
             context=self._context,
-            namespace=owner.get_namespace(),
+            namespace=namespace,
             enable_rosout=False,
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
@@ -66,6 +73,9 @@ class Participant:
             self.node.destroy_publisher(publisher)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+
+    def serve(self, owner: Node) -> None:
+        """Let a node's executor look after this one too."""
         owner.create_timer(POLL_S, self._spin, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
@@ -77,6 +87,18 @@ class Participant:
     def _spin(self) -> None:
         for _ in range(CALLBACKS_A_TURN):
             self._executor.spin_once(timeout_sec=0.0)
+
+
+@contextmanager
+def _environment(variables: Iterable[tuple[str, str]]) -> Iterator[None]:
+    """Set variables for a while."""
+    before = dict(os.environ)
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -171,7 +193,7 @@ class Radio:
                 message = deserialize_message(data, LandmarkInformation)
             except Exception as error:  # rclpy names no class for it
                 raise InvalidMessage("undecodable", f"{len(data)} bytes are no packet: {error}") from None
-            self._on_packet(peer, message, len(data))
+            self._on_packet(peer, message, data)
 
         events = self._counters("deadline", "liveliness", "message_lost", "incompatible_qos", of=peer)
         one = PeerInput(
