@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated radio in the graph: packets pass as its file says, on the ROS clock, and their fate is told."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+
+from uav_vslam.errors import ConfigError  # noqa: E402
+from uav_vslam.ros.convert import stamp_from_ns  # noqa: E402
+from uav_vslam.ros.link_emulator_node import LinkEmulatorNode  # noqa: E402
+from uav_vslam.ros.qos import RADIO  # noqa: E402
+from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
+from uav_vslam.types import NS_PER_S  # noqa: E402
+from uav_vslam_msgs.msg import LandmarkInformation  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+PATIENCE_S = 10.0
+QUIET_S = 0.3  # long enough for what should not come
+VEHICLES = ("uav1", "uav2", "uav3")
+
+
+class Air:
+    """An emulator over three vehicles, a clock that stands still unless told, and ears at every receiver."""
+
+    def __init__(self, link: Path, mode: str) -> None:
+        parameters = ["-p", f"vehicles:=[{', '.join(VEHICLES)}]", "-p", f"link:={link}", "-p", "use_sim_time:=true"]
+        rclpy.init(args=["--ros-args", *parameters], domain_id=free_domain_id())
+        self.executor = SingleThreadedExecutor()
+        self.node = LinkEmulatorNode()
+        self.others = rclpy.create_node("others", use_global_arguments=False)
+        self.executor.add_node(self.node)
+        self.executor.add_node(self.others)
+        self.heard: list[tuple[str, str, int]] = []  # (receiver, sender, sequence)
+        self.diagnostics: dict[str, str] = {}
+        self.others.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        ears = [self._listen(r, s) for r in VEHICLES for s in VEHICLES if r != s]
+        self._clock = self.others.create_publisher(Clock, "/clock", 10)
+        self._senders = {
+            name: self.others.create_publisher(LandmarkInformation, f"/{name}/landmark_information", RADIO[mode])
+            for name in VEHICLES
+        }
+        assert self.spin(lambda: all(ear.get_publisher_count() for ear in ears))
+        assert self.spin(lambda: all(p.get_subscription_count() for p in self.node._outputs.values()))
+        assert self.spin(lambda: all(p.get_subscription_count() for p in self._senders.values()))
+        assert self.spin(lambda: self._clock.get_subscription_count())
+
+    def _listen(self, receiver: str, sender: str) -> Any:
+        def note(message: LandmarkInformation) -> None:
+            self.heard.append((receiver, sender, message.sequence))
+
+        return self.others.create_subscription(LandmarkInformation, f"/{receiver}/heard/{sender}", note, 10)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.diagnostics = {entry.key: entry.value for entry in message.status[0].values}
+
+    def spin(self, until: Callable[[], Any], timeout_s: float = PATIENCE_S) -> bool:
+        end_s = time.monotonic() + timeout_s
+        while not until() and time.monotonic() < end_s:
+            self.executor.spin_once(timeout_sec=0.02)
+        return bool(until())
+
+    def at(self, time_s: float) -> None:
+        """Set the clock, and let come what comes."""
+        now_ns = round(time_s * NS_PER_S)
+        self._clock.publish(Clock(clock=stamp_from_ns(now_ns)))
+        assert self.spin(lambda: self.node.get_clock().now().nanoseconds == now_ns)
+        self.spin(lambda: False, QUIET_S)
+
+    def send(self, sender: str, sequence: int) -> None:
+        count = sum(link.packets["offered"] for link in self.node._links.values())
+        self._senders[sender].publish(LandmarkInformation(vehicle=sender, sequence=sequence))
+        assert self.spin(lambda: sum(link.packets["offered"] for link in self.node._links.values()) == count + 2)
+
+
+@pytest.fixture
+def air(tmp_path: Path) -> Iterator[Callable[..., Air]]:
+    made: list[Air] = []
+
+    def make(text: str, mode: str = "wideband") -> Air:
+        (tmp_path / "link.yaml").write_text(text)
+        made.append(Air(tmp_path / "link.yaml", mode))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.executor.shutdown()
+        one.node.destroy_node()
+        one.others.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize("mode", ["wideband", "narrowband"])
+def test_a_packet_reaches_every_peer_after_the_delay_by_the_ros_clock(air: Callable[..., Air], mode: str) -> None:
+    radio = air("delay_s: 1.0\n", mode)
+    radio.at(100.0)
+    radio.send("uav1", 7)
+    radio.at(100.9)
+    assert radio.heard == []
+    radio.at(101.0)
+    assert sorted(radio.heard) == [("uav2", "uav1", 7), ("uav3", "uav1", 7)]
+
+
+def test_the_fate_of_packets_is_told_by_direction(air: Callable[..., Air]) -> None:
+    radio = air("blackouts: [[1.0, 2.0]]\nduplication: 1.0\n")
+    for second in (100, 101, 102):
+        radio.at(second)
+        radio.send("uav2", second)
+    radio.at(103.0)
+    expected = [(receiver, "uav2", second) for receiver in ("uav1", "uav3") for second in (100, 100, 102, 102)]
+    assert sorted(radio.heard) == expected
+    assert radio.spin(lambda: radio.diagnostics.get("uav2>uav1/delivered", "").startswith("4 packets"))
+    told = {key: value.split(" ")[0] for key, value in radio.diagnostics.items() if key.startswith("uav2>uav3")}
+    fates = {"offered": "3", "blacked_out": "1", "duplicated": "2", "delivered": "4", "queued": "0"}
+    assert told == {f"uav2>uav3/{fate}": count for fate, count in fates.items()}
+
+
+def test_without_vehicles_or_link_it_says_what_to_set() -> None:
+    rclpy.init(args=["--ros-args", "-p", "vehicles:=[uav1]"], domain_id=free_domain_id())
+    try:
+        with pytest.raises(ConfigError, match="set the parameters vehicles"):
+            LinkEmulatorNode()
+    finally:
+        rclpy.try_shutdown()
