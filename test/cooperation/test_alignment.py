@@ -9,7 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from uav_vslam.cooperation.alignment import MAX_SIGMA_YAW, Alignment, Refusal, align, fit, follow, sigma_yaw
+from uav_vslam.cooperation.alignment import (
+    MAX_SIGMA_YAW,
+    STEP_SIGMA_M,
+    Alignment,
+    Refusal,
+    align,
+    fit,
+    follow,
+    sigma_yaw,
+)
 from uav_vslam.cooperation.point_pairs import FRAME_DIM, PointPairs
 from uav_vslam.cooperation.two_point import gated
 from uav_vslam.geometry.pose import Pose
@@ -177,6 +186,17 @@ def test_a_frame_that_is_known_is_followed_by_few_matches(two_maps, right: int) 
     found = follow(pairs, near)
     assert found is not None
     np.testing.assert_array_equal(found.inliers, np.arange(right))
+
+
+def test_what_a_rough_frame_misses_is_gathered_by_the_fit(two_maps) -> None:
+    pairs, T = two_maps(right=RIGHT, wrong=4)
+    turn = Pose(rotation_from_rpy(0.0, 0.0, 0.15), np.zeros(3))
+    centre = Pose(np.eye(3), pairs.own.mean(axis=0))
+    rough = centre @ turn @ centre.inverse() @ T
+    assert len(gated(pairs.relative(), rough, slack_m=STEP_SIGMA_M)) < RIGHT
+    found = follow(pairs, rough)
+    assert found is not None
+    np.testing.assert_array_equal(found.inliers, np.arange(RIGHT))
 
 
 def test_nothing_near_a_frame_is_followed_by_nothing(two_maps) -> None:
