@@ -63,6 +63,7 @@ IMU_GRADES = {
         gyro_bias_sigma=3.0e-3,
         accel_bias_sigma=2.0e-1,
     ),
+    "thesis_half": _thesis_noise(0.5, 0.9),  # sigma_w = 0.5 of section 7.3.2, taken as half of w1
 } | {f"thesis_w{k}": _thesis_noise(rate_deg, accel) for k, (rate_deg, accel) in enumerate(THESIS_NOISE, start=1)}
 
 

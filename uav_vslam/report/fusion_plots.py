@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import TABLE, Row, tables_of
-from uav_vslam.report.style import BAND, LINE_COLOURS, clean, save
+from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log, save
 
 CONSISTENT = (0.3, 1.4)  # of NEES / 3: less is cautious, more is over-confident
 FLEET = " vehicles"  # how the headings of the fleets' tables end
@@ -41,8 +41,9 @@ def gain_plot(heading: str, rows: list[Row]) -> Figure:
     nees.axvspan(*CONSISTENT, color=BAND, zorder=0, label="{:g} to {:g}".format(*CONSISTENT))
     gain.set_yticks(range(len(rows)), [row["setting"] for row in rows])
     gain.set(xlabel="ATE with peers / ATE alone", ylim=(len(rows) - 0.5, -0.5))
-    nees.set(xlabel="Position NEES / 3", xscale="log")
-    nees.legend(frameon=False, loc="lower right")
+    nees.set(xlabel="Position NEES / 3")
+    plain_log(nees, "x")
+    nees.legend(frameon=False, loc="upper right")
     for axes in (gain, nees):
         clean(axes)
     return figure

@@ -84,17 +84,19 @@ class Outcome:
     figures: Mapping[str, float] = field(default_factory=dict)
 
 
-def run_settings(scenario: Scenario, settings: tuple[Setting, ...], config: VehicleConfig) -> list[Outcome]:
+def run_settings(
+    scenario: Scenario, settings: tuple[Setting, ...], config: VehicleConfig, noise: LandmarkNoise
+) -> list[Outcome]:
     """Fly a scenario's vehicles alone, then cooperate in every way."""
     config = dataclasses.replace(config, imu=scenario.imu_config)
     vehicles = simulate_fleet(scenario)
     landmarks = scatter_landmarks(vehicles)
-    tracks = {v.name: track_vehicle(SimulatedSource(v, landmarks), config) for v in vehicles}
+    tracks = {v.name: track_vehicle(SimulatedSource(v, landmarks, noise), config) for v in vehicles}
     truths = {v.name: true_trajectory(v) for v in vehicles}
     outcomes: list[Outcome] = []
     for setting in settings:
         if setting.write_back:
-            outcomes += _written_back(scenario, setting, config, tracks, truths)
+            outcomes += _written_back(scenario, setting, config, noise, tracks, truths)
         else:
             outcomes += _fused(scenario, setting, config, tracks, truths)
     return outcomes
@@ -139,10 +141,11 @@ def _written_back(
     scenario: Scenario,
     setting: Setting,
     config: VehicleConfig,
+    noise: LandmarkNoise,
     tracks: dict[str, VehicleTrack],
     truths: dict[str, Trajectory],
 ) -> list[Outcome]:
-    flights = prepare(scenario, LandmarkNoise())
+    flights = prepare(scenario, noise)
     found = fly_with_write_back(flights, config, WRITE_BACK[setting.write_back])
     none = np.zeros(0)
     return [

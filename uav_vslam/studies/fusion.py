@@ -13,6 +13,7 @@ from uav_vslam.config import FUSION_WEIGHTS, VehicleConfig
 from uav_vslam.cooperation.link import LinkConfig
 from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES
 from uav_vslam.evaluation.study import Row
+from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario
 from uav_vslam.studies.cooperation import Outcome, Setting, run_settings
 from uav_vslam.studies.pool import in_pool, mean
@@ -48,6 +49,8 @@ class Part:
     table: str
     scenario: Scenario
     settings: tuple[Setting, ...]
+    config: VehicleConfig = dataclasses.field(default_factory=VehicleConfig)
+    noise: LandmarkNoise = dataclasses.field(default_factory=LandmarkNoise)
 
 
 def schemes(frames: int) -> list[Part]:
@@ -140,7 +143,7 @@ def run_parts(
 def _job(job: tuple[Part, int]) -> tuple[str, list[Outcome]]:
     part, seed = job
     scenario = dataclasses.replace(part.scenario, seed=seed)
-    return part.table, run_settings(scenario, part.settings, VehicleConfig())
+    return part.table, run_settings(scenario, part.settings, part.config, part.noise)
 
 
 def _of(outcomes: Sequence[Outcome], setting: Setting) -> list[Outcome]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study import euroc, filters, flights, frames, fusion, long, models, outliers, rig, start
+from uav_vslam.cli.study import euroc, filters, flights, frames, fusion, long, models, outliers, rig, start, thesis
 
 HELP = "compare methods over many flights"
 EXAMPLES = """examples:
   uav-vslam study models --seeds 20        landmark level: INS, S-SLAM, C-SLAM and the thesis's model; minutes
   uav-vslam study fusion                   landmark level: ways to fuse, bad radios, large fleets; over an hour
   uav-vslam study frames                   landmark level: maps that lie anywhere, landmarks mistaken; minutes
+  uav-vslam study thesis                   landmark level: the thesis's cooperative simulation; half an hour
   uav-vslam study flights --seeds 8        rendered images, both inertial grades; about a quarter of an hour
   uav-vslam study filters                  landmark level: every filter with every state model; an hour
   uav-vslam study long                     landmark level: 2.8 km with each retention policy; minutes
@@ -24,6 +25,7 @@ EXAMPLES = """examples:
 STUDIES = {
     "models": models,
     "fusion": fusion,
+    "thesis": thesis,
     "frames": frames,
     "flights": flights,
     "filters": filters,
