@@ -340,6 +340,7 @@ class Filter:
         return np.concatenate([offset[:nav_dim], np.zeros(self._errors.dim), offset[nav_dim:]])
 
     def correct(self, belief: Belief, delta: Array) -> None:
+        """Move the mean by (vehicle + 3N,) `delta` and take over a belief about the error that is left."""
         before, landmarks = self.nav, self.landmarks
         on_manifold = np.delete(delta, np.arange(self._errors.rows.start, self._errors.rows.stop))
         self.nav, self.landmarks = self._model.retract(before, landmarks, on_manifold)
