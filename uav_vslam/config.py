@@ -292,8 +292,17 @@ def find_config(name: str) -> Path:
 
 
 def find_link(name: str) -> Path:
-    """Return the file of an emulated radio link: a path, or the name of a file in `config/links`."""
-    return find_config(name if Path(name).is_file() else f"links/{name}")
+    """Return the file of an emulated radio link: a path, or the name of a file in `config/links`.
+
+    Raises:
+        ConfigError: there is neither.
+    """
+    try:
+        return find_config(name if Path(name).is_file() else f"links/{name}")
+    except ConfigError:
+        ours = find_config("links/clean").parent.glob("*.yaml")
+        known = ", ".join(sorted(file.stem for file in ours))
+        raise ConfigError(f"link {name!r} is neither a file nor one of ours ({known})") from None
 
 
 def load_vehicle(path: Path | None, *, overrides: dict[str, Any] | None = None) -> VehicleConfig:

@@ -173,6 +173,18 @@ def test_an_unknown_key_is_told_with_file_and_the_nearest_known_one(
 
 
 @pytest.mark.parametrize("verb", ["run", "launch"])
+def test_a_link_that_there_is_not_or_that_is_impossible_is_told(
+    verb: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fleet = fleet_file(tmp_path, f"vehicles: {{uav1: {{}}}}\nreplay: {{bags: [{good}]}}\n")
+    line = refused(capsys, verb, fleet, "--link", "lossless")
+    assert "link 'lossless' is neither a file nor one of ours (bad_radio, blackouts, clean, wifi)" in line
+    (tmp_path / "link.yaml").write_text("loss: 2.0\n")
+    line = refused(capsys, verb, fleet, "--link", tmp_path / "link.yaml")
+    assert f"{tmp_path / 'link.yaml'}: LinkConfig.loss = 2.0 is not allowed" in line
+
+
+@pytest.mark.parametrize("verb", ["run", "launch"])
 def test_a_vehicle_named_twice_is_told_with_its_line(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
