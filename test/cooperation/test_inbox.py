@@ -3,12 +3,15 @@
 
 import dataclasses
 
+import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uav_vslam.cooperation.authentication import FleetKey
 from uav_vslam.cooperation.inbox import KEPT_PER_PEER, MAX_PEERS, Inbox
 from uav_vslam.errors import InvalidMessage
+from uav_vslam.slam.packet import PacketPolicy, make_packet
+from uav_vslam.types import LandmarkPacket
 
 END_NS = 10**15
 
@@ -79,6 +82,19 @@ def test_peers_do_not_disturb_each_other(make_small_packet) -> None:
     inbox.add(make_small_packet(1, vehicle="uav3", session=9))
     assert keys(inbox) == [(1, 1)]
     assert keys(inbox, "uav3") == [(9, 1)]
+
+
+def test_a_packet_without_landmarks_takes_nothing_back(make_small_packet, make_joint) -> None:
+    def empty(sequence: int, session: int = 1) -> LandmarkPacket:
+        joint = make_joint(np.zeros((0, 3)), np.eye(6), vehicle="uav2", session=session, stamp_ns=10**9 * sequence)
+        return make_packet(joint, sequence=sequence, policy=PacketPolicy())
+
+    inbox = Inbox("uav1")
+    for packet in (empty(1), make_small_packet(2), *map(empty, range(3, 9))):
+        inbox.add(packet)
+    assert inbox.newest("uav2", END_NS).sequence == 2
+    inbox.add(empty(1, session=2))  # but a restart does
+    assert len(inbox.newest("uav2", END_NS)) == 0
 
 
 def test_strangers_whose_packets_are_bad_get_no_record(make_small_packet) -> None:

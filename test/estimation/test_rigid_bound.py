@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.linalg import eigh
 
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.rigid_bound import TOLERANCE, smallest_rigid_bound
-from uav_vslam.geometry.coded_points import block_diagonal, rigid_jacobian
+from uav_vslam.estimation.rigid_bound import INDIFFERENCE_M, TOLERANCE, smallest_rigid_bound
+from uav_vslam.geometry.coded_points import block_diagonal, diagonal_blocks, rigid_jacobian
 
 ROUNDING = 1e-6  # of the bound, in units of what it bounds
 
@@ -60,6 +60,32 @@ def test_an_error_that_is_not_rigid_costs_little_where_scaling_the_whole_would_c
     rigid = [np.trace(np.linalg.inv(J.T @ np.linalg.solve(A, J))[:3, :3]) for A in (P, R)]
     assert largest_share(P, fitted) > 100.0
     assert rigid[1] < 2.0 * rigid[0]
+
+
+def _fitted(P: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """Return the common error of a weighted least-squares fit."""
+    return np.asarray(np.linalg.inv(J.T @ np.linalg.solve(P, J)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_other_balance_of_common_and_own_error_costs_less(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-60, 60, (8, 3))
+    J, A = rigid_jacobian(points), rng.normal(size=(24, 30))
+    P = J @ np.diag([1.0, 1.0, 0.5, 1e-2, 1e-2, 2e-2]) ** 2 @ J.T + 0.02 * A @ A.T
+    common, own = smallest_rigid_bound(P, J)
+    shared, alone = J @ common @ common.T @ J.T, block_diagonal(own @ own.transpose(0, 2, 1))
+    W = block_diagonal(np.linalg.inv(diagonal_blocks(P) + INDIFFERENCE_M**2 * np.eye(3)))
+    cost = np.trace(W @ (shared + alone))
+    for weight in (0.1, 0.3, 0.6, 1.5, 3.0, 10.0):
+        other = weight * shared + alone
+        other *= largest_share(P, other)  # as small as it may be
+        assert np.trace(W @ other) > cost * (1.0 - TOLERANCE)
+    likeliest = J @ _fitted(P, J) @ J.T
+    for weight in (0.01, 0.1, 0.3, 1.0, 3.0):
+        other = weight * likeliest + block_diagonal(diagonal_blocks(P))
+        other *= largest_share(P, other)
+        assert np.trace(W @ other) > cost * (1.0 - TOLERANCE)
 
 
 def test_a_covariance_without_any_positive_direction_is_refused() -> None:

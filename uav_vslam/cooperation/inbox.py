@@ -65,6 +65,8 @@ class Inbox:
         record.received += 1
         if record.packets and packet.session > record.packets[-1].session:
             record.packets.clear()  # a restart withdraws what the earlier session said
+        if len(packet) == 0 and record.packets:
+            return  # its link had no room, or it sees nothing: what it said before still holds
         record.packets.append(packet)
         record.packets.sort(key=lambda p: p.sequence)
         del record.packets[:-KEPT_PER_PEER]

@@ -41,8 +41,8 @@ def make_packet(
         byte_limit: what the link has room for now, beside the policy's own limit.
 
     Returns:
-        A packet with as many landmarks as the limits allow; where they allow none, one without landmarks, which is
-        better not sent: it would replace the one before.
+        A packet with as many landmarks as the limits allow; where they allow none, one without landmarks, which says
+        nothing and takes nothing back.
     """
     codes = in_basis(joint.descriptors, policy.descriptor_basis)
     count = _most(joint, policy, codes.shape[1], prior_id, byte_limit)
