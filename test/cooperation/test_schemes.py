@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each scheme makes of the same packet, and where it stops being consistent."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.config import FUSION_SCHEMES, FUSION_WEIGHTS
+from uav_vslam.cooperation.schemes import SCHEMES, Evidence
+from uav_vslam.estimation.covariance_intersection import WEIGHTS, Split
+
+Array = NDArray[np.float64]
+
+N, K = 9, 6  # rows of the own state, of what the peer estimates
+E = np.eye(N)[N - K :]
+
+
+def spd(seed: int, n: int) -> Array:
+    A = np.random.default_rng(seed).normal(size=(n, n))
+    return np.asarray(A @ A.T + 0.1 * np.eye(n))
+
+
+def own() -> Split:
+    return Split(spd(1, N), np.zeros((N, N)))
+
+
+def evidence(*, dependent: bool) -> Evidence:
+    return Evidence(E, np.linspace(-1.0, 1.0, K), spd(2, K), 0.09 * np.eye(K), dependent)
+
+
+def test_every_name_that_may_be_configured_exists() -> None:
+    assert tuple(SCHEMES) == FUSION_SCHEMES
+    assert tuple(WEIGHTS) == FUSION_WEIGHTS
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("dependent", [False, True])
+def test_every_scheme_leaves_a_covariance_no_larger_than_the_own(scheme: str, dependent: bool) -> None:
+    fused = SCHEMES[scheme](own(), evidence(dependent=dependent), "position_trace")
+    assert np.linalg.eigvalsh(fused.P.total)[0] > 0
+    assert np.trace(fused.P.total[:3, :3]) <= np.trace(own().total[:3, :3]) * (1 + 1e-9)
+    assert fused.delta.shape == (N,)
+
+
+def test_what_is_independent_adds_whatever_the_name_of_the_sum() -> None:
+    split, added = (SCHEMES[s](own(), evidence(dependent=False), "trace") for s in ("split_ci", "overlay"))
+    np.testing.assert_array_equal(split.P.total, added.P.total)
+    Y = np.linalg.inv(own().total) + E.T @ np.linalg.inv(spd(2, K) + 0.09 * np.eye(K)) @ E
+    np.testing.assert_allclose(split.P.total, np.linalg.inv(Y), rtol=1e-8, atol=1e-10)
+
+
+def test_what_is_dependent_is_intersected_by_all_but_the_sum() -> None:
+    told = evidence(dependent=True)
+    split, full, added = (SCHEMES[s](own(), told, "trace") for s in ("split_ci", "full_ci", "overlay"))
+    np.testing.assert_array_equal(split.P.total, full.P.total)
+    assert split.weight < 1.0
+    assert np.trace(added.P.total) < np.trace(split.P.total)
+
+
+def test_the_own_estimate_told_back_teaches_nothing_but_to_the_sum() -> None:
+    P = spd(3, K)
+    echo = Evidence(np.eye(K), np.zeros(K), P, np.zeros((K, K)), dependent=True)
+    mine = Split(P, np.zeros_like(P))
+    for scheme in ("split_ci", "full_ci", "inverse_ci"):
+        np.testing.assert_allclose(SCHEMES[scheme](mine, echo, "trace").P.total, P, rtol=1e-6)
+    np.testing.assert_allclose(SCHEMES["overlay"](mine, echo, "trace").P.total, P / 2, rtol=1e-8)
