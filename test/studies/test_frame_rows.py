@@ -11,7 +11,9 @@ from uav_vslam.studies.frames import FirstAlignment, FrameRun
 
 
 def run(*, seed=1, share=0.3, after_s=2.0, errors=((0.5, 0.1), (0.1, 0.1)), alone=(1.0, 2.0), unknown=(0.9, 1.0)):
-    first = FirstAlignment(after_s, Score(10, 7, 7, 7), Score(7, 7, 7, 7), 0.8) if errors else None
+    first = (
+        FirstAlignment(after_s, Score(10, 7, 7, 7), Score(7, 7, 7, 7), (0.2, 0.1), (0.7, 0.4), 0.8) if errors else None
+    )
     ate = {
         name: {"alone": a, "unknown": u, "known": 0.5}
         for name, a, u in zip(("uav1", "uav2"), alone, unknown, strict=True)
@@ -34,6 +36,7 @@ def test_what_is_pooled_over_what() -> None:
     assert row["wrong_matches"] == 0.3
     assert row["median_error_m"] == 1.0
     assert row["worst_error_deg"] == 0.3
+    assert (row["worst_weighted_m"], row["worst_true_m"], row["worst_true_deg"]) == (0.2, 0.7, 0.4)
     assert row["later_rms_m"] == pytest.approx(np.sqrt((0.25 + 0.01 + 2.25) / 3))
     assert study._pooled([run(errors=[])])["worst_error_m"] is None
 

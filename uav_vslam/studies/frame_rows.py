@@ -20,7 +20,9 @@ NOTES = {
     "Error": "of T_uav1_uav2 when it is found, against the transform that fits the two own-only maps of that moment "
     "best: least squares, without weights, over all landmarks that both maps hold, identities from the simulation; "
     "metres at those landmarks' centre. Later: root mean square over all packets until the end of the flight. Each "
-    "map's own drift is inside both transforms; landmarks just mapped make the yardstick itself rough by decimetres",
+    "map's own drift is inside both transforms. Landmarks just mapped count in full, which makes this yardstick "
+    "rough by up to a metre; weighted: against the fit over the same landmarks by the covariances of both maps",
+    "True": "against the true frames, so with both maps' drift",
     "Good": f"found within {FOUND_WITHIN_S:g} s, within {MAX_ERROR_M} m and {MAX_ERROR_DEG} degree",
     "NEES": "frame: of T_uav1_uav2 against the true frames, over 4, when it is found; others: of both vehicles' "
     "position, over 3, mean over the frames after the 20th",
@@ -75,6 +77,9 @@ def _pooled(runs: Sequence[FrameRun]) -> Row:
         "worst_error_deg": max((degrees for _, _, degrees in found), default=None),
         "later_rms_m": rms([metres for metres, _ in later]),
         "later_rms_deg": rms([degrees for _, degrees in later]),
+        "worst_weighted_m": max((first.to_weighted[0] for first, _, _ in found), default=None),
+        "worst_true_m": max((first.to_true[0] for first, _, _ in found), default=None),
+        "worst_true_deg": max((first.to_true[1] for first, _, _ in found), default=None),
         "nees_frame": mean([first.nees for first, _, _ in found]),
     }
 
@@ -107,4 +112,7 @@ def _single(run: FrameRun) -> Row:
         "wrong_used": first.used.wrong,
         "error_m": metres,
         "error_deg": degrees,
+        "weighted_m": first.to_weighted[0],
+        "true_m": first.to_true[0],
+        "true_deg": first.to_true[1],
     }

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.alignment import Alignment
 from uav_vslam.cooperation.common_landmarks import look_alikes
-from uav_vslam.evaluation.alignment import align_yaw
 from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
@@ -19,6 +18,7 @@ from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.apart import Flown, draw_offset, fly_own_only, identities, mistaken, moved_apart
 from uav_vslam.studies.association_stages import STAGES, UNKNOWN_FRAME, Identities, Score, pairs_by_stage, score
+from uav_vslam.studies.map_yardsticks import alignment_error, map_to_map, weighted_map_to_map
 from uav_vslam.studies.meetings import FramingFusion, Meeting, RecordingFusion, meet
 from uav_vslam.types import NS_PER_S, JointInformation
 
@@ -39,12 +39,16 @@ class FirstAlignment:
         after_s: since the first frame.
         matches: by ratio and mutual test in that packet.
         used: those of them that the alignment rests on.
-        nees: of the alignment against the true frames, over 4.
+        to_weighted: its distance from `weighted_map_to_map` [m], [deg].
+        to_true: its distance from the true frames, both maps' drift included [m], [deg].
+        nees: of that distance, over 4.
     """
 
     after_s: float
     matches: Score
     used: Score
+    to_weighted: tuple[float, float]
+    to_true: tuple[float, float]
     nees: float
 
 
@@ -98,42 +102,33 @@ def run_together(flown: Flown, seed: int, share: float) -> FrameRun:
     )
 
 
-def map_to_map(own: JointInformation, peer: JointInformation, truth: Identities) -> tuple[Pose, Array]:
-    """Return the T_own_peer that fits two maps best, and the (3,) centre of what they share in the peer's frame [m].
-
-    The sum of squared distances of all landmarks that both hold is least, without weights: so it is the maps as they
-    are, drift and all, and owes nothing to the alignment that it judges.
-    """
-    names = [truth.own[k] for k in own.ids.tolist()], [truth.peer[k] for k in peer.ids.tolist()]
-    _, a, b = np.intersect1d(*names, return_indices=True)
-    return align_yaw(peer.positions[b], own.positions[a]), peer.positions[b].mean(axis=0)
-
-
-def alignment_error(T_own_peer: Pose, T_true: Pose, centre: Array) -> tuple[float, float]:
-    """Return the distance at a point of the peer's map [m], and the turn [deg]."""
-    turn = so3_log(T_own_peer.R.T @ T_true.R)[2]
-    return float(np.linalg.norm(T_own_peer.apply(centre) - T_true.apply(centre))), float(np.rad2deg(abs(turn)))
-
-
 def _errors(aligned: Sequence[tuple[Meeting, Alignment]], flown: Flown, truth: Identities) -> Array:
-    maps = {o.joint.stamp_ns: o.joint for track in flown.tracks.values() for o in track.outputs if o.joint is not None}
     errors = [
-        alignment_error(alignment.T_own_peer, *map_to_map(maps[m.joint.stamp_ns], maps[m.packet.stamp_ns], truth))
-        for m, alignment in aligned
+        alignment_error(alignment.T_own_peer, *map_to_map(*_whole_maps(m, flown), truth)) for m, alignment in aligned
     ]
     return np.array(errors).reshape(-1, 2)
+
+
+def _whole_maps(meeting: Meeting, flown: Flown) -> tuple[JointInformation, JointInformation]:
+    """Return the own-only beliefs at a meeting: one's own, and the peer's when it made the packet."""
+    maps = {o.joint.stamp_ns: o.joint for track in flown.tracks.values() for o in track.outputs if o.joint is not None}
+    return maps[meeting.joint.stamp_ns], maps[meeting.packet.stamp_ns]
 
 
 def _first(
     meeting: Meeting, alignment: Alignment, T_true: Pose, flown: Flown, truth: Identities, config: FusionConfig
 ) -> FirstAlignment:
-    error = np.append(T_true.t - alignment.T_own_peer.t, so3_log(T_true.R @ alignment.T_own_peer.R.T)[2])
+    T, maps = alignment.T_own_peer, _whole_maps(meeting, flown)
+    error = np.append(T_true.t - T.t, so3_log(T_true.R @ T.R.T)[2])
     matches = look_alikes(meeting.joint.descriptors, meeting.packet, config.ratio)
     start_ns = flown.tracks[OWN].outputs[0].report.pose.stamp_ns
+    centre = map_to_map(*maps, truth)[1]
     return FirstAlignment(
         after_s=(meeting.joint.stamp_ns - start_ns) / NS_PER_S,
         matches=score(matches, meeting.joint, meeting.packet, truth),
         used=score(meeting.pairs, meeting.joint, meeting.packet, truth),
+        to_weighted=alignment_error(T, weighted_map_to_map(*maps, truth, config.floor_sigma_m), centre),
+        to_true=alignment_error(T, T_true, centre),
         nees=float(error @ np.linalg.solve(alignment.covariance, error)) / len(error),
     )
 
