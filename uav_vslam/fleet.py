@@ -71,7 +71,7 @@ def cooperate(
             _deliver(air, fleet, configs, stamp_ns)
             epoch = member.fusion.fuse(output.joint)
             member.common_ns += [stamp_ns] if any(epoch.common.values()) else []
-            if name in on_air:
+            if member.outbox.is_turn(stamp_ns):
                 packet = member.fusion.packet(output.joint, byte_limit=member.outbox.available(stamp_ns))
                 size = payload_bytes(packet)
                 if member.outbox.take(packet.stamp_ns, size):
@@ -98,6 +98,7 @@ def _deliver(
                 fleet[receiver].fusion.inbox.add(packet)
             except InvalidMessage:
                 continue
+            fleet[receiver].outbox.hear(packet.stamp_ns)
             size = payload_bytes(packet)
             if configs[receiver].fusion.relay and fleet[receiver].outbox.take(now_ns, size):
                 for (relay, other), onward in air.items():

@@ -54,3 +54,20 @@ def test_nothing_leaves_a_vehicle_that_does_not_cooperate() -> None:
 
 def test_before_the_first_packet_the_rate_is_zero() -> None:
     assert Outbox(FusionConfig()).sent_bytes_per_s == 0.0
+
+
+def turns(outbox: Outbox, seconds: range) -> list[bool]:
+    return [outbox.is_turn(second * NS_PER_S) for second in seconds]
+
+
+def test_while_nobody_is_heard_a_narrow_radio_is_left_to_discovery() -> None:
+    outbox = Outbox(FusionConfig(mode="narrowband", silent_after_s=2.0))
+    assert turns(outbox, range(101, 108)) == [True, False, False, True, False, False, True]
+    outbox.hear(107 * NS_PER_S)
+    outbox.hear(99 * NS_PER_S)  # a late packet makes nobody silent
+    assert turns(outbox, range(108, 114)) == [True, True, True, False, False, True]
+
+
+@pytest.mark.parametrize(("mode", "expected"), [("wideband", True), ("none", False)])
+def test_other_modes_send_at_every_epoch_or_at_none(mode: str, expected: bool) -> None:
+    assert turns(Outbox(FusionConfig(mode=mode)), range(5)) == [expected] * 5

@@ -2,6 +2,7 @@
 """The fusion node on its radio: modes that change in flight, a hard budget, peers that come late or fall silent."""
 
 import os
+import socket
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -162,10 +163,10 @@ def test_a_mode_that_there_is_not_is_refused(fly: Callable[..., Flight], name: s
 
 
 def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., Flight]) -> None:
-    flight = fly("mode:=narrowband")
+    flight = fly()
     for second in (1, 2, 3):
         flight.epoch(second)
-    subscription = flight.listen("narrowband")
+    subscription = flight.listen("wideband")
     assert flight.spin(lambda: subscription.get_publisher_count() > 0)
     flight.rest()
     assert flight.heard == []
@@ -173,6 +174,17 @@ def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., 
     assert flight.spin(lambda: flight.heard)
     assert flight.heard[0].sequence == 4
     assert len(flight.heard[0].ids) == 6
+
+
+def test_while_nobody_is_heard_a_narrow_radio_is_left_to_discovery(fly: Callable[..., Flight]) -> None:
+    flight = fly("mode:=narrowband", "fusion.silent_after_s:=2.0")
+    publisher = flight.peer("narrowband")
+    sent = [flight.epoch(second).packets_sent for second in range(101, 108)]
+    assert sent == [1, 1, 1, 2, 2, 2, 3]
+    publisher.publish(flight.packet(107))
+    assert flight.spin(lambda: flight.newest_ns() == 107 * NS_PER_S)
+    sent = [flight.epoch(second).packets_sent for second in range(108, 114)]
+    assert sent == [4, 5, 6, 6, 6, 7]  # 107 is too old from 110 on
 
 
 def test_what_the_budget_has_no_room_for_is_counted_and_never_sent(fly: Callable[..., Flight]) -> None:
@@ -203,7 +215,8 @@ def test_the_bytes_that_the_status_gives_are_those_that_were_sent_and_heard(fly:
     assert link.received_bytes == 3 * len(serialize_message(flight.packet(9)))
     assert link.received_bytes_per_s > 0
     assert status.radio_interface == "lo"
-    assert status.wire_sent_bytes > 0
+    assert status.wire_sent_bytes > 3 * 1000
+    assert status.wire_received_bytes > 3 * 1000
 
 
 def test_a_peer_that_falls_silent_is_told_and_welcomed_back(fly: Callable[..., Flight]) -> None:
@@ -231,7 +244,7 @@ def test_a_relay_sends_on_what_is_new_to_it_as_it_came(fly: Callable[..., Flight
     flight.rest()
     assert [message.vehicle for message in flight.heard] == (["uav2", "uav3"] if relay else [])
     assert flight.heard == ([direct, sent_on] if relay else [])
-    assert flight.node._outbox.packets_sent == len(flight.heard)
+    assert flight.node._exchange.outbox.packets_sent == len(flight.heard)
     assert sum(flight.node.counts[key] for key in list(flight.node.counts) if key.startswith("dropped/")) == 0
 
 

@@ -8,6 +8,7 @@ from uav_vslam.config import MODE_BUDGETS, FusionConfig
 from uav_vslam.cooperation.budget import ByteBudget
 from uav_vslam.types import NS_PER_S
 
+UNHEARD_EPOCHS = 3  # narrowband: while no peer is heard, one epoch in so many has a packet
 SAVED_EPOCHS = 2.0  # epochs are a frame longer or shorter than their mean: what a long one earned, a short one needs
 
 
@@ -24,11 +25,13 @@ class Outbox:
         self.bytes_sent = 0
         self.over_budget = 0
         self._first_ns = self._last_ns = 0
+        self._heard_ns = 0  # stamp of the newest packet of any peer
+        self._unheard_epochs = 0
         self.configure(config)
 
     def configure(self, config: FusionConfig) -> None:
         """Begin a new budget, as another communication mode has it; counts go on."""
-        self._epoch_s = config.epoch_s
+        self._mode, self._epoch_s, self._silent_after_s = config.mode, config.epoch_s, config.silent_after_s
         rate = config.budget_bytes_per_s or MODE_BUDGETS[config.mode]
         self._budget = ByteBudget(rate, round(rate * config.epoch_s * SAVED_EPOCHS))
 
@@ -36,6 +39,22 @@ class Outbox:
     def sent_bytes_per_s(self) -> float:
         """Mean payload rate since the first packet; each packet counts for one epoch [B/s]."""
         return self.bytes_sent / ((self._last_ns - self._first_ns) / NS_PER_S + self._epoch_s)
+
+    def hear(self, stamp_ns: int) -> None:
+        """Note that a peer's packet of that stamp came."""
+        self._heard_ns = max(self._heard_ns, stamp_ns)
+
+    def is_turn(self, stamp_ns: int) -> bool:
+        """Tell, once an epoch, whether it has a packet.
+
+        A narrowband radio that is full of packets has no room left for discovery, which then takes minutes. So while
+        no peer is heard, most epochs are left to it.
+        """
+        if self._mode == "narrowband" and stamp_ns - self._heard_ns > self._silent_after_s * NS_PER_S:
+            self._unheard_epochs += 1
+            return self._unheard_epochs % UNHEARD_EPOCHS == 1
+        self._unheard_epochs = 0
+        return self._mode != "none"
 
     def available(self, now_ns: int) -> int:
         """Return how large a packet may be now [byte]."""

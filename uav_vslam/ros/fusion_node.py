@@ -11,21 +11,17 @@ out  landmark_information                  uav_vslam_msgs/LandmarkInformation at
      /tf                                   world to <vehicle>/map
 """
 
-import dataclasses
 from collections import deque
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
-from uav_vslam.config import MODE_BUDGETS, FusionConfig
+from uav_vslam.config import MODE_BUDGETS
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.cooperation.outbox import Outbox
-from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.convert import (
     cloud_to_msg,
     header,
@@ -36,14 +32,14 @@ from uav_vslam.ros.convert import (
     transform_to_msg,
 )
 from uav_vslam.ros.fusion_status import StatusReporter
-from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
+from uav_vslam.ros.packet_exchange import PacketExchange
 from uav_vslam.ros.qos import STATE
-from uav_vslam.ros.radio import Radio, open_participant
+from uav_vslam.ros.radio import open_participant
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.ros.traffic import Interface
 from uav_vslam.slam.backend import crosses_epoch
 from uav_vslam.types import JointInformation, PoseEstimate
-from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation
+from uav_vslam_msgs.msg import FusionStatus
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
 
 WORLD = "world"
@@ -66,13 +62,7 @@ class FusionNode(VehicleNode):
         self._waiting: deque[PoseEstimate] = deque()
         self._previous_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
-        self._settings: FusionConfig = self.config.fusion
-        self._fusion = Fusion(self.vehicle, self._settings)
-        self._outbox = Outbox(self._settings)
-        interface = self.declare_parameter("radio_interface", "").value
-        self._reporter = StatusReporter(
-            self.vehicle, self._fusion, self._outbox, Interface(interface) if interface else None
-        )
+        self._fusion = Fusion(self.vehicle, self.config.fusion)
         self._odometry = self.advertise(Odometry, "fused/odometry", STATE)
         self._paths = self.advertise(Path, "fused/path", STATE)
         self._landmarks = self.advertise(PointCloud2, "fused/landmarks", STATE)
@@ -83,11 +73,13 @@ class FusionNode(VehicleNode):
         if self._participant is not None:
             self._participant.serve(self)
         peers = [p for p in self.declare_parameter("peers", [""]).value if p and p != self.vehicle]
-        self._fleet = {self.vehicle, *peers}
         host = self._participant.node if self._participant else None
-        self._radio = Radio(self, peers, self._on_packet, host=host)
+        self._exchange = PacketExchange(self, self._fusion, peers, host=host)
+        name = self.declare_parameter("radio_interface", "").value
+        interface = Interface(name) if name else None
+        self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
         self.add_on_set_parameters_callback(self._check_parameters)
-        self._tune(self.declare_parameter("mode", self._settings.mode).value)
+        self._exchange.tune(self.declare_parameter("mode", self.config.fusion.mode).value)
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def destroy_node(self) -> None:
@@ -107,32 +99,8 @@ class FusionNode(VehicleNode):
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
         for one in parameters:
-            if one.name == "mode" and one.value != self._settings.mode:
-                self._tune(one.value)
-
-    def _tune(self, mode: str) -> None:
-        """Begin a communication mode; estimates go on as they are."""
-        self._settings = dataclasses.replace(self._settings, mode=mode)
-        self._fusion._config = self._settings
-        self._outbox.configure(self._settings)
-        self._radio.tune(mode)
-        self.notes["mode"] = mode
-        self.get_logger().info(f"communication mode: {mode}")
-
-    def _on_packet(self, peer: str, message: LandmarkInformation, data: bytes) -> None:
-        """Take a packet in; a peer may send on those of others, as they came."""
-        self._reporter.received_bytes[peer] += len(data)
-        if message.vehicle != peer and message.vehicle not in self._fleet:
-            raise InvalidMessage("sender", f"{peer}'s topic carries a packet of {message.vehicle!r}")
-        packet = packet_from_msg(message)
-        try:
-            self._fusion.inbox.add(packet)
-        except InvalidMessage:
-            if message.vehicle == peer:
-                raise
-            return  # what is sent on often comes twice, or comes home; the inbox counts it
-        if self._settings.relay and self._outbox.take(packet.stamp_ns, len(data)):
-            self._radio.send(data)
+            if one.name == "mode" and one.value != self._exchange.settings.mode:
+                self._exchange.tune(one.value)
 
     def _on_joint(self, message: JointInformationMsg) -> None:
         joint = joint_from_msg(message)
@@ -146,7 +114,7 @@ class FusionNode(VehicleNode):
     def _work(self) -> None:
         while self._waiting:
             own = self._waiting[0]
-            if crosses_epoch(self._previous_ns, own.stamp_ns, self._settings.epoch_s):
+            if crosses_epoch(self._previous_ns, own.stamp_ns, self.config.fusion.epoch_s):
                 joint = self._joints.pop(own.stamp_ns, None)
                 if joint is not None:
                     self._run_epoch(joint)
@@ -159,22 +127,11 @@ class FusionNode(VehicleNode):
 
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
-        if self._settings.mode != "none":
-            self._send(joint)
+        self._exchange.send(joint)
         stamp_ns = joint.stamp_ns
         self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=WORLD))
         self._paths.publish(Path(header=header(stamp_ns, WORLD), poses=list(self._path)))
         self._report(stamp_ns, epoch.weight)
-
-    def _send(self, joint: JointInformation) -> None:
-        """Send a packet, unless the budget has no room for it: then the next epoch's replaces it."""
-        left = self._outbox.available(joint.stamp_ns)
-        packet = self._fusion.packet(joint, byte_limit=left)
-        data = serialize_message(packet_to_msg(packet))
-        if self._outbox.take(packet.stamp_ns, len(data)):
-            self._radio.send(data)
-        else:
-            self.drop("budget", f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B left")
 
     def _publish_pose(self, own: PoseEstimate, fused: PoseEstimate) -> None:
         T_world_map = fused.T_map_body @ own.T_map_body.inverse()
@@ -185,8 +142,7 @@ class FusionNode(VehicleNode):
 
     def _report(self, stamp_ns: int, own_weight: float) -> None:
         before = set(self._reporter.silent)
-        mode, silent_after_s = self._settings.mode, self._settings.silent_after_s
-        status = self._reporter.report(stamp_ns, WORLD, mode=mode, own_weight=own_weight, silent_after_s=silent_after_s)
+        status = self._reporter.report(stamp_ns, WORLD, own_weight=own_weight)
         self._status.publish(status)
         self.alarms = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
         for peer in before - set(self._reporter.silent):

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packets out and in: what the fusion core makes, over the radio within the budget; what peers send, to its inbox."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Sequence
+
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+
+from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.cooperation.outbox import Outbox
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
+from uav_vslam.ros.radio import Radio
+from uav_vslam.ros.runtime import VehicleNode
+from uav_vslam.types import JointInformation
+from uav_vslam_msgs.msg import LandmarkInformation
+
+
+class PacketExchange:
+    """A vehicle's part in the exchange of packets, in one communication mode at a time.
+
+    Attributes:
+        settings: with the present mode.
+        outbox: what was sent and held back.
+        received_bytes: serialised size of all packets that came, by peer.
+    """
+
+    def __init__(self, node: VehicleNode, fusion: Fusion, peers: Sequence[str], *, host: Node | None) -> None:
+        """Prepare; nothing is opened before `tune`.
+
+        Args:
+            node: counts what is dropped.
+            fusion: makes packets and takes those of the peers.
+            peers: names of the other vehicles.
+            host: the node of a participant of the radio's own; None: the vehicle's node itself.
+        """
+        self._node, self._fusion = node, fusion
+        self._vehicles = {node.vehicle, *peers}
+        self._radio = Radio(node, peers, self._on_packet, host=host)
+        self.settings: FusionConfig = node.config.fusion
+        self.outbox = Outbox(self.settings)
+        self.received_bytes: Counter[str] = Counter()
+
+    def tune(self, mode: str) -> None:
+        """Begin a communication mode."""
+        self.settings = dataclasses.replace(self.settings, mode=mode)
+        self._fusion._config = self.settings
+        self.outbox.configure(self.settings)
+        self._radio.tune(mode)
+        self._node.notes["mode"] = mode
+        self._node.get_logger().info(f"communication mode: {mode}")
+
+    def send(self, joint: JointInformation) -> None:
+        """Send an epoch's packet, unless the budget has no room for it: then the next epoch's replaces it."""
+        if not self.outbox.is_turn(joint.stamp_ns):
+            return
+        left = self.outbox.available(joint.stamp_ns)
+        packet = self._fusion.packet(joint, byte_limit=left)
+        data = serialize_message(packet_to_msg(packet))
+        if self.outbox.take(packet.stamp_ns, len(data)):
+            self._radio.send(data)
+        else:
+            detail = f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B left"
+            self._node.drop("budget", detail)
+
+    def _on_packet(self, peer: str, message: LandmarkInformation, data: bytes) -> None:
+        """Take a packet in; a peer may send on those of others, as they came."""
+        self.received_bytes[peer] += len(data)
+        if message.vehicle != peer and message.vehicle not in self._vehicles:
+            raise InvalidMessage("sender", f"{peer}'s topic carries a packet of {message.vehicle!r}")
+        packet = packet_from_msg(message)
+        try:
+            self._fusion.inbox.add(packet)
+        except InvalidMessage:
+            if message.vehicle == peer:
+                raise
+            return  # what is sent on often comes twice, or comes home; the inbox counts it
+        self.outbox.hear(packet.stamp_ns)
+        if self.settings.relay and self.outbox.take(packet.stamp_ns, len(data)):
+            self._radio.send(data)
