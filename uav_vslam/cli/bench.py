@@ -60,8 +60,10 @@ def measure(effort: Any) -> Iterator[dict[str, Any]]:
         yield back_end_speed.back_end(landmarks, effort.frames)
     yield back_end_speed.back_end(200, effort.frames, lag_s=back_end_speed.TRACK_LAG_S)
     yield back_end_speed.back_end(200, effort.frames // 3, factorisation=back_end_speed.QR)
-    for shared in (10, 50):
-        yield speed.fusion(shared, effort.repeats)
+    for shared in (10, 50, 200):
+        yield speed.fusion(shared, min(effort.repeats, 30))
+    for shared in (10, 50, 200):
+        yield speed.weight_search(shared, min(effort.repeats, 10))
     yield from speed.packets(64, PacketPolicy(), effort.repeats)
     yield from speed.packets(14, PacketPolicy(form=ANCHOR, descriptor_basis=COMPACT), effort.repeats)
     yield speed.preintegration(effort.repeats)

@@ -5,11 +5,11 @@ The ratio test comes first: a gate first would leave it no rivals. Covariance in
 not against a wrong match, so what remains must be pairwise consistent, cf. [mangelson18].
 """
 
-import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, in_basis, load_basis, single_distance
@@ -85,19 +85,15 @@ def _gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: flo
 
 
 def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: float, config: FusionConfig) -> Pairs:
-    """Return the largest set of pairs whose mutual offsets agree in both maps (a maximum clique)."""
-    if len(pairs) < 2:
-        return np.arange(len(pairs))
+    """Return the largest set of pairs whose mutual offsets agree in both maps."""
     i, j = np.triu_indices(len(pairs), 1)
     a, b = pairs[:, 0], pairs[:, 1]
     offset = (peer[b[j]] - peer[b[i]]) - (own[a[j]] - own[a[i]])
     S = _offset_covariance(P, a[i], a[j]) + _offset_covariance(R, b[i], b[j]) + 2 * floor * np.eye(3)
     agree = _mahalanobis2(offset, S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability)
-    graph = nx.Graph()
-    graph.add_nodes_from(range(len(pairs)))
-    graph.add_edges_from(zip(i[agree].tolist(), j[agree].tolist(), strict=True))
-    clique, _ = nx.max_weight_clique(graph, weight=None)
-    return np.array(sorted(clique), dtype=np.intp)
+    graph = np.zeros((len(pairs), len(pairs)), dtype=bool)
+    graph[i, j] = graph[j, i] = agree
+    return largest_clique(graph)
 
 
 def _offset_covariance(covariance: Array, i: Pairs, j: Pairs) -> Array:

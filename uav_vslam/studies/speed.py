@@ -14,9 +14,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from uav_vslam.config import FrontendConfig, FusionConfig, ImuConfig
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.estimation.covariance_intersection import WEIGHT_BOUNDS, WEIGHTS, Encounter, Split
+from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.camera_render import RenderedFlight
@@ -125,18 +128,42 @@ def preintegration(repeats: int) -> Row:
 
 
 def fusion(shared: int, repeats: int) -> Row:
-    """Time the fusion of one packet into the own belief."""
-    own = _belief("uav1", list(range(OWN_LANDMARKS)), stamp_s=11.0)
-    theirs = list(range(shared)) + list(range(1000, 1000 + OWN_LANDMARKS - shared))
-    peer = _belief("uav2", theirs, stamp_s=10.0)
+    """Time the fusion of one packet, all of whose landmarks are shared, into the own belief."""
+    count = max(OWN_LANDMARKS, shared)
+    own = _belief("uav1", list(range(count)), stamp_s=11.0)
+    peer = _belief("uav2", list(range(shared)), stamp_s=10.0)
     core = Fusion("uav1", FusionConfig())
-    packet = make_packet(peer, sequence=1, policy=PacketPolicy(), matched_ids=peer.ids[:shared].tolist())
-    core.inbox.add(packet)
-    size = POSE + 3 * OWN_LANDMARKS
+    core.inbox.add(make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=shared)))
+    size = POSE + 3 * count
     ms, ratio = take_turns([lambda: core.fuse(own)] * repeats, _cholesky(size))
     found = core.epoch.common["uav2"] if core.epoch else 0
-    condition = f"{OWN_LANDMARKS} own landmarks, {shared} shared"
+    condition = f"{count} own landmarks, {shared} shared"
     return _row("fusion", condition, _cholesky_name(size), ratio, ms_per_packet=ms, landmarks=found)
+
+
+def weight_search(shared: int, repeats: int) -> Row:
+    """Time finding the weight of an intersection, beside scipy's search over the whole fused covariance."""
+    count = max(OWN_LANDMARKS, shared)
+    P = inverse_spd(_belief("uav1", list(range(count)), stamp_s=1.0).information, "own belief")
+    R = inverse_spd(_belief("uav2", list(range(shared)), stamp_s=1.0).information, "a peer's")[POSE:, POSE:]
+    own, peer = Split(np.zeros_like(P), P), Split(0.09 * np.eye(len(R)), R)
+    E = np.eye(len(R), len(P), POSE)
+
+    def whole(weight: float) -> float:
+        P1, P2 = own.inflated(weight), peer.inflated(1.0 - weight)
+        K = P1 @ E.T @ np.linalg.inv(E @ P1 @ E.T + P2)
+        return float(np.trace((P1 - K @ E @ P1)[:3, :3]))
+
+    def theirs() -> float:
+        bounds = (WEIGHT_BOUNDS[0], WEIGHT_BOUNDS[1] - 1e-6)
+        return float(minimize_scalar(whole, bounds=bounds, method="bounded", options={"xatol": 1e-3}).x)
+
+    def ours() -> float:
+        return WEIGHTS["position_trace"](Encounter(own, E, peer))
+
+    ms, ratio = take_turns([ours] * repeats, theirs)
+    condition = f"{shared} shared, weight {ours():.3f}, yardstick's {theirs():.3f}"
+    return _row("weight search", condition, "scipy over the whole", ratio, ms_per_packet=ms)
 
 
 def packets(landmarks: int, policy: PacketPolicy, repeats: int) -> list[Row]:
