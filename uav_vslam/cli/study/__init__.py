@@ -5,7 +5,20 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study import euroc, filters, flights, frames, fusion, long, models, outliers, rig, start, thesis
+from uav_vslam.cli.study import (
+    euroc,
+    filters,
+    flights,
+    frames,
+    fusion,
+    long,
+    models,
+    outliers,
+    radio,
+    rig,
+    start,
+    thesis,
+)
 
 HELP = "compare methods over many flights"
 EXAMPLES = """examples:
@@ -14,6 +27,7 @@ EXAMPLES = """examples:
   uav-vslam study frames                   landmark level: maps that lie anywhere, landmarks mistaken; minutes
   uav-vslam study thesis                   landmark level: the thesis's cooperative simulation; half an hour
   uav-vslam study flights --seeds 8        rendered images, both inertial grades; about a quarter of an hour
+  uav-vslam study radio                    rendered images, the node graph over DDS in both packet modes; an hour
   uav-vslam study filters                  landmark level: every filter with every state model; an hour
   uav-vslam study long                     landmark level: 2.8 km with each retention policy; minutes
   uav-vslam study rig                      rendered images, a right camera that vibrates or is turned; an hour
@@ -28,6 +42,7 @@ STUDIES = {
     "thesis": thesis,
     "frames": frames,
     "flights": flights,
+    "radio": radio,
     "filters": filters,
     "long": long,
     "rig": rig,
