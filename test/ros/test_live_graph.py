@@ -16,9 +16,12 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
+from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -65,6 +68,43 @@ def test_a_users_own_node_hears_the_graph_and_ctrl_c_ends_all_of_it(
         assert graph.running() == []
         assert graph.process.returncode == 128 + signal.SIGINT
         assert "Traceback" not in output
+
+
+def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(
+    launched: Callable[..., AbstractContextManager[Any]], tmp_path: Path
+) -> None:
+    fleet = str(ROOT / "config" / "fleet_demo.yaml")
+    with launched(fleet, "--link", "clean", "--log-dir", str(tmp_path)) as graph:
+        heard: list[LandmarkInformation] = []
+        modes: list[str] = []
+        context = rclpy.Context()
+        context.init(domain_id=graph.domain_id)
+        node = rclpy.create_node("pilot", context=context)
+        node.create_subscription(LandmarkInformation, "/uav1/heard/uav2", heard.append, 10)
+        node.create_subscription(FusionStatus, "/uav1/fusion/status", lambda status: modes.append(status.mode), 10)
+        client = node.create_client(SetParameters, "/uav1/fusion/set_parameters")
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+
+        def spin(until: Callable[[], Any]) -> bool:
+            end_s = time.monotonic() + 60.0
+            while not until() and time.monotonic() < end_s:
+                executor.spin_once(timeout_sec=0.1)
+            return bool(until())
+
+        try:
+            assert spin(lambda: heard and modes)
+            assert (heard[0].vehicle, modes[-1]) == ("uav2", "wideband")
+            assert client.wait_for_service(10.0)
+            value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="narrowband")
+            request = SetParameters.Request(parameters=[Parameter(name="mode", value=value)])
+            answer = client.call_async(request)
+            assert spin(answer.done)
+            assert [result.successful for result in answer.result().results] == [True]
+            assert spin(lambda: modes[-1] == "narrowband")
+        finally:
+            node.destroy_node()
+            context.try_shutdown()
 
 
 def diagnostics_until(domain_id: int, done: Callable[[DiagnosticStatus], bool], timeout_s: float) -> list[str]:
