@@ -181,6 +181,7 @@ class FusionConfig:
     weighing: str = "position_trace"  # how the own weight of an intersection is found, see FUSION_WEIGHTS
     prior_id: str = ""  # hash of a loaded map or shared survey that the start state rests on; "" for none
     common_origin: bool = True  # all maps began at one known point and heading; otherwise each peer's frame is found
+    feedback: bool = False  # wideband: tell each peer what fusion made of its landmarks
     relay: bool = False  # send peers' packets on, as they came, for those that can't hear them
     memory_landmarks: int = 40  # shared landmarks that are remembered after they have left the filter's state
     max_packet_landmarks: int = 64  # landmarks in one packet

@@ -296,10 +296,6 @@ def pose_estimate(xi, t, covariance: Array, stamp_ns: int = NOW_NS) -> PoseEstim
     return PoseEstimate(stamp_ns, Pose(so3_exp(xi), np.asarray(t, float)), covariance)
 
 
-def epoch_of(own: PoseEstimate, fused: PoseEstimate) -> FusedEpoch:
-    return FusedEpoch(own, fused, np.zeros(0, np.uint32), np.zeros((0, 3)), 1.0, {}, frozenset())
-
-
 COVARIANCES = st.builds(
     lambda seed, log: (
         10.0**log * (lambda A: A @ A.T + 1e-3 * np.eye(6))(np.random.default_rng(seed).normal(size=(6, 6)))
@@ -313,7 +309,7 @@ COVARIANCES = st.builds(
 def test_carrying_without_motion_changes_nothing(own_P: Array, fused_P: Array) -> None:
     own = pose_estimate([0.1, 0.2, 0.3], [1, 2, 70], own_P)
     fused = pose_estimate([0.1, 0.2, 0.35], [1.5, 2, 70], fused_P)
-    there = carried(epoch_of(own, fused), own)
+    there = carried(own, fused, own)
     np.testing.assert_allclose(there.T_map_body.matrix, fused.T_map_body.matrix, rtol=0, atol=1e-13)
     np.testing.assert_allclose(
         there.covariance, fused_P, rtol=0, atol=1e-12 * np.abs(own_P).max() + 1e-12 * np.abs(fused_P).max()
@@ -326,7 +322,7 @@ def test_a_carried_covariance_stays_positive_and_never_shrinks(own_P, fused_P, l
     own = pose_estimate([0.1, 0.2, 0.3], [1, 2, 70], own_P)
     fused = pose_estimate([0.1, 0.2, 0.35], [1.5, 2, 70], fused_P)
     later = pose_estimate([0.15, 0.2, 0.5], np.array([1, 2, 70]) + moved, later_P, NOW_NS + 1)
-    there = carried(epoch_of(own, fused), later)
+    there = carried(own, fused, later)
     assert there.stamp_ns == NOW_NS + 1
     np.testing.assert_array_equal(there.covariance, there.covariance.T)
     assert np.linalg.eigvalsh(there.covariance)[0] > -1e-12 * np.abs(there.covariance).max()
@@ -337,7 +333,7 @@ def test_a_carried_pose_keeps_the_own_motion_between_stamps() -> None:
     own = pose_estimate([0, 0, 0.3], [1, 2, 70], 0.1 * np.eye(6))
     fused = pose_estimate([0, 0, 0.4], [4, 2, 69], 0.05 * np.eye(6))
     later = pose_estimate([0.05, 0.1, 0.8], [11, 5, 71], 0.2 * np.eye(6), NOW_NS + 1)
-    there = carried(epoch_of(own, fused), later)
+    there = carried(own, fused, later)
     seen = fused.T_map_body.inverse() @ there.T_map_body
     expected = own.T_map_body.inverse() @ later.T_map_body
     np.testing.assert_allclose(seen.matrix, expected.matrix, rtol=0, atol=1e-12)
@@ -357,3 +353,51 @@ def test_moving_is_the_exponential_without_velocity() -> None:
     np.testing.assert_allclose(moved_landmarks, landmarks @ so3_exp(xi).T, rtol=0, atol=1e-12)
     np.testing.assert_allclose(moved_pose.t, so3_exp(xi) @ pose.t, rtol=0, atol=1e-12)
     np.testing.assert_allclose(so3_log(moved_pose.R @ pose.R.T), xi, rtol=0, atol=1e-12)
+
+
+def test_feedback_names_the_peers_landmarks_and_says_whose_measurements_are_inside(own, peer_packet) -> None:
+    fusion = Fusion("uav1", EXACT)
+    assert fusion.feedback("uav2") is None
+    fusion.inbox.add(packet := peer_packet())
+    epoch = fusion.fuse(own)
+    feedback = fusion.feedback("uav2")
+    assert feedback is not None
+    assert feedback.vehicle == "uav1"
+    assert feedback.sources == ("uav1/1", "uav2/1")
+    assert feedback.ids.tolist() == packet.ids.tolist()
+    np.testing.assert_allclose(feedback.positions, epoch.positions, rtol=0, atol=0.02)
+    bound = feedback.covariance - epoch.covariance[POSE_DIM:, POSE_DIM:]
+    assert np.linalg.eigvalsh(bound)[0] > -1e-9
+    assert fusion.feedback("uav3") is None
+
+
+def test_feedback_is_intersected_with_and_never_counts_the_own_measurements_twice(own, peer_packet, make_joint) -> None:
+    """What comes back rests on the own packet: at best it says what the peer's packet would have."""
+    there = Fusion("uav2", EXACT)
+    peer = make_joint(TRUTH + 0.1, belief_covariance(0.8), vehicle="uav2", stamp_ns=NOW_NS - 10**9)
+    there.inbox.add(make_packet_for(own, stamp_ns=NOW_NS - 2 * 10**9))
+    there.fuse(peer)
+    here = Fusion("uav1", EXACT)
+    here.returned.add(there.feedback("uav1"))
+    helped, direct = here.fuse(own), fuse(own, make_packet_for(peer))
+    alone, returned, told = (
+        np.trace(P[:3, :3]) for P in (helped.own.covariance, helped.pose.covariance, direct.pose.covariance)
+    )
+    assert told < returned < alone
+    assert helped.weight < 1.0
+
+
+def make_packet_for(joint: JointInformation, stamp_ns: int | None = None) -> LandmarkPacket:
+    joint = dataclasses.replace(joint, stamp_ns=joint.stamp_ns if stamp_ns is None else stamp_ns)
+    return make_packet(joint, sequence=1, policy=PacketPolicy())
+
+
+def test_feedback_to_an_earlier_session_is_not_used(own, peer_packet) -> None:
+    fusion = Fusion("uav2", EXACT)
+    fusion.inbox.add(peer_packet("uav1"))
+    fusion.fuse(dataclasses.replace(own, vehicle="uav2"))
+    feedback = fusion.feedback("uav1")
+    restarted = Fusion("uav1", EXACT)
+    restarted.returned.add(feedback)
+    epoch = restarted.fuse(dataclasses.replace(own, session=2, stamp_ns=NOW_NS + 10**9))
+    np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a fused correction moves a pose and its landmarks, and how the fused pose follows the own motion afterwards."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,11 @@ class FusedEpoch:
         own: own-only pose at the epoch.
         pose: fused pose.
         ids, positions: (N,) and (N, 3) fused landmarks [m].
+        covariance: (6+3N, 6+3N) of position, rotation and landmarks.
         weight: smallest weight that the own information got; 1 where all was independent.
         common: number of common landmarks used, by peer.
         matched_ids: own landmarks that some peer shares.
+        sources: "vehicle/session" of whose measurements are inside.
         frames: where the frames of peers lie that have no common origin with ours.
     """
 
@@ -33,10 +35,12 @@ class FusedEpoch:
     pose: PoseEstimate
     ids: NDArray[np.uint32]
     positions: Array
+    covariance: Array
     weight: float
     common: dict[str, int]
     matched_ids: frozenset[int]
-    frames: dict[str, FrameEstimate] = field(default_factory=dict)
+    sources: frozenset[str]
+    frames: dict[str, FrameEstimate]
 
 
 def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]:
@@ -48,19 +52,23 @@ def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]
     return Pose(R_xi @ T_map_body.R, T_map_body.t + J @ delta[:3]), T_map_body.t + arm @ R_xi.T + shift @ J.T
 
 
-def carried(epoch: FusedEpoch, own: PoseEstimate) -> PoseEstimate:
+def carried(own: PoseEstimate, fused: PoseEstimate, now: PoseEstimate) -> PoseEstimate:
     """Carry a fused pose along the own-only motion since its epoch.
 
     The covariance is carried likewise and grows by what the own covariance grew by over the same motion.
+
+    Args:
+        own, fused: both poses at the epoch.
+        now: the own pose later.
     """
-    turn = epoch.pose.T_map_body.R @ epoch.own.T_map_body.R.T
-    moved = own.T_map_body.t - epoch.own.T_map_body.t
-    pose = Pose(turn @ own.T_map_body.R, epoch.pose.T_map_body.t + turn @ moved)
-    growth = own.covariance - _transported(epoch.own.covariance, moved)
+    turn = fused.T_map_body.R @ own.T_map_body.R.T
+    moved = now.T_map_body.t - own.T_map_body.t
+    pose = Pose(turn @ now.T_map_body.R, fused.T_map_body.t + turn @ moved)
+    growth = now.covariance - _transported(own.covariance, moved)
     values, vectors = np.linalg.eigh(symmetrise(growth))
     growth = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    covariance = _transported(epoch.pose.covariance, turn @ moved) + growth
-    return PoseEstimate(own.stamp_ns, pose, symmetrise(covariance))
+    covariance = _transported(fused.covariance, turn @ moved) + growth
+    return PoseEstimate(now.stamp_ns, pose, symmetrise(covariance))
 
 
 def _transported(covariance: Array, moved: Array) -> Array:

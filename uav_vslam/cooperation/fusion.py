@@ -6,6 +6,7 @@ intersection. A packet whose sources and prior are disjoint from everything fuse
 adds; any overlap makes its share dependent. In between, the fused pose is carried by the own-only motion.
 """
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,17 +15,17 @@ from numpy.typing import NDArray
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.authentication import authentication_for
 from uav_vslam.cooperation.common_landmarks import comparable
-from uav_vslam.cooperation.fused_pose import FusedEpoch, carried, move
+from uav_vslam.cooperation.fused_pose import FusedEpoch, carried
 from uav_vslam.cooperation.inbox import Inbox
 from uav_vslam.cooperation.memory import LandmarkMemory
+from uav_vslam.cooperation.overlay import Overlay
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
-from uav_vslam.cooperation.schemes import SCHEMES, Evidence
-from uav_vslam.estimation.covariance_intersection import Split
-from uav_vslam.estimation.numerics import inverse_spd
-from uav_vslam.slam.packet import POSE_DIM, make_packet, packet_policy
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.numerics import inverse_spd, submatrix
+from uav_vslam.slam.packet import ANCHOR, POSE_DIM, PacketPolicy, checksum, make_packet, packet_policy
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
 
-Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
 
 
 class Fusion:
@@ -32,6 +33,7 @@ class Fusion:
 
     Attributes:
         inbox: what peers sent.
+        returned: what peers' fusions made of the own landmarks: their feedback.
         belief: own belief of the last epoch, with the landmarks that are remembered.
         epoch: what the last fusion made of it.
     """
@@ -39,11 +41,13 @@ class Fusion:
     def __init__(self, vehicle: str, config: FusionConfig) -> None:
         self._authentication = authentication_for(vehicle, config)
         self.inbox = Inbox(vehicle, authentication=self._authentication)
+        self.returned = Inbox(vehicle, authentication=self._authentication)
         self._config = config
         self._memory = LandmarkMemory(config.memory_landmarks)
         self._frames: dict[str, PeerFrame] = {}
         self._shared: set[int] = set()
         self._sequence = 0
+        self._told: dict[str, tuple[NDArray[np.intp], NDArray[np.uint32]]] = {}  # own rows, a peer's ids
         self.belief: JointInformation | None = None
         self.epoch: FusedEpoch | None = None
 
@@ -67,35 +71,50 @@ class Fusion:
         )
         return self._authentication.sign(packet)
 
+    def feedback(self, peer: str) -> LandmarkPacket | None:
+        """Return what the last fusion made of the landmarks that a peer told of, by the peer's own identifiers.
+
+        The peer's measurements are inside, so that its fusion intersects with it; what others told may be inside too.
+        """
+        told = self._told.get(peer)
+        if self.belief is None or self.epoch is None or told is None:
+            return None
+        rows, ids = told
+        columns = np.concatenate([np.arange(POSE_DIM), landmark_rows(POSE_DIM, rows)])
+        fused = JointInformation(
+            stamp_ns=self.belief.stamp_ns,
+            vehicle=self.belief.vehicle,
+            session=self.belief.session,
+            T_map_body=self.epoch.pose.T_map_body,
+            ids=ids,
+            positions=self.epoch.positions[rows],
+            information=inverse_spd(submatrix(self.epoch.covariance, columns, columns), "fused landmarks"),
+            descriptors=np.zeros((len(ids), 0), np.uint8),
+        )
+        packet = make_packet(fused, sequence=self._sequence, policy=PacketPolicy(form=ANCHOR, max_landmarks=len(ids)))
+        packet = dataclasses.replace(packet, sources=tuple(sorted(self.epoch.sources)))
+        return self._authentication.sign(dataclasses.replace(packet, checksum=checksum(packet)))
+
     def fuse(self, joint: JointInformation) -> FusedEpoch:
-        """Start from the own belief and bring in each peer's newest packet that is old enough."""
-        joint = self.belief = self._memory.extended(joint, self._shared)
-        P = inverse_spd(joint.information, "own joint information")
-        T_map_body, positions = joint.T_map_body, joint.positions
-        own_pose = PoseEstimate(joint.stamp_ns, T_map_body, P[:POSE_DIM, :POSE_DIM])
-        belief = Split(P, np.zeros_like(P))
-        sources, priors = {f"{joint.vehicle}/{joint.session}"}, {self._config.prior_id} - {""}
-        weight, common, matched, frames = 1.0, {}, set(), {}
-        for peer, packet in self._packets_for(joint):
-            pairs = self._common(joint, positions, belief, packet)
-            self._note(peer, packet, len(pairs))
-            common[peer] = len(pairs)
-            matched |= set(joint.ids[pairs[:, 0]].tolist())
-            if len(pairs) == 0:
+        """Start from the own belief and bring in each peer's newest packet, and feedback, that is old enough."""
+        self.belief = self._memory.extended(joint, self._shared)
+        config = self._config
+        overlay = Overlay(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
+        self._told.clear()
+        for peer, packet in self._newest(self.inbox):
+            if not comparable(joint.descriptors, packet):
+                self.inbox.peers[peer].dropped["descriptor_size"] += 1
                 continue
-            dependent = bool(sources & set(packet.sources)) or packet.prior_id in priors
-            evidence = self._evidence(positions, packet, pairs, dependent=dependent)
-            fused = SCHEMES[self._config.scheme](belief, evidence, self._config.weighing)
-            frames[peer] = self.frame(peer).settled(fused)
-            belief = fused.P
-            T_map_body, positions = move(T_map_body, positions, fused.delta)
-            weight = min(weight, fused.weight)
-            sources |= set(packet.sources)
-            priors |= {packet.prior_id} - {""}
-        self._shared |= matched
-        fused_pose = PoseEstimate(joint.stamp_ns, T_map_body, belief.total[:POSE_DIM, :POSE_DIM])
-        known = {peer: frame for peer, frame in frames.items() if frame is not None}
-        self.epoch = FusedEpoch(own_pose, fused_pose, joint.ids, positions, weight, common, frozenset(matched), known)
+            pairs = self._common(overlay, packet)
+            self._note(peer, packet, len(pairs))
+            overlay.common[peer] = len(pairs)
+            overlay.add(packet, pairs, self.frame(peer))
+            if len(pairs):
+                self._told[peer] = pairs[:, 0], packet.ids[pairs[:, 1]]
+        for peer, packet in self._newest(self.returned):
+            overlay.add(packet, self._named(overlay, packet), self.frame(peer))
+        self._shared |= overlay.matched
+        self.epoch = overlay.epoch()
         return self.epoch
 
     def frame(self, peer: str) -> PeerFrame:
@@ -108,30 +127,28 @@ class Fusion:
         """Return the fused pose at a later own-only estimate: the last fused pose moved by the own motion since."""
         if self.epoch is None:
             return own
-        return carried(self.epoch, own)
+        return carried(self.epoch.own, self.epoch.pose, own)
 
-    def _packets_for(self, joint: JointInformation) -> Iterator[tuple[str, LandmarkPacket]]:
-        """Yield each peer's newest packet that an epoch may use."""
-        not_after_ns = joint.stamp_ns - round(self._config.min_delay_s * NS_PER_S)
-        for peer in sorted(self.inbox.peers) if self._config.mode != "none" else ():
-            packet = self.inbox.newest(peer, not_after_ns)
-            if packet is None:
-                continue
-            if not comparable(joint.descriptors, packet):
-                self.inbox.peers[peer].dropped["descriptor_size"] += 1
-                continue
-            yield peer, packet
+    def _newest(self, inbox: Inbox) -> Iterator[tuple[str, LandmarkPacket]]:
+        """Yield each peer's newest packet that this epoch may use."""
+        assert self.belief is not None
+        not_after_ns = self.belief.stamp_ns - round(self._config.min_delay_s * NS_PER_S)
+        for peer in sorted(inbox.peers) if self._config.mode != "none" else ():
+            packet = inbox.newest(peer, not_after_ns)
+            if packet is not None:
+                yield peer, packet
 
-    def _common(
-        self, joint: JointInformation, positions: Array, belief: Split, packet: LandmarkPacket
-    ) -> NDArray[np.intp]:
-        covariance = belief.total[POSE_DIM:, POSE_DIM:]
-        return self.frame(packet.vehicle).find_common(positions, covariance, joint.descriptors, packet)
+    def _common(self, overlay: Overlay, packet: LandmarkPacket) -> Pairs:
+        """Return (K, 2) rows of own landmarks and of the packet that show the same."""
+        covariance, descriptors = overlay.landmark_covariance, overlay.joint.descriptors
+        return self.frame(packet.vehicle).find_common(overlay.positions, covariance, descriptors, packet)
 
-    def _evidence(
-        self, positions: Array, packet: LandmarkPacket, pairs: NDArray[np.intp], *, dependent: bool
-    ) -> Evidence:
-        return self.frame(packet.vehicle).evidence(positions, packet, pairs, dependent=dependent)
+    def _named(self, overlay: Overlay, packet: LandmarkPacket) -> Pairs:
+        """Return (K, 2) rows of own landmarks and of feedback, which names them; none of another session's."""
+        if f"{overlay.joint.vehicle}/{overlay.joint.session}" not in packet.sources:
+            return np.zeros((0, 2), np.intp)
+        _, own, theirs = np.intersect1d(overlay.joint.ids, packet.ids, return_indices=True)
+        return np.column_stack([own, theirs])
 
     def _note(self, peer: str, packet: LandmarkPacket, common: int) -> None:
         record = self.inbox.peers[peer]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation import common_landmarks
+from uav_vslam.cooperation.alignment import Alignment
 from uav_vslam.cooperation.frame_link import FrameLink
 from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.cooperation.unknown_frame import Framed, FrameEstimate, framed
@@ -26,6 +27,10 @@ class PeerFrame(Protocol):
     @property
     def reason(self) -> str:
         """Why the peer's frame is not known; empty if it is."""
+
+    @property
+    def alignment(self) -> Alignment | None:
+        """The newest one; None while there is none, and where none is needed."""
 
     def find_common(
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
@@ -49,6 +54,10 @@ class CommonFrame:
     def reason(self) -> str:
         """Never unknown."""
         return ""
+
+    @property
+    def alignment(self) -> None:
+        """Never needed."""
 
     def find_common(
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
@@ -85,6 +94,11 @@ class UnknownFrame:
     def reason(self) -> str:
         """Why the frame is not known; empty if it is."""
         return self._link.reason if self._link.alignment is None else ""
+
+    @property
+    def alignment(self) -> Alignment | None:
+        """See `PeerFrame`."""
+        return self._link.alignment
 
     def find_common(
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One seed's flights of two vehicles that don't know where each other's map lies: when they find out, and how well."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.apart import Flown, draw_offset, fly_own_only, identities, mistaken, moved_apart
 from uav_vslam.studies.association_stages import STAGES, UNKNOWN_FRAME, Identities, Score, pairs_by_stage, score
 from uav_vslam.studies.map_yardsticks import alignment_error, map_to_map, weighted_map_to_map
-from uav_vslam.studies.meetings import FramingFusion, Meeting, RecordingFusion, meet
+from uav_vslam.studies.meetings import Meeting, RecordingFusion, meet
 from uav_vslam.types import NS_PER_S, JointInformation
 
 Array = NDArray[np.float64]
@@ -87,7 +88,8 @@ def run_together(flown: Flown, seed: int, share: float) -> FrameRun:
     together, wrong = mistaken(flown, PEER, share, seed, among=shared)
     apart = moved_apart(together, PEER, T_peer_own)
     truth = Identities(own, peer, wrong)
-    framing, common = ({name: kind(name, config) for name in flown.tracks} for kind in (FramingFusion, RecordingFusion))
+    apart_config = dataclasses.replace(config, common_origin=False)
+    framing, common = ({name: RecordingFusion(name, c) for name in flown.tracks} for c in (apart_config, config))
     unknown, known = meet(apart, framing), meet(together, common)
     tracks = {"alone": (_alone(apart), apart), "unknown": (unknown, apart), "known": (known, together)}
     aligned = [(m, m.alignment) for m in framing[OWN].meetings if m.alignment is not None]

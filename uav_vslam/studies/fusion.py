@@ -59,6 +59,7 @@ def schemes(frames: int) -> list[Part]:
     everything = {"scheme": "overlay", "max_packet_landmarks": 1000, "budget_bytes_per_s": 10_000_000}
     settings = (
         Setting("split_ci"),
+        Setting("split_ci, with feedback", {"feedback": True}),
         Setting("split_ci, narrowband", {"mode": "narrowband"}),
         Setting("full_ci, position_trace", {"scheme": "full_ci"}),
         *weights,
@@ -109,6 +110,7 @@ def fleets(frames: int) -> list[Part]:
     row = (
         Setting("all hear all"),
         Setting("the ends can't hear each other", out_of_range=ends),
+        Setting("the middle returns feedback", {"feedback": True}, out_of_range=ends),
         Setting("the middle relays", {"relay": True}, out_of_range=ends),
     )
     return [

@@ -9,13 +9,9 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.alignment import Alignment
-from uav_vslam.cooperation.frame_link import FrameLink
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.cooperation.schemes import Evidence
-from uav_vslam.cooperation.unknown_frame import framed
-from uav_vslam.estimation.covariance_intersection import Split
+from uav_vslam.cooperation.overlay import Overlay
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.apart import Flown
 from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
 
@@ -47,33 +43,11 @@ class RecordingFusion(Fusion):
         super().__init__(vehicle, config)
         self.meetings: list[Meeting] = []
 
-    def _common(self, joint: JointInformation, positions: Array, belief: Split, packet: LandmarkPacket) -> Pairs:
-        pairs = super()._common(joint, positions, belief, packet)
-        self.meetings.append(Meeting(joint, packet, pairs))
+    def _common(self, overlay: Overlay, packet: LandmarkPacket) -> Pairs:
+        pairs = super()._common(overlay, packet)
+        alignment = self.frame(packet.vehicle).alignment
+        self.meetings.append(Meeting(overlay.joint, packet, pairs, alignment))
         return pairs
-
-
-class FramingFusion(RecordingFusion):
-    """One that knows no peer's frame."""
-
-    def __init__(self, vehicle: str, config: FusionConfig) -> None:
-        super().__init__(vehicle, config)
-        self._links: dict[str, FrameLink] = {}
-
-    def _common(self, joint: JointInformation, positions: Array, belief: Split, packet: LandmarkPacket) -> Pairs:
-        link = self._links.setdefault(packet.vehicle, FrameLink())
-        covariance = belief.total[POSE_DIM:, POSE_DIM:]
-        pairs = link.find_common(positions, covariance, joint.descriptors, packet, config=self._config)
-        self.meetings.append(Meeting(joint, packet, pairs, link.alignment))
-        return pairs
-
-    def _evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
-        alignment = self._links[packet.vehicle].alignment
-        assert alignment is not None  # there are pairs
-        floor_m = self._config.floor_sigma_m
-        return framed(
-            positions, packet, pairs, alignment.T_own_peer, floor_sigma_m=floor_m, dependent=dependent
-        ).evidence
 
 
 def meet(flown: Flown, fusions: Mapping[str, Fusion]) -> dict[str, Trajectory]:

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The own belief of one epoch while peers' packets are laid over it; what went in decides how the next may go in."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.cooperation.fused_pose import FusedEpoch, move
+from uav_vslam.cooperation.peer_frame import PeerFrame
+from uav_vslam.cooperation.schemes import SCHEMES
+from uav_vslam.cooperation.unknown_frame import FrameEstimate
+from uav_vslam.estimation.covariance_intersection import Split
+from uav_vslam.estimation.numerics import inverse_spd
+from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
+
+Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
+
+
+class Overlay:
+    """Begins with the own belief alone.
+
+    Attributes:
+        joint: the own belief.
+        positions: (N, 3) landmarks as fused so far [m].
+        sources: whose measurements are inside, "vehicle/session".
+        common: landmarks shared with each peer.
+        matched: own identifiers that some peer shares.
+    """
+
+    def __init__(self, joint: JointInformation, *, scheme: str, weighing: str, prior_id: str) -> None:
+        P = inverse_spd(joint.information, "own joint information")
+        self._bring_in, self._weighing = SCHEMES[scheme], weighing
+        self._belief = Split(P, np.zeros_like(P))
+        self._own_covariance, self._T_map_body = P[:POSE_DIM, :POSE_DIM], joint.T_map_body
+        self._weight, self._priors = 1.0, {prior_id} - {""}
+        self._frames: dict[str, FrameEstimate] = {}
+        self.joint = joint
+        self.positions: Array = joint.positions
+        self.sources = {f"{joint.vehicle}/{joint.session}"}
+        self.common: dict[str, int] = {}
+        self.matched: set[int] = set()
+
+    @property
+    def landmark_covariance(self) -> Array:
+        """(3N, 3N) of the landmarks as fused so far [m^2]."""
+        return self._belief.total[POSE_DIM:, POSE_DIM:]
+
+    def add(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
+        """Bring in what a packet says of (K, 2) pairs of own landmarks and its own.
+
+        A packet whose sources or prior are inside already is dependent; any other is independent.
+        """
+        self.matched |= set(self.joint.ids[pairs[:, 0]].tolist())
+        if len(pairs) == 0:
+            return
+        dependent = bool(self.sources & set(packet.sources)) or packet.prior_id in self._priors
+        evidence = frame.evidence(self.positions, packet, pairs, dependent=dependent)
+        fused = self._bring_in(self._belief, evidence, self._weighing)
+        settled = frame.settled(fused)
+        if settled is not None:
+            self._frames[packet.vehicle] = settled
+        self._belief = fused.P
+        self._T_map_body, self.positions = move(self._T_map_body, self.positions, fused.delta)
+        self._weight = min(self._weight, fused.weight)
+        self.sources |= set(packet.sources)
+        self._priors |= {packet.prior_id} - {""}
+
+    def epoch(self) -> FusedEpoch:
+        """Return what has come of it."""
+        joint, total = self.joint, self._belief.total
+        return FusedEpoch(
+            own=PoseEstimate(joint.stamp_ns, joint.T_map_body, self._own_covariance),
+            pose=PoseEstimate(joint.stamp_ns, self._T_map_body, total[:POSE_DIM, :POSE_DIM]),
+            ids=joint.ids,
+            positions=self.positions,
+            covariance=total,
+            weight=self._weight,
+            common=self.common,
+            matched_ids=frozenset(self.matched),
+            sources=frozenset(self.sources),
+            frames=self._frames,
+        )
