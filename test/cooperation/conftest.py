@@ -41,6 +41,12 @@ class SentMap:
     descriptors: np.ndarray
     session: int = 1
     descriptor_basis: int = RAW
+    told: np.ndarray | None = None
+
+    @property
+    def ids(self) -> np.ndarray:
+        """Identifiers: those told, or the rows."""
+        return np.arange(len(self.positions), dtype=np.uint32) if self.told is None else self.told
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation import heard_map
 from uav_vslam.cooperation.frame_link import MISFITS, FrameLink
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
@@ -33,11 +34,18 @@ def meet(make_joint, sent_map):
             0.1**2 * np.eye(3 * len(rows)),
             make_joint(world[rows], np.eye(6 + 3 * len(rows)), identities=looks).descriptors,
             session,
+            told=rows.astype(np.uint32),
         )
         pairs = link.find_common(own.positions, P[6:, 6:], own.descriptors, packet, config=CONFIG)
         return [(int(a), int(rows[b])) for a, b in pairs]
 
     return show
+
+
+@pytest.fixture
+def each_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a link judge by the newest packet alone."""
+    monkeypatch.setattr(heard_map, "HEARD_LANDMARKS", 0)
 
 
 def assert_known(link: FrameLink, T: Pose) -> None:
@@ -69,6 +77,7 @@ def test_thin_evidence_shares_nothing_and_says_why(meet) -> None:
     assert link.reason == "5 matches, 8 needed"
 
 
+@pytest.mark.usefixtures("each_for_itself")
 def test_once_known_a_frame_needs_few_matches(meet) -> None:
     link = FrameLink()
     meet(link)
@@ -96,6 +105,7 @@ def test_a_frame_that_jumps_is_replaced_at_once_by_thick_evidence(meet) -> None:
     assert_known(link, MOVED)
 
 
+@pytest.mark.usefixtures("each_for_itself")
 def test_a_frame_that_matches_keep_contradicting_is_forgotten(meet) -> None:
     """Five of ten matches agree with each other, and none with the known frame: too thin for a new one."""
     link = FrameLink()
@@ -111,12 +121,39 @@ def test_a_frame_that_matches_keep_contradicting_is_forgotten(meet) -> None:
     assert "needed" in link.reason
 
 
+def test_old_evidence_does_not_outlive_contradiction(meet) -> None:
+    """What was heard before still agrees with the frame, but nothing that is heard now does."""
+    link = FrameLink()
+    meet(link)
+    for _ in range(MISFITS):
+        assert link.alignment is not None
+        assert meet(link, range(10), wrong=5, T=MOVED) == []
+    assert link.alignment is None
+    meet(link, T=MOVED)
+    assert_known(link, MOVED)
+
+
+@pytest.mark.usefixtures("each_for_itself")
 def test_few_matches_that_contradict_a_frame_prove_nothing(meet) -> None:
     link = FrameLink()
     meet(link)
     for _ in range(2 * MISFITS):
         assert meet(link, range(5), T=MOVED) == []
     assert_known(link, T_OWN_PEER)
+
+
+def test_small_packets_together_are_enough(meet) -> None:
+    """Six landmarks a packet: the second one's are shared, and the first one's were evidence."""
+    link = FrameLink()
+    assert meet(link, range(6)) == []
+    assert [a for a, _ in meet(link, range(6, 12))] == list(range(6, 12))
+    assert_known(link, T_OWN_PEER)
+
+
+def test_what_an_earlier_session_told_is_no_evidence(meet) -> None:
+    link = FrameLink()
+    meet(link, range(6))
+    assert meet(link, range(6, 12), session=2) == []
 
 
 def test_empty_maps_share_nothing(sent_map) -> None:

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.heard_map import Told
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, in_basis, load_basis, single_distance
 from uav_vslam.vision.matching.nn_ratio import match_descriptors
@@ -49,7 +50,7 @@ def find_common(
     return pairs if len(pairs) >= config.min_common else pairs[:0]
 
 
-def look_alikes(descriptors: NDArray[np.uint8], packet: LandmarkPacket, ratio: float, *, mutual: bool = True) -> Pairs:
+def look_alikes(descriptors: NDArray[np.uint8], packet: Told, ratio: float, *, mutual: bool = True) -> Pairs:
     """Match own descriptors (N, D), as extracted, with a packet's; none where they can't be compared."""
     if len(packet) == 0 or not comparable(descriptors, packet):
         return np.zeros((0, 2), np.intp)
@@ -63,7 +64,7 @@ def look_alikes(descriptors: NDArray[np.uint8], packet: LandmarkPacket, ratio: f
     )
 
 
-def comparable(descriptors: NDArray[np.uint8], packet: LandmarkPacket) -> bool:
+def comparable(descriptors: NDArray[np.uint8], packet: Told) -> bool:
     """Tell whether own descriptors (N, D), as extracted, and a packet's are of one kind."""
     own = descriptors.shape[1]
     if packet.descriptor_basis != RAW:

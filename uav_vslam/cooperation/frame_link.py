@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which of a peer's landmarks is which of ours while its map frame is not known; one link a peer.
 
-Not aligned: nothing is shared until the evidence is thick enough for `align`. Aligned: each packet is aligned anew;
-where its evidence is thin, what fits the known frame is shared as well, for nothing has to be searched any more. The
-frame is forgotten when the peer starts again, and when matches keep contradicting it.
+Not aligned: nothing is shared until the evidence is thick enough for `align`. Aligned: with each packet it is aligned
+anew, by what was heard lately; where that is thin, what fits the known frame is shared as well, for nothing has to be
+searched any more. The frame is forgotten when the peer starts again, and when matches keep contradicting it.
 """
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.alignment import MIN_INLIERS, Alignment, Refusal, align, follow
-from uav_vslam.cooperation.common_landmarks import look_alikes
+from uav_vslam.cooperation.common_landmarks import comparable, look_alikes
+from uav_vslam.cooperation.heard_map import HeardMap, heard
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.types import LandmarkPacket
 
@@ -35,6 +36,7 @@ class FrameLink:
         self.reason = "no packet yet"
         self.found = 0
         self._session: int | None = None
+        self._heard: HeardMap | None = None
         self._misfits = 0
 
     def find_common(
@@ -61,32 +63,43 @@ class FrameLink:
         if packet.session != self._session:
             self._forget()
             self._session = packet.session
-        pairs = look_alikes(descriptors, packet, config.ratio)
-        points = PointPairs.of(positions, covariance, packet, pairs, config.floor_sigma_m)
-        return pairs[self._inliers(points, config.min_common)]
+        if not comparable(descriptors, packet):
+            return np.zeros((0, 2), np.intp)
+        self._heard = heard(packet, self._heard)
+        pairs = look_alikes(descriptors, self._heard, config.ratio)
+        points = PointPairs.of(positions, covariance, self._heard, pairs, config.floor_sigma_m)
+        now = np.flatnonzero(pairs[:, 1] < len(packet))  # the others are of packets before: evidence, not to be fused
+        rows = self._inliers(points, now, config.min_common)
+        return pairs[rows]
 
-    def _inliers(self, points: PointPairs, min_common: int) -> Pairs:
-        aligned = align(points)
-        if isinstance(aligned, Refusal):
-            self.reason = aligned.reason
-            return self._followed(points, min_common)
-        self.found += self.alignment is None
-        self.alignment, self.reason, self._misfits = aligned, "", 0
-        return aligned.inliers
-
-    def _followed(self, points: PointPairs, min_common: int) -> Pairs:
-        """Return the rows that fit the known frame; forget it when enough matches contradict it too often."""
-        nothing = np.zeros(0, np.intp)
-        if self.alignment is None or len(points) < min_common:
+    def _inliers(self, points: PointPairs, now: Pairs, min_common: int) -> Pairs:
+        """Renew the alignment; return the rows of the newest packet, of those in `now`, that fit."""
+        found, nothing = align(points), now[:0]
+        if isinstance(found, Refusal):
+            self.reason = found.reason
+            rows = now[self._followed(points.take(now))]
+        else:
+            rows = np.intersect1d(found.inliers, now)
+        if len(rows) < min_common and len(now) >= MIN_INLIERS:
+            self._contradicted()
             return nothing
-        followed = follow(points, self.alignment.T_own_peer)
-        if followed is not None and len(followed.inliers) >= min_common:
+        if len(rows) >= min_common:
             self._misfits = 0
-            return followed.inliers
-        self._misfits += len(points) >= MIN_INLIERS
+        if isinstance(found, Alignment):
+            self.found += self.alignment is None
+            self.alignment, self.reason = found, ""
+        return rows if len(rows) >= min_common else nothing
+
+    def _followed(self, points: PointPairs) -> Pairs:
+        """Return the rows that fit the known frame."""
+        followed = follow(points, self.alignment.T_own_peer) if self.alignment else None
+        return followed.inliers if followed else np.zeros(0, np.intp)
+
+    def _contradicted(self) -> None:
+        """Forget the frame, and what it rested on, when packets with enough matches don't fit it too often."""
+        self._misfits += self.alignment is not None
         if self._misfits == MISFITS:
             self._forget()
-        return nothing
 
     def _forget(self) -> None:
-        self.alignment, self._misfits = None, 0
+        self.alignment, self._heard, self._misfits = None, None, 0

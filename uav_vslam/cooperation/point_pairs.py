@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.cooperation.common_landmarks import blocks
+from uav_vslam.cooperation.heard_map import Told
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
-from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -42,9 +42,7 @@ class PointPairs:
     floor_sigma_m: float
 
     @staticmethod
-    def of(
-        positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Rows, floor_sigma_m: float
-    ) -> "PointPairs":
+    def of(positions: Array, covariance: Array, packet: Told, pairs: Rows, floor_sigma_m: float) -> "PointPairs":
         """Select (K, 2) rows of own landmarks, (N, 3) with covariance (3N, 3N), and of a packet's."""
         own, peer = landmark_rows(0, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
         return PointPairs(

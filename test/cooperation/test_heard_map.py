@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The newest word on each landmark counts, and there is a limit to what is kept."""
+
+import numpy as np
+
+from uav_vslam.cooperation.heard_map import HEARD_LANDMARKS, heard
+
+
+def packet_of(sent_map, ids, height: float, *, basis: int = 0, size: int = 128):
+    count = len(ids)
+    positions = np.column_stack([np.asarray(ids, float), np.zeros(count), np.full(count, height)])
+    covariance = height**2 * (np.eye(3 * count) + 0.5)
+    return sent_map(positions, covariance, np.full((count, size), ids[0], np.uint8), 1, basis, np.array(ids, np.uint32))
+
+
+def test_the_newest_packet_comes_first_and_replaces_what_it_tells_again(sent_map) -> None:
+    first = heard(packet_of(sent_map, [1, 2, 3], 1.0), None)
+    both = heard(packet_of(sent_map, [3, 4], 2.0), first)
+    np.testing.assert_array_equal(both.ids, [3, 4, 1, 2])
+    np.testing.assert_array_equal(both.positions[:, 0], [3, 4, 1, 2])
+    np.testing.assert_array_equal(both.positions[:, 2], [2, 2, 1, 1])
+    np.testing.assert_array_equal(both.descriptors[:, 0], [3, 3, 1, 1])
+    assert both.covariance[0, 3] == 2.0  # within a packet
+    assert both.covariance[6, 9] == 0.5
+    assert both.covariance[0, 6] == 0.0  # between packets
+    assert len(both) == 4
+
+
+def test_the_same_packet_again_changes_nothing(sent_map) -> None:
+    packet = packet_of(sent_map, [5, 6], 1.0)
+    once = heard(packet, heard(packet_of(sent_map, [1], 1.0), None))
+    twice = heard(packet, once)
+    np.testing.assert_array_equal(twice.ids, once.ids)
+    np.testing.assert_array_equal(twice.covariance, once.covariance)
+
+
+def test_what_was_told_longest_ago_goes_first(sent_map) -> None:
+    known = None
+    for k in range(5):
+        known = heard(packet_of(sent_map, list(range(20 * k, 20 * k + 20)), 1.0), known)
+    assert len(known) == HEARD_LANDMARKS
+    np.testing.assert_array_equal(known.ids[:20], np.arange(80, 100))
+    np.testing.assert_array_equal(known.ids[-4:], np.arange(20, 24))
+    large = heard(packet_of(sent_map, list(range(200, 280)), 1.0), known)
+    assert len(large) == 80
+
+
+def test_other_descriptors_can_not_be_kept_together(sent_map) -> None:
+    known = heard(packet_of(sent_map, [1, 2], 1.0), None)
+    np.testing.assert_array_equal(heard(packet_of(sent_map, [3], 1.0, basis=1, size=32), known).ids, [3])
