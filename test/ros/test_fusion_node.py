@@ -19,6 +19,7 @@ from rclpy.serialization import serialize_message  # noqa: E402
 
 from uav_vslam.config import FusionConfig  # noqa: E402
 from uav_vslam.cooperation.fusion import Fusion  # noqa: E402
+from uav_vslam.errors import ConfigError  # noqa: E402
 from uav_vslam.ros.convert import joint_to_msg, odometry_to_msg  # noqa: E402
 from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
 from uav_vslam.ros.packet_message import packet_to_msg  # noqa: E402
@@ -162,6 +163,15 @@ def test_a_mode_that_there_is_not_is_refused(fly: Callable[..., Flight], name: s
     assert flight.epoch(1).mode == "wideband"
 
 
+def test_a_mode_that_there_is_not_ends_the_node_at_its_start() -> None:
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "mode:=radio"], domain_id=free_domain_id())
+    try:
+        with pytest.raises(ConfigError, match="mode = 'radio' is not allowed; use one of wideband, narrowband, none"):
+            FusionNode()
+    finally:
+        rclpy.try_shutdown()
+
+
 def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., Flight]) -> None:
     flight = fly()
     for second in (1, 2, 3):
@@ -265,6 +275,9 @@ def test_vehicles_in_different_modes_hear_each_other(fly: Callable[..., Flight],
     publisher.publish(flight.packet(1))
     assert flight.spin(lambda: "uav2" in flight.node._fusion.inbox.peers)
     assert flight.node.counts["radio/uav2/incompatible_qos"] == 1  # found out from the middleware, and cured
+    assert flight.node.notes["radio/uav2/matched"] == "1"
+    flight.others.destroy_publisher(publisher)
+    assert flight.spin(lambda: flight.node.notes["radio/uav2/matched"] == "0")
 
 
 def test_a_missed_deadline_and_bytes_that_are_no_packet_are_counted(fly: Callable[..., Flight]) -> None:

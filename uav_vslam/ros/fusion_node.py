@@ -22,6 +22,7 @@ from tf2_msgs.msg import TFMessage
 
 from uav_vslam.config import MODE_BUDGETS
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.errors import ConfigError
 from uav_vslam.ros.convert import (
     cloud_to_msg,
     header,
@@ -78,8 +79,11 @@ class FusionNode(VehicleNode):
         name = self.declare_parameter("radio_interface", "").value
         interface = Interface(name) if name else None
         self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
+        mode = self.declare_parameter("mode", self.config.fusion.mode).value
+        if mode not in MODE_BUDGETS:
+            raise ConfigError(_refusal(mode))
+        self._exchange.tune(mode)
         self.add_on_set_parameters_callback(self._check_parameters)
-        self._exchange.tune(self.declare_parameter("mode", self.config.fusion.mode).value)
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def destroy_node(self) -> None:
@@ -91,8 +95,7 @@ class FusionNode(VehicleNode):
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for one in parameters:
             if one.name == "mode" and one.value not in MODE_BUDGETS:
-                reason = f"mode = {one.value!r} is not allowed; use one of {', '.join(MODE_BUDGETS)}"
-                return SetParametersResult(successful=False, reason=reason)
+                return SetParametersResult(successful=False, reason=_refusal(one.value))
             if one.name == "fusion.mode":
                 return SetParametersResult(successful=False, reason="fusion.mode counts at the start; set mode instead")
         return SetParametersResult(successful=True)
@@ -154,6 +157,10 @@ class FusionNode(VehicleNode):
         if status.radio_interface:
             self.notes["wire_sent_bytes_per_s"] = f"{status.wire_sent_bytes_per_s:.0f}"
         self.notes |= {f"received_bytes_per_s/{link.peer}": f"{link.received_bytes_per_s:.0f}" for link in status.peers}
+
+
+def _refusal(mode: object) -> str:
+    return f"mode = {mode!r} is not allowed; use one of {', '.join(MODE_BUDGETS)}"
 
 
 def main(args: list[str] | None = None) -> int:

@@ -195,7 +195,7 @@ class Radio:
                 raise InvalidMessage("undecodable", f"{len(data)} bytes are no packet: {error}") from None
             self._on_packet(peer, message, data)
 
-        events = self._counters("deadline", "liveliness", "message_lost", "incompatible_qos", of=peer)
+        events = self._counters("deadline", "liveliness", "message_lost", "incompatible_qos", "matched", of=peer)
         one = PeerInput(
             message_type=LandmarkInformation,
             topic=topic,
@@ -215,9 +215,10 @@ class Radio:
 
         def count(event: str) -> Callable[[Any], None]:
             def note(status: Any) -> None:
-                if event == "liveliness" and of != "own":
-                    self._node.notes[f"radio/{of}/alive"] = str(status.alive_count > 0)
-                self._node.counts[f"radio/{of}/{event}"] += max(getattr(status, "total_count_change", 1), 1)
+                if event == "matched":  # a peer comes, or its lease has run out
+                    self._node.notes[f"radio/{of}/matched"] = str(status.current_count)
+                else:
+                    self._node.counts[f"radio/{of}/{event}"] += max(getattr(status, "total_count_change", 1), 1)
 
             return note
 
