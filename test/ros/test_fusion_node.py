@@ -306,6 +306,10 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         assert flight.spin(lambda: subscription.get_publisher_count() > 0)
         flight.epoch(1)
         assert flight.spin(lambda: executor.spin_once(timeout_sec=0.02) or flight.heard)
+        flight.listen("wideband", node=peer)
+        assert flight.spin(lambda: flight.node._exchange._radio.copies == 2)
+        size = len(serialize_message(flight.heard[0]))
+        assert flight.epoch(2).bytes_sent == (1 + 2) * size  # each peer is sent its own copy
         nodes = peer.get_node_names_and_namespaces
         assert flight.spin(lambda: [name for name, namespace in nodes() if namespace == "/uav1"] == ["radio"])
         assert peer.get_publisher_names_and_types_by_node("radio", "/uav1") == [

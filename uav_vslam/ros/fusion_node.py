@@ -35,7 +35,7 @@ from uav_vslam.ros.convert import (
 from uav_vslam.ros.fusion_status import StatusReporter
 from uav_vslam.ros.packet_exchange import PacketExchange
 from uav_vslam.ros.qos import STATE
-from uav_vslam.ros.radio import open_participant
+from uav_vslam.ros.radio_participant import open_participant
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.ros.traffic import Interface
 from uav_vslam.slam.backend import crosses_epoch

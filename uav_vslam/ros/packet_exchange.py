@@ -57,13 +57,13 @@ class PacketExchange:
         """Send an epoch's packet, unless the budget has no room for it: then the next epoch's replaces it."""
         if not self.outbox.is_turn(joint.stamp_ns):
             return
-        left = self.outbox.available(joint.stamp_ns)
+        left = self.outbox.available(joint.stamp_ns) // self._radio.copies
         packet = self._fusion.packet(joint, byte_limit=left)
         data = serialize_message(packet_to_msg(packet))
-        if self.outbox.take(packet.stamp_ns, len(data)):
+        if self.outbox.take(packet.stamp_ns, len(data) * self._radio.copies):
             self._radio.send(data)
         else:
-            detail = f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B left"
+            detail = f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B a peer left"
             self._node.drop("budget", detail)
 
     def _on_packet(self, peer: str, message: LandmarkInformation, data: bytes) -> None:
@@ -79,5 +79,5 @@ class PacketExchange:
                 raise
             return  # what is sent on often comes twice, or comes home; the inbox counts it
         self.outbox.hear(packet.stamp_ns)
-        if self.settings.relay and self.outbox.take(packet.stamp_ns, len(data)):
+        if self.settings.relay and self.outbox.take(packet.stamp_ns, len(data) * self._radio.copies):
             self._radio.send(data)

@@ -1,22 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What crosses the radio: one publisher, one subscription a peer, and nothing else.
 
-With a domain of its own, the radio is a second context with one bare node, the only participant that other vehicles
-discover: neither parameters nor logs nor the vehicle's other topics are announced there. See docs/radio.md.
+It is on a domain of its own (`radio_participant`) or shares the vehicle's.
 """
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
@@ -26,79 +19,7 @@ from uav_vslam.ros.qos import RADIO, asking_no_more
 from uav_vslam.ros.runtime import VehicleNode
 from uav_vslam_msgs.msg import LandmarkInformation
 
-POLL_S = 0.05  # how often the second context is looked after: packets come once a second
-CALLBACKS_A_TURN = 4
-DISCOVERY = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")  # read by a context when it is initialised
-
 OnPacket = Callable[[str, LandmarkInformation, bytes], None]  # (peer, message, as it came)
-
-
-def open_participant(name: str) -> "Participant | None":
-    """Open the radio as the parameters of the node of that name tell, before the node itself opens its domain.
-
-    The first participant of a process has the port that peers look for, so the parameters are read by a node that is
-    gone before it. They are `radio_domain_id` (-1: the radio shares the vehicle's domain) and `radio_peers`.
-    """
-    reader = Node(name, enable_rosout=False, start_parameter_services=False)
-    domain_id = reader.declare_parameter("radio_domain_id", -1).value
-    addresses = [address for address in reader.declare_parameter("radio_peers", [""]).value if address]
-    namespace = reader.get_namespace()
-    reader.destroy_node()
-    return Participant(namespace, domain_id, addresses) if domain_id >= 0 else None
-
-
-class Participant:
-    """A bare node in a context and domain of its own, spun by a timer of the vehicle's node."""
-
-    def __init__(self, namespace: str, domain_id: int, addresses: Sequence[str]) -> None:
-        """Open it.
-
-        Args:
-            namespace: of the vehicle.
-            domain_id: of the radio.
-            addresses: of the other vehicles on the radio; whether multicast finds more is for the DDS profile to say.
-        """
-        self._context = Context()
-        with _environment(zip(DISCOVERY, ("SUBNET", ";".join(addresses)), strict=True)):
-            self._context.init(args=[], domain_id=domain_id)  # the process's arguments are for the vehicle's node
-        self.node = Node(
-            "radio",
-            context=self._context,
-            namespace=namespace,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
-        for publisher in list(self.node.publishers):  # of parameter events: it would be announced to everyone
-            self.node.destroy_publisher(publisher)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-
-    def serve(self, owner: Node) -> None:
-        """Let a node's executor look after this one too."""
-        owner.create_timer(POLL_S, self._spin, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def close(self) -> None:
-        """Leave the radio."""
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
-
-    def _spin(self) -> None:
-        for _ in range(CALLBACKS_A_TURN):
-            self._executor.spin_once(timeout_sec=0.0)
-
-
-@contextmanager
-def _environment(variables: Iterable[tuple[str, str]]) -> Iterator[None]:
-    """Set variables for a while."""
-    before = dict(os.environ)
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -142,11 +63,7 @@ class PeerInput(Input):
 
 
 class Radio:
-    """The vehicle's end of the radio, in one communication mode at a time.
-
-    Attributes:
-        sent_bytes: serialised size of all that was published.
-    """
+    """The vehicle's end of the radio, in one communication mode at a time."""
 
     def __init__(self, node: VehicleNode, peers: Sequence[str], on_packet: OnPacket, *, host: Node | None) -> None:
         """Prepare; nothing is opened before `tune`.
@@ -161,7 +78,6 @@ class Radio:
         self._peers = tuple(peers)
         self._publisher: Any = None
         self._inputs: list[PeerInput] = []
-        self.sent_bytes = 0
 
     def tune(self, mode: str) -> None:
         """Change the communication mode: publisher and subscriptions are made anew, or none in the mode none."""
@@ -180,10 +96,15 @@ class Radio:
         for peer in self._peers:
             self._inputs.append(self._listen(peer, RADIO[mode]))
 
+    @property
+    def copies(self) -> int:
+        """How often a packet crosses the radio: DDS sends each peer its own. A shared domain counts as one."""
+        own_domain = self._host is not self._node
+        return max(self._publisher.get_subscription_count(), 1) if own_domain and self._publisher else 1
+
     def send(self, data: bytes) -> None:
         """Publish a serialised packet."""
         self._publisher.publish(data)
-        self.sent_bytes += len(data)
 
     def _listen(self, peer: str, wanted: QoSProfile) -> PeerInput:
         topic = self._node.resolve_topic_name(f"/{peer}/landmark_information")  # remapped if a link is emulated

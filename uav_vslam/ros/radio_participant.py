@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The radio's own domain: a second context with one bare node, the only participant that other vehicles discover.
+
+Neither parameters nor logs nor the vehicle's other topics are announced there. See docs/radio.md.
+"""
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+POLL_S = 0.05  # how often the second context is looked after: packets come once a second
+CALLBACKS_A_TURN = 4
+
+
+def open_participant(name: str) -> "Participant | None":
+    """Open the radio as the parameters of the node of that name tell, before the node itself opens its domain.
+
+    The first participant of a process has the port that peers look for, so the parameters are read by a node that is
+    gone before it. They are `radio_domain_id` (-1: the radio shares the vehicle's domain) and `radio_peers`.
+    """
+    reader = Node(name, enable_rosout=False, start_parameter_services=False)
+    domain_id = reader.declare_parameter("radio_domain_id", -1).value
+    addresses = [address for address in reader.declare_parameter("radio_peers", [""]).value if address]
+    namespace = reader.get_namespace()
+    reader.destroy_node()
+    return Participant(namespace, domain_id, addresses) if domain_id >= 0 else None
+
+
+class Participant:
+    """A bare node in a context and domain of its own, spun by a timer of the vehicle's node."""
+
+    def __init__(self, namespace: str, domain_id: int, addresses: Sequence[str]) -> None:
+        """Open it.
+
+        Args:
+            namespace: of the vehicle.
+            domain_id: of the radio.
+            addresses: of the other vehicles on the radio; whether multicast finds more is for the DDS profile to say.
+        """
+        self._context = Context()
+        with _environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", ROS_STATIC_PEERS=";".join(addresses)):
+            self._context.init(args=[], domain_id=domain_id)  # the process's arguments are for the vehicle's node
+        self.node = Node(
+            "radio",
+            context=self._context,
+            namespace=namespace,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        for publisher in list(self.node.publishers):  # of parameter events: it would be announced to everyone
+            self.node.destroy_publisher(publisher)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def serve(self, owner: Node) -> None:
+        """Let a node's executor look after this one too."""
+        owner.create_timer(POLL_S, self._spin, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def close(self) -> None:
+        """Leave the radio."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def _spin(self) -> None:
+        for _ in range(CALLBACKS_A_TURN):
+            self._executor.spin_once(timeout_sec=0.0)
+
+
+@contextmanager
+def _environment(**variables: str) -> Iterator[None]:
+    """Set variables for a while."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            del os.environ[name]
+            if value is not None:
+                os.environ[name] = value
