@@ -53,3 +53,15 @@ def test_with_a_common_origin_no_frame_is_sought(joints) -> None:
     epoch = fusion.fuse(own)
     assert epoch.frames == {}
     assert np.trace(epoch.pose.covariance[:3, :3]) < 0.6 * np.trace(epoch.own.covariance[:3, :3])
+
+
+def test_feedback_from_a_peer_whose_frame_is_not_known_is_left_alone(joints) -> None:
+    own, peer = joints
+    there, here = (Fusion(name, FusionConfig(common_origin=False)) for name in ("uav2", "uav1"))
+    there.inbox.add(make_packet(dataclasses.replace(own, stamp_ns=8_000_000_000), sequence=1, policy=PacketPolicy()))
+    there.fuse(peer)
+    feedback = there.feedback("uav1")
+    assert feedback is not None
+    here.returned.add(feedback)
+    epoch = here.fuse(own)
+    np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)

@@ -112,7 +112,8 @@ class Fusion:
             if len(pairs):
                 self._told[peer] = pairs[:, 0], packet.ids[pairs[:, 1]]
         for peer, packet in self._newest(self.returned):
-            overlay.add(packet, self._named(overlay, packet), self.frame(peer))
+            if not self.frame(peer).reason:  # it is told in the peer's frame
+                overlay.add(packet, self._named(overlay, packet), self.frame(peer))
         self._shared |= overlay.matched
         self.epoch = overlay.epoch()
         return self.epoch
