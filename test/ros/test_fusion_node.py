@@ -244,6 +244,26 @@ def test_a_peer_that_falls_silent_is_told_and_welcomed_back(fly: Callable[..., F
         assert ("uav2" in flight.node.alarms) is expected
 
 
+def test_in_wideband_a_peer_is_told_what_became_of_its_landmarks(fly: Callable[..., Flight]) -> None:
+    flight = fly("fusion.feedback:=true")
+    feedback: list[LandmarkInformation] = []
+    ear = flight.others.create_subscription(LandmarkInformation, "/uav2/fusion/feedback", feedback.append, STATE)
+    publisher = flight.peer("wideband")
+    assert flight.spin(lambda: ear.get_publisher_count() > 0)
+    publisher.publish(flight.packet(1))
+    assert flight.spin(lambda: flight.newest_ns() == NS_PER_S)
+    flight.epoch(2)
+    assert flight.spin(lambda: feedback)
+    assert feedback[0].vehicle == "uav1"
+    assert "uav2/1" in feedback[0].sources
+    returned = flight.others.create_publisher(LandmarkInformation, "/uav1/fusion/feedback", STATE)
+    assert flight.spin(lambda: returned.get_subscription_count() > 0)
+    returned.publish(flight.packet(2))
+    assert flight.spin(lambda: "uav2" in flight.node._fusion.returned.peers)
+    flight.set("mode", "narrowband")
+    assert flight.spin(lambda: ear.get_publisher_count() == 0)
+
+
 @pytest.mark.parametrize("relay", [True, False])
 def test_a_relay_sends_on_what_is_new_to_it_as_it_came(fly: Callable[..., Flight], relay: bool) -> None:
     flight = fly(f"fusion.relay:={str(relay).lower()}", peers="[uav2, uav3]")

@@ -123,6 +123,23 @@ def test_the_fate_of_packets_is_told_by_direction(air: Callable[..., Air]) -> No
     assert told == {f"uav2>uav3/{fate}": count for fate, count in fates.items()}
 
 
+def test_feedback_takes_the_link_from_who_gives_it(air: Callable[..., Air]) -> None:
+    radio = air("delay_s: 1.0\n")
+    heard: list[LandmarkInformation] = []
+    ear = radio.others.create_subscription(LandmarkInformation, "/uav1/heard/feedback", heard.append, 10)
+    giver = radio.others.create_publisher(LandmarkInformation, "/uav1/fusion/feedback", RADIO["wideband"])
+    assert radio.spin(lambda: ear.get_publisher_count() and giver.get_subscription_count())
+    assert radio.spin(lambda: radio.node._returns["uav1"].get_subscription_count())
+    radio.at(100.0)
+    for vehicle in ("stranger", "uav3"):
+        giver.publish(LandmarkInformation(vehicle=vehicle))
+    assert radio.spin(lambda: radio.node._links["uav3", "uav1"].packets["offered"] == 1)
+    radio.at(100.9)
+    assert heard == []
+    radio.at(101.0)
+    assert [message.vehicle for message in heard] == ["uav3"]
+
+
 def test_without_vehicles_or_link_it_says_what_to_set() -> None:
     rclpy.init(args=["--ros-args", "-p", "vehicles:=[uav1]"], domain_id=free_domain_id())
     try:

@@ -58,6 +58,7 @@ def node_specs(fleet: FleetConfig, *, link: Path | None = None) -> list[NodeSpec
             peers = [name for name in fleet.vehicles if name != vehicle]
             own = {"peers": peers} if executable == "fusion" and peers else {}  # ROS can't type an empty list
             via = {packets_of(p): heard_as(vehicle, p) for p in peers} if executable == "fusion" and link else {}
+            via |= {feedback_to(vehicle): heard_as(vehicle, "feedback")} if via else {}
             specs.append(NodeSpec(executable, executable, f"/{vehicle}", {**shared, **own}, via))
     if link is not None:
         parameters = {"vehicles": list(fleet.vehicles), "link": str(link.resolve()), "use_sim_time": replayed}
@@ -73,6 +74,11 @@ def node_specs(fleet: FleetConfig, *, link: Path | None = None) -> list[NodeSpec
 def packets_of(vehicle: str) -> str:
     """Return the topic on which a vehicle sends its packets."""
     return f"/{vehicle}/landmark_information"
+
+
+def feedback_to(vehicle: str) -> str:
+    """Return the topic on which peers tell a vehicle what became of its landmarks."""
+    return f"/{vehicle}/fusion/feedback"
 
 
 def heard_as(receiver: str, sender: str) -> str:

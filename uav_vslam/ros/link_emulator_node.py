@@ -2,13 +2,17 @@
 """link_emulator: a bad radio between the vehicles of one host: it delays, loses, doubles and reorders their packets.
 
 in   /<sender>/landmark_information        uav_vslam_msgs/LandmarkInformation, every vehicle's
+     /<receiver>/fusion/feedback           the same, what peers tell a vehicle of its own landmarks
 out  /<receiver>/heard/<sender>            the same bytes, as far as the link lets them through
+     /<receiver>/heard/feedback            likewise
      /diagnostics                          what became of the packets, by direction
 
-A receiver listens here if its fusion node's /<sender>/landmark_information is remapped to /<receiver>/heard/<sender>.
+A receiver listens here if its fusion node's /<sender>/landmark_information is remapped to /<receiver>/heard/<sender>,
+and fusion/feedback to /<receiver>/heard/feedback.
 Time is that of the ROS clock, so that a replay at any rate meets the same link.
 """
 
+from collections.abc import Callable
 from functools import partial
 from itertools import permutations
 from typing import Any
@@ -17,11 +21,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 
 from uav_vslam.config import find_link, load
 from uav_vslam.cooperation.link import Link, LinkConfig, link_between
 from uav_vslam.errors import ConfigError
-from uav_vslam.ros.fleet_commands import heard_as, packets_of
+from uav_vslam.ros.fleet_commands import feedback_to, heard_as, packets_of
 from uav_vslam.ros.inputs import unmatched
 from uav_vslam.ros.qos import RADIO
 from uav_vslam.ros.radio import PeerInput
@@ -45,7 +50,7 @@ class LinkEmulatorNode(Node):
         if len(vehicles) < 2 or not name:
             raise ConfigError("link_emulator: set the parameters vehicles (two names or more) and link (a YAML file)")
         config = load(LinkConfig, find_link(name))
-        self._links: dict[tuple[str, str], Link[bytes]] = {
+        self._links: dict[tuple[str, str], Link[tuple[Any, bytes]]] = {  # carrying (where it comes out, bytes)
             (sender, receiver): link_between(config, sender, receiver) for sender, receiver in permutations(vehicles, 2)
         }
         self._outputs = {
@@ -54,7 +59,12 @@ class LinkEmulatorNode(Node):
             )
             for sender, receiver in self._links
         }
-        self._inputs = [self._listen(sender) for sender in vehicles]
+        self._returns = {
+            receiver: self.create_publisher(LandmarkInformation, heard_as(receiver, "feedback"), RADIO["wideband"])
+            for receiver in vehicles
+        }
+        self._inputs = [self._listen(packets_of(name), partial(self._on_packet, name)) for name in vehicles]
+        self._inputs += [self._listen(feedback_to(name), partial(self._on_feedback, name)) for name in vehicles]
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(POLL_S, self._deliver, clock=wall_clock)
@@ -62,12 +72,12 @@ class LinkEmulatorNode(Node):
         self.create_timer(REPORT_S, self._report, clock=wall_clock)
         self.get_logger().info(f"{len(self._links)} links: {config}")
 
-    def _listen(self, sender: str) -> PeerInput:
-        wanted, topic = RADIO["wideband"], packets_of(sender)
+    def _listen(self, topic: str, callback: Callable[[bytes], None]) -> PeerInput:
+        wanted = RADIO["wideband"]
         one = PeerInput(
             message_type=LandmarkInformation,
             topic=topic,
-            callback=partial(self._on_packet, sender),
+            callback=callback,
             qos=wanted,
             stands_for=topic,
             host=self,
@@ -79,15 +89,20 @@ class LinkEmulatorNode(Node):
 
     def _on_packet(self, sender: str, data: bytes) -> None:
         now_ns = self.get_clock().now().nanoseconds
-        for (other, _), link in self._links.items():
-            if other == sender:
-                link.send(now_ns, len(data), data)
+        for direction, link in self._links.items():
+            if direction[0] == sender:
+                link.send(now_ns, len(data), (self._outputs[direction], data))
+
+    def _on_feedback(self, receiver: str, data: bytes) -> None:
+        link = self._links.get((deserialize_message(data, LandmarkInformation).vehicle, receiver))
+        if link is not None:
+            link.send(self.get_clock().now().nanoseconds, len(data), (self._returns[receiver], data))
 
     def _deliver(self) -> None:
         now_ns = self.get_clock().now().nanoseconds
-        for direction, link in self._links.items():
-            for data in link.receive(now_ns):
-                self._outputs[direction].publish(data)
+        for link in self._links.values():
+            for output, data in link.receive(now_ns):
+                output.publish(data)
 
     def _follow(self) -> None:
         for one in self._inputs:
@@ -96,7 +111,7 @@ class LinkEmulatorNode(Node):
     def _report(self) -> None:
         values: dict[str, Any] = {
             UNMATCHED: " ".join(unmatched(self._inputs)),
-            READERS: " ".join(f"{p.topic_name}={p.get_subscription_count()}" for p in self._outputs.values()),
+            READERS: " ".join(f"{p.topic_name}={p.get_subscription_count()}" for p in self.publishers),
         }
         for (sender, receiver), link in self._links.items():
             for fate, count in sorted(link.packets.items()):

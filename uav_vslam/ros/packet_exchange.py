@@ -12,6 +12,7 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.outbox import Outbox
 from uav_vslam.errors import InvalidMessage
+from uav_vslam.fleet import returns_feedback
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
 from uav_vslam.ros.radio import Radio
 from uav_vslam.ros.runtime import VehicleNode
@@ -37,9 +38,9 @@ class PacketExchange:
             peers: names of the other vehicles.
             host: the node of a participant of the radio's own; None: the vehicle's node itself.
         """
-        self._node, self._fusion = node, fusion
+        self._node, self._fusion, self._peers = node, fusion, tuple(peers)
         self._vehicles = {node.vehicle, *peers}
-        self._radio = Radio(node, peers, self._on_packet, host=host)
+        self._radio = Radio(node, peers, self._on_packet, self._on_feedback, host=host)
         self.settings: FusionConfig = node.config.fusion
         self.outbox = Outbox(self.settings)
         self.received_bytes: Counter[str] = Counter()
@@ -47,9 +48,9 @@ class PacketExchange:
     def tune(self, mode: str) -> None:
         """Begin a communication mode."""
         self.settings = dataclasses.replace(self.settings, mode=mode)
-        self._fusion._config = self.settings
+        self._fusion.configure(self.settings)
         self.outbox.configure(self.settings)
-        self._radio.tune(mode)
+        self._radio.tune(mode, feedback=returns_feedback(self.settings))
         self._node.notes["mode"] = mode
         self._node.get_logger().info(f"communication mode: {mode}")
 
@@ -65,6 +66,16 @@ class PacketExchange:
         else:
             detail = f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B a peer left"
             self._node.drop("budget", detail)
+        if returns_feedback(self.settings):
+            self._give_back(joint.stamp_ns)
+
+    def _give_back(self, stamp_ns: int) -> None:
+        """Tell each peer what fusion made of its landmarks, as far as the budget goes."""
+        for peer in self._peers:
+            feedback = self._fusion.feedback(peer)
+            data = serialize_message(packet_to_msg(feedback)) if feedback else b""
+            if data and self.outbox.take(stamp_ns, len(data)):
+                self._radio.give_back(peer, data)
 
     def _on_packet(self, peer: str, message: LandmarkInformation, data: bytes) -> None:
         """Take a packet in; a peer may send on those of others, as they came."""
@@ -81,3 +92,10 @@ class PacketExchange:
         self.outbox.hear(packet.stamp_ns)
         if self.settings.relay and self.outbox.take(packet.stamp_ns, len(data) * self._radio.copies):
             self._radio.send(data)
+
+    def _on_feedback(self, _: str, message: LandmarkInformation, data: bytes) -> None:
+        self.received_bytes[message.vehicle] += len(data)
+        if message.vehicle not in self._peers:
+            raise InvalidMessage("sender", f"feedback comes from {message.vehicle!r}")
+        self._fusion.returned.add(packet_from_msg(message))
+        self.outbox.hear(packet_from_msg(message).stamp_ns)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What crosses the radio: one publisher, one subscription a peer, and nothing else.
+"""What crosses the radio: one publisher and one subscription a peer, in wideband the same for feedback, nothing else.
 
 It is on a domain of its own (`radio_participant`) or shares the vehicle's.
 """
@@ -65,36 +65,44 @@ class PeerInput(Input):
 class Radio:
     """The vehicle's end of the radio, in one communication mode at a time."""
 
-    def __init__(self, node: VehicleNode, peers: Sequence[str], on_packet: OnPacket, *, host: Node | None) -> None:
+    def __init__(
+        self,
+        node: VehicleNode,
+        peers: Sequence[str],
+        on_packet: OnPacket,
+        on_feedback: OnPacket,
+        *,
+        host: Node | None,
+    ) -> None:
         """Prepare; nothing is opened before `tune`.
 
         Args:
             node: counts drops and events, and watches the inputs.
             peers: names of the other vehicles.
             on_packet: called with each packet that can be decoded; may raise an error of ours.
+            on_feedback: called with what peers' fusions made of own landmarks; likewise.
             host: the node of a participant of its own; None: the vehicle's node itself.
         """
-        self._node, self._host, self._on_packet = node, host or node, on_packet
+        self._node, self._host = node, host or node
+        self._on_packet, self._on_feedback = on_packet, on_feedback
         self._peers = tuple(peers)
         self._publisher: Any = None
+        self._returns: dict[str, Any] = {}  # publishers of feedback, by peer
         self._inputs: list[PeerInput] = []
 
-    def tune(self, mode: str) -> None:
-        """Change the communication mode: publisher and subscriptions are made anew, or none in the mode none."""
-        for one in self._inputs:
-            self._node.unwatch(one)
-            one.close()
-        self._inputs.clear()
-        if self._publisher is not None:
-            self._host.destroy_publisher(self._publisher)
-            self._publisher = None
+    def tune(self, mode: str, *, feedback: bool) -> None:
+        """Change the communication mode: publishers and subscriptions are made anew, or none in the mode none."""
+        self._close()
         if mode not in RADIO:
             return
-        topic = self._node.resolve_topic_name("landmark_information")
         events = PublisherEventCallbacks(**self._counters("deadline", "liveliness", "incompatible_qos"))
-        self._publisher = self._host.create_publisher(LandmarkInformation, topic, RADIO[mode], event_callbacks=events)
+        self._publisher = self._advertise("landmark_information", mode, event_callbacks=events)
         for peer in self._peers:
-            self._inputs.append(self._listen(peer, RADIO[mode]))
+            self._inputs.append(self._listen(peer, f"/{peer}/landmark_information", self._on_packet, RADIO[mode]))
+            self._node.watch(self._inputs[-1])
+        if feedback:
+            self._returns = {peer: self._advertise(f"/{peer}/fusion/feedback", mode) for peer in self._peers}
+            self._inputs.append(self._listen("feedback", "fusion/feedback", self._on_feedback, RADIO[mode]))
 
     @property
     def copies(self) -> int:
@@ -106,15 +114,33 @@ class Radio:
         """Publish a serialised packet."""
         self._publisher.publish(data)
 
-    def _listen(self, peer: str, wanted: QoSProfile) -> PeerInput:
-        topic = self._node.resolve_topic_name(f"/{peer}/landmark_information")  # remapped if a link is emulated
+    def give_back(self, peer: str, data: bytes) -> None:
+        """Publish serialised feedback, which only that peer hears."""
+        self._returns[peer].publish(data)
+
+    def _close(self) -> None:
+        for one in self._inputs:
+            self._node.unwatch(one)
+            one.close()
+        self._inputs.clear()
+        for publisher in (self._publisher, *self._returns.values()):
+            if publisher is not None:
+                self._host.destroy_publisher(publisher)
+        self._publisher, self._returns = None, {}
+
+    def _advertise(self, topic: str, mode: str, **options: Any) -> Any:
+        resolved = self._node.resolve_topic_name(topic)
+        return self._host.create_publisher(LandmarkInformation, resolved, RADIO[mode], **options)
+
+    def _listen(self, peer: str, name: str, callback: OnPacket, wanted: QoSProfile) -> PeerInput:
+        topic = self._node.resolve_topic_name(name)  # remapped if a link is emulated
 
         def take(data: bytes) -> None:
             try:
                 message = deserialize_message(data, LandmarkInformation)
             except Exception as error:  # rclpy names no class for it
                 raise InvalidMessage("undecodable", f"{len(data)} bytes are no packet: {error}") from None
-            self._on_packet(peer, message, data)
+            callback(peer, message, data)
 
         events = self._counters("deadline", "liveliness", "message_lost", "incompatible_qos", "matched", of=peer)
         one = PeerInput(
@@ -128,7 +154,6 @@ class Radio:
             events=SubscriptionEventCallbacks(**events),
         )
         one.subscribe(self._host)
-        self._node.watch(one)
         return one
 
     def _counters(self, *events: str, of: str = "own") -> dict[str, Callable[[Any], None]]:

@@ -95,8 +95,9 @@ class VehicleNode(Node):
         self._inputs.append(one)
 
     def unwatch(self, one: Input) -> None:
-        """Forget an input that has been closed."""
-        self._inputs.remove(one)
+        """Forget an input that is to be closed, if it was watched."""
+        if one in self._inputs:
+            self._inputs.remove(one)
 
     def advertise(self, message_type: Any, topic: str, qos: QoSProfile) -> Any:
         """Create a publisher whose policies can be overridden by parameters qos_overrides.<topic>.publisher."""
