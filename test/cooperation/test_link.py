@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uav_vslam.cooperation.link import Link, LinkConfig
+from uav_vslam.cooperation.link import Link, LinkConfig, link_between
 from uav_vslam.errors import ConfigError
 from uav_vslam.types import NS_PER_S
 
@@ -54,6 +54,21 @@ def test_a_packet_arrives_after_the_delay() -> None:
 def test_the_rate_spaces_packets_once_the_burst_is_spent() -> None:
     link: Link[int] = Link(LinkConfig(rate_bytes_per_s=1000.0, burst_bytes=500))
     assert arrivals(link, [0.0, 0.0, 0.0], 500) == [(0, 0.0), (1, 0.5), (2, 1.0)]
+
+
+def test_after_a_pause_no_more_than_the_burst_leaves_at_once() -> None:
+    link: Link[int] = Link(LinkConfig(rate_bytes_per_s=1000.0, burst_bytes=500))
+    assert arrivals(link, [0.0, 60.0, 60.0, 60.0], 250) == [(0, 0.0), (1, 60.0), (2, 60.0), (3, 60.25)]
+
+
+def test_each_direction_draws_its_own_numbers_and_the_same_each_time() -> None:
+    def received(sender: str, receiver: str) -> list[int]:
+        link: Link[int] = link_between(LinkConfig(loss=0.5), sender, receiver)
+        for number in range(100):
+            link.send(0, 1, number)
+        return link.receive(0)
+
+    assert received("a", "b") == received("a", "b") != received("b", "a")
 
 
 def test_a_packet_larger_than_the_burst_takes_its_time() -> None:
