@@ -14,7 +14,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 
-from uav_vslam.ros.qos import STATE
+from uav_vslam.ros.qos import SENSOR, STATE
 from uav_vslam.types import NS_PER_S
 from uav_vslam_msgs.msg import FusionStatus, JointInformation
 
@@ -49,12 +49,13 @@ def main(messages: Path, start_s: float, result: Path) -> None:
             if status.name.endswith(": fusion"):
                 heard["diagnostics"] = {entry.key: entry.value for entry in status.values}
 
-    node.create_subscription(Odometry, "fused/odometry", on_fused, STATE)
+    node.create_subscription(Odometry, "fused/odometry", on_fused, SENSOR)
     node.create_subscription(FusionStatus, "fusion/status", on_status, STATE)
     node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
     first_ns = recorded["messages"][0][0]
     for stamp_ns, topic, data in recorded["messages"]:
         due_s = start_s + (stamp_ns - first_ns) / NS_PER_S
+        rclpy.spin_once(node, timeout_sec=0.0)  # even where it is late
         while time.time() < due_s:
             rclpy.spin_once(node, timeout_sec=max(due_s - time.time(), 0.0))
         publishers[topic].publish(data)
