@@ -27,6 +27,7 @@ pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).parents[2]
 END_S = 5.0  # from SIGINT until nothing runs any more
+PATIENCE_S = 120.0  # a busy machine takes long to start eleven processes
 
 LISTENER = """
 import rclpy
@@ -70,6 +71,7 @@ def test_a_users_own_node_hears_the_graph_and_ctrl_c_ends_all_of_it(
         assert "Traceback" not in output
 
 
+@pytest.mark.timeout(300)
 def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(
     launched: Callable[..., AbstractContextManager[Any]], tmp_path: Path
 ) -> None:
@@ -87,7 +89,7 @@ def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(
         executor.add_node(node)
 
         def spin(until: Callable[[], Any]) -> bool:
-            end_s = time.monotonic() + 60.0
+            end_s = time.monotonic() + PATIENCE_S
             while not until() and time.monotonic() < end_s:
                 executor.spin_once(timeout_sec=0.1)
             return bool(until())
