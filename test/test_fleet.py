@@ -41,7 +41,7 @@ def received(member: CooperativeTrack) -> dict[str, int]:
 
 
 def test_without_links_every_packet_reaches_every_peer(tracks: dict[str, VehicleTrack]) -> None:
-    fleet = cooperate(tracks, configs())
+    fleet = cooperate(tracks, configs(feedback=False))
     sent = {name: member.outbox.packets_sent for name, member in fleet.items()}
     assert min(sent.values()) >= 5
     for name, member in fleet.items():
@@ -54,7 +54,7 @@ def test_each_direction_has_a_link_of_its_own(tracks: dict[str, VehicleTrack]) -
     def deaf_to_uav1(sender: str, receiver: str) -> PacketLink:
         return made.setdefault((sender, receiver), Link(LinkConfig(loss=float(sender == "uav1"))))
 
-    fleet = cooperate(tracks, configs(), deaf_to_uav1)
+    fleet = cooperate(tracks, configs(feedback=False), deaf_to_uav1)
     assert set(made) == {(a, b) for a in VEHICLES for b in VEHICLES if a != b}
     assert set(received(fleet["uav1"])) == {"uav2", "uav3"}
     assert set(received(fleet["uav2"])) == {"uav3"}

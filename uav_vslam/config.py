@@ -181,13 +181,13 @@ class FusionConfig:
     weighing: str = "position_trace"  # how the own weight of an intersection is found, see FUSION_WEIGHTS
     prior_id: str = ""  # hash of a loaded map or shared survey that the start state rests on; "" for none
     common_origin: bool = True  # all maps began at one known point and heading; otherwise each peer's frame is found
-    feedback: bool = False  # wideband: tell each peer what fusion made of its landmarks
+    feedback: bool = True  # wideband: tell each peer what fusion made of its landmarks
     relay: bool = False  # send peers' packets on, as they came, for those that can't hear them
     memory_landmarks: int = 40  # shared landmarks that are remembered after they have left the filter's state
     max_packet_landmarks: int = 64  # landmarks in one packet
     ratio: float = 0.8  # descriptor ratio test between vehicles, made before the gate
     gate_probability: float = 0.99  # of the chi-square gate on a common landmark
-    min_common: int = 3  # pairs that must agree with each other before any is used
+    min_common: int = 2  # pairs that must agree with each other before any is used
     floor_sigma_m: float = 0.3  # added to each packet landmark: descriptors do not meet on the very same point
     fleet_key_file: str = ""  # secret of 16 bytes or more that the fleet shares: packets without its tag are dropped
     signing_key_file: str = ""  # instead: this vehicle's own Ed25519 key (PEM)

@@ -401,3 +401,24 @@ def test_feedback_to_an_earlier_session_is_not_used(own, peer_packet) -> None:
     restarted.returned.add(feedback)
     epoch = restarted.fuse(dataclasses.replace(own, session=2, stamp_ns=NOW_NS + 10**9))
     np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
+
+
+def test_the_packet_of_last_time_is_used_while_it_shares_more_than_the_newest(own, peer_packet) -> None:
+    fusion, shared, strange = Fusion("uav1", EXACT), peer_packet(sequence=1), peer_packet(sequence=2)
+    fusion.inbox.add(shared)
+    first = fusion.fuse(own)
+    strange = dataclasses.replace(strange, descriptors=255 - strange.descriptors)
+    fusion.inbox.add(dataclasses.replace(strange, checksum=checksum(strange)))
+    second = fusion.fuse(own)
+    np.testing.assert_array_equal(second.pose.covariance, first.pose.covariance)
+    assert second.common == {"uav2": COUNT}
+
+
+def test_a_restart_withdraws_the_packet_of_last_time_too(own, peer_packet, make_joint) -> None:
+    fusion = Fusion("uav1", EXACT)
+    fusion.inbox.add(peer_packet())
+    fusion.fuse(own)
+    blind = make_joint(TRUTH + 500.0, belief_covariance(1.0), vehicle="uav2", session=2, stamp_ns=NOW_NS - 10**9)
+    fusion.inbox.add(make_packet_for(blind))
+    epoch = fusion.fuse(own)
+    np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)

@@ -45,11 +45,16 @@ class Fusion:
         self._config = config
         self._memory = LandmarkMemory(config.memory_landmarks)
         self._frames: dict[str, PeerFrame] = {}
+        self._used: dict[str, LandmarkPacket] = {}
         self._shared: set[int] = set()
         self._sequence = 0
         self._told: dict[str, tuple[NDArray[np.intp], NDArray[np.uint32]]] = {}  # own rows, a peer's ids
         self.belief: JointInformation | None = None
         self.epoch: FusedEpoch | None = None
+
+    def configure(self, config: FusionConfig) -> None:
+        """Go on with other settings, as another communication mode has them."""
+        self._config = config
 
     def packet(self, joint: JointInformation, *, byte_limit: int | None = None) -> LandmarkPacket:
         """Make the next packet from the own-only belief; fused numbers are never sent as own.
@@ -65,7 +70,7 @@ class Fusion:
             joint,
             sequence=self._sequence,
             policy=packet_policy(self._config, tag_bytes=self._authentication.tag_bytes),
-            matched_ids=self.epoch.matched_ids if self.epoch else (),
+            matched_ids=self._shared,
             prior_id=self._config.prior_id,
             byte_limit=byte_limit,
         )
@@ -101,11 +106,11 @@ class Fusion:
         config = self._config
         overlay = Overlay(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
         self._told.clear()
-        for peer, packet in self._newest(self.inbox):
-            if not comparable(joint.descriptors, packet):
+        for peer, newest in self._newest(self.inbox):
+            if not comparable(joint.descriptors, newest):
                 self.inbox.peers[peer].dropped["descriptor_size"] += 1
                 continue
-            pairs = self._common(overlay, packet)
+            packet, pairs = self._chosen(overlay, newest)
             self._note(peer, packet, len(pairs))
             overlay.common[peer] = len(pairs)
             overlay.add(packet, pairs, self.frame(peer))
@@ -138,6 +143,20 @@ class Fusion:
             packet = inbox.newest(peer, not_after_ns)
             if packet is not None:
                 yield peer, packet
+
+    def _chosen(self, overlay: Overlay, newest: LandmarkPacket) -> tuple[LandmarkPacket, Pairs]:
+        """Return the one packet of a peer that is used: the newest, or the one of last time if that shares more.
+
+        Not while a frame has to be found: that takes every packet once, in order.
+        """
+        pairs, last = self._common(overlay, newest), self._used.get(newest.vehicle)
+        another = last is not None and last is not newest and last.session == newest.session
+        if last is not None and another and self._config.common_origin:
+            before = self._common(overlay, last)
+            if len(before) > len(pairs):
+                return last, before
+        self._used[newest.vehicle] = newest
+        return newest, pairs
 
     def _common(self, overlay: Overlay, packet: LandmarkPacket) -> Pairs:
         """Return (K, 2) rows of own landmarks and of the packet that show the same."""

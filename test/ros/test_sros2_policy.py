@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The SROS2 template allows each node what it does, and nothing that no node does."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
+from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
+from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
+from uav_vslam.ros.stereo_frontend_node import StereoFrontendNode  # noqa: E402
+from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+TEMPLATE = Path(__file__).parents[2] / "config" / "sros2" / "vehicle.policy.xml"
+NODES = {
+    "stereo_frontend": StereoFrontendNode,
+    "ins_propagator": InsPropagatorNode,
+    "slam_backend": SlamBackendNode,
+    "fusion": FusionNode,
+}
+OF_EVERY_NODE = {"/rosout", "/parameter_events"}  # in the file that the template includes
+SAID_BY_ONE = {"/uav1/initial_state"}  # with start.method static or in_flight
+ON_DEMAND = {"/clock"}  # with use_sim_time
+
+
+def allowed(node: str, what: str) -> set[str]:
+    text = TEMPLATE.read_text(encoding="utf-8").replace("@VEHICLE@", "uav1").replace("@PEER@", "uav2")
+    found = ET.fromstring(text).findall(f".//profile[@node='{node}']/topics[@{what}='ALLOW']/topic")
+    return {t.text if str(t.text).startswith("/") else f"/uav1/{t.text}" for t in found}
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_node_is_allowed_just_what_it_does(name: str) -> None:
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "peers:=[uav2]"], domain_id=free_domain_id())
+    node = NODES[name]()
+    try:
+        said = {p.topic_name for p in node.publishers} - OF_EVERY_NODE
+        heard = {s.topic_name for s in node.subscriptions} - OF_EVERY_NODE
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+    assert said <= allowed(name, "publish")
+    assert allowed(name, "publish") - said <= SAID_BY_ONE
+    assert heard - ON_DEMAND <= allowed(name, "subscribe")
+    compressed = {t for t in allowed(name, "subscribe") if t.endswith("/compressed")}
+    assert allowed(name, "subscribe") - heard <= ON_DEMAND | compressed
