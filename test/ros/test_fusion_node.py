@@ -16,6 +16,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from uav_vslam.config import FusionConfig  # noqa: E402
 from uav_vslam.cooperation.fusion import Fusion  # noqa: E402
@@ -210,7 +211,7 @@ def test_what_the_budget_has_no_room_for_is_counted_and_never_sent(fly: Callable
 
 
 def test_the_bytes_that_the_status_gives_are_those_that_were_sent_and_heard(fly: Callable[..., Flight]) -> None:
-    flight = fly("radio_interface:=lo")
+    flight = fly("radio_interface:=lo", "fusion.feedback:=false")
     subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
     assert flight.spin(lambda: subscription.get_publisher_count() > 0)
     for second in (1, 2, 3):
@@ -332,11 +333,13 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         assert flight.epoch(2).bytes_sent == (1 + 2) * size  # each peer is sent its own copy
         nodes = peer.get_node_names_and_namespaces
         assert flight.spin(lambda: [name for name, namespace in nodes() if namespace == "/uav1"] == ["radio"])
-        assert peer.get_publisher_names_and_types_by_node("radio", "/uav1") == [
-            (PACKETS, ["uav_vslam_msgs/msg/LandmarkInformation"])
+        assert [t for t, _ in peer.get_publisher_names_and_types_by_node("radio", "/uav1")] == [
+            PACKETS,
+            "/uav2/fusion/feedback",
         ]
         assert [t for t, _ in peer.get_subscriber_names_and_types_by_node("radio", "/uav1")] == [
-            "/uav2/landmark_information"
+            "/uav1/fusion/feedback",
+            "/uav2/landmark_information",
         ]
         assert peer.get_service_names_and_types_by_node("radio", "/uav1") == []
         assert flight.others.get_publishers_info_by_topic(PACKETS) == []
@@ -344,3 +347,29 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         executor.shutdown()
         peer.destroy_node()
         context.try_shutdown()
+
+
+def test_where_the_map_of_a_peer_without_a_common_origin_lies_is_said(fly: Callable[..., Flight]) -> None:
+    flight = fly("fusion.common_origin:=false")
+    rng = np.random.default_rng(5)
+    points, shift = np.column_stack([rng.uniform(-40, 40, (20, 2)), rng.uniform(-3, 3, 20)]), [30.0, -8.0, 2.0]
+    edges: list[Any] = []
+    heard = flight.others.create_subscription(TFMessage, "/tf", lambda m: edges.extend(m.transforms), STATE)
+    assert flight.spin(heard.get_publisher_count)
+
+    def joint(second: int, vehicle: str) -> JointInformation:
+        at = points + (shift if vehicle == "uav2" else np.zeros(3))
+        P = np.diag([1e-2] * 6 + [1e-2] * 60)
+        return flight._make_joint(at, P, vehicle=vehicle, stamp_ns=second * NS_PER_S)
+
+    flight.joint = joint
+    peer, message = flight.peer("wideband"), packet_to_msg(Fusion("uav2", FusionConfig()).packet(joint(1, "uav2")))
+    peer.publish(message)
+    assert flight.spin(flight.newest_ns)
+    flight.epoch(3)
+    assert flight.spin(lambda: any(edge.child_frame_id == "uav2/map" for edge in edges))
+    edge = next(edge for edge in edges if edge.child_frame_id == "uav2/map")
+    assert edge.header.frame_id == "world"
+    t = edge.transform.translation
+    np.testing.assert_allclose([t.x, t.y, t.z], -np.array(shift), rtol=0, atol=0.1)
+    assert flight.node.notes["frame/uav2"] == "found"

@@ -10,7 +10,8 @@ out  landmark_information                  uav_vslam_msgs/LandmarkInformation at
      fused/odometry                        nav_msgs/Odometry per frame, world frame
      fused/path, fused/landmarks           nav_msgs/Path, sensor_msgs/PointCloud2 at epochs, world frame
      fusion/status                         uav_vslam_msgs/FusionStatus at epochs
-     /tf                                   world to <vehicle>/map
+     /tf                                   world to <vehicle>/map; without a common origin (fusion.common_origin)
+                                           world is the own map's, and world to <peer>/map is found and said too
 """
 
 from collections import deque
@@ -23,6 +24,7 @@ from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.config import MODE_BUDGETS
+from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.errors import ConfigError
 from uav_vslam.ros.convert import (
@@ -134,6 +136,7 @@ class FusionNode(VehicleNode):
         epoch = self._fusion.fuse(joint)
         self._exchange.send(joint)
         stamp_ns = joint.stamp_ns
+        self._publish_frames(stamp_ns, epoch)
         self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=WORLD))
         self._paths.publish(Path(header=header(stamp_ns, WORLD), poses=list(self._path)))
         self._report(stamp_ns, epoch.weight)
@@ -144,6 +147,17 @@ class FusionNode(VehicleNode):
         self._tf.publish(TFMessage(transforms=[edge]))
         self._path.append(PoseStamped(header=header(fused.stamp_ns, WORLD), pose=pose_to_msg(fused.T_map_body)))
         self._odometry.publish(odometry_to_msg(fused, frame_id=WORLD, child_frame_id=self.base_frame))
+
+    def _publish_frames(self, stamp_ns: int, epoch: FusedEpoch) -> None:
+        """Say where the maps of peers without a common origin lie; why one is not known is in the diagnostics."""
+        edges = [
+            transform_to_msg(frame.T_own_peer, stamp_ns=stamp_ns, parent=WORLD, child=f"{peer}/map")
+            for peer, frame in epoch.frames.items()
+        ]
+        if edges:
+            self._tf.publish(TFMessage(transforms=edges))
+        if not self.config.fusion.common_origin:
+            self.notes |= {f"frame/{peer}": self._fusion.frame(peer).reason or "found" for peer in epoch.common}
 
     def _report(self, stamp_ns: int, own_weight: float) -> None:
         before = set(self._reporter.silent)
