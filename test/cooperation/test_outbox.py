@@ -71,3 +71,11 @@ def test_while_nobody_is_heard_a_narrow_radio_is_left_to_discovery() -> None:
 @pytest.mark.parametrize(("mode", "expected"), [("wideband", True), ("none", False)])
 def test_other_modes_send_at_every_epoch_or_at_none(mode: str, expected: bool) -> None:
     assert turns(Outbox(FusionConfig(mode=mode)), range(5)) == [expected] * 5
+
+
+def test_a_stamp_from_the_future_does_not_pass_for_a_peer_that_is_heard_for_ever() -> None:
+    outbox = Outbox(FusionConfig(mode="narrowband"))
+    turns(outbox, range(100, 101))
+    outbox.hear(10**18)
+    assert turns(outbox, range(101, 104)) == [True, True, True]
+    assert turns(outbox, range(120, 126)).count(True) == 2

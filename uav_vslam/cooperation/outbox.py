@@ -26,6 +26,7 @@ class Outbox:
         self.over_budget = 0
         self._first_ns = self._last_ns = 0
         self._heard_ns = 0  # stamp of the newest packet of any peer
+        self._now_ns = 0  # stamp of the last epoch
         self._unheard_epochs = 0
         self.configure(config)
 
@@ -41,8 +42,8 @@ class Outbox:
         return self.bytes_sent / ((self._last_ns - self._first_ns) / NS_PER_S + self._epoch_s)
 
     def hear(self, stamp_ns: int) -> None:
-        """Note that a peer's packet of that stamp came."""
-        self._heard_ns = max(self._heard_ns, stamp_ns)
+        """Note that a peer's packet of that stamp came; one from the future says that it was heard now, no more."""
+        self._heard_ns = max(self._heard_ns, min(stamp_ns, self._now_ns))
 
     def is_turn(self, stamp_ns: int) -> bool:
         """Tell, once an epoch, whether it has a packet.
@@ -50,6 +51,7 @@ class Outbox:
         A narrowband radio that is full of packets has no room left for discovery, which then takes minutes. So while
         no peer is heard, most epochs are left to it.
         """
+        self._now_ns = stamp_ns
         if self._mode == "narrowband" and stamp_ns - self._heard_ns > self._silent_after_s * NS_PER_S:
             self._unheard_epochs += 1
             return self._unheard_epochs % UNHEARD_EPOCHS == 1
