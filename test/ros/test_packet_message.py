@@ -11,6 +11,8 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS")
 from rclpy.serialization import deserialize_message, serialize_message
 
+from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
 from uav_vslam.ros.recording import header_stamp_ns
@@ -63,6 +65,22 @@ def test_a_packet_comes_back_and_its_checksum_still_fits(packet_of: Maker, polic
     got = packet_from_msg(travelled(packet_to_msg(sent)))
     assert_same(got, sent)
     validate(got)
+
+
+def test_feedback_comes_back_though_it_has_no_descriptors(make_joint) -> None:
+    points = np.column_stack([np.linspace(-20, 20, 6), np.linspace(5, -9, 6) ** 2, np.zeros(6)])
+    own, peer = (
+        make_joint(points, np.eye(24), vehicle=name, stamp_ns=second * 10**9)
+        for name, second in (("uav2", 3), ("uav1", 2))
+    )
+    fusion = Fusion("uav2", FusionConfig())
+    fusion.inbox.add(make_packet(peer, sequence=1, policy=PacketPolicy()))
+    fusion.fuse(own)
+    sent = fusion.feedback("uav1")
+    assert sent is not None
+    got = packet_from_msg(travelled(packet_to_msg(sent)))
+    assert_same(got, sent)
+    Fusion("uav1", FusionConfig()).returned.add(got)
 
 
 def test_sources_of_others_travel_and_the_senders_own_goes_without_saying(packet_of: Maker) -> None:

@@ -97,7 +97,8 @@ class Fusion:
             descriptors=np.zeros((len(ids), 0), np.uint8),
         )
         packet = make_packet(fused, sequence=self._sequence, policy=PacketPolicy(form=ANCHOR, max_landmarks=len(ids)))
-        packet = dataclasses.replace(packet, sources=tuple(sorted(self.epoch.sources)))
+        others = sorted(self.epoch.sources - {packet.source})
+        packet = dataclasses.replace(packet, sources=(packet.source, *others))
         return self._authentication.sign(dataclasses.replace(packet, checksum=checksum(packet)))
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:

@@ -68,10 +68,17 @@ def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
         points=_points(message),
         covariance_scale=float(message.covariance_scale),
         descriptor_basis=int(message.descriptor_basis),
-        descriptors=rows_of(message.descriptors, np.uint8, message.descriptor_size, "descriptors"),
+        descriptors=_descriptors(message),
         checksum=int(message.checksum),
         tag=bytes(message.tag),
     )
+
+
+def _descriptors(message: LandmarkInformation) -> NDArray[np.uint8]:
+    """Return (N, D); feedback has none, and each of its landmarks an empty one."""
+    if message.descriptor_size == 0 and len(message.descriptors) == 0:
+        return np.zeros((len(message.ids), 0), np.uint8)
+    return rows_of(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
 
 
 def _points(message: LandmarkInformation) -> CodedPoints:
