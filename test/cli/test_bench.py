@@ -17,14 +17,14 @@ def test_the_quick_bench_measures_every_stage_and_writes_the_study(
     rows = json.loads((tmp_path / LATEST / "study.json").read_text())["rows"]
     stages = [row["method"] for row in rows]
     assert stages.count("back end") == 6
-    assert stages.count("fusion") == 2
+    assert stages.count("fusion") == stages.count("weight search") == 3
     assert stages.count("make packet") == stages.count("read packet") == 2
     singles = {"stereo front end", "preintegration", "bag reading"}
-    assert set(stages) == singles | {"back end", "fusion", "make packet", "read packet"}
+    assert set(stages) == singles | {"back end", "fusion", "weight search", "make packet", "read packet"}
     for row in rows:
         assert row["ratio"] > 0
         assert row.get("ms_per_frame", 0) + row.get("ms_per_packet", 0) > 0
-    assert [row["landmarks"] for row in rows if row["method"] == "fusion"] == [10, 50]
+    assert [row["landmarks"] for row in rows if row["method"] == "fusion"] == [10, 50, 200]
     for row, landmarks in zip(
         [row for row in rows if row["method"] == "back end"], (50, 100, 200, 400, 200, 200), strict=True
     ):

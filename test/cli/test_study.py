@@ -12,14 +12,18 @@ from uav_vslam.evaluation.output import LATEST
 
 SMALL = {
     "frames": ["--seeds", "1", "--frames", "12"],
-    "fusion": ["--seeds", "1", "--frames", "12"],
+    "models": ["--seeds", "1", "--frames", "12"],
+    "fusion": ["--parts", "fleets", "--seeds", "1", "--frames", "12"],
+    "thesis": ["--seeds", "1", "--frames", "12"],
     "filters": ["--seeds", "1", "--vehicles", "1", "--frames", "5", "--runs", "1", "--steps", "4"],
     "long": ["--seeds", "1", "--frames", "12"],
     "outliers": ["--seeds", "1", "--vehicles", "1", "--frames", "5"],
 }
 PICTURES = {
     "frames": set(),
-    "fusion": set(),
+    "models": set(),
+    "fusion": {"fleets.png", "three_in_a_row.png"},
+    "thesis": {f"{px}_px{what}.png" for px in (6, 10) for what in ("", "_trajectory", "_errors", "_covariance")},
     "filters": {"consistency.png", "noise_scales.png"},
     "long": {"long.png"},
     "outliers": {"outliers.png"},

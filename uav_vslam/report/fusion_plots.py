@@ -34,7 +34,9 @@ def gain_plot(heading: str, rows: list[Row]) -> Figure:
         low, high = row.get("low") or row["ratio"], row.get("high") or row["ratio"]
         gain.plot([low, high], [line, line], color=LINE_COLOURS[0], linewidth=2.2)
         gain.plot(row["ratio"], line, "o", color=LINE_COLOURS[0])
-        nees.plot(row["nees"], line, "o", color=LINE_COLOURS[0] if row["nees"] <= CONSISTENT[1] else LINE_COLOURS[1])
+        if row["nees"] is not None:
+            fair = row["nees"] <= CONSISTENT[1]
+            nees.plot(row["nees"], line, "o", color=LINE_COLOURS[0] if fair else LINE_COLOURS[1])
         if row["failures"]:
             gain.text(high, line, f"  {row['failures']} of {row['runs']} broke down", va="center", color="#a02020")
     gain.axvline(1.0, color="#888888", linewidth=0.8, linestyle=":")

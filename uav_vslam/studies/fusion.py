@@ -160,8 +160,8 @@ def _figures(part: Part, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "ate_m": _root_mean(fused),
         "ratio": _ratio(own, fused),
         **_interval(own, fused),
-        "nees_alone": mean([float(o.own_nees[SKIPPED_KEYFRAMES:].mean()) for o in good]),
-        "nees": mean([float(o.nees[SKIPPED_KEYFRAMES:].mean()) for o in good]),
+        "nees_alone": _mean_nees([o.own_nees for o in good]),
+        "nees": _mean_nees([o.nees for o in good]),
         "failures": len(outcomes) - len(good),
         "runs": len(outcomes),
     }
@@ -175,6 +175,10 @@ def _figures(part: Part, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     for key in ("largest_packet", "lambda_excess"):
         row[key] = max((o.figures[key] for o in good if key in o.figures), default=None)
     return row
+
+
+def _mean_nees(runs: Sequence[Array]) -> float | None:
+    return mean([float(nees[SKIPPED_KEYFRAMES:].mean()) for nees in runs if len(nees) > SKIPPED_KEYFRAMES])
 
 
 def _squares(outcomes: Sequence[Outcome], key: str, from_s: float = 0.0) -> Array:

@@ -29,9 +29,11 @@ NOTES = {
     "consistent",
     "bytes_per_s": "payload that a vehicle sent: serialised packets without the headers of RTPS, UDP and IP, as its "
     "fusion node counts them; mean and largest over vehicles and seeds",
-    "packet_bytes_max": "payload of the largest packet of any vehicle, from the steps of the same counter",
-    "packets": "sums over vehicles and seeds. Received ones are as of the receiver's last epoch, so the last may be "
-    "missing; used: entered a fusion; dropped: refused by the receiver, or (budget) held back by the sender",
+    "packet_bytes_max": "payload of the largest packet of any vehicle, from the steps of the same counter; in wideband "
+    "with the feedback of the same epoch",
+    "packets": "sums over vehicles and seeds; sent ones include feedback. Received ones are as of the receiver's last "
+    "epoch, so the last may be missing; used: entered a fusion; dropped: refused by the receiver, or (budget) held "
+    "back by the sender",
 }
 
 
