@@ -212,6 +212,11 @@ class FusionConfig:
         pair = bool(self.signing_key_file) == bool(self.peer_keys_folder)
         _require(pair, self, "peer_keys_folder", "signing_key_file and peer_keys_folder together")
 
+    @property
+    def returns_feedback(self) -> bool:
+        """Whether peers are told what became of their landmarks: not where each byte counts."""
+        return self.feedback and self.mode == "wideband"
+
 
 START_METHODS = ("given", "static", "in_flight")
 

@@ -38,13 +38,11 @@ class CooperativeTrack:
         fusion: the fusion core; it knows what was received, used and dropped.
         outbox: it knows what was sent, and what the budget held back.
         poses: fused pose at every own-only frame.
-        common_ns: epochs at which landmarks were shared with a peer.
     """
 
     fusion: Fusion
     outbox: Outbox
     poses: list[PoseEstimate] = field(default_factory=list)
-    common_ns: list[int] = field(default_factory=list)
 
 
 def cooperate(
@@ -73,18 +71,12 @@ def cooperate(
         member = fleet[name]
         if output.joint is not None:
             air.deliver(stamp_ns)
-            epoch = member.fusion.fuse(output.joint)
-            member.common_ns += [stamp_ns] if any(epoch.common.values()) else []
+            member.fusion.fuse(output.joint)
             air.send(name, output.joint)
         member.poses.append(member.fusion.carry(output.report.pose))
     if frames:
         air.deliver(max(stamp_ns for stamp_ns, _, _ in frames))
     return fleet
-
-
-def returns_feedback(config: FusionConfig) -> bool:
-    """Tell whether peers are told what became of their landmarks: not where each byte counts."""
-    return config.feedback and config.mode == "wideband"
 
 
 class _Air:
@@ -115,7 +107,7 @@ class _Air:
             self._on_packet(member.fusion, packet, size)
             for link in self._from(name).values():
                 link.send(stamp_ns, size, Sent(packet))
-        if returns_feedback(self._configs[name]):
+        if self._configs[name].returns_feedback:
             for peer, link in self._from(name).items():
                 feedback = member.fusion.feedback(peer)
                 if feedback is not None and member.outbox.take(stamp_ns, size := payload_bytes(feedback)):

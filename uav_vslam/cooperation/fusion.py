@@ -20,7 +20,7 @@ from uav_vslam.cooperation.inbox import Inbox
 from uav_vslam.cooperation.memory import LandmarkMemory
 from uav_vslam.cooperation.overlay import Overlay
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
-from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.belief import state_rows
 from uav_vslam.estimation.numerics import inverse_spd, submatrix
 from uav_vslam.slam.packet import ANCHOR, POSE_DIM, PacketPolicy, checksum, make_packet, packet_policy
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
@@ -85,7 +85,7 @@ class Fusion:
         if self.belief is None or self.epoch is None or told is None:
             return None
         rows, ids = told
-        columns = np.concatenate([np.arange(POSE_DIM), landmark_rows(POSE_DIM, rows)])
+        columns = state_rows(POSE_DIM, rows)
         fused = JointInformation(
             stamp_ns=self.belief.stamp_ns,
             vehicle=self.belief.vehicle,
@@ -93,7 +93,7 @@ class Fusion:
             T_map_body=self.epoch.pose.T_map_body,
             ids=ids,
             positions=self.epoch.positions[rows],
-            information=inverse_spd(submatrix(self.epoch.covariance, columns, columns), "fused landmarks"),
+            information=inverse_spd(submatrix(self.epoch.covariance, columns), "fused landmarks"),
             descriptors=np.zeros((len(ids), 0), np.uint8),
         )
         packet = make_packet(fused, sequence=self._sequence, policy=PacketPolicy(form=ANCHOR, max_landmarks=len(ids)))

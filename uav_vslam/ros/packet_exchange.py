@@ -12,7 +12,6 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.outbox import Outbox
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.fleet import returns_feedback
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
 from uav_vslam.ros.radio import Radio
 from uav_vslam.ros.runtime import VehicleNode
@@ -50,7 +49,7 @@ class PacketExchange:
         self.settings = dataclasses.replace(self.settings, mode=mode)
         self._fusion.configure(self.settings)
         self.outbox.configure(self.settings)
-        self._radio.tune(mode, feedback=returns_feedback(self.settings))
+        self._radio.tune(mode, feedback=self.settings.returns_feedback)
         self._node.notes["mode"] = mode
         self._node.get_logger().info(f"communication mode: {mode}")
 
@@ -66,7 +65,7 @@ class PacketExchange:
         else:
             detail = f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B a peer left"
             self._node.drop("budget", detail)
-        if returns_feedback(self.settings):
+        if self.settings.returns_feedback:
             self._give_back(joint.stamp_ns)
 
     def _give_back(self, stamp_ns: int) -> None:
@@ -97,5 +96,6 @@ class PacketExchange:
         self.received_bytes[message.vehicle] += len(data)
         if message.vehicle not in self._peers:
             raise InvalidMessage("sender", f"feedback comes from {message.vehicle!r}")
-        self._fusion.returned.add(packet_from_msg(message))
-        self.outbox.hear(packet_from_msg(message).stamp_ns)
+        packet = packet_from_msg(message)
+        self._fusion.returned.add(packet)
+        self.outbox.hear(packet.stamp_ns)

@@ -17,7 +17,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_from_rpy
 from uav_vslam.offline import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
-from uav_vslam.simulation.landmarks import LandmarkField, scatter_landmarks
+from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import FLEET, Scenario, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies.flights import true_trajectory
@@ -44,11 +44,12 @@ class Flown:
     landmarks: LandmarkField
 
 
-def fly_own_only(scenario: Scenario) -> Flown:
-    """Fly every vehicle alone, at landmark level, all in one frame."""
+def fly_own_only(scenario: Scenario, config: VehicleConfig | None = None, noise: LandmarkNoise | None = None) -> Flown:
+    """Fly every vehicle alone, at landmark level, all in one frame; `config.imu` gives way to the scenario's."""
     vehicles = simulate_fleet(scenario)
-    landmarks, config = scatter_landmarks(vehicles), VehicleConfig(imu=scenario.imu_config)
-    tracks = {v.name: track_vehicle(SimulatedSource(v, landmarks), config) for v in vehicles}
+    landmarks = scatter_landmarks(vehicles)
+    config = dataclasses.replace(config or VehicleConfig(), imu=scenario.imu_config)
+    tracks = {v.name: track_vehicle(SimulatedSource(v, landmarks, noise), config) for v in vehicles}
     return Flown(tracks, {v.name: true_trajectory(v) for v in vehicles}, landmarks)
 
 

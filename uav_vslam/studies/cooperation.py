@@ -14,17 +14,16 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link, LinkConfig
 from uav_vslam.errors import UavVslamError
+from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import PacketLink, cooperate
-from uav_vslam.offline import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
-from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
-from uav_vslam.simulation.scenario import Scenario, simulate_fleet
-from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.simulation.landmarks import LandmarkNoise
+from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.slam.packet import POSE_DIM
-from uav_vslam.studies.flights import true_trajectory
+from uav_vslam.studies.apart import Flown, fly_own_only
 from uav_vslam.studies.own_only import prepare
 from uav_vslam.studies.write_back import WRITE_BACK, fly_with_write_back
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
@@ -64,7 +63,6 @@ class Outcome:
         own_nees, nees: (F,) of the position.
         sigma: (F,) root of the trace of the fused position's covariance [m].
         correction: (F, 3) fused less own position [m].
-        common_s: times at which landmarks were shared with a peer.
         failure: why it broke down; empty if it did not.
         figures: of the link, and the fusion's time.
     """
@@ -79,7 +77,6 @@ class Outcome:
     nees: Array
     sigma: Array
     correction: Array
-    common_s: Array
     failure: str = ""
     figures: Mapping[str, float] = field(default_factory=dict)
 
@@ -89,26 +86,18 @@ def run_settings(
 ) -> list[Outcome]:
     """Fly a scenario's vehicles alone, then cooperate in every way."""
     config = dataclasses.replace(config, imu=scenario.imu_config)
-    vehicles = simulate_fleet(scenario)
-    landmarks = scatter_landmarks(vehicles)
-    tracks = {v.name: track_vehicle(SimulatedSource(v, landmarks, noise), config) for v in vehicles}
-    truths = {v.name: true_trajectory(v) for v in vehicles}
+    flown = fly_own_only(scenario, config, noise)
     outcomes: list[Outcome] = []
     for setting in settings:
         if setting.write_back:
-            outcomes += _written_back(scenario, setting, config, noise, tracks, truths)
+            outcomes += _written_back(scenario, setting, config, noise, flown)
         else:
-            outcomes += _fused(scenario, setting, config, tracks, truths)
+            outcomes += _fused(scenario, setting, config, flown)
     return outcomes
 
 
-def _fused(
-    scenario: Scenario,
-    setting: Setting,
-    config: VehicleConfig,
-    tracks: dict[str, VehicleTrack],
-    truths: dict[str, Trajectory],
-) -> list[Outcome]:
+def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: Flown) -> list[Outcome]:
+    tracks = flown.tracks
     fusion = dataclasses.replace(config.fusion, **setting.fusion)
     configs = {name: dataclasses.replace(config, fusion=fusion) for name in tracks}
     watch = _PacketWatch()
@@ -118,40 +107,30 @@ def _fused(
     except UavVslamError as error:
         return [_failed(scenario, setting, name, str(error)) for name in tracks]
     epochs = sum(output.joint is not None for track in tracks.values() for output in track.outputs)
-    shared = {"fusion_ms": 1e3 * (time.process_time() - started) / epochs, "lambda_excess": watch.largest - 1.0}
+    fusing_s = time.process_time() - started - watch.watching_s
+    shared = {"fusion_ms": 1e3 * fusing_s / epochs, "lambda_excess": watch.largest - 1.0}
     outcomes = []
     for name, track in tracks.items():
         member = fleet[name]
-        counters = member.fusion.inbox.peers.values()
         figures = {
             **shared,
             "sent_bytes_per_s": member.outbox.sent_bytes_per_s,
             "largest_packet": watch.largest_bytes.get(name, 0),
-            "packets_received": sum(record.received for record in counters),
-            "packets_used": sum(len(record.used) for record in counters),
             "recovery_packets": watch.until_used(member.fusion, setting.link),
         }
         estimate = Trajectory.from_estimates(member.poses)
-        common_s = _seconds(truths[name], np.array(member.common_ns, dtype=np.int64))
-        outcomes.append(_scored(scenario, setting, name, _own(track), estimate, truths[name], common_s, figures))
+        outcomes.append(_scored(scenario, setting, name, _own(track), estimate, flown.truths[name], figures))
     return outcomes
 
 
 def _written_back(
-    scenario: Scenario,
-    setting: Setting,
-    config: VehicleConfig,
-    noise: LandmarkNoise,
-    tracks: dict[str, VehicleTrack],
-    truths: dict[str, Trajectory],
+    scenario: Scenario, setting: Setting, config: VehicleConfig, noise: LandmarkNoise, flown: Flown
 ) -> list[Outcome]:
-    flights = prepare(scenario, noise)
-    found = fly_with_write_back(flights, config, WRITE_BACK[setting.write_back])
-    none = np.zeros(0)
+    found = fly_with_write_back(prepare(scenario, noise), config, WRITE_BACK[setting.write_back])
     return [
-        _scored(scenario, setting, name, _own(tracks[name]), track.estimate, truths[name], none, {}, track.failure)
-        if not track.failure
-        else _failed(scenario, setting, name, track.failure)
+        _failed(scenario, setting, name, track.failure)
+        if track.failure
+        else _scored(scenario, setting, name, _own(flown.tracks[name]), track.estimate, flown.truths[name], {})
         for name, track in found.items()
     ]
 
@@ -163,17 +142,14 @@ def _scored(
     own: Trajectory,
     estimate: Trajectory,
     truth: Trajectory,
-    common_s: Array,
     figures: Mapping[str, float],
-    failure: str = "",
 ) -> Outcome:
     own_error, own_nees = _errors(own, truth)
     error, fused_nees = _errors(estimate, truth)
     assert estimate.covariance is not None
     sigma = np.sqrt(np.trace(estimate.covariance[:, :3, :3], axis1=1, axis2=2))
     times_s = _seconds(truth, estimate.stamps_ns)
-    if not np.isfinite(fused_nees).all():
-        failure = failure or "covariance not positive definite"
+    failure = "" if np.isfinite(fused_nees).all() else "covariance not positive definite"
     return Outcome(
         setting.name,
         scenario.seed,
@@ -185,7 +161,6 @@ def _scored(
         fused_nees,
         sigma,
         estimate.positions - own.positions[: len(estimate)],
-        common_s,
         failure,
         figures,
     )
@@ -204,7 +179,6 @@ def _failed(scenario: Scenario, setting: Setting, name: str, failure: str) -> Ou
         nees=none,
         sigma=none,
         correction=np.zeros((0, 3)),
-        common_s=none,
         failure=failure,
     )
 
@@ -261,10 +235,12 @@ class _PacketWatch:
     Attributes:
         largest: the largest eigenvalue of R^-1 P over all packets; above 1 a packet told more than was known.
         largest_bytes: of the packets of each vehicle.
+        watching_s: CPU time that the watch took itself [s].
     """
 
     def __init__(self) -> None:
         self.largest = 0.0
+        self.watching_s = 0.0
         self.largest_bytes: dict[str, int] = {}
         self._sent_ns: dict[str, dict[tuple[int, int], int]] = {}
 
@@ -286,10 +262,12 @@ class _PacketWatch:
         self.largest_bytes[packet.vehicle] = max(self.largest_bytes.get(packet.vehicle, 0), size_bytes)
         if fusion.belief is None or len(packet) == 0:
             return
+        started = time.process_time()
         order = np.argsort(fusion.belief.ids)
         rows = order[np.searchsorted(fusion.belief.ids, packet.ids, sorter=order)]
-        at = (POSE_DIM + 3 * rows[:, None] + np.arange(3)).ravel()
+        at = landmark_rows(POSE_DIM, rows)
         P = inverse_spd(fusion.belief.information, "own belief")[np.ix_(at, at)]
         L = np.linalg.cholesky(packet.covariance)
         half = np.linalg.solve(L, P)
         self.largest = max(self.largest, float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1]))
+        self.watching_s += time.process_time() - started

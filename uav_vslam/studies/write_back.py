@@ -101,12 +101,8 @@ WRITE_BACK: dict[str, WriteBack] = {"landmark_ci": intersect_each, "overwrite": 
 
 def fly_with_write_back(flights: Sequence[Flight], config: VehicleConfig, scheme: WriteBack) -> dict[str, Track]:
     """Fly two or more vehicles that write what they hear into their filters at each epoch, until one breaks down."""
-    names = [flight.vehicle.name for flight in flights]
-    configs = {f.vehicle.name: dataclasses.replace(config, imu=f.vehicle.scenario.imu_config) for f in flights}
-    backends = {
-        f.vehicle.name: _OpenBackend(f.vehicle.initial, rig=f.vehicle.rig, config=configs[f.vehicle.name], vehicle=n)
-        for f, n in zip(flights, names, strict=True)
-    }
+    backends = {flight.vehicle.name: _backend(flight, config) for flight in flights}
+    names = list(backends)
     told: dict[tuple[str, str], Shared] = {}
     poses: dict[str, list[PoseEstimate]] = {name: [] for name in names}
     failure, previous_ns = "", None
@@ -134,6 +130,12 @@ class _OpenBackend(SlamBackend):
     @property
     def filter(self) -> Filter:
         return self._filter
+
+
+def _backend(flight: Flight, config: VehicleConfig) -> _OpenBackend:
+    vehicle = flight.vehicle
+    config = dataclasses.replace(config, imu=vehicle.scenario.imu_config)
+    return _OpenBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
 
 
 def _exchange(

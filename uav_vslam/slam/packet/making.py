@@ -7,6 +7,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.geometry.coded_points import OFFSET_LIMIT_M, CodedPoints
 from uav_vslam.slam.packet.choice import POSE_DIM, choose_landmarks, expected_gain
@@ -52,7 +53,7 @@ def make_packet(
     if policy.form == ANCHOR:
         near = np.abs(joint.positions[rows] - origin) <= OFFSET_LIMIT_M
         rows = rows[near.all(axis=1)]
-    columns = (POSE_DIM + 3 * rows[:, None] + np.arange(3)).ravel()
+    columns = landmark_rows(POSE_DIM, rows)
     points, scale = _code(policy.form, joint.positions[rows] - origin, P[np.ix_(columns, columns)])
     packet = LandmarkPacket(
         stamp_ns=joint.stamp_ns,
