@@ -4,12 +4,18 @@
 import numpy as np
 import pytest
 
+from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.matching import MATCHERS, match_descriptors, match_gated
 from uav_vslam.vision.matching.nn_ratio import squared_distances
 
 
 def descriptors(count, seed=0, length=128):
     return np.random.default_rng(seed).integers(0, 256, (count, length)).astype(np.uint8)
+
+
+def keypoints(described, seed=0):
+    pixels = np.random.default_rng(seed).uniform(0, 500, (len(described), 2)).astype(np.float32)
+    return Keypoints(pixels, np.ones(len(described), np.float32), described)
 
 
 @pytest.fixture(params=sorted(MATCHERS))
@@ -19,27 +25,47 @@ def matcher(request):
 
 def test_shuffled_noisy_copies_are_found(matcher):
     rng = np.random.default_rng(1)
-    a = descriptors(80)
+    a = keypoints(descriptors(80))
     order = rng.permutation(80)
-    b = np.clip(a[order].astype(int) + rng.integers(-9, 10, a.shape), 0, 255).astype(np.uint8)
-    pairs = matcher(a, b, 0.8)
+    noisy = np.clip(a.descriptors[order].astype(int) + rng.integers(-9, 10, (80, 128)), 0, 255).astype(np.uint8)
+    pairs = matcher(a, Keypoints(a.pixels[order] + 7, a.responses, noisy), 0.8)
     assert len(pairs) == 80
     np.testing.assert_array_equal(order[pairs[:, 1]], pairs[:, 0])
 
 
-@pytest.mark.parametrize(("rows_a", "rows_b"), [(0, 0), (0, 5), (5, 0)])
+@pytest.mark.parametrize(("rows_a", "rows_b"), [(0, 0), (0, 5), (5, 0), (1, 0), (0, 1)])
 def test_empty_sides_match_nothing(matcher, rows_a, rows_b):
-    pairs = matcher(descriptors(rows_a), descriptors(rows_b), 0.8)
+    pairs = matcher(keypoints(descriptors(rows_a)), keypoints(descriptors(rows_b)), 0.8)
     assert pairs.shape == (0, 2)
     assert np.issubdtype(pairs.dtype, np.integer)
 
 
+@pytest.mark.parametrize(("rows_a", "rows_b"), [(1, 1), (1, 5), (5, 1), (2, 2), (3, 3), (5, 5)])
+def test_few_keypoints_are_no_hindrance(matcher, rows_a, rows_b):
+    pairs = matcher(keypoints(descriptors(rows_a)), keypoints(descriptors(rows_b, 1)), 0.99)
+    assert pairs.shape[1] == 2
+    assert len(pairs) <= rows_a
+
+
+def test_equal_keypoints_are_told_apart_or_left_out(matcher):
+    same = Keypoints(np.full((40, 2), 9, np.float32), np.ones(40, np.float32), np.repeat(descriptors(1), 40, axis=0))
+    assert len(matcher(same, same, 1.0)) == 0
+
+
 def test_matching_repeats_and_changes_nothing(matcher):
-    a, b = descriptors(50, 1), descriptors(60, 2)
-    copies = a.copy(), b.copy()
+    a, b = keypoints(descriptors(50, 1), 1), keypoints(descriptors(60, 2), 2)
+    copies = [array.copy() for side in (a, b) for array in (side.pixels, side.descriptors)]
     np.testing.assert_array_equal(matcher(a, b, 0.99), matcher(a, b, 0.99))
-    np.testing.assert_array_equal(a, copies[0])
-    np.testing.assert_array_equal(b, copies[1])
+    for array, copy in zip([a.pixels, a.descriptors, b.pixels, b.descriptors], copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_no_keypoint_is_used_twice(matcher):
+    a, b = keypoints(descriptors(300, 1, 8), 1), keypoints(descriptors(200, 2, 8), 2)
+    pairs = matcher(a, b, 0.95)
+    assert (np.diff(pairs[:, 0]) > 0).all()
+    if matcher is not MATCHERS["nn"]:
+        assert len(np.unique(pairs[:, 1])) == len(pairs)
 
 
 def test_distances_are_exact_for_bytes():

@@ -1,24 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Descriptor matchers by name: each takes (a, b, ratio, mutual=...) and returns (M, 2) indices."""
+"""Matchers of two images' keypoints by name, section 3.4.5 and chapter 6 of [thesis].
+
+`match_descriptors` and `match_gated` are the array functions underneath, for those that have no images.
+"""
 
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.vision.matching.nn_ratio import match_descriptors, match_gated
+from uav_vslam.vision.features.base import Keypoints
+from uav_vslam.vision.matching.nn_ratio import match_descriptors, match_gated, nn, nn_mutual
 
 __all__ = ["MATCHERS", "Matcher", "match_descriptors", "match_gated"]
 
 
 class Matcher(Protocol):
-    """Matches the rows of two descriptor sets."""
+    """Finds the points that two images share; the same keypoints give the same matches, every time."""
 
-    def __call__(
-        self, a: NDArray[np.generic], b: NDArray[np.generic], ratio: float, *, mutual: bool = True
-    ) -> NDArray[np.intp]:
-        """Return (M, 2) indices into `a` and `b`; 0 rows on either side give 0 matches."""
+    def __call__(self, a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
+        """Return (M, 2) indices into `a` and `b`, ascending in `a`, each of `a` once; no keypoints give no matches.
+
+        Args:
+            a, b: keypoints of the two images.
+            ratio: the nearest descriptor must be closer than this times the second nearest.
+        """
         ...
 
 
-MATCHERS: dict[str, Matcher] = {"nn_ratio": match_descriptors}
+MATCHERS: dict[str, Matcher] = {"nn": nn, "nn_mutual": nn_mutual}

@@ -8,7 +8,19 @@ sums: the result is the same on every machine.
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.vision.features.base import Keypoints
+
 SINGLE_CANDIDATE_DISTANCE = 250.0  # between 8-bit SIFT descriptors, whose length is about 512
+
+
+def nn(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
+    """Match each keypoint of `a` to its nearest of `b` if the second nearest is clearly farther; `b`'s may repeat."""
+    return match_descriptors(a.descriptors, b.descriptors, ratio, mutual=False)
+
+
+def nn_mutual(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
+    """Match as `nn` does, where each is the other's nearest: no keypoint is used twice."""
+    return match_descriptors(a.descriptors, b.descriptors, ratio)
 
 
 def match_descriptors(
