@@ -5,7 +5,7 @@ Frames: `map` is the vehicle's local ENU frame (z up, gravity along -z), shared 
 origin; `body` is FLU at the IMU. Stamps are nanoseconds since the epoch of the recording. Records are never modified.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,11 +55,18 @@ class StereoFeatures:
         stamp_ns: stamp of the pair [ns].
         pixels: (N, 4) float32 undistorted u_left, v_left, u_right, v_right [px].
         descriptors: (N, D) uint8 descriptors of the left points.
+        tracks: (N,) uint32 which point is the same as one of an earlier pair: a number that stays with it, unique
+            within a flight; 0 where that is not known, as it is everywhere if not given.
     """
 
     stamp_ns: int
     pixels: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
+    tracks: NDArray[np.uint32] = field(default_factory=lambda: np.zeros(0, np.uint32))
+
+    def __post_init__(self) -> None:
+        if len(self.tracks) == 0:
+            object.__setattr__(self, "tracks", np.zeros(len(self.pixels), np.uint32))
 
     @staticmethod
     def empty(stamp_ns: int) -> "StereoFeatures":

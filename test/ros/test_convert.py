@@ -43,7 +43,8 @@ def pose() -> Pose:
 def features(count: int = 5) -> StereoFeatures:
     rng = np.random.default_rng(1)
     pixels = rng.uniform(0, 1000, (count, 4)).astype(np.float32)
-    return StereoFeatures(STAMP_NS, pixels, rng.integers(0, 256, (count, 128), np.uint8))
+    tracks = np.arange(7, 7 + count, dtype=np.uint32)
+    return StereoFeatures(STAMP_NS, pixels, rng.integers(0, 256, (count, 128), np.uint8), tracks)
 
 
 def increment() -> ImuIncrement:
@@ -159,6 +160,7 @@ def refusal(read: Callable[[Any], Any], message: Any) -> str:
         ("descriptors", bytes(5 * 128 - 1), "shape"),
         ("descriptor_size", 0, "shape"),
         ("descriptor_size", 64, "shape"),
+        ("tracks", [1, 2, 3, 4], "shape"),
     ],
 )
 def test_features_that_are_refused(field: str, value: Any, reason: str) -> None:

@@ -126,6 +126,7 @@ def features_to_msg(features: StereoFeatures, *, frame_id: str, size: tuple[int,
         pixels=flat(features.pixels),
         descriptor_size=features.descriptors.shape[1],
         descriptors=flat(features.descriptors),
+        tracks=flat(features.tracks),
     )
 
 
@@ -133,10 +134,11 @@ def features_from_msg(message: StereoFeaturesMsg) -> StereoFeatures:
     """Return stereo features."""
     pixels = rows_of(message.pixels, np.float32, 4, "pixels")
     descriptors = rows_of(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
-    if len(pixels) != len(descriptors):
-        raise InvalidMessage("shape", f"{len(pixels)} points but {len(descriptors)} descriptors")
+    tracks = np.array(message.tracks, dtype=np.uint32)
+    if not len(pixels) == len(descriptors) == len(tracks):
+        raise InvalidMessage("shape", f"{len(pixels)} points, {len(descriptors)} descriptors, {len(tracks)} tracks")
     _finite(pixels, "pixels")
-    return StereoFeatures(stamp_ns_of(message), pixels, descriptors)
+    return StereoFeatures(stamp_ns_of(message), pixels, descriptors, tracks)
 
 
 def increment_to_msg(increment: ImuIncrement, *, frame_id: str) -> InsIncrement:
