@@ -14,6 +14,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 
+from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.ros.qos import SENSOR, STATE
 from uav_vslam.types import NS_PER_S
 from uav_vslam_msgs.msg import FusionStatus, JointInformation
@@ -28,10 +29,11 @@ def main(messages: Path, start_s: float, result: Path) -> None:
     rclpy.init()
     node = rclpy.create_node("player", namespace=f"/{vehicle}")
     publishers = {topic: node.create_publisher(kind, topic, STATE) for topic, kind in TYPES.items()}
-    heard = {"fused": 0, "status": [], "diagnostics": {}}
+    heard = {"fused": [], "status": [], "diagnostics": {}}
 
     def on_fused(message: Odometry) -> None:
-        heard["fused"] += 1
+        at = message.pose.pose.position
+        heard["fused"].append((stamp_ns_of(message), at.x, at.y, at.z))
 
     def on_status(message: FusionStatus) -> None:
         own = {

@@ -19,7 +19,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.pipeline import VehiclePipeline
@@ -63,6 +65,22 @@ WIRE_BYTES_PER_S = 1200.0
 PAYLOAD_BYTES_PER_S = 900.0
 # Of 80 packets or more a fifth is lost: four sigmas below the mean are 62 %.
 LEAST_HEARD = 0.6
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What one vehicle did alone.
+
+    Attributes:
+        messages: file with what its back end publishes.
+        stamps_ns: (F,) of its frames.
+        estimated, true: (F, 3) positions [m].
+    """
+
+    messages: Path
+    stamps_ns: NDArray[np.int64]
+    estimated: NDArray[np.float64]
+    true: NDArray[np.float64]
 
 
 @dataclass
@@ -136,13 +154,13 @@ def _connect(host: Host) -> None:
 
 
 @pytest.fixture(scope="module")
-def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Fly two simulated vehicles, and write what each one's back end publishes."""
+def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Flown]:
+    """Fly two simulated vehicles alone, and write what each one's back end publishes."""
     from rclpy.serialization import serialize_message
 
     from uav_vslam.ros.convert import joint_to_msg, odometry_to_msg
 
-    folder, files = tmp_path_factory.mktemp("messages"), {}
+    folder, flown = tmp_path_factory.mktemp("messages"), {}
     fleet = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], frames=FRAMES, vehicles=2, seed=1))
     landmarks = scatter_landmarks(fleet)
     for simulated, vehicle in zip(fleet, VEHICLES, strict=True):
@@ -159,9 +177,13 @@ def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                 said.append((pose.stamp_ns, "joint_information", serialize_message(joint)))
             odometry = odometry_to_msg(pose, frame_id=f"{vehicle}/map", child_frame_id=f"{vehicle}/base_link")
             said.append((pose.stamp_ns, "odometry", serialize_message(odometry)))
-        files[vehicle] = folder / f"{vehicle}.pickle"
-        files[vehicle].write_bytes(pickle.dumps({"vehicle": vehicle, "messages": said}))
-    return files
+        file = folder / f"{vehicle}.pickle"
+        file.write_bytes(pickle.dumps({"vehicle": vehicle, "messages": said}))
+        poses = [output.report.pose for output in pipeline.track.outputs]
+        stamps_ns = np.array([pose.stamp_ns for pose in poses])
+        estimated = np.array([pose.T_map_body.t for pose in poses])
+        flown[vehicle] = Flown(file, stamps_ns, estimated, simulated.truth.position(simulated.frame_times_s))
+    return flown
 
 
 def fusion_command(host: Host, peer: Host) -> list[str]:
@@ -178,13 +200,13 @@ def fusion_command(host: Host, peer: Host) -> list[str]:
     return [sys.executable, "-m", "uav_vslam.ros.fusion_node", *arguments]
 
 
-def fly(hosts: list[Host], messages: dict[str, Path], folder: Path) -> dict[str, dict[str, Any]]:
+def fly(hosts: list[Host], flown: dict[str, Flown], folder: Path) -> dict[str, dict[str, Any]]:
     """Run the flight in real time and return what each vehicle's player noted; the hosts get their samples."""
     begin_s = time.time()
     processes = []
     for host, peer in (hosts, hosts[::-1]):
         start = str(begin_s + STARTING_S)
-        player = [sys.executable, str(Path(__file__).with_name("player.py")), str(messages[host.vehicle]), start]
+        player = [sys.executable, str(Path(__file__).with_name("player.py")), str(flown[host.vehicle].messages), start]
         # The player stands for the vehicle's other nodes. They would use shared memory, which network namespaces share.
         environment = os.environ | {
             "ROS_DOMAIN_ID": str(host.index),
@@ -223,19 +245,36 @@ def report(host: Host, noted: dict[str, Any]) -> str:
         f"{host.vehicle}: {first[1]} B in the first {first[0]:.0f} s, then {rate:.0f} B/s on the wire; payload "
         f"{status['sent_bytes_per_s']:.0f} B/s; {status['packets_sent']} packets sent, {status['packets_held_back']} "
         f"held back, {peer['packets_received']} heard from epoch {begun} on, {peer['packets_used']} used; "
-        f"{noted['fused']} of {noted['frames']} frames fused; {last[3]} datagrams dropped by the modem's queue in all; "
-        f"it holds {max(s[2] for s in host.since(SETTLED_S))} B at most after {SETTLED_S:.0f} s, {last[2]} B at the end"
+        f"{len(noted['fused'])} of {noted['frames']} frames fused; {last[3]} datagrams dropped by the modem's "
+        f"queue in all; it holds {max(s[2] for s in host.since(SETTLED_S))} B at most after {SETTLED_S:.0f} s, "
+        f"{last[2]} B at the end"
     )
 
 
+def pooled_ate(flown: dict[str, Flown], noted: dict[str, dict[str, Any]]) -> tuple[float, float]:
+    """Return the root mean square position error of both vehicles alone, and together [m]."""
+    alone, together = [], []
+    for vehicle, flight in flown.items():
+        fused = noted[vehicle]["fused"]
+        rows = np.searchsorted(flight.stamps_ns, [stamp_ns for stamp_ns, *_ in fused])
+        positions = np.array([position for _, *position in fused])
+        alone.append(flight.estimated[rows] - flight.true[rows])
+        together.append(positions - flight.true[rows])
+    pooled = (np.linalg.norm(np.vstack(errors), axis=1) for errors in (alone, together))
+    return tuple(float(np.sqrt(np.mean(distances**2))) for distances in pooled)
+
+
 def test_two_hosts_cooperate_over_a_lossy_9600_bit_radio_within_its_budget(
-    hosts: list[Host], messages: dict[str, Path], tmp_path: Path
+    hosts: list[Host], flown: dict[str, Flown], tmp_path: Path
 ) -> None:
-    noted = fly(hosts, messages, tmp_path)
+    noted = fly(hosts, flown, tmp_path)
+    alone, together = pooled_ate(flown, noted)
     print("\n" + "\n".join(report(host, noted[host.vehicle]) for host in hosts))
+    print(f"pooled ATE: {alone:.3f} m alone, {together:.3f} m together")
+    assert together < alone
     for host, peer in (hosts, hosts[::-1]):
         settled, heard = host.since(SETTLED_S), noted[host.vehicle]
-        assert heard["fused"] == heard["frames"] == FRAMES
+        assert len(heard["fused"]) == heard["frames"] == FRAMES
         rate = (settled[-1][1] - settled[0][1]) / (settled[-1][0] - settled[0][0])
         assert rate <= WIRE_BYTES_PER_S
         assert settled[-1][3] == settled[0][3], "the modem's queue overflowed"
