@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.vision.features.base import Keypoints
+from uav_vslam.vision.matching.cds import cds_gtm, cds_nn
+from uav_vslam.vision.matching.gtm import gtm
 from uav_vslam.vision.matching.nn_ratio import match_descriptors, match_gated, nn, nn_mutual
+from uav_vslam.vision.matching.ransac import ransac_fundamental, ransac_homography
 
 __all__ = ["MATCHERS", "Matcher", "match_descriptors", "match_gated"]
 
@@ -28,4 +31,12 @@ class Matcher(Protocol):
         ...
 
 
-MATCHERS: dict[str, Matcher] = {"nn": nn, "nn_mutual": nn_mutual}
+MATCHERS: dict[str, Matcher] = {
+    "nn": nn,
+    "nn_mutual": nn_mutual,
+    "ransac_homography": ransac_homography,
+    "ransac_fundamental": ransac_fundamental,
+    "gtm": gtm,
+    "cds_nn": cds_nn,
+    "cds_gtm": cds_gtm,
+}
