@@ -51,11 +51,12 @@ def run(args: argparse.Namespace) -> int:
 def measure(effort: Any) -> Iterator[dict[str, Any]]:
     """Yield a row per stage and condition."""
     from uav_vslam.slam.packet import ANCHOR, PacketPolicy
-    from uav_vslam.studies import back_end_speed, speed
+    from uav_vslam.studies import back_end_speed, matching_speed, speed
     from uav_vslam.vision.compact_descriptors import COMPACT
 
     vehicle, frames = speed.rendered_frames(effort.pairs)
     yield speed.stereo_front_end(vehicle, frames, _sift())
+    yield from matching_speed.graph_matching(2000, min(effort.repeats, 10))
     for landmarks in (50, 100, 200, 400):
         yield back_end_speed.back_end(landmarks, effort.frames)
     yield back_end_speed.back_end(200, effort.frames, lag_s=back_end_speed.TRACK_LAG_S)
