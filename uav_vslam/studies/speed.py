@@ -144,8 +144,10 @@ def fusion(shared: int, repeats: int) -> Row:
 def weight_search(shared: int, repeats: int) -> Row:
     """Time finding the weight of an intersection, beside scipy's search over the whole fused covariance."""
     count = max(OWN_LANDMARKS, shared)
-    P = inverse_spd(_belief("uav1", list(range(count)), stamp_s=1.0).information, "own belief")
-    R = inverse_spd(_belief("uav2", list(range(shared)), stamp_s=1.0).information, "a peer's")[POSE:, POSE:]
+    own_belief = _belief("uav1", list(range(count)), stamp_s=1.0, sigma_m=(0.3, 0.15, 0.3))
+    peer_belief = _belief("uav2", list(range(shared)), stamp_s=1.0, sigma_m=(0.15, 0.3, 0.3))  # better in another way
+    P = inverse_spd(own_belief.information, "own belief")
+    R = inverse_spd(peer_belief.information, "a peer's")[POSE:, POSE:]
     own, peer = Split(np.zeros_like(P), P), Split(0.09 * np.eye(len(R)), R)
     E = np.eye(len(R), len(P), POSE)
 
@@ -207,18 +209,20 @@ def _cholesky_name(size: int) -> str:
     return f"Cholesky {size}x{size}"
 
 
-def _belief(vehicle: str, identities: list[int], *, stamp_s: float) -> JointInformation:
+def _belief(
+    vehicle: str, identities: list[int], *, stamp_s: float, sigma_m: tuple[float, float, float] = (0.3, 0.3, 0.3)
+) -> JointInformation:
     """Return a belief with a common error of pose and landmarks; the same identity is the same place and look."""
     looks = [np.random.default_rng([7, identity]) for identity in identities]
     positions = np.array([rng.uniform([-60, -60, -2], [60, 60, 2]) for rng in looks])
     descriptors = np.array([rng.integers(0, 256, 128, np.uint8) for rng in looks])
     n = POSE + 3 * len(identities)
     common = np.zeros((n, 3))
-    common[:3] = np.eye(3)
-    common[POSE:] = np.tile(np.eye(3), (len(identities), 1))
+    common[:3] = np.diag(sigma_m)
+    common[POSE:] = np.tile(np.diag(sigma_m), (len(identities), 1))
     own = np.full(n, 0.1**2)
     own[3:POSE] = 1e-3**2
-    information = np.linalg.inv(0.3**2 * common @ common.T + np.diag(own))
+    information = np.linalg.inv(common @ common.T + np.diag(own))
     return JointInformation(
         stamp_ns=round(stamp_s * NS_PER_S),
         vehicle=vehicle,
