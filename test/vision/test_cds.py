@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from uav_vslam.vision.features import Keypoints
-from uav_vslam.vision.matching.cds import connected_dominating_set, dominating_keypoints, neighbourhood_graph
+from uav_vslam.vision.matching.cds import connected_dominating_set, dominating_points, neighbourhood_graph
 
 
 def adjacency(graph):
@@ -46,10 +45,10 @@ def test_the_neighbourhood_graph_is_symmetric_without_loops():
     assert neighbourhood_graph(points[:2], 3).toarray().tolist() == [[False, True], [True, False]]
 
 
-def test_the_set_of_keypoints_is_smaller_and_leaves_nobody_far_away():
+def test_the_set_of_points_is_smaller_and_leaves_nobody_far_away():
     rng = np.random.default_rng(2)
     pixels = rng.uniform(0, 600, (400, 2)).astype(np.float32)
-    rows = dominating_keypoints(Keypoints(pixels, np.ones(400, np.float32), np.zeros((400, 8), np.uint8)))
+    rows = dominating_points(pixels)
     assert len(rows) < 0.3 * 400
     distance = np.linalg.norm(pixels[:, None] - pixels[rows], axis=2).min(axis=1)
     spacing = np.sqrt(600**2 / 400)

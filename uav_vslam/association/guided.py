@@ -5,6 +5,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from uav_vslam.association.in_view import InView
+from uav_vslam.config import BackendConfig
+from uav_vslam.types import StereoFeatures
 from uav_vslam.vision.matching.nn_ratio import match_gated
 
 Array = NDArray[np.float64]
@@ -29,6 +32,19 @@ def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> 
     nu = observed[None, :, :] - predicted[:, None, :]
     whitened = nu @ np.linalg.inv(np.linalg.cholesky(S)).transpose(0, 2, 1)
     return np.asarray(np.einsum("nmi,nmi->nm", whitened, whitened) <= chdtri(STEREO_DOF, 1.0 - probability))
+
+
+def gated(marks: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:
+    """Match the nearest descriptors with ratio test and mutual check, among features inside a landmark's gate."""
+    return associate(
+        marks.expected,
+        marks.S,
+        marks.descriptors,
+        seen.pixels.astype(float),
+        seen.descriptors,
+        probability=config.gate_probability,
+        ratio=config.min_descriptor_ratio,
+    )
 
 
 def associate(

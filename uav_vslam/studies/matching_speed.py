@@ -7,9 +7,8 @@ import numpy as np
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.studies.speed import take_turns
-from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.matching import match_descriptors
-from uav_vslam.vision.matching.cds import dominating_keypoints
+from uav_vslam.vision.matching.cds import dominating_points
 from uav_vslam.vision.matching.gtm import same_neighbours
 
 IMAGE_PX = (1280.0, 960.0)
@@ -30,10 +29,9 @@ def graph_matching(keypoints: int, repeats: int) -> Iterator[Row]:
     wrong = rng.choice(keypoints, round(WRONG_SHARE * keypoints), replace=False)
     b[wrong] = rng.uniform(0.0, IMAGE_PX, (len(wrong), 2))
     descriptors = rng.integers(0, 256, (keypoints, DESCRIPTOR_LENGTH), np.uint8)
-    image = Keypoints(a.astype(np.float32), np.ones(keypoints, np.float32), descriptors)
     works = {
         "graph transformation": (f"{keypoints} matches, {WRONG_SHARE:.0%} wrong", lambda: same_neighbours(a, b)),
-        "dominating set": (f"{keypoints} keypoints", lambda: dominating_keypoints(image)),
+        "dominating set": (f"{keypoints} keypoints", lambda: dominating_points(a)),
     }
     for method, (condition, work) in works.items():
         ms, ratio = take_turns([work] * repeats, lambda: match_descriptors(descriptors, descriptors, 0.8))

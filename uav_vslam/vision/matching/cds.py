@@ -25,14 +25,14 @@ NEIGHBOURS = 8  # K
 
 def cds_nn(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
     """Match the connected dominating set of `a` by mutual nearest descriptors."""
-    rows = dominating_keypoints(a)
+    rows = dominating_points(a.pixels)
     pairs = nn_mutual(_chosen(a, rows), b, ratio)
     return np.column_stack([rows[pairs[:, 0]], pairs[:, 1]])
 
 
 def cds_gtm(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
     """Match the connected dominating set of `a` by mutual nearest descriptors and graph transformation."""
-    rows = dominating_keypoints(a)
+    rows = dominating_points(a.pixels)
     pairs = gtm(_chosen(a, rows), b, ratio)
     return np.column_stack([rows[pairs[:, 0]], pairs[:, 1]])
 
@@ -41,9 +41,9 @@ def _chosen(keypoints: Keypoints, rows: Rows) -> Keypoints:
     return Keypoints(keypoints.pixels[rows], keypoints.responses[rows], keypoints.descriptors[rows])
 
 
-def dominating_keypoints(keypoints: Keypoints, *, neighbours: int = NEIGHBOURS) -> Rows:
-    """Return the ascending rows of a connected dominating set of the keypoints' neighbourhood graph."""
-    return connected_dominating_set(neighbourhood_graph(keypoints.pixels, neighbours))
+def dominating_points(pixels: NDArray[np.floating], *, neighbours: int = NEIGHBOURS) -> Rows:
+    """Return the ascending rows of a connected dominating set of the neighbourhood graph of (N, 2) pixels."""
+    return connected_dominating_set(neighbourhood_graph(pixels, neighbours))
 
 
 def neighbourhood_graph(points: NDArray[np.floating], neighbours: int) -> csr_array:

@@ -42,7 +42,7 @@ def match_descriptors(
     Returns:
         (M, 2) indices into `a` and `b`, ascending in `a`.
     """
-    return _match(squared_distances(a, b), ratio, mutual=mutual, single_distance=single_distance)
+    return match_distances(squared_distances(a, b), ratio, mutual=mutual, single_distance=single_distance)
 
 
 def match_gated(
@@ -69,7 +69,7 @@ def match_gated(
     if allowed.shape != (len(a), len(b)):
         raise ValueError(f"allowed is {allowed.shape}, but there are {len(a)} x {len(b)} descriptors")
     squared = np.where(allowed, squared_distances(a, b), np.float32(np.inf))
-    return _match(squared, ratio, mutual=mutual, single_distance=single_distance)
+    return match_distances(squared, ratio, mutual=mutual, single_distance=single_distance)
 
 
 def squared_distances(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray[np.float32]:
@@ -86,8 +86,10 @@ def squared_distances(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray
     return np.maximum(squared, 0.0, out=squared)
 
 
-def _match(squared: NDArray[np.float32], ratio: float, *, mutual: bool, single_distance: float) -> NDArray[np.intp]:
-    """Apply ratio test, single-candidate cap and mutual check to squared distances, inf where not allowed."""
+def match_distances(
+    squared: NDArray[np.float32], ratio: float, *, mutual: bool = True, single_distance: float
+) -> NDArray[np.intp]:
+    """Match as `match_gated` does, by (Na, Nb) squared distances of any kind, inf where not allowed."""
     if squared.size == 0:
         return np.zeros((0, 2), np.intp)
     rows = np.arange(len(squared))

@@ -15,6 +15,7 @@ from uav_vslam.vision.features.base import Keypoints
 from uav_vslam.vision.matching.nn_ratio import nn_mutual
 
 Pixels = NDArray[np.float32]
+Rows = NDArray[np.intp]
 Fit = Callable[[Pixels, Pixels, cv2.UsacParams], tuple[object, NDArray[np.uint8] | None]]
 
 HOMOGRAPHY_PX = 3.0  # error of an inlier; the ground is not quite a plane
@@ -28,20 +29,30 @@ MAX_ITERATIONS = 5000
 
 def ransac_homography(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
     """Match mutual nearest descriptors, and keep those that one homography maps onto each other."""
-    return _agreeing(nn_mutual(a, b, ratio), a, b, cv2.findHomography, HOMOGRAPHY_POINTS, HOMOGRAPHY_PX)
+    pairs = nn_mutual(a, b, ratio)
+    return pairs[same_homography(a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]])]
 
 
 def ransac_fundamental(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
     """Match mutual nearest descriptors, and keep those that lie on each other's epipolar lines."""
-    return _agreeing(nn_mutual(a, b, ratio), a, b, cv2.findFundamentalMat, FUNDAMENTAL_POINTS, EPIPOLAR_PX)
+    pairs = nn_mutual(a, b, ratio)
+    return pairs[same_epipolar_geometry(a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]])]
 
 
-def _agreeing(
-    pairs: NDArray[np.intp], a: Keypoints, b: Keypoints, fit: Fit, sample: int, threshold_px: float
-) -> NDArray[np.intp]:
-    """Return the matches that agree with the best geometry; none unless there are more than a sample of them."""
-    none = pairs[:0]
-    if len(pairs) <= sample:
+def same_homography(a: NDArray[np.floating], b: NDArray[np.floating]) -> Rows:
+    """Return the ascending rows of (N, 2) pixels `a` and `b` that the best homography maps onto each other."""
+    return _agreeing(a, b, cv2.findHomography, HOMOGRAPHY_POINTS, HOMOGRAPHY_PX)
+
+
+def same_epipolar_geometry(a: NDArray[np.floating], b: NDArray[np.floating]) -> Rows:
+    """Return the ascending rows of (N, 2) pixels `a` and `b` that agree with the best fundamental matrix."""
+    return _agreeing(a, b, cv2.findFundamentalMat, FUNDAMENTAL_POINTS, EPIPOLAR_PX)
+
+
+def _agreeing(a: NDArray[np.floating], b: NDArray[np.floating], fit: Fit, sample: int, threshold_px: float) -> Rows:
+    """Return the rows that agree with the best geometry; none unless there are more than a sample of them."""
+    none = np.zeros(0, np.intp)
+    if len(a) <= sample:
         return none
     parameters = cv2.UsacParams()
     parameters.randomGeneratorState = SEED
@@ -49,9 +60,9 @@ def _agreeing(
     parameters.confidence = CONFIDENCE
     parameters.maxIterations = MAX_ITERATIONS
     try:
-        _, inliers = fit(a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]], parameters)
+        _, inliers = fit(np.asarray(a, np.float32), np.asarray(b, np.float32), parameters)
     except cv2.error:  # degenerate points: OpenCV asserts instead of answering no
         return none
     if inliers is None or int(inliers.sum()) <= sample:
         return none
-    return pairs[inliers.ravel().astype(bool)]
+    return np.flatnonzero(inliers)

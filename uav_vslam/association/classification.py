@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each landmark is a class of looks: section 6.4.1 of [thesis].
+
+A feature belongs to the class whose mean is nearest in Mahalanobis' distance, sqrt((d - mu)^T Sigma^-1 (d - mu)). What
+varies much from view to view of a landmark counts little, and one odd view doesn't replace what has been learnt.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.association.guided import gate
+from uav_vslam.association.in_view import InView
+from uav_vslam.association.looks import Looks
+from uav_vslam.config import BackendConfig
+from uav_vslam.types import StereoFeatures
+from uav_vslam.vision.matching.nn_ratio import match_distances
+
+Pairs = NDArray[np.intp]
+
+ALONE_SIGMAS = 2.0  # per number of a descriptor: farther than that from its only class, a feature is none of it
+
+
+def classify(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+    """Match mutual nearest pairs of feature and class that pass the ratio test."""
+    return _nearest(squared_mahalanobis(marks.looks, seen.descriptors), seen, config)
+
+
+def classify_gated(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+    """Match as `classify` does, among features inside a landmark's gate."""
+    allowed = gate(marks.expected, marks.S, seen.pixels.astype(float), probability=config.gate_probability)
+    distance2 = squared_mahalanobis(marks.looks, seen.descriptors)
+    return _nearest(np.where(allowed, distance2, np.float32(np.inf)), seen, config)
+
+
+def squared_mahalanobis(looks: Looks, descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the (N, M) squared distances of descriptors from classes, by |d - mu|^2 = d.d - 2 d.mu + mu.mu."""
+    if len(looks.count) == 0 or len(descriptors) == 0:
+        return np.zeros((len(looks.count), len(descriptors)), np.float32)
+    weight, d = 1.0 / looks.variance(), descriptors.astype(float)
+    weighted = weight * looks.mean
+    distance2 = weight @ (d * d).T - 2.0 * weighted @ d.T + np.einsum("nd,nd->n", weighted, looks.mean)[:, None]
+    return np.maximum(distance2, 0.0).astype(np.float32)
+
+
+def _nearest(distance2: NDArray[np.float32], seen: StereoFeatures, config: BackendConfig) -> Pairs:
+    alone = ALONE_SIGMAS * float(np.sqrt(seen.descriptors.shape[1]))
+    return match_distances(distance2, config.min_descriptor_ratio, single_distance=alone)

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an associator may look at."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.association.looks import Looks
+from uav_vslam.config import BackendConfig
+from uav_vslam.types import StereoFeatures
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class InView:
+    """The N landmarks that a frame may show.
+
+    Attributes:
+        rows: (N,) of the map.
+        expected: (N, 4) predicted stereo pixels.
+        S: (N, 4, 4) covariance of the innovations [px^2].
+        descriptors: (N, D) newest look of each.
+        looks: statistics of all looks of each.
+    """
+
+    rows: NDArray[np.intp]
+    expected: Array
+    S: Array
+    descriptors: NDArray[np.uint8]
+    looks: Looks
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+class Associator(Protocol):
+    """Tells which feature shows which landmark; the same input gives the same pairs, every time."""
+
+    def __call__(self, marks: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:
+        """Return (K, 2) pairs of row in `marks` and row in `seen`, ascending in `marks`, none used twice."""
+        ...
