@@ -97,6 +97,19 @@ STATE_MODELS = ("ri15", "so15", "euler9")  # the names in estimation.models.MODE
 RETENTION_POLICIES = ("grid", "most_observed", "none", "first_last", "largest_covariance")
 
 
+ASSOCIATIONS = (  # the names in association.ASSOCIATORS
+    "gated",
+    "gated_classification",
+    "classification",
+    "nn",
+    "ransac",
+    "gtm",
+    "hgtm",
+    "cds",
+    "coarse_fine",
+)
+
+
 @dataclass(frozen=True, slots=True)
 class BackendConfig:
     """The own-only filter and its map."""
@@ -106,12 +119,14 @@ class BackendConfig:
     gamma: float = 100.0  # of the unscented H-infinity filter: smaller is more cautious; never below what is feasible
     sigma_px: float = 1.0  # standard deviation of each stereo pixel coordinate [px]
     depth_sigma_ratio: float = 0.043  # relief / height, smooths the depth in the Jacobian; 0 turns it off (indoors)
+    association: str = "gated"  # name in association.ASSOCIATORS: gated looks near where landmarks are expected
     min_descriptor_ratio: float = 0.85  # nearest / second-nearest inside the gate
     gate_probability: float = 0.99  # of the chi-square gate on a predicted observation
     robust: bool = True  # observations that fit badly after the update are weighed down (Huber), the update repeated
     pnp_px: float = 4.0  # reprojection error of a PnP inlier [px]
     min_pnp_inliers: int = 6  # fewer, and the frame is tried un-gated against the whole map
     min_relocalisation_inliers: int = 12  # fewer, and the vehicle coasts on its INS
+    min_revisited: int = 2  # landmarks long unseen, whose gates drift made wide, are believed if so many agree
     pnp_beyond_px: float = 8.0  # PnP checks the matches when the median predicted 1-sigma is wider than this [px]
     iterate_beyond_m: float = 0.05  # PnP and INS differ by more: the update is linearised at the PnP pose
     max_observations: int = 100  # updates a frame, spread over the image
@@ -126,6 +141,7 @@ class BackendConfig:
         _require(self.filter in FILTERS, self, "filter", f"one of {', '.join(FILTERS)}")
         _require(self.gamma > 0, self, "gamma", "a positive number")
         _require(self.model in STATE_MODELS, self, "model", f"one of {', '.join(STATE_MODELS)}")
+        _require(self.association in ASSOCIATIONS, self, "association", f"one of {', '.join(ASSOCIATIONS)}")
         _require(self.retention in RETENTION_POLICIES, self, "retention", f"one of {', '.join(RETENTION_POLICIES)}")
         _require(self.sigma_px > 0, self, "sigma_px", "a positive number of pixels")
         _require(self.depth_sigma_ratio >= 0, self, "depth_sigma_ratio", "zero (off) or more")
@@ -137,6 +153,7 @@ class BackendConfig:
         for key in ("max_observations", "max_in_view", "young_frames"):
             _require(getattr(self, key) > 0, self, key, "a positive count")
         _require(self.max_new_landmarks >= 0, self, "max_new_landmarks", "zero or more")
+        _require(self.min_revisited > 0, self, "min_revisited", "a positive count")
         for key in ("min_pnp_inliers", "min_relocalisation_inliers"):
             _require(getattr(self, key) >= 4, self, key, "4 or more, as a pose takes three points and one to check it")
         _require(self.max_landmarks >= self.max_in_view, self, "max_landmarks", "at least max_in_view")

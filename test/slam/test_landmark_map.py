@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from uav_vslam.slam.landmark_map import LandmarkMap
+from uav_vslam.slam.landmark_map import LONG_FRAMES, LandmarkMap
 
 
 def looks(*values: int) -> np.ndarray:
@@ -29,6 +29,16 @@ def test_an_observation_renews_the_look_and_counts() -> None:
     assert marks.seen.tolist() == [7, 0, 7]
     assert marks.born.tolist() == [0, 0, 0]
     assert marks.observations.tolist() == [2, 1, 2]
+
+
+def test_what_was_left_behind_is_long_unseen_until_it_is_seen_again() -> None:
+    marks = LandmarkMap()
+    marks.append(looks(1, 2, 3), 0)
+    marks.observe(np.array([1]), looks(9), 1)
+    assert marks.long_unseen(LONG_FRAMES - 1).tolist() == [False, False, False]
+    assert marks.long_unseen(LONG_FRAMES).tolist() == [True, False, True]
+    marks.observe(np.array([2]), looks(9), LONG_FRAMES)
+    assert marks.long_unseen(LONG_FRAMES).tolist() == [True, False, False]
 
 
 def test_nothing_appended_seen_or_removed_changes_nothing() -> None:

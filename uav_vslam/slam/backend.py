@@ -48,6 +48,7 @@ class FrameReport:
         landmarks: landmarks in the state afterwards.
         recovery: why the filter began anew with this frame; empty if it did not.
         rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
+        closures: of those associated, the landmarks that had not been seen for long.
     """
 
     pose: PoseEstimate
@@ -59,17 +60,26 @@ class FrameReport:
     landmarks: int
     recovery: str = ""
     rig_evidence: float = 0.0
+    closures: int = 0
 
 
 class SlamBackend:
     """A filter, its map, and the loop over frames."""
 
     def __init__(
-        self, initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig, vehicle: str, session: int = 1
+        self,
+        initial: NavEstimate,
+        *,
+        rig: StereoRig,
+        config: VehicleConfig,
+        vehicle: str,
+        session: int = 1,
+        matcher: MapMatcher | None = None,
     ) -> None:
+        """Start at a state; `matcher` takes the place of the configuration's."""
         self._rig, self._vehicle_config, self._config = rig, config, config.backend
         self._vehicle, self._session = vehicle, session
-        self._matcher = MapMatcher(config.backend)
+        self._matcher = matcher or MapMatcher(config.backend)
         self._map = LandmarkMap()
         self._frame = 0
         self._begin(initial)
@@ -99,11 +109,11 @@ class SlamBackend:
         """
         self._check_joins(features.stamp_ns, increment)
         known = len(self._map)
-        matches, innovation = Matches.none(), None
+        matches, innovation, closures = Matches.none(), None, 0
         try:
             if increment is not None:
                 self._filter.predict(increment)
-            matches, innovation = self._correct(features)
+            matches, innovation, closures = self._correct(features)
             self._nav = self._filter.nav_estimate()
             self._make_room()
             recovery = self._health.judge(innovation, features=len(features), landmarks=known)
@@ -112,7 +122,7 @@ class SlamBackend:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
             recovery = str(error)
         if recovery:
-            matches = Matches.none()
+            matches, closures = Matches.none(), 0
             self._begin(NavEstimate(self._nav.state, RECOVERY_INFLATION * self._nav.covariance))
         self._add_landmarks(matches, features)
         self._frame += len(features) > 0  # a frame that shows nothing tells nothing of the landmarks either
@@ -126,6 +136,7 @@ class SlamBackend:
             landmarks=len(self._map),
             recovery=recovery,
             rig_evidence=self._filter.rig_evidence(),
+            closures=closures,
         )
 
     def joint_information(self) -> JointInformation:
@@ -158,13 +169,14 @@ class SlamBackend:
                 f"{self.stamp_ns} ns to the frame at {stamp_ns} ns"
             )
 
-    def _correct(self, features: StereoFeatures) -> tuple[Matches, Innovation | None]:
+    def _correct(self, features: StereoFeatures) -> tuple[Matches, Innovation | None, int]:
         """Update by the first set of matches that agrees with the prediction as a whole; without one, coast.
 
+        Return them, how they agreed, and how many of their landmarks had not been seen for long.
         A relocalisation is believed against the prediction: it is tried when the prediction has led nowhere.
         """
         pixels = features.pixels.astype(float)
-        for matches in self._matcher.candidates(self._filter, self._map, features):
+        for matches in self._matcher.candidates(self._filter, self._map, features, self._frame):
             innovation = self._filter.update(
                 matches.landmarks,
                 pixels[matches.features],
@@ -172,9 +184,10 @@ class SlamBackend:
                 significance=0.0 if matches.relocalised else SIGNIFICANCE,
             )
             if innovation.accepted:
+                closures = int(self._map.long_unseen(self._frame)[matches.landmarks].sum())
                 self._map.observe(matches.landmarks, features.descriptors[matches.features], self._frame)
-                return matches, innovation
-        return Matches.none(), None
+                return matches, innovation, closures
+        return Matches.none(), None, 0
 
     def _make_room(self) -> None:
         if len(self._map) == 0:

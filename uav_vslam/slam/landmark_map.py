@@ -4,7 +4,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.association.looks import Looks
+
 Rows = NDArray[np.intp]
+
+LONG_FRAMES = 30  # a landmark not seen for so many has been left behind: seen again, it closes a loop
 
 
 class LandmarkMap:
@@ -13,6 +17,7 @@ class LandmarkMap:
     def __init__(self, descriptor_size: int = 128) -> None:
         self.ids: NDArray[np.uint32] = np.zeros(0, np.uint32)
         self.descriptors: NDArray[np.uint8] = np.zeros((0, descriptor_size), np.uint8)
+        self.looks = Looks.of(self.descriptors)
         self.born: Rows = np.zeros(0, np.intp)  # frame number of the first observation
         self.seen: Rows = np.zeros(0, np.intp)  # frame number of the last observation
         self.observations: Rows = np.zeros(0, np.intp)  # how many
@@ -20,6 +25,10 @@ class LandmarkMap:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def long_unseen(self, frame: int) -> NDArray[np.bool_]:
+        """Tell which landmarks have been left behind long ago."""
+        return np.asarray(frame - self.seen >= LONG_FRAMES)
 
     def append(self, descriptors: NDArray[np.uint8], frame: int) -> None:
         """Add landmarks seen for the first time, with (M, D) descriptors; they get fresh identifiers."""
@@ -30,6 +39,7 @@ class LandmarkMap:
         if len(self.descriptors) == 0:
             self.descriptors = self.descriptors.reshape(0, descriptors.shape[1])
         self.descriptors = np.vstack([self.descriptors, descriptors])
+        self.looks.append(descriptors)
         self.born = np.concatenate([self.born, np.full(count, frame)])
         self.seen = np.concatenate([self.seen, np.full(count, frame)])
         self.observations = np.concatenate([self.observations, np.ones(count, np.intp)])
@@ -37,6 +47,7 @@ class LandmarkMap:
     def observe(self, rows: Rows, descriptors: NDArray[np.uint8], frame: int) -> None:
         """Note that landmarks were seen again; their newest look replaces the old one."""
         self.descriptors[rows] = descriptors
+        self.looks.observe(rows, descriptors)
         self.seen[rows] = frame
         self.observations[rows] += 1
 
@@ -45,4 +56,5 @@ class LandmarkMap:
         keep = np.ones(len(self), bool)
         keep[rows] = False
         self.ids, self.descriptors = self.ids[keep], self.descriptors[keep]
+        self.looks = self.looks.chosen(keep)
         self.born, self.seen, self.observations = self.born[keep], self.seen[keep], self.observations[keep]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which feature shows which landmark: sets of matches to try, the cheapest first.
 
-1. all that lie in the gates of the prediction,
+1. all that the associator of the configuration finds; the default one looks in the gates of the prediction,
 2. those of them that agree on one pose by PnP,
 3. those that agree with one another,
 4. those found in the whole map without a gate, and confirmed by PnP.
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.association import ASSOCIATORS, Associator, InView
 from uav_vslam.association.consensus import consensus
-from uav_vslam.association.guided import associate
 from uav_vslam.config import BackendConfig
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.observation import projectable
@@ -22,6 +22,7 @@ from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.relocalisation import locate, relocalise
+from uav_vslam.slam.revisits import recognise
 from uav_vslam.types import StereoFeatures
 
 Rows = NDArray[np.intp]
@@ -54,14 +55,23 @@ class Matches:
 class MapMatcher:
     """Matches one frame after another against a filter's map."""
 
-    def __init__(self, config: BackendConfig) -> None:
+    def __init__(self, config: BackendConfig, associate: Associator | None = None) -> None:
+        """Match as configured, or with an associator that is given in the configured one's place."""
         self._config = config
+        self._associate = associate or ASSOCIATORS[config.association]
 
-    def candidates(self, belief: Filter, marks: LandmarkMap, features: StereoFeatures) -> Iterator[Matches]:
-        """Yield sets of matches to try one after the other."""
+    def candidates(self, belief: Filter, marks: LandmarkMap, features: StereoFeatures, frame: int) -> Iterator[Matches]:
+        """Yield sets of matches to try one after the other.
+
+        Args:
+            belief: predicted to the frame.
+            marks: looks and history of its landmarks.
+            features: of the frame.
+            frame: its number.
+        """
         if len(marks) == 0 or len(features) == 0:
             return
-        gated, vague = self._guided(belief, marks, features)
+        gated, vague = self._guided(belief, marks, features, frame)
         if not vague and len(gated) >= self._config.min_pnp_inliers:
             yield self._capped(belief, marks, features, gated)
         attempts = (
@@ -74,24 +84,28 @@ class MapMatcher:
             if found is not None:
                 yield self._capped(belief, marks, features, found)
 
-    def _guided(self, belief: Filter, marks: LandmarkMap, features: StereoFeatures) -> tuple[Matches, bool]:
-        """Return the gated matches, and whether the prediction was too vague for the gate to be trusted alone."""
+    def _guided(self, belief: Filter, marks: LandmarkMap, features: StereoFeatures, frame: int) -> tuple[Matches, bool]:
+        """Return the gated matches, and whether the prediction was too vague for the gate to be trusted alone.
+
+        Landmarks that come back with a wide gate choose first, and together: what looks like one of them has often
+        become another landmark before they were believed.
+        """
         rows = np.flatnonzero(projectable(belief.rig, belief.points_left(), margin_px=VIEW_MARGIN_PX))
         if len(rows) == 0:
             return Matches.none(), True
         predicted = belief.predict_observations(rows)
-        matches = associate(
-            predicted.expected,
-            predicted.S,
-            marks.descriptors[rows],
-            features.pixels.astype(float),
-            features.descriptors,
-            probability=self._config.gate_probability,
-            ratio=self._config.min_descriptor_ratio,
-        )
         sigma_px = np.sqrt(np.trace(predicted.S, axis1=1, axis2=2) / 4.0)
         vague = bool(np.median(sigma_px) > self._config.pnp_beyond_px)
-        return Matches(rows[matches[:, 0]], matches[:, 1]), vague
+        back = marks.long_unseen(frame)[rows] & (sigma_px > self._config.pnp_beyond_px)
+        revisited = recognise(belief, marks, features, rows[back], config=self._config)
+        free = np.setdiff1d(np.arange(len(features)), revisited[:, 1])
+        others = rows[~back]
+        looks = marks.looks.chosen(others)
+        in_view = InView(others, predicted.expected[~back], predicted.S[~back], marks.descriptors[others], looks)
+        left = StereoFeatures(features.stamp_ns, features.pixels[free], features.descriptors[free])
+        matches = self._associate(in_view, left, self._config)
+        pairs = np.vstack([revisited, np.column_stack([others[matches[:, 0]], free[matches[:, 1]]])])
+        return Matches(pairs[:, 0], pairs[:, 1]), vague
 
     def _verified(self, belief: Filter, features: StereoFeatures, pairs: Matches) -> Matches | None:
         """Keep the matches that agree on one pose by PnP; None where too few do."""
