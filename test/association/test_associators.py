@@ -8,7 +8,7 @@ import pytest
 
 from uav_vslam.association import ASSOCIATORS
 from uav_vslam.association.nearest import FINE_MATCHES
-from uav_vslam.config import BackendConfig
+from uav_vslam.config import ASSOCIATIONS, BackendConfig
 
 CONFIG = BackendConfig()
 
@@ -16,6 +16,10 @@ CONFIG = BackendConfig()
 @pytest.fixture(params=sorted(ASSOCIATORS))
 def name(request):
     return request.param
+
+
+def test_the_configuration_knows_all_names():
+    assert set(ASSOCIATIONS) == set(ASSOCIATORS)
 
 
 def test_landmarks_seen_again_are_recognised(scene, name):
