@@ -139,3 +139,13 @@ def test_gain_and_vignette_darken_the_right_image_only() -> None:
     assert dim[0] == plain[0]
     assert dim[1] == pytest.approx(plain[1] * 0.8 * (1.0 - 0.5 / 3.0), rel=0.03)
     assert dim[2] < 0.55 * plain[2]
+
+
+def test_lost_contrast_draws_all_greys_towards_the_middle() -> None:
+    clear, faded = (
+        RenderedFlight(simulate_vehicle(dataclasses.replace(SMALL, noise_sigma=0.0, contrast=contrast), 0)).frame(2)
+        for contrast in (1.0, 0.25)
+    )
+    expected = 128.0 + 0.25 * (clear.left.astype(float) - 128.0)
+    assert np.abs(faded.left - expected).max() <= 0.25 * 0.5 + 0.5 + 1e-3  # both are rounded to whole greys
+    assert faded.right.std() == pytest.approx(0.25 * clear.right.std(), rel=0.05)

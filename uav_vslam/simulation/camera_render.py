@@ -25,6 +25,7 @@ GRID_PX = 8
 HEIGHT_STEPS = 4
 STEEPEST_RAY = -0.1  # least downward component of a ray; flatter ones are bent down to it
 BLUR_SAMPLES = 33
+MEAN_GREY = np.float32(128.0)  # that lost contrast fades to
 MOTION_STEP_S = 1e-3
 
 
@@ -141,7 +142,8 @@ class RenderedFlight:
         motion = renderer.image_motion(pose, later)
         length = scenario.blur_px * scenario.scale
         blur_u, blur_v = motion * (length / max(float(np.linalg.norm(motion)), 1e-12))
-        return renderer.render(pose, blur=(blur_u, blur_v))
+        image = renderer.render(pose, blur=(blur_u, blur_v))
+        return image if scenario.contrast == 1.0 else MEAN_GREY + np.float32(scenario.contrast) * (image - MEAN_GREY)
 
     def _with_noise(self, image: NDArray[np.float32], k: int, purpose: Purpose) -> Grey:
         scenario = self._vehicle.scenario

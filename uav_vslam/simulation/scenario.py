@@ -60,6 +60,7 @@ class Scenario:
     scale: float = 1.0  # image size as a multiple of 1280 x 960
     texture: str = "grass"  # procedural, or the path of an image or a folder of images
     texture_m_per_px: float = 0.05  # size of a texture image's pixel on the ground [m]
+    contrast: float = 1.0  # of the ground in the images, before their noise
     blur_px: float = 1.0  # motion blur along the image motion, at full resolution [px]
     noise_sigma: float = 2.0  # of the image noise [grey levels]
     right_gain: float = 1.0  # brightness of the right camera relative to the left one
@@ -108,6 +109,7 @@ SCENARIOS = {
     "kagaru": Scenario(),
     "sample": Scenario(name="sample", frames=64, scale=0.375, noise_sigma=1.0, imu="consumer"),
     "long": Scenario(name="long", frames=1000, pattern="lawnmower"),
+    "revisit": Scenario(name="revisit", vehicles=1, frames=780, pattern="circuit"),
     "parting": Scenario(name="parting", frames=1000, pattern="parting"),
 }
 

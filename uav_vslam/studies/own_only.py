@@ -7,7 +7,7 @@ The back end is fed directly, so that a frame's time is that of prediction, asso
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import VehicleConfig, load_vehicle
+from uav_vslam.config import ImuConfig, VehicleConfig, load_vehicle
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.ins.propagator import InsPropagator
@@ -24,7 +24,7 @@ from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_f
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.studies.flights import true_trajectory
 from uav_vslam.studies.pool import in_pool
-from uav_vslam.types import ImuIncrement, StereoFeatures
+from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, StereoFeatures
 
 Array = NDArray[np.float64]
 Step = tuple[StereoFeatures, ImuIncrement | None]
@@ -151,17 +151,25 @@ def prepare(scenario: Scenario, noise: LandmarkNoise) -> list[Flight]:
 
 
 def _flight(vehicle: SimulatedVehicle, landmarks: LandmarkField, noise: LandmarkNoise) -> Flight:
-    ins = InsPropagator(vehicle.initial, vehicle.scenario.imu_config)
-    for sample in vehicle.imu.samples():
-        ins.add_imu(sample)
-    for stamp_ns in vehicle.frame_stamps_ns[1:]:
-        ins.add_frame_stamp(int(stamp_ns))
-    moved = ins.increments()
+    stamps = [int(stamp_ns) for stamp_ns in vehicle.frame_stamps_ns]
+    increments, reckoned = reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)
     features = [seen for seen, _ in observe(vehicle, landmarks, noise=noise)]
-    increments = [None, *(increment for increment, _ in moved)]
-    reckoned = Trajectory.from_estimates([vehicle.initial.pose, *(estimate.pose for _, estimate in moved)])
     steps = tuple(zip(features, increments, strict=True))
     return Flight(vehicle, landmarks, noise, steps, true_trajectory(vehicle), reckoned)
+
+
+def reckon(
+    initial: NavEstimate, imu: ImuConfig, samples: Iterable[ImuSample], stamps_ns: Sequence[int]
+) -> tuple[list[ImuIncrement | None], Trajectory]:
+    """Return the motion that leads to each frame, None for the first, where the start is; and the INS's poses there."""
+    ins = InsPropagator(initial, imu)
+    for sample in samples:
+        ins.add_imu(sample)
+    for stamp_ns in stamps_ns[1:]:
+        ins.add_frame_stamp(stamp_ns)
+    moved = ins.increments()
+    poses = [initial.pose, *(estimate.pose for _, estimate in moved)]
+    return [None, *(increment for increment, _ in moved)], Trajectory.from_estimates(poses)
 
 
 def dead_reckoning() -> Candidate:
