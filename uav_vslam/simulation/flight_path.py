@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 KNOT_RATE_HZ = 50.0  # twelve knots to the fastest vibration's period
 MARGIN_S = 1.0  # motion is defined this long before the first and after the last frame
 ROLL_IN_S = 2.0  # a turn's yaw rate is smoothed over this time
+CIRCUIT_LEG_M = 750.0
 GRAVITY = 9.80665  # for the bank of a coordinated turn only [m/s^2]
 
 
@@ -87,6 +88,11 @@ def racetrack_pattern(
     return _repeat([Segment(leg_m / speed, 0.0), Segment(np.pi * radius / speed, np.pi)], duration_s)
 
 
+def circuit_pattern(duration_s: float, speed: float) -> list[Segment]:
+    """A racetrack of 2 km: it comes back over its start after that, and by then over nothing else."""
+    return racetrack_pattern(duration_s, speed, leg_m=CIRCUIT_LEG_M)
+
+
 def parting_pattern(
     duration_s: float, speed: float, *, together_s: float = 60.0, bank_deg: float = 25.0
 ) -> list[Segment]:
@@ -101,6 +107,7 @@ PATTERNS: dict[str, Callable[[float, float], list[Segment]]] = {
     "leg": leg_pattern,
     "lawnmower": lawnmower_pattern,
     "racetrack": racetrack_pattern,
+    "circuit": circuit_pattern,
     "parting": parting_pattern,
 }
 MIRRORED = ("parting",)  # every second vehicle turns to the other side

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 DESCRIPTOR_LENGTH = 128
 LOOKALIKE_PX = (3.0, 15.0)  # how far beside a look-alike lies, in the image and in disparity together
+TWIN_M = (1.0, 6.0)  # how far apart two landmarks of one look lie: not to be taken for each other while well tracked
 LEAST_DISPARITY = 0.5  # share of the disparity that a look-alike keeps at least: it stays on this side of the horizon
 REACH_PER_ALTITUDE = 2.0  # ground farther than this from below the camera is never looked at
 
@@ -47,20 +48,25 @@ class LandmarkNoise:
         wrong_share: share of the features that carry another feature's descriptor.
         lookalike_share: share of the features that are a similar point a few pixels beside: such wrong matches get
             through a gate.
+        missed_share: share of the landmarks in view that are not found, drawn anew for each frame.
     """
 
     sigma_px: float = 1.0
     descriptor_sigma: float = 6.0
     wrong_share: float = 0.0
     lookalike_share: float = 0.0
+    missed_share: float = 0.0
 
 
-def scatter_landmarks(vehicles: list[SimulatedVehicle], *, per_frame: float = 44.0) -> LandmarkField:
+def scatter_landmarks(
+    vehicles: list[SimulatedVehicle], *, per_frame: float = 44.0, twin_share: float = 0.0
+) -> LandmarkField:
     """Strew landmarks over all ground that a fleet sees.
 
     Args:
         vehicles: the whole fleet of one scenario.
         per_frame: landmarks in view of both cameras on average, in level flight.
+        twin_share: share of the landmarks that look like another one a few metres away.
     """
     scenario = vehicles[0].scenario
     rng = scenario.rng(FLEET, Purpose.LANDMARKS)
@@ -69,8 +75,12 @@ def scatter_landmarks(vehicles: list[SimulatedVehicle], *, per_frame: float = 44
     low, high = tracks.min(axis=0) - reach, tracks.max(axis=0) + reach
     count = round(per_frame / _footprint_m2(scenario, vehicles[0].rig) * float(np.prod(high - low)))
     xy = rng.uniform(low, high, (count, 2))
-    points = np.column_stack([xy, relief_of(scenario).height(xy[:, 0], xy[:, 1])])
-    return LandmarkField(points, _draw_descriptors(count, rng))
+    descriptors = _draw_descriptors(count, rng)
+    first, second = np.arange(round(0.5 * twin_share * count)) + [[0], [count // 2]]
+    angle, distance = rng.uniform(0.0, 2.0 * np.pi, len(first)), rng.uniform(*TWIN_M, len(first))
+    xy[second] = xy[first] + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    descriptors[second] = descriptors[first]
+    return LandmarkField(np.column_stack([xy, relief_of(scenario).height(xy[:, 0], xy[:, 1])]), descriptors)
 
 
 def observe(
@@ -91,6 +101,9 @@ def observe(
         near = _near(landmarks.points_world, positions[frame], REACH_PER_ALTITUDE * vehicle.scenario.altitude)
         points_body = (landmarks.points_world[near] - positions[frame]) @ rotations[frame]
         pixels, seen = _project(vehicle.true_rig(frame), points_body)
+        if noise.missed_share > 0:
+            found = rng.random(len(pixels)) >= noise.missed_share
+            pixels, seen = pixels[found], np.flatnonzero(seen)[found]
         pixels = pixels + rng.normal(0.0, noise.sigma_px, pixels.shape)
         ids = near[seen]
         pixels, ids = _spoil(pixels, ids, noise.wrong_share, rng)

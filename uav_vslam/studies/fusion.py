@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import bootstrap
 
 from uav_vslam.config import FUSION_WEIGHTS, VehicleConfig
 from uav_vslam.cooperation.link import LinkConfig
@@ -16,7 +15,7 @@ from uav_vslam.evaluation.study import Row
 from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario
 from uav_vslam.studies.cooperation import Outcome, Setting, run_settings
-from uav_vslam.studies.pool import in_pool, mean
+from uav_vslam.studies.pool import CONFIDENCE, in_pool, mean, ratio_interval
 
 Array = NDArray[np.float64]
 
@@ -25,7 +24,6 @@ LASTING_S = 60.0  # after that, the gain is looked at again
 PARTING_S = (60.0, 75.0)  # while they part, no correction may leap
 BLACKOUT_S = (25.0, 85.0)
 SHARED_MAP_M = 1.0
-CONFIDENCE = 0.95
 
 NOTES = {
     "Flights": "landmark level, 1 px, ADIS16480; own-only tracks are flown once a seed and fused in every way, so all "
@@ -159,7 +157,7 @@ def _figures(part: Part, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "ate_alone_m": _root_mean(own),
         "ate_m": _root_mean(fused),
         "ratio": _ratio(own, fused),
-        **_interval(own, fused),
+        **ratio_interval(own, fused),
         "nees_alone": _mean_nees([o.own_nees for o in good]),
         "nees": _mean_nees([o.nees for o in good]),
         "failures": len(outcomes) - len(good),
@@ -194,22 +192,6 @@ def _root_mean(squares: Array) -> float | None:
 
 def _ratio(own: Array, fused: Array) -> float | None:
     return float(np.sqrt(fused.mean() / own.mean())) if len(own) else None
-
-
-def _interval(own: Array, fused: Array) -> dict[str, float]:
-    """Return the bootstrap's interval of the ratio over seeds."""
-    if len(own) < 3:
-        return {}
-    found = bootstrap(
-        (own, fused),
-        lambda a, b, axis: np.sqrt(b.mean(axis=axis) / a.mean(axis=axis)),
-        paired=True,
-        vectorized=True,
-        method="percentile",
-        confidence_level=CONFIDENCE,
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return {"low": float(found.low), "high": float(found.high)}
 
 
 def _largest_jump(outcome: Outcome) -> float:

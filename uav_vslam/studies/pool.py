@@ -7,9 +7,14 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import bootstrap
 
+Array = NDArray[np.float64]
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+
+CONFIDENCE = 0.95  # of the intervals
 
 
 def in_pool(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
@@ -46,3 +51,23 @@ def median(values: Sequence[float]) -> float | None:
 def ratio(a: float | None, b: float | None) -> float | None:
     """Return a / b; None where there is nothing to divide, or to divide by."""
     return a / b if a is not None and b else None
+
+
+def ratio_interval(own: Array, other: Array) -> dict[str, float]:
+    """Return the bootstrap's interval, "low" and "high", of the root mean square of `other` over that of `own`.
+
+    Args:
+        own, other: (S,) mean squares of each seed; fewer than three tell nothing.
+    """
+    if len(own) < 3:
+        return {}
+    found = bootstrap(
+        (own, other),
+        lambda a, b, axis: np.sqrt(b.mean(axis=axis) / a.mean(axis=axis)),
+        paired=True,
+        vectorized=True,
+        method="percentile",
+        confidence_level=CONFIDENCE,
+        rng=np.random.default_rng(0),
+    ).confidence_interval
+    return {"low": float(found.low), "high": float(found.high)}
