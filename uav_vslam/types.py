@@ -73,6 +73,10 @@ class StereoFeatures:
         """Return a frame that shows nothing."""
         return StereoFeatures(stamp_ns, np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8))
 
+    def chosen(self, rows: NDArray[np.intp]) -> "StereoFeatures":
+        """Return some of the points."""
+        return StereoFeatures(self.stamp_ns, self.pixels[rows], self.descriptors[rows], self.tracks[rows])
+
     def __len__(self) -> int:
         return len(self.pixels)
 

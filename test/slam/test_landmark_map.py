@@ -62,3 +62,14 @@ def test_identifiers_stay_32_bit() -> None:
     marks = LandmarkMap()
     marks.append(looks(1, 2), 0)
     assert marks.ids.dtype == np.uint32
+
+
+def test_a_track_shows_one_landmark_only():
+    marks = LandmarkMap()
+    marks.append(np.zeros((3, 128), np.uint8), 0, np.array([5, 6, 7], np.uint32))
+    marks.observe(np.array([0]), np.ones((1, 128), np.uint8), 1, np.array([7], np.uint32))
+    assert marks.tracks.tolist() == [7, 6, 0]
+    marks.remove(np.array([1]))
+    assert marks.tracks.tolist() == [7, 0]
+    marks.observe(np.array([0]), np.ones((1, 128), np.uint8), 2)
+    assert marks.tracks.tolist() == [0, 0]

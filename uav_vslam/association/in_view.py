@@ -35,6 +35,12 @@ class InView:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def chosen(self, rows: NDArray[np.intp]) -> "InView":
+        """Return some of the landmarks."""
+        return InView(
+            self.rows[rows], self.expected[rows], self.S[rows], self.descriptors[rows], self.looks.chosen(rows)
+        )
+
 
 class Associator(Protocol):
     """Tells which feature shows which landmark; the same input gives the same pairs, every time."""

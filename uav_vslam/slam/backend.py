@@ -4,7 +4,7 @@
 Nothing that came over a network enters here.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ class FrameReport:
         recovery: why the filter began anew with this frame; empty if it did not.
         rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
         closures: of those associated, the landmarks that had not been seen for long.
+        sightings: (K, 2) identifier and feature row of each landmark that was associated or is new.
     """
 
     pose: PoseEstimate
@@ -61,6 +62,7 @@ class FrameReport:
     recovery: str = ""
     rig_evidence: float = 0.0
     closures: int = 0
+    sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
 
 
 class SlamBackend:
@@ -110,10 +112,12 @@ class SlamBackend:
         self._check_joins(features.stamp_ns, increment)
         known = len(self._map)
         matches, innovation, closures = Matches.none(), None, 0
+        sightings = np.zeros((0, 2), np.intp)
         try:
             if increment is not None:
                 self._filter.predict(increment)
             matches, innovation, closures = self._correct(features)
+            sightings = np.column_stack([self._map.ids[matches.landmarks], matches.features])
             self._nav = self._filter.nav_estimate()
             self._make_room()
             recovery = self._health.judge(innovation, features=len(features), landmarks=known)
@@ -122,9 +126,9 @@ class SlamBackend:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
             recovery = str(error)
         if recovery:
-            matches, closures = Matches.none(), 0
+            matches, closures, sightings = Matches.none(), 0, sightings[:0]
             self._begin(NavEstimate(self._nav.state, RECOVERY_INFLATION * self._nav.covariance))
-        self._add_landmarks(matches, features)
+        added = self._add_landmarks(matches, features)
         self._frame += len(features) > 0  # a frame that shows nothing tells nothing of the landmarks either
         return FrameReport(
             pose=self._nav.pose,
@@ -137,6 +141,7 @@ class SlamBackend:
             recovery=recovery,
             rig_evidence=self._filter.rig_evidence(),
             closures=closures,
+            sightings=np.vstack([sightings, np.column_stack([self._map.ids[len(self._map) - len(added) :], added])]),
         )
 
     def joint_information(self) -> JointInformation:
@@ -185,7 +190,8 @@ class SlamBackend:
             )
             if innovation.accepted:
                 closures = int(self._map.long_unseen(self._frame)[matches.landmarks].sum())
-                self._map.observe(matches.landmarks, features.descriptors[matches.features], self._frame)
+                seen = matches.features
+                self._map.observe(matches.landmarks, features.descriptors[seen], self._frame, features.tracks[seen])
                 return matches, innovation, closures
         return Matches.none(), None, 0
 
@@ -203,7 +209,8 @@ class SlamBackend:
         marginals = self._filter.belief.marginals(np.arange(len(self._map)))
         return np.asarray(np.trace(marginals.landmarks, axis1=1, axis2=2))
 
-    def _add_landmarks(self, matches: Matches, features: StereoFeatures) -> None:
+    def _add_landmarks(self, matches: Matches, features: StereoFeatures) -> NDArray[np.intp]:
+        """Make landmarks of features that show none, as many as there is room for; return their rows."""
         rig, points_left = self._filter.rig, self._filter.points_left()
         in_view = projectable(rig, points_left)
         room = min(
@@ -212,14 +219,15 @@ class SlamBackend:
             self._config.max_landmarks - len(self._map),
         )
         if room <= 0 or len(features) == 0 or not self._filter.places_landmarks:
-            return
+            return np.zeros(0, np.intp)
         free = np.setdiff1d(np.arange(len(features)), matches.features)
         free = free[np.isfinite(rig.triangulate(features.pixels[free])).all(axis=1)]
         taken = rig.left.project(points_left[in_view])
         chosen = free[spread(features.pixels[free, :2], room, size=self._image_size, taken=taken)]
         if len(chosen):
             self._filter.add_landmarks(features.pixels[chosen].astype(float))
-            self._map.append(features.descriptors[chosen], self._frame)
+            self._map.append(features.descriptors[chosen], self._frame, features.tracks[chosen])
+        return chosen
 
     @property
     def _image_size(self) -> tuple[int, int]:

@@ -21,6 +21,7 @@ class LandmarkMap:
         self.born: Rows = np.zeros(0, np.intp)  # frame number of the first observation
         self.seen: Rows = np.zeros(0, np.intp)  # frame number of the last observation
         self.observations: Rows = np.zeros(0, np.intp)  # how many
+        self.tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)  # of the front end, as last observed; 0 for none
         self._next_id = 1
 
     def __len__(self) -> int:
@@ -30,7 +31,7 @@ class LandmarkMap:
         """Tell which landmarks have been left behind long ago."""
         return np.asarray(frame - self.seen >= LONG_FRAMES)
 
-    def append(self, descriptors: NDArray[np.uint8], frame: int) -> None:
+    def append(self, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32] | None = None) -> None:
         """Add landmarks seen for the first time, with (M, D) descriptors; they get fresh identifiers."""
         count = len(descriptors)
         fresh = np.arange(self._next_id, self._next_id + count, dtype=np.uint32)
@@ -43,13 +44,21 @@ class LandmarkMap:
         self.born = np.concatenate([self.born, np.full(count, frame)])
         self.seen = np.concatenate([self.seen, np.full(count, frame)])
         self.observations = np.concatenate([self.observations, np.ones(count, np.intp)])
+        self.tracks = np.concatenate([self.tracks, np.zeros(count, np.uint32) if tracks is None else tracks])
 
-    def observe(self, rows: Rows, descriptors: NDArray[np.uint8], frame: int) -> None:
-        """Note that landmarks were seen again; their newest look replaces the old one."""
+    def observe(
+        self, rows: Rows, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32] | None = None
+    ) -> None:
+        """Note that landmarks were seen again; their newest look and track replace the old ones."""
         self.descriptors[rows] = descriptors
         self.looks.observe(rows, descriptors)
         self.seen[rows] = frame
         self.observations[rows] += 1
+        if tracks is None:
+            self.tracks[rows] = 0
+            return
+        self.tracks[np.isin(self.tracks, tracks)] = 0  # a track shows one landmark
+        self.tracks[rows] = tracks
 
     def remove(self, rows: Rows) -> None:
         """Forget landmarks."""
@@ -58,3 +67,4 @@ class LandmarkMap:
         self.ids, self.descriptors = self.ids[keep], self.descriptors[keep]
         self.looks = self.looks.chosen(keep)
         self.born, self.seen, self.observations = self.born[keep], self.seen[keep], self.observations[keep]
+        self.tracks = self.tracks[keep]

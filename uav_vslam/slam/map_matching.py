@@ -20,6 +20,7 @@ from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.observation import projectable
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.slam.known_tracks import tracks_first
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.relocalisation import locate, relocalise
 from uav_vslam.slam.revisits import recognise
@@ -102,8 +103,7 @@ class MapMatcher:
         others = rows[~back]
         looks = marks.looks.chosen(others)
         in_view = InView(others, predicted.expected[~back], predicted.S[~back], marks.descriptors[others], looks)
-        left = StereoFeatures(features.stamp_ns, features.pixels[free], features.descriptors[free])
-        matches = self._associate(in_view, left, self._config)
+        matches = tracks_first(self._associate, in_view, marks.tracks[others], features.chosen(free), self._config)
         pairs = np.vstack([revisited, np.column_stack([others[matches[:, 0]], free[matches[:, 1]]])])
         return Matches(pairs[:, 0], pairs[:, 1]), vague
 
