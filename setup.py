@@ -25,7 +25,10 @@ setup(
         ("bin", ["bin/uav-vslam"]),
     ],
     zip_safe=False,
-    extras_require={"test": ["pytest"]},  # tells `colcon test` to use pytest
+    extras_require={
+        "surf": ["mahotas==1.4.19"],  # as in requirements/lock.txt
+        "test": ["pytest"],  # tells `colcon test` to use pytest
+    },
     entry_points={
         "console_scripts": [
             "uav-vslam = uav_vslam.cli.main:main",

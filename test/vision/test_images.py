@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
+from uav_vslam.vision.images import shrink, to_bgr8, to_full_resolution, to_grey8
 
 
 def test_a_shrunk_blob_maps_back_to_its_full_resolution_centre():
@@ -51,3 +51,30 @@ def test_other_images_are_refused_with_a_reason(image, reason):
     with pytest.raises(InvalidMessage) as caught:
         to_grey8(image)
     assert caught.value.reason == reason
+
+
+def test_a_grey_image_in_colour_has_equal_channels():
+    grey = np.arange(60, dtype=np.uint8).reshape(6, 10)
+    colour = to_bgr8(grey)
+    np.testing.assert_array_equal(colour, np.dstack([grey] * 3))
+    np.testing.assert_array_equal(to_bgr8(colour), colour)
+    np.testing.assert_array_equal(to_bgr8(grey[:, :, None]), colour)
+
+
+def test_the_channels_of_a_16_bit_image_are_stretched_alike():
+    ramp = np.tile(np.arange(200, 3000, 10, dtype=np.uint16), (40, 1))
+    colour = to_bgr8(np.dstack([ramp, ramp // 2, ramp // 4]))
+    assert colour.dtype == np.uint8
+    assert colour[:, :, 0].max() == 255
+    assert colour[:, :, 1].max() < 160
+
+
+@pytest.mark.parametrize("shape", [(12, 16), (12, 16, 3)])
+def test_images_of_any_kind_are_shrunk(shape):
+    image = np.full(shape, 40_000, np.uint16)
+    small = shrink(image, 0.5)
+    assert small.shape == (6, 8, *shape[2:])
+    assert small.dtype == np.uint16
+    assert (small == 40_000).all()
+    with pytest.raises(InvalidMessage):
+        shrink(np.zeros((4, 4)), 0.5)

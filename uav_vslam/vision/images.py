@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera images as the extractors want them: one 8-bit channel, shrunk."""
+"""Camera images as the extractors want them: of 8 bits, grey or in colour, shrunk."""
+
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import InvalidMessage
+
+Pixel = TypeVar("Pixel", bound=np.generic)
 
 STRETCH_PERCENTILES = (0.5, 99.5)  # of a 16-bit image, mapped to 0 and 255: robust to hot pixels and glints
 STRETCH_STEP = 4  # the percentiles are taken from every fourth row and column
@@ -20,14 +24,28 @@ def to_grey8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     Raises:
         InvalidMessage: another shape or type.
     """
+    image = _checked(image)
+    return _to_8_bits(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image)
+
+
+def to_bgr8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """Return an image as (H, W, 3) uint8, a grey one with equal channels; arguments and errors are `to_grey8`'s."""
+    image = _checked(image)
+    return _to_8_bits(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image)
+
+
+def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return an image that can be used, a grey one as (H, W)."""
     if image.dtype not in (np.uint8, np.uint16):
         raise InvalidMessage("image_type", f"images of {image.dtype} can't be used; send mono8, bgr8 or mono16")
-    if image.ndim == 3 and image.shape[2] == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    elif image.ndim == 3 and image.shape[2] == 1:
+    if image.ndim == 3 and image.shape[2] == 1:
         image = image[:, :, 0]
-    if image.ndim != 2 or image.size == 0:
+    if not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)) or image.size == 0:
         raise InvalidMessage("image_shape", f"an image of shape {image.shape} can't be used; send (H, W) or (H, W, 3)")
+    return image
+
+
+def _to_8_bits(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     return _stretch(image) if image.dtype == np.uint16 else np.ascontiguousarray(image, np.uint8)
 
 
@@ -40,13 +58,18 @@ def _stretch(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     return np.asarray(np.clip(np.rint(stretched), 0, 255), np.uint8)
 
 
-def shrink(image: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
-    """Return an image shrunk by `scale` with an area average, which neither aliases nor shifts."""
+def shrink(image: NDArray[Pixel], scale: float) -> NDArray[Pixel]:
+    """Return an image shrunk by `scale` with an area average, which neither aliases nor shifts.
+
+    Raises:
+        InvalidMessage: a shape or type that `to_grey8` refuses.
+    """
     if scale == 1.0:
         return image
-    height, width = image.shape
+    height, width = image.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    small: NDArray[Pixel] = cv2.resize(_checked(image), size, interpolation=cv2.INTER_AREA)
+    return small
 
 
 def to_full_resolution(

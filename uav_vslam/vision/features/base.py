@@ -15,7 +15,7 @@ class Keypoints:
     Attributes:
         pixels: (N, 2) float32 u, v [px] of the image that was given; (0, 0) is the centre of the first pixel.
         responses: (N,) float32 strength, larger is better; comparable within one extractor only.
-        descriptors: (N, D) uint8.
+        descriptors: (N, D) uint8, compared by their squared Euclidean distance whatever the extractor.
     """
 
     pixels: NDArray[np.float32]
@@ -29,9 +29,21 @@ class Keypoints:
 class Extractor(Protocol):
     """Finds and describes points; the same image gives the same points in the same order, every time."""
 
-    def detect(self, image: NDArray[np.uint8]) -> Keypoints:
-        """Return the keypoints of an (H, W) grey image; none in an image without texture."""
+    def detect(self, image: NDArray[np.generic]) -> Keypoints:
+        """Return the keypoints of an image; none where there is no texture.
+
+        Args:
+            image: (H, W) grey or (H, W, 3) BGR, uint8 or uint16; an extractor that needs grey converts it.
+
+        Raises:
+            InvalidMessage: another shape or type, or no pixels.
+        """
         ...
+
+
+def no_keypoints(length: int) -> Keypoints:
+    """Return no keypoints, with descriptors of `length` numbers."""
+    return Keypoints(np.zeros((0, 2), np.float32), np.zeros(0, np.float32), np.zeros((0, length), np.uint8))
 
 
 def strongest_first(keypoints: Keypoints, count: int) -> Keypoints:

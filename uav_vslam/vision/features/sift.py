@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIFT (Lowe 2004), section 3.3 of [thesis], by OpenCV."""
+"""SIFT (Lowe 2004), section 3.4.1 of [thesis], by OpenCV.
+
+Parameters are Lowe's (three layers an octave, sigma 1.6, edges up to a ratio of curvatures of 10) but for the contrast
+threshold: his 0.03 is 0.04 in OpenCV's scale, and `frontend.contrast_threshold` lies lower because grass has little.
+"""
+
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig
-from uav_vslam.vision.features.base import Keypoints, strongest_first
+from uav_vslam.vision.features.base import Keypoints, no_keypoints, strongest_first
+from uav_vslam.vision.images import to_grey8
 
 DESCRIPTOR_LENGTH = 128
 OCTAVE_LAYERS = 3
@@ -17,27 +24,40 @@ SIGMA = 1.6
 class SiftExtractor:
     """Difference-of-Gaussian points with 128-byte descriptors, which OpenCV rounds to 0..255 itself."""
 
-    def __init__(self, config: FrontendConfig) -> None:
-        self._max_features = config.max_features
-        # Without precise upscaling every point would be off by a quarter of a pixel (OpenCV's default, kept by it
-        # for compatibility): half a pixel at full resolution, a bias that no average removes.
-        self._sift = cv2.SIFT_create(
-            nfeatures=config.max_features,
-            nOctaveLayers=OCTAVE_LAYERS,
-            contrastThreshold=config.contrast_threshold,
-            edgeThreshold=EDGE_THRESHOLD,
-            sigma=SIGMA,
-            descriptorType=cv2.CV_8U,
-            enable_precise_upscale=True,
-        )
+    def __init__(self, config: FrontendConfig, *, precise: bool = True) -> None:
+        """Prepare.
 
-    def detect(self, image: NDArray[np.uint8]) -> Keypoints:
-        """Return at most `max_features` keypoints of an (H, W) grey image."""
-        points, descriptors = self._sift.detectAndCompute(image, None)
-        if not points:
-            return Keypoints(
-                np.zeros((0, 2), np.float32), np.zeros(0, np.float32), np.zeros((0, DESCRIPTOR_LENGTH), np.uint8)
-            )
-        pixels = np.asarray(cv2.KeyPoint_convert(points), dtype=np.float32).reshape(-1, 2)
-        responses = np.array([point.response for point in points], dtype=np.float32)
-        return strongest_first(Keypoints(pixels, responses, np.asarray(descriptors, np.uint8)), self._max_features)
+        Args:
+            config: count of points and contrast threshold.
+            precise: where points lie. False is OpenCV's default, kept by it for compatibility: every point is off by
+                a quarter of a pixel, half a pixel at full resolution, a bias that no average removes.
+        """
+        self._max_features = config.max_features
+        self._sift = opencv_sift(config, count=config.max_features, precise=precise)
+
+    def detect(self, image: NDArray[np.generic]) -> Keypoints:
+        """Return at most `max_features` keypoints of an image."""
+        points, descriptors = self._sift.detectAndCompute(to_grey8(image), None)
+        return sift_keypoints(points, descriptors, self._max_features)
+
+
+def opencv_sift(config: FrontendConfig, *, count: int, precise: bool) -> cv2.SIFT:
+    """Return OpenCV's SIFT; a `count` of 0 keeps every point."""
+    return cv2.SIFT_create(
+        nfeatures=count,
+        nOctaveLayers=OCTAVE_LAYERS,
+        contrastThreshold=config.contrast_threshold,
+        edgeThreshold=EDGE_THRESHOLD,
+        sigma=SIGMA,
+        descriptorType=cv2.CV_8U,
+        enable_precise_upscale=precise,
+    )
+
+
+def sift_keypoints(points: Sequence[cv2.KeyPoint], descriptors: NDArray[np.uint8] | None, count: int) -> Keypoints:
+    """Return the `count` strongest of OpenCV's points."""
+    if not points:
+        return no_keypoints(DESCRIPTOR_LENGTH)
+    pixels = np.asarray(cv2.KeyPoint_convert(points), dtype=np.float32).reshape(-1, 2)
+    responses = np.array([point.response for point in points], dtype=np.float32)
+    return strongest_first(Keypoints(pixels, responses, np.asarray(descriptors, np.uint8)), count)

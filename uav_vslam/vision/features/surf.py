@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SURF (Bay et al. 2008), section 3.4.4 of [thesis], by mahotas, an optional extra: OpenCV's wheels leave it out.
+
+The threshold is OpenSURF's 0.0004 for images of 0 to 1. What differs from the paper:
+- One octave of eight box filters, 9 to 51 px wide in steps of 6, at every other pixel, spans the paper's first two
+  octaves: mahotas starts its higher octaves so far from the border that common images hold no point of them.
+- Descriptors are rounded to steps of 1/255. The sign of the Laplacian, by which the paper refuses to compare dark with
+  bright blobs, is a 65th number that puts them at least a descriptor's length apart.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FrontendConfig
+from uav_vslam.errors import ConfigError
+from uav_vslam.vision.features.base import Keypoints, no_keypoints, strongest_first
+from uav_vslam.vision.images import to_grey8
+
+DESCRIPTOR_LENGTH = 65
+FILTERS = 8  # box filters 9, 15, ... 51 px wide
+STEP_PX = 2  # between places where they are tried
+THRESHOLD = 0.0004 * 255.0**2  # of the determinant of the Hessian
+LEVELS = 255  # of a descriptor of length one
+ZERO_LEVEL = 128
+PADDING_PX = 96  # the largest descriptor reaches 31/2 * 6 px: no point is lost at the border; a multiple of the step
+INSTALL = "pip install mahotas==1.4.19"
+
+
+class SurfExtractor:
+    """Blobs of the box-filtered Hessian with sums of Haar wavelets."""
+
+    def __init__(self, config: FrontendConfig) -> None:
+        """Prepare to find `max_features` points.
+
+        Raises:
+            ConfigError: mahotas is not installed.
+        """
+        try:
+            from mahotas.features import surf
+        except ImportError:
+            raise ConfigError(f"extractor 'surf' needs the package mahotas; install it: {INSTALL}") from None
+        self._surf = surf.surf
+        self._max_features = config.max_features
+
+    def detect(self, image: NDArray[np.generic]) -> Keypoints:
+        """Return at most `max_features` keypoints of an image."""
+        grey = to_grey8(image)
+        padded = cv2.copyMakeBorder(grey, *[PADDING_PX] * 4, cv2.BORDER_REPLICATE)
+        # All points above the threshold are asked for: some of the strongest may lie in the padding.
+        found = self._surf(
+            padded,
+            nr_octaves=1,
+            nr_scales=FILTERS,
+            initial_step_size=STEP_PX,
+            threshold=THRESHOLD,
+            max_points=grey.size,
+        )
+        pixels = _unmirrored(found[:, 1::-1]) - PADDING_PX
+        inside = ((pixels >= -0.5) & (pixels < np.array(grey.shape[::-1]) - 0.5)).all(axis=1)
+        if not inside.any():
+            return no_keypoints(DESCRIPTOR_LENGTH)
+        responses, laplacian, values = found[inside, 3], found[inside, 4], found[inside, 6:]
+        keypoints = Keypoints(
+            pixels[inside].astype(np.float32), responses.astype(np.float32), _descriptors(values, laplacian)
+        )
+        return strongest_first(keypoints, self._max_features)
+
+
+def _unmirrored(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Undo a slip of mahotas 1.4: its subpixel step goes from the strongest place in the opposite direction."""
+    return np.asarray(2.0 * STEP_PX * np.rint(pixels / STEP_PX) - pixels)
+
+
+def _descriptors(values: NDArray[np.float64], laplacian: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Return (N, 65) uint8 of (N, 64) numbers, of which no row is longer than one, and the (N,) Laplacian's signs."""
+    rounded = np.clip(np.rint(ZERO_LEVEL + LEVELS * values), 0, 255)
+    sign = np.where(laplacian > 0, LEVELS, 0)
+    return np.asarray(np.hstack([rounded, sign[:, None]]), np.uint8)
