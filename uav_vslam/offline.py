@@ -154,6 +154,7 @@ def _vehicle_result(
         c_slam=Trajectory.from_estimates(member.poses) if member else None,
         frames_in=track.frames_in,
         frames_processed=len(track.outputs),
+        closures=sum(output.report.closures for output in track.outputs),
         link=link_counters(member) if member else LinkCounters(),
     )
 

@@ -37,6 +37,7 @@ class VehicleResult:
         c_slam: fused with peers; None for a vehicle without peers.
         frames_in: stereo pairs offered, or None where nobody counted them.
         frames_processed: stereo pairs that became an estimate.
+        closures: landmarks recognised after a long absence, or None where nobody counted them.
         link: radio counters.
     """
 
@@ -47,6 +48,7 @@ class VehicleResult:
     c_slam: Trajectory | None
     frames_in: int | None
     frames_processed: int
+    closures: int | None = None
     link: LinkCounters = field(default_factory=LinkCounters)
 
 

@@ -53,6 +53,7 @@ def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
         "distance_m": _distance(vehicle),
         "frames_in": vehicle.frames_in,
         "frames_processed": vehicle.frames_processed,
+        "closures": vehicle.closures,
         "ins": _errors(ins, vehicle.truth, alignment),
         "s_slam": _errors_and_nees(vehicle.s_slam, vehicle.truth, alignment),
         "c_slam": _cooperative(vehicle, alignment),

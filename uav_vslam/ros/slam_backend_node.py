@@ -129,6 +129,7 @@ class SlamBackendNode(VehicleNode):
         self.counts["frames"] += 1
         self.counts["frames_coasted"] += report.associated == 0
         self.counts["relocalisations"] += report.relocalised
+        self.counts["closures"] += report.closures
         self.counts["recoveries"] += report.recovery != ""
         self.notes["landmarks"] = str(report.landmarks)
         self.notes["associated"] = str(report.associated)

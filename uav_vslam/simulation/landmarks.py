@@ -76,7 +76,8 @@ def scatter_landmarks(
     count = round(per_frame / _footprint_m2(scenario, vehicles[0].rig) * float(np.prod(high - low)))
     xy = rng.uniform(low, high, (count, 2))
     descriptors = _draw_descriptors(count, rng)
-    first, second = np.arange(round(0.5 * twin_share * count)) + [[0], [count // 2]]
+    first = np.arange(round(0.5 * twin_share * count))
+    second = first + count // 2
     angle, distance = rng.uniform(0.0, 2.0 * np.pi, len(first)), rng.uniform(*TWIN_M, len(first))
     xy[second] = xy[first] + distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     descriptors[second] = descriptors[first]
@@ -103,7 +104,7 @@ def observe(
         pixels, seen = _project(vehicle.true_rig(frame), points_body)
         if noise.missed_share > 0:
             found = rng.random(len(pixels)) >= noise.missed_share
-            pixels, seen = pixels[found], np.flatnonzero(seen)[found]
+            pixels, seen[seen] = pixels[found], found
         pixels = pixels + rng.normal(0.0, noise.sigma_px, pixels.shape)
         ids = near[seen]
         pixels, ids = _spoil(pixels, ids, noise.wrong_share, rng)

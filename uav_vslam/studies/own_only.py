@@ -21,7 +21,7 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.ins.propagator import InsPropagator
 from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
-from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.backend import FrameReport, SlamBackend
 from uav_vslam.studies.flights import true_trajectory
 from uav_vslam.studies.pool import in_pool
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, StereoFeatures
@@ -190,7 +190,9 @@ def _reckon(flight: Flight) -> Track:
     return Track(flight.ins)
 
 
-def run_backend(flight: Flight, *, config: VehicleConfig) -> Track:
+def run_backend(
+    flight: Flight, *, config: VehicleConfig, on_report: Callable[[FrameReport], None] = lambda _: None
+) -> Track:
     """Feed a flight to the back end, frame by frame, as far as it goes; `config.imu` gives way to the scenario's."""
     vehicle = flight.vehicle
     config = dataclasses.replace(config, imu=vehicle.scenario.imu_config)
@@ -210,6 +212,7 @@ def run_backend(flight: Flight, *, config: VehicleConfig) -> Track:
         landmarks.append(report.landmarks)
         restarts += bool(report.recovery)
         failure = failure or report.recovery
+        on_report(report)
     return Track(
         Trajectory.from_estimates(poses),
         failure,

@@ -15,6 +15,7 @@ from uav_vslam.cli.study import (
     models,
     outliers,
     radio,
+    revisit,
     rig,
     start,
     thesis,
@@ -30,6 +31,7 @@ EXAMPLES = """examples:
   uav-vslam study radio                    rendered images, the node graph over DDS in both packet modes; an hour
   uav-vslam study filters                  landmark level: every filter with every state model; an hour
   uav-vslam study long                     landmark level: 2.8 km with each retention policy; minutes
+  uav-vslam study revisit                  landmark level and rendered: back over the start after 2 km; an hour
   uav-vslam study rig                      rendered images, a right camera that vibrates or is turned; an hour
   uav-vslam study outliers                 landmark level: wrong matches, far ones and look-alikes; an hour
   uav-vslam study euroc V1_01_easy/mav0    a recording with truth, by every filter from many starts; an hour
@@ -45,6 +47,7 @@ STUDIES = {
     "radio": radio,
     "filters": filters,
     "long": long,
+    "revisit": revisit,
     "rig": rig,
     "outliers": outliers,
     "euroc": euroc,
