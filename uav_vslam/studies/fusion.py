@@ -57,7 +57,7 @@ def schemes(frames: int) -> list[Part]:
     everything = {"scheme": "overlay", "max_packet_landmarks": 1000, "budget_bytes_per_s": 10_000_000}
     settings = (
         Setting("split_ci"),
-        Setting("split_ci, with feedback", {"feedback": True}),
+        Setting("split_ci, without feedback", {"feedback": False}),
         Setting("split_ci, narrowband", {"mode": "narrowband"}),
         Setting("full_ci, position_trace", {"scheme": "full_ci"}),
         *weights,
@@ -107,9 +107,9 @@ def fleets(frames: int) -> list[Part]:
     ends = ("uav1", "uav3")
     row = (
         Setting("all hear all"),
-        Setting("the ends can't hear each other", out_of_range=ends),
-        Setting("the middle returns feedback", {"feedback": True}, out_of_range=ends),
-        Setting("the middle relays", {"relay": True}, out_of_range=ends),
+        Setting("the ends can't hear each other", {"feedback": False}, out_of_range=ends),
+        Setting("the middle returns feedback", out_of_range=ends),
+        Setting("the middle relays", {"feedback": False, "relay": True}, out_of_range=ends),
     )
     return [
         *(Part(f"{size.vehicles} vehicles", size, (Setting("split_ci"),)) for size in sizes),
