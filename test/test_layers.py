@@ -57,7 +57,7 @@ AT_HOME = {
     MESSAGES: {"ros"},
 }
 # cv2.setNumThreads(1) belongs where a process begins, not in a library; the bench compares with plain OpenCV.
-AT_HOME_FILES = {"cv2": {"offline.py", "cli/simulate.py", "cli/bench.py"}}
+AT_HOME_FILES = {"cv2": {"offline.py", "cli/simulate.py", "cli/bench.py", "ros/runtime.py"}}
 
 
 def modules() -> list[Path]:

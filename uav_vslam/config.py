@@ -67,11 +67,16 @@ IMU_GRADES = {
 } | {f"thesis_w{k}": _thesis_noise(rate_deg, accel) for k, (rate_deg, accel) in enumerate(THESIS_NOISE, start=1)}
 
 
+FRONTEND_METHODS = ("klt", "sift")  # the names in vision.frontends.FRONTENDS
+
+
 @dataclass(frozen=True, slots=True)
 class FrontendConfig:
     """Stereo features."""
 
+    method: str = "sift"  # klt: points found now and then are followed; sift: each pair is searched and matched anew
     extractor: str = "sift"  # name in vision.features.EXTRACTORS
+    search_every: int = 3  # klt: frames from one search for new points to the next
     scale: float = 0.5  # images are shrunk by this factor before detection (INTER_AREA)
     max_features: int = 1000  # keypoints kept per image, strongest first
     contrast_threshold: float = 0.01  # SIFT contrast threshold (OpenCV's own default 0.04 starves on grass)
@@ -82,6 +87,8 @@ class FrontendConfig:
     max_matches: int = 400  # stereo points handed on, spread over the image
 
     def __post_init__(self) -> None:
+        _require(self.method in FRONTEND_METHODS, self, "method", f"one of {', '.join(FRONTEND_METHODS)}")
+        _require(self.search_every > 0, self, "search_every", "a positive count")
         _require(0.1 <= self.scale <= 1.0, self, "scale", "0.1 to 1")
         _require(self.max_features > 0, self, "max_features", "a positive count")
         _require(self.contrast_threshold >= 0, self, "contrast_threshold", "zero or more")

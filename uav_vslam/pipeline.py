@@ -11,7 +11,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagator import IncrementCutter
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, StereoFeatures, StereoFrame
-from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam.vision.frontends import make_frontend
 
 
 @dataclass(slots=True)
@@ -23,6 +23,7 @@ class VehicleTrack:
         frames_in: stereo pairs offered.
         outputs: one per frame processed, in stamp order.
         dropped: frames that were not processed, by reason.
+        alarms: frames that had something wrong with cameras or rig, by subject.
         broken: why the recording ended early; empty if it did not.
         warnings: what its user should look into.
     """
@@ -31,6 +32,7 @@ class VehicleTrack:
     frames_in: int = 0
     outputs: list[FrameOutput] = field(default_factory=list)
     dropped: dict[str, int] = field(default_factory=dict)
+    alarms: Counter[str] = field(default_factory=Counter)
     broken: str = ""
     warnings: list[str] = field(default_factory=list)
 
@@ -42,7 +44,7 @@ class VehiclePipeline:
         self, initial: NavEstimate | None, *, rig: StereoRig, config: VehicleConfig, vehicle: str, session: int = 1
     ) -> None:
         """Begin at a state, or with `start.method: in_flight` at the one that is found: then it may be None."""
-        self._frontend = StereoFrontend(rig, config.frontend, config.rig)
+        self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._cutter = IncrementCutter(config.imu, initial.state if initial else None)
         self._slam = SlamStage(config, vehicle=vehicle, session=session)
         self._slam.rig = rig
@@ -73,10 +75,19 @@ class VehiclePipeline:
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
         """Take in a frame, or its features where they are simulated; frames before the start state are dropped."""
         self.track.frames_in += 1
-        self._slam.add_features(self._frontend.process(frame) if isinstance(frame, StereoFrame) else frame)
+        self._slam.add_features(self._look(frame) if isinstance(frame, StereoFrame) else frame)
         if self._cutter.start_ns is None or frame.stamp_ns > self._cutter.start_ns:
             self._cutter.add_frame_stamp(frame.stamp_ns)
         return self._complete(self._cutter.increments())
+
+    def _look(self, frame: StereoFrame) -> StereoFeatures:
+        """Run the front end; what it finds wrong is counted, and told when it happens first."""
+        features = self._frontend.process(frame)
+        for subject, text in self._frontend.alarms.items():
+            if subject not in self.track.alarms:
+                self.track.warnings.append(f"frame {self.track.frames_in}: {text}")
+            self.track.alarms[subject] += 1
+        return features
 
     def _complete(self, increments: list[ImuIncrement]) -> list[FrameOutput]:
         for increment in increments:

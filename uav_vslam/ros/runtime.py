@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -158,6 +159,7 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
 
     A node may end itself by raising SystemExit in a callback. An error of ours is one line and exit code 2.
     """
+    cv2.setNumThreads(1)  # several nodes share the cores, and results must not depend on how many there are
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: rclpy.try_shutdown())

@@ -23,22 +23,24 @@ from uav_vslam.ros.convert import features_to_msg, image_from_msg
 from uav_vslam.ros.qos import IMAGE, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.types import StereoFrame
-from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam.vision.frontends import Frontend, make_frontend
 from uav_vslam_msgs.msg import StereoFeatures
 
 Pixels = NDArray[Any]
 AddImage = Callable[[int, Pixels], StereoPair[Pixels] | None]
 
 MAX_WAITING = 10  # pairs held until the calibration is known
+MAX_ALONE = 10  # images without a partner in a row, and one camera is taken to be silent
 
 
 class StereoFrontendNode(VehicleNode):
-    """Pairs the images, runs the front end, publishes."""
+    """Pairs the images, runs the front end, publishes, and reports cameras that are not well."""
 
     def __init__(self) -> None:
         super().__init__("stereo_frontend")
         self._rig = RigListener(self, self._work)
-        self._frontend: StereoFrontend | None = None
+        self._frontend: Frontend | None = None
+        self._alone = 0  # images since the last pair
         self._pairer: StereoPairer[Pixels] = StereoPairer()
         self._waiting: deque[StereoFrame] = deque()
         self._publisher = self.advertise(StereoFeatures, "stereo_features", STATE)
@@ -52,7 +54,11 @@ class StereoFrontendNode(VehicleNode):
         pair = add(stamp_ns_of(message), image_from_msg(message))
         self.counts["dropped/unpaired"] = self._pairer.dropped
         if pair is None:
+            self._alone += 1
+            if self._alone == MAX_ALONE:
+                self._alarm({"pairs": "images come, but no pairs: one camera is silent, or their stamps differ"})
             return
+        self._alone = 0
         self.counts["pairs"] += 1
         self._waiting.append(StereoFrame(pair.stamp_ns, pair.left, pair.right))
         if len(self._waiting) > MAX_WAITING:
@@ -64,12 +70,21 @@ class StereoFrontendNode(VehicleNode):
         rig = self._rig.rig
         if rig is None:
             return
-        self._frontend = self._frontend or StereoFrontend(rig, self.config.frontend, self.config.rig)
+        self._frontend = self._frontend or make_frontend(rig, self.config.frontend, self.config.rig)
         while self._waiting:
             features = self._frontend.process(self._waiting.popleft())
+            self._alarm(self._frontend.alarms)
             size = (rig.left.width, rig.left.height)
             self._publisher.publish(features_to_msg(features, frame_id=self._rig.left_frame, size=size))
             self.counts["features"] += len(features)
+
+    def _alarm(self, alarms: dict[str, str]) -> None:
+        """Report what is wrong now: in the state as long as it lasts, in the log when it begins, counted for ever."""
+        for subject, text in alarms.items():
+            self.counts[f"alarms/{subject}"] += 1
+            if subject not in self.alarms:
+                self.get_logger().warning(text)
+        self.alarms = dict(alarms)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_vslam.config import FrontendConfig, VehicleConfig
+from uav_vslam.config import FrontendConfig, RigConfig, VehicleConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -22,9 +22,9 @@ from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_f
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies.pool import in_pool, mean, ratio, rms
 from uav_vslam.types import StereoFeatures, StereoFrame
+from uav_vslam.vision.frontends import make_frontend
 from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
 
-FeatureCache = dict[tuple[Scenario, FrontendConfig], list[tuple[DetectedPair, ...]]]  # by look and front end
 Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
 LABELS = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
 TRACKS = tuple(LABELS)
@@ -59,9 +59,24 @@ class Outcome:
     processed: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class FeatureCache:
+    """What front ends have found in images, so that these are drawn and searched only once.
+
+    Attributes:
+        searched: keypoints of the whole fleet, by look and front end; they don't depend on the trust in the rig.
+        followed: points of a vehicle, by its name, look, front end and trust in the rig.
+    """
+
+    searched: dict[tuple[Scenario, FrontendConfig], list[tuple[DetectedPair, ...]]] = field(default_factory=dict)
+    followed: dict[tuple[str, Scenario, FrontendConfig, RigConfig], tuple[StereoFeatures, ...]] = field(
+        default_factory=dict
+    )
+
+
 def run_seed(methods: list[Method], seed: int) -> list[Outcome]:
     """Fly all methods on one seed; rendered images are made and searched for features only once for all of them."""
-    cache: FeatureCache = {}
+    cache = FeatureCache()
     return [_run(method, seed, cache) for method in methods]
 
 
@@ -91,9 +106,16 @@ def run_study(
 
 def _run(method: Method, seed: int, cache: FeatureCache) -> Outcome:
     scenario = dataclasses.replace(method.scenario, seed=seed)
-    config = dataclasses.replace(method.config, imu=scenario.imu_config)
     vehicles = simulate_fleet(scenario)
-    sources = _sources(method, scenario, vehicles, cache)
+    return fly_sources(method, scenario, vehicles, _sources(method, scenario, vehicles, cache))
+
+
+def fly_sources(
+    method: Method, scenario: Scenario, vehicles: list[SimulatedVehicle], sources: list[FlightSource]
+) -> Outcome:
+    """Fly one seed's vehicles with what their sources show them."""
+    seed = scenario.seed
+    config = dataclasses.replace(method.config, imu=scenario.imu_config)
     configs = {vehicle.name: config for vehicle in vehicles}
     started = time.process_time()
     try:
@@ -116,13 +138,25 @@ def _sources(
         landmarks = scatter_landmarks(vehicles)
         return [SimulatedSource(vehicle, landmarks) for vehicle in vehicles]
     look = dataclasses.replace(scenario, imu="adis16480")  # the images don't depend on the inertial unit
+    if method.config.frontend.method != "sift":
+        return [_followed(vehicle, look, method.config, cache) for vehicle in vehicles]
     key = (look, method.config.frontend)
-    if key not in cache:
-        cache[key] = [_searched(SimulatedSource(vehicle), method.config) for vehicle in vehicles]
+    if key not in cache.searched:
+        cache.searched[key] = [_searched(SimulatedSource(vehicle), method.config) for vehicle in vehicles]
     return [
         SimulatedSource(vehicle, features=_matched(vehicle.rig, pairs, method.config))
-        for vehicle, pairs in zip(vehicles, cache[key], strict=True)
+        for vehicle, pairs in zip(vehicles, cache.searched[key], strict=True)
     ]
+
+
+def _followed(vehicle: SimulatedVehicle, look: Scenario, config: VehicleConfig, cache: FeatureCache) -> SimulatedSource:
+    """Follow points through a flight; what is found next depends on what the rig's gates let through before."""
+    key = (vehicle.name, look, config.frontend, config.rig)
+    if key not in cache.followed:
+        frontend = make_frontend(vehicle.rig, config.frontend, config.rig)
+        frames = SimulatedSource(vehicle).frames()
+        cache.followed[key] = tuple(frontend.process(frame) for frame in frames if isinstance(frame, StereoFrame))
+    return SimulatedSource(vehicle, features=cache.followed[key])
 
 
 def _searched(source: SimulatedSource, config: VehicleConfig) -> tuple[DetectedPair, ...]:

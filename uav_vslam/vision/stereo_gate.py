@@ -10,12 +10,45 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import RigConfig
+from uav_vslam.config import FrontendConfig, RigConfig
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.vision.disparity_filter import supported_disparities
 
 Array = NDArray[np.float64]
 
 SIGMAS = 3.0  # of the right camera's attitude: at two, one frame of twenty would lose its matches
+
+
+class StereoGate:
+    """What every match must pass, however it was found.
+
+    Attributes:
+        epipolar_px: largest distance of the right point from the left point's epipolar line [px].
+    """
+
+    def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig, *, noise_px: float) -> None:
+        """Prepare for one rig.
+
+        Args:
+            rig: calibration.
+            config: range of depths and the gate of a rigid rig.
+            rig_config: how far the calibration is trusted.
+            noise_px: largest difference of two disparities of one surface that noise explains [px].
+        """
+        self._rig, self._config, self._noise_px = rig, config, noise_px
+        self.epipolar_px = epipolar_gate(rig, config.epipolar_px, rig_config)
+
+    def judge(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the (N,) depths [m] of (N, 4) undistorted stereo pixels, and which of them are to be believed.
+
+        Those are on their epipolar lines, at a possible depth, and have a disparity that their neighbours support.
+        """
+        depth = self._rig.triangulate(pixels)[:, 2]
+        good = self._rig.epipolar_distance(pixels) <= self.epipolar_px
+        good &= (depth >= self._config.min_depth_m) & (depth <= self._config.max_depth_m)  # NaN compares as False
+        disparity = self._rig.left.fx * self._rig.baseline_m / depth[good]
+        good[good] = supported_disparities(pixels[good, :2], disparity, noise_px=self._noise_px)
+        return depth, good
 
 
 def epipolar_gate(rig: StereoRig, epipolar_px: float, rig_config: RigConfig) -> float:

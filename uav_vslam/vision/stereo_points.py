@@ -7,19 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig, RigConfig
-from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import StereoFeatures, StereoFrame
-from uav_vslam.vision.disparity_filter import supported_disparities
 from uav_vslam.vision.features import Keypoints, make_extractor
+from uav_vslam.vision.frame_check import check_sizes
+from uav_vslam.vision.health import FrontendHealth
 from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
-from uav_vslam.vision.matching import match_gated
-from uav_vslam.vision.stereo_gate import epipolar_gate, stereo_candidates
+from uav_vslam.vision.matching import match_descriptors, match_gated
+from uav_vslam.vision.stereo_gate import StereoGate, stereo_candidates
 
 Array = NDArray[np.float64]
 
+LOOKED_AT = 300  # strongest points of either image that are matched without a gate, to watch the rig
 DISPARITY_NOISE_PX = 0.5  # four sigma of the disparity, in pixels of the shrunk image
 
 
@@ -41,7 +42,7 @@ class DetectedPair:
 
 
 class StereoFrontend:
-    """Extracts and matches stereo points; holds no state between pairs, so the result depends on the pair only."""
+    """Extracts and matches stereo points, each pair by itself; only a frozen camera is told by the pair before."""
 
     def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig | None = None) -> None:
         """Prepare for one rig.
@@ -56,40 +57,49 @@ class StereoFrontend:
         """
         self._rig = rig
         self._config = config
-        self._epipolar_px = epipolar_gate(rig, config.epipolar_px, rig_config or RigConfig())
+        self._gate = StereoGate(rig, config, rig_config or RigConfig(), noise_px=DISPARITY_NOISE_PX / config.scale)
+        self._health = FrontendHealth(rig, self._gate.epipolar_px)
         self._extractor = make_extractor(config)
 
+    @property
+    def alarms(self) -> dict[str, str]:
+        """What is wrong with the images or the rig at present, by subject."""
+        return self._health.alarms
+
     def process(self, frame: StereoFrame) -> StereoFeatures:
-        """Return the matched points of a pair; none where the images hold no texture.
+        """Return the matched points of a pair; none where the images hold no texture or can't be believed.
 
         Raises:
             InvalidMessage: an image has another size than the calibration, or a type that can't be used.
         """
-        return self.match(self.detect(frame))
+        check_sizes(frame, self._rig)
+        if not self._health.look(to_grey8(frame.left), to_grey8(frame.right)):
+            return StereoFeatures.empty(frame.stamp_ns)
+        detected = self.detect(frame)
+        self._health.judge(self._matched_by_look(detected))
+        return self.match(detected)
 
     def detect(self, frame: StereoFrame) -> DetectedPair:
         """Return the keypoints of both images; raises as `process` does."""
-        left, pixels_left = self._detect(frame.left, self._rig.left, "left")
-        right, pixels_right = self._detect(frame.right, self._rig.right, "right")
+        check_sizes(frame, self._rig)
+        left, pixels_left = self._detect(frame.left, self._rig.left)
+        right, pixels_right = self._detect(frame.right, self._rig.right)
         return DetectedPair(frame.stamp_ns, left, right, pixels_left, pixels_right)
 
     def match(self, detected: DetectedPair) -> StereoFeatures:
         """Return the points found in both images."""
         pairs = self._match(detected)
         pixels = np.hstack([detected.pixels_left[pairs[:, 0]], detected.pixels_right[pairs[:, 1]]])
-        keep = self._supported(pixels)
+        _, keep = self._gate.judge(pixels)
         pairs, pixels = pairs[keep], pixels[keep]
         size = (self._rig.left.width, self._rig.left.height)
         chosen = spread(pixels[:, :2], self._config.max_matches, size=size)  # they come strongest first
         descriptors = detected.left.descriptors[pairs[chosen, 0]]
         return StereoFeatures(detected.stamp_ns, pixels[chosen].astype(np.float32), descriptors)
 
-    def _detect(self, image: NDArray[np.generic], camera: PinholeCamera, name: str) -> tuple[Keypoints, Array]:
+    def _detect(self, image: NDArray[np.generic], camera: PinholeCamera) -> tuple[Keypoints, Array]:
         """Return one camera's keypoints and their (N, 2) undistorted full-resolution pixels."""
-        if image.shape[:2] != (camera.height, camera.width):
-            met, wanted = image.shape[1::-1], (camera.width, camera.height)
-            raise InvalidMessage("image_size", f"{name} image is {met} px but its calibration is for {wanted} px")
-        small = shrink(to_grey8(image), self._config.scale)
+        small = shrink(image, self._config.scale)  # an extractor may want the colours
         keypoints = self._extractor.detect(small)
         raw = to_full_resolution(keypoints.pixels, small.shape, image.shape)
         return keypoints, camera.undistort(raw)
@@ -100,17 +110,17 @@ class StereoFrontend:
             detected.pixels_left,
             detected.pixels_right,
             self._rig,
-            epipolar_px=self._epipolar_px,
+            epipolar_px=self._gate.epipolar_px,
             depth_range_m=(self._config.min_depth_m, self._config.max_depth_m),
         )
         pairs = match_gated(detected.left.descriptors, detected.right.descriptors, allowed, self._config.ratio)
         return _without_twins(pairs, detected.pixels_left, detected.pixels_right)
 
-    def _supported(self, pixels: Array) -> NDArray[np.bool_]:
-        """Return which of the (N, 4) stereo pixels have a disparity that their neighbours support."""
-        depth = self._rig.triangulate(pixels)[:, 2]
-        disparity = self._rig.left.fx * self._rig.baseline_m / depth
-        return supported_disparities(pixels[:, :2], disparity, noise_px=DISPARITY_NOISE_PX / self._config.scale)
+    def _matched_by_look(self, detected: DetectedPair) -> Array:
+        """Return (M, 4) pixels of the strongest points, matched by descriptors alone: they show where the rig is."""
+        left, right = (keypoints.descriptors[:LOOKED_AT] for keypoints in (detected.left, detected.right))
+        pairs = match_descriptors(left, right, self._config.ratio)
+        return np.hstack([detected.pixels_left[pairs[:, 0]], detected.pixels_right[pairs[:, 1]]])
 
 
 def _without_twins(pairs: NDArray[np.intp], pixels_left: Array, pixels_right: Array) -> NDArray[np.intp]:

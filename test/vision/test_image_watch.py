@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one camera's images say about it."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.vision.image_watch import ImageWatch
+
+Grey = NDArray[np.uint8]
+
+
+@pytest.fixture
+def images(texture_image: Callable[[int, int], Grey]) -> list[Grey]:
+    """Views of one texture, each moved on by a few pixels."""
+    texture = texture_image(300, 400)
+    return [np.ascontiguousarray(texture[:240, 5 * k : 5 * k + 320]) for k in range(10)]
+
+
+def test_a_camera_that_moves_over_texture_is_well(images: list[Grey]) -> None:
+    watch = ImageWatch()
+    assert [watch.add(image) for image in images] == [[]] * 10
+    assert not watch.blind
+
+
+def test_an_image_that_comes_again_is_frozen(images: list[Grey]) -> None:
+    watch = ImageWatch()
+    watch.add(images[0])
+    (text,) = watch.add(images[0].copy())
+    assert "frozen" in text
+    assert watch.blind
+    assert watch.add(images[1]) == []
+    assert not watch.blind
+
+
+@pytest.mark.parametrize("grey", [0, 200, 255])
+def test_an_image_without_contrast_shows_nothing_however_often_it_comes(images: list[Grey], grey: int) -> None:
+    watch = ImageWatch()
+    watch.add(images[0])
+    for _ in range(2):
+        (text,) = watch.add(np.full((240, 320), grey, np.uint8))
+        assert "shows nothing" in text
+        assert watch.blind
+    assert watch.add(images[1]) == []  # and its brightness has not jumped
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.6])
+def test_a_jump_in_brightness_is_told_once_and_blinds_nobody(images: list[Grey], factor: float) -> None:
+    watch = ImageWatch()
+    watch.add(images[0])
+    changed = [np.clip(factor * image, 0, 255).astype(np.uint8) for image in images[1:3]]
+    (text,) = watch.add(changed[0])
+    assert "jumped in brightness" in text
+    assert not watch.blind
+    assert watch.add(changed[1]) == []
+
+
+def test_motion_blur_is_told_as_long_as_it_lasts(images: list[Grey]) -> None:
+    watch = ImageWatch()
+    for image in images[:6]:
+        watch.add(image)
+    for image in images[6:9]:
+        (text,) = watch.add(cv2.blur(image, (21, 5)))
+        assert "blurred" in text
+        assert not watch.blind
+    assert watch.add(images[9]) == []

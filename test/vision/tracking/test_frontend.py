@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live front end over rendered flights at a quarter of the size."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import FrontendConfig, RigConfig
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.simulation.camera_render import RenderedFlight, intersect
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
+from uav_vslam.simulation.terrain import relief_of
+from uav_vslam.types import StereoFeatures, StereoFrame
+from uav_vslam.vision.frontends import FRONTENDS, make_frontend
+from uav_vslam.vision.tracking.frontend import TrackingFrontend
+
+FRAMES = 8
+CONFIG = FrontendConfig(method="klt", scale=1.0, max_matches=120)
+FLIGHT = Scenario(frames=FRAMES, scale=0.25, noise_sigma=1.0)
+LARGEST_SIGMA_PX = 0.15
+LARGEST_WRONG_SHARE = 0.01
+
+Flown = tuple[SimulatedVehicle, list[StereoFrame]]
+
+
+def flown(scenario: Scenario) -> Flown:
+    vehicle = simulate_vehicle(scenario, 0)
+    return vehicle, list(RenderedFlight(vehicle))
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flown:
+    return flown(FLIGHT)
+
+
+@pytest.fixture(scope="module")
+def small() -> tuple[StereoRig, list[StereoFrame]]:
+    """For the contract: what each front end must do with any images."""
+    vehicle, frames = flown(dataclasses.replace(FLIGHT, frames=3))
+    return vehicle.rig, frames
+
+
+@pytest.fixture(params=sorted(FRONTENDS))
+def config(request: pytest.FixtureRequest) -> FrontendConfig:
+    return dataclasses.replace(CONFIG, method=request.param)
+
+
+def process(rig: StereoRig, frames: list[StereoFrame], config: FrontendConfig = CONFIG) -> list[StereoFeatures]:
+    frontend = make_frontend(rig, config, RigConfig())
+    return [frontend.process(frame) for frame in frames]
+
+
+def right_errors(vehicle: SimulatedVehicle, k: int, features: StereoFeatures) -> np.ndarray:
+    """Return (N, 2) right pixel minus the true image of what the left pixel shows [px]."""
+    pose = vehicle.truth.pose(float(vehicle.frame_times_s[k]))
+    rig = vehicle.true_rig(k)
+    T_world_left = pose @ rig.T_body_left
+    rays = rig.left.bearings(features.pixels[:, :2]) @ T_world_left.R.T
+    points = intersect(relief_of(vehicle.scenario), T_world_left.t, rays)
+    return features.pixels[:, 2:] - rig.right.project((pose @ rig.T_body_right).inverse().apply(points))
+
+
+def test_points_are_precise_and_hardly_one_is_wrong(flight: Flown) -> None:
+    vehicle, frames = flight
+    errors = np.vstack([right_errors(vehicle, k, found) for k, found in enumerate(process(vehicle.rig, frames))])
+    assert len(errors) > 0.5 * CONFIG.max_matches * FRAMES
+    assert (errors.std(axis=0) < LARGEST_SIGMA_PX).all()
+    assert np.mean(np.linalg.norm(errors, axis=1) > 1.0) <= LARGEST_WRONG_SHARE
+
+
+def test_a_track_stays_on_its_point_of_the_ground(flight: Flown) -> None:
+    vehicle, frames = flight
+    first, *later = process(vehicle.rig, frames)
+    last = later[3]
+    _, rows, same = np.intersect1d(first.tracks, last.tracks, return_indices=True)
+    assert len(rows) >= 20
+    places = []
+    for k, features, chosen in ((0, first, rows), (4, last, same)):
+        T_world_left = vehicle.truth.pose(float(vehicle.frame_times_s[k])) @ vehicle.rig.T_body_left
+        rays = vehicle.rig.left.bearings(features.pixels[chosen, :2]) @ T_world_left.R.T
+        places.append(intersect(relief_of(vehicle.scenario), T_world_left.t, rays))
+    pixel_on_ground_m = 70.0 / vehicle.rig.left.fx
+    drift_px = np.linalg.norm(places[1] - places[0], axis=1) / pixel_on_ground_m
+    assert np.median(drift_px) < 0.3
+    np.testing.assert_array_equal(first.descriptors[rows], last.descriptors[same])
+
+
+def test_every_point_has_a_track_and_no_number_is_used_again(flight: Flown) -> None:
+    vehicle, frames = flight
+    gone: set[int] = set()
+    before: set[int] = set()
+    for features in process(vehicle.rig, frames):
+        tracks = set(features.tracks.tolist())
+        assert len(tracks) == len(features) <= CONFIG.max_matches
+        assert 0 not in tracks
+        gone |= before - tracks
+        assert not gone & tracks
+        before = tracks
+
+
+def test_cameras_of_different_gain_and_vignette_keep_their_points(flight: Flown) -> None:
+    counts = []
+    for scenario in (FLIGHT, dataclasses.replace(FLIGHT, right_gain=1.15, right_vignette=0.35)):
+        vehicle, frames = flown(dataclasses.replace(scenario, frames=4))
+        counts.append(sum(map(len, process(vehicle.rig, frames))))
+    assert counts[1] >= 0.9 * counts[0]
+
+
+def test_a_jump_in_brightness_and_a_lost_frame_keep_most_tracks(flight: Flown) -> None:
+    vehicle, frames = flight
+    brighter = [np.clip(1.4 * image, 0, 255).astype(np.uint8) for image in (frames[5].left, frames[5].right)]
+    jumped = StereoFrame(frames[5].stamp_ns, *brighter)
+    before, after = process(vehicle.rig, [frames[2], frames[3], jumped])[1:]
+    still_in_view = before.pixels[:, 1] < vehicle.rig.left.height - 2 * 17 - 15  # 17 px a frame along v
+    kept = np.isin(before.tracks[still_in_view], after.tracks)
+    assert kept.mean() > 0.6
+
+
+def test_black_images_end_the_tracks_and_new_ones_begin_at_once(flight: Flown) -> None:
+    vehicle, frames = flight
+    frontend = TrackingFrontend(vehicle.rig, CONFIG)
+    seen = [frontend.process(frame) for frame in frames[:2]]
+    black = np.zeros_like(frames[2].left)
+    assert len(frontend.process(StereoFrame(frames[2].stamp_ns, black, black))) == 0
+    assert "shows nothing" in frontend.alarms["left camera"]
+    again = frontend.process(frames[3])
+    assert len(again) > 0.5 * len(seen[0])
+    assert not set(again.tracks.tolist()) & set(seen[1].tracks.tolist())
+    assert frontend.alarms == {}
+
+
+def test_after_a_long_gap_nothing_is_followed(flight: Flown) -> None:
+    vehicle, frames = flight
+    late = dataclasses.replace(frames[1], stamp_ns=frames[0].stamp_ns + 2_000_000_000)
+    first, second = process(vehicle.rig, [frames[0], late])
+    assert len(second) > 0
+    assert not set(first.tracks.tolist()) & set(second.tracks.tolist())
+
+
+def test_swapped_images_are_told_and_give_no_points(flight: Flown) -> None:
+    vehicle, frames = flight
+    frontend = TrackingFrontend(vehicle.rig, CONFIG)
+    frontend.process(frames[0])
+    swapped = frontend.process(StereoFrame(frames[1].stamp_ns, frames[1].right, frames[1].left))
+    assert len(swapped) < 10
+    assert "changed places" in frontend.alarms["image order"]
+
+
+# The contract of every front end.
+
+
+def test_the_same_images_give_the_same_bytes_and_stay_as_they_are(
+    small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig
+) -> None:
+    rig, frames = small
+    before = [(frame.left.copy(), frame.right.copy()) for frame in frames]
+    first, second = process(rig, frames, config), process(rig, frames, config)
+    for a, b in zip(first, second, strict=True):
+        assert len(a) > 20
+        assert (a.pixels.tobytes(), a.descriptors.tobytes()) == (b.pixels.tobytes(), b.descriptors.tobytes())
+        np.testing.assert_array_equal(a.tracks, b.tracks)
+    for frame, (left, right) in zip(frames, before, strict=True):
+        np.testing.assert_array_equal(frame.left, left)
+        np.testing.assert_array_equal(frame.right, right)
+
+
+@pytest.mark.parametrize("grey", [0, 128, 255])
+def test_uniform_images_give_no_points(
+    small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig, grey: int
+) -> None:
+    rig, frames = small
+    blank = np.full_like(frames[0].left, grey)
+    features = make_frontend(rig, config, RigConfig()).process(StereoFrame(5, blank, blank))
+    assert (features.stamp_ns, features.pixels.shape, features.descriptors.shape) == (5, (0, 4), (0, 128))
+    assert (features.pixels.dtype, features.descriptors.dtype, features.tracks.shape) == (np.float32, np.uint8, (0,))
+
+
+def test_16_bit_and_colour_images_do(small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig) -> None:
+    rig, frames = small
+    deep = [StereoFrame(f.stamp_ns, *(image.astype(np.uint16) * 16 for image in (f.left, f.right))) for f in frames]
+    colour = [StereoFrame(f.stamp_ns, *(np.dstack([image] * 3) for image in (f.left, f.right))) for f in frames]
+    grey = process(rig, frames, config)
+    for other in (deep, colour):
+        for a, b in zip(grey, process(rig, other, config), strict=True):
+            assert len(b) > 0.8 * len(a)
+
+
+def test_an_image_of_another_size_is_refused_and_changes_nothing(
+    small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig
+) -> None:
+    rig, frames = small
+    frontend = make_frontend(rig, config, RigConfig())
+    frontend.process(frames[0])
+    with pytest.raises(InvalidMessage, match="right image is") as caught:
+        frontend.process(StereoFrame(frames[1].stamp_ns, frames[1].left, frames[1].right[:-1]))
+    assert caught.value.reason == "image_size"
+    np.testing.assert_array_equal(frontend.process(frames[1]).pixels, process(rig, frames[:2], config)[1].pixels)
+
+
+def test_a_frozen_camera_is_told_and_gives_no_points(
+    small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig
+) -> None:
+    rig, frames = small
+    frontend = make_frontend(rig, config, RigConfig())
+    frontend.process(frames[0])
+    assert len(frontend.process(StereoFrame(frames[1].stamp_ns, frames[1].left, frames[0].right))) == 0
+    assert "frozen" in frontend.alarms["right camera"]
+    assert len(frontend.process(frames[2])) > 20
+    assert frontend.alarms == {}

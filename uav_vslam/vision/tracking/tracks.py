@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The points that are being followed, as they were last seen."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """Followed points; every one was described where it was first found.
+
+    Attributes:
+        ids: (N,) uint32 from 1, never used again.
+        pixels: (N, 2) where they were last seen in the left image, raw [px].
+        depth_m: (N,) depth in the left camera [m]; NaN for those that were not yet seen in the right image.
+        descriptors: (N, D) uint8.
+    """
+
+    ids: NDArray[np.uint32]
+    pixels: Array
+    depth_m: Array
+    descriptors: NDArray[np.uint8]
+
+    @staticmethod
+    def none(descriptor_size: int = 128) -> "Tracks":
+        """Return no track."""
+        return Tracks(np.zeros(0, np.uint32), np.zeros((0, 2)), np.zeros(0), np.zeros((0, descriptor_size), np.uint8))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def chosen(self, rows: NDArray[np.generic]) -> "Tracks":
+        """Return some of the tracks, by rows or mask."""
+        return Tracks(self.ids[rows], self.pixels[rows], self.depth_m[rows], self.descriptors[rows])
+
+    def seen_at(self, pixels: Array) -> "Tracks":
+        """Return the tracks at new places in the left image."""
+        return Tracks(self.ids, pixels, self.depth_m, self.descriptors)
+
+    def at_depth(self, depth_m: Array) -> "Tracks":
+        """Return the tracks at new depths."""
+        return Tracks(self.ids, self.pixels, depth_m, self.descriptors)
+
+    def and_new(self, pixels: Array, descriptors: NDArray[np.uint8], first_id: int) -> "Tracks":
+        """Return the tracks and, after them, (M, 2) points that are seen for the first time."""
+        if len(self) == 0:
+            descriptors_before = np.zeros((0, descriptors.shape[1]), np.uint8)
+        else:
+            descriptors_before = self.descriptors
+        ids = np.arange(first_id, first_id + len(pixels), dtype=np.uint32)
+        return Tracks(
+            np.concatenate([self.ids, ids]),
+            np.vstack([self.pixels, pixels]),
+            np.concatenate([self.depth_m, np.full(len(pixels), np.nan)]),
+            np.vstack([descriptors_before, descriptors]),
+        )
