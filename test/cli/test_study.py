@@ -18,6 +18,7 @@ SMALL = {
     "filters": ["--seeds", "1", "--vehicles", "1", "--frames", "5", "--runs", "1", "--steps", "4"],
     "long": ["--seeds", "1", "--frames", "12"],
     "outliers": ["--seeds", "1", "--vehicles", "1", "--frames", "5"],
+    "association": ["--seeds", "1", "--frames", "6", "--methods", "gated", "hgtm"],
 }
 PICTURES = {
     "frames": set(),
@@ -27,6 +28,7 @@ PICTURES = {
     "filters": {"consistency.png", "noise_scales.png"},
     "long": {"long.png"},
     "outliers": {"outliers.png"},
+    "association": {"association.png", "matching.png"},
 }
 
 

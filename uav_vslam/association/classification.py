@@ -17,7 +17,7 @@ from uav_vslam.vision.matching.nn_ratio import match_distances
 
 Pairs = NDArray[np.intp]
 
-ALONE_SIGMAS = 2.0  # per number of a descriptor: farther than that from its only class, a feature is none of it
+ALONE_SIGMAS = 3.0  # per number of a descriptor: 98 % of right pairs are nearer, and 5 % of the nearest strangers
 
 
 def classify(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:

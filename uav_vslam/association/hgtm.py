@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 NEIGHBOURS = 6  # K
-TOLERANCE_PX = 4.0  # that three points may be off a similarity
-TOLERANCE_SHARE = 0.05  # of their extent, beside it: the ground is not flat, and landmarks are not where we think
+TOLERANCE_PX = 1.5  # that three points may be off a similarity
+TOLERANCE_SHARE = 0.01  # of their extent, beside it: the ground is not flat, and landmarks are not where we think
 SCALES = (0.5, 2.0)  # of the image to what is expected; beyond it the prediction can't be off
 
 

@@ -46,10 +46,12 @@ def hgtm(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
 
 
 def cds(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
-    """Match as `nn` does, with a connected dominating set of the features alone."""
-    rows = dominating_points(seen.pixels[:, :2])
-    pairs = match_descriptors(marks.descriptors, seen.descriptors[rows], config.min_descriptor_ratio)
-    return np.column_stack([pairs[:, 0], rows[pairs[:, 1]]])
+    """Match as `nn` does, and keep the features of a connected dominating set: few, and spread over the image.
+
+    What is left out still is a rival: without it, a landmark whose feature is left out would be found in another one.
+    """
+    pairs = nn(marks, seen, config)
+    return pairs[np.isin(pairs[:, 1], dominating_points(seen.pixels[:, :2]))]
 
 
 def coarse_fine(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:

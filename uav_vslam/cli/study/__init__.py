@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 
 from uav_vslam.cli.study import (
+    association,
     euroc,
     filters,
     flights,
@@ -35,6 +36,7 @@ EXAMPLES = """examples:
   uav-vslam study rig                      rendered images, a right camera that vibrates or is turned; an hour
   uav-vslam study outliers                 landmark level: wrong matches, far ones and look-alikes; an hour
   uav-vslam study euroc V1_01_easy/mav0    a recording with truth, by every filter from many starts; an hour
+  uav-vslam study association              rendered images: every associator and matcher; a quarter of an hour
   uav-vslam study start                    landmark level: no start state, and wrong ones; minutes
   uav-vslam study STUDY --help             arguments and examples of one study
 """
@@ -52,6 +54,7 @@ STUDIES = {
     "outliers": outliers,
     "euroc": euroc,
     "start": start,
+    "association": association,
 }
 
 

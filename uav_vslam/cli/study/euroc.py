@@ -46,14 +46,14 @@ def run(args: argparse.Namespace) -> int:
 
     seeds = seeds_of(args)
     config = load_vehicle(find_config(args.config), overrides=dict(override(item) for item in args.set))
-    flight = _searched(args.recording, args.vehicle, config)
+    flight = searched_recording(args.recording, args.vehicle, config)
     with progress_bar("flying", len(args.filters) * (1 + len(seeds) + len(LATER_SHARES))) as advance:
         runs = run_starts(flight, config, filters=args.filters, seeds=seeds, workers=args.workers, on_run=advance)
     rows, series = table_rows(flight, runs), error_series(flight, runs)
     return show(write_study("study_euroc", rows, seeds, args.results, notes=NOTES, series=series, plot=draw_starts))
 
 
-def _searched(recording: Path, vehicle: str | None, config: VehicleConfig) -> RecordedFlight:
+def searched_recording(recording: Path, vehicle: str | None, config: VehicleConfig) -> RecordedFlight:
     """Read a recording and search its images."""
     from uav_vslam.datasets.truth import truth_trajectory
     from uav_vslam.errors import BagError
