@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The study of features runs from the command line on whatever images it is given."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from uav_vslam.cli import main as command
+from uav_vslam.evaluation.output import LATEST
+
+
+def study(*arguments: str) -> int:
+    return command.main(["study", "features", *arguments])
+
+
+def rows_of(results: Path) -> list[dict]:
+    return json.loads((results / LATEST / "study.json").read_text())["rows"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three images that overlap."""
+    path = tmp_path / "flight"
+    path.mkdir()
+    noise = np.random.default_rng(1).normal(128, 40, (130, 200)).astype(np.float32)
+    whole = np.clip(128 + 4 * (cv2.GaussianBlur(noise, (0, 0), 2.0) - 128), 0, 255).astype(np.uint8)
+    for k in range(3):
+        cv2.imwrite(str(path / f"{k}.png"), whole[:, 10 * k : 10 * k + 170])
+    return path
+
+
+def test_a_folder_and_a_pair_leave_tables_and_pictures(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results, pair = tmp_path / "results", f"{folder / '0.png'},{folder / '2.png'}"
+    options = ["--algorithms", "SIFT", "ORB", "--seeds", "0", "--results", str(results)]
+    assert study(str(folder), pair, *options) == 0
+    assert {path.name for path in (results / LATEST).iterdir()} == {
+        *("study.json", "study.md", "matches"),
+        *("places.png", "spacing.png", "thresholds.png"),
+    }
+    assert len(list((results / LATEST / "matches").iterdir())) == 2
+    images = {row["images"] for row in rows_of(results) if row["table"].startswith("Spacing")}
+    assert images == {"flight images 0 – 1", "flight images 0 – 2"}
+    assert "Trends of the thesis" in capsys.readouterr().out
+
+
+@pytest.mark.data
+def test_one_pair_of_the_thesiss_images(data_root: Path, tmp_path: Path) -> None:
+    camp = data_root / "tno_nato_camp/visual"
+    options = ["--algorithms", "SIFT", "SURF", "DSIFT", "--seeds", "0", "--results", str(tmp_path)]
+    assert study(f"{camp / '1802v.bmp'},{camp / '1810v.bmp'}", *options) == 0
+    found = {row["method"]: row for row in rows_of(tmp_path) if row["table"].startswith("Places")}
+    assert (found["SIFT"]["keypoints_1"], found["SIFT"]["keypoints_2"]) == (279, 306)
+    assert found["SURF"]["matches_ransac"] > 30
+    assert found["DSIFT"]["matches_ransac"] > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "nowhere is no folder, no pair A,B of files and none of tno_nato_camp"),
+        (["a.png,b.png"], "a.png can't be read as an image"),
+        (["tno_nato_camp"], "let UAV_VSLAM_DATA name the folder"),
+        (["--algorithms", "SOFT"], "algorithm 'SOFT' is not known; use some of ASIFT, SURF"),
+        (["--seeds", "0"], "there are no images"),
+    ],
+)
+def test_wrong_images_are_one_line_and_exit_code_2(
+    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("UAV_VSLAM_DATA", raising=False)
+    assert study(*arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws the study of features: what each extractor matches where, over the spacing of images, and over the ratio."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from uav_vslam.evaluation.study import Row
+from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save
+
+BLACK = "#000000"
+COLUMNS = 3
+
+
+def draw_features(tree: dict[str, Any], folder: Path) -> list[Path]:
+    """Draw what the study holds into its folder and return the paths."""
+    tables = {name: [row for row in tree["rows"] if row["table"].startswith(name)] for name in _PLOTS}
+    return [save(plot(tables[name]), folder / f"{name.lower()}.png") for name, plot in _PLOTS.items() if tables[name]]
+
+
+def places_plot(rows: list[Row]) -> Figure:
+    """Return bars of matches without (pale) and with RANSAC, and dots of time, by algorithm, a panel for each pair."""
+    panels = _grouped(rows, "images")
+    figure, axes = _panels(len(panels))
+    for at, (images, group) in zip(axes, panels.items(), strict=False):
+        positions = range(len(group))
+        colours = [_colours(rows)[row["method"]] for row in group]
+        at.bar(positions, [max(row["matches"], 0.5) for row in group], color=colours, alpha=0.35)
+        at.bar(positions, [max(row["matches_ransac"], 0.5) for row in group], color=colours)
+        at.set_xticks(positions, [row["method"] for row in group], rotation=45, ha="right", fontsize=8)
+        at.set_title(images, fontsize=8)
+        plain_log(at, "y")
+        at.set_ylim(bottom=0.5)
+        clean(at)
+    figure.supylabel("Matches, pale without and full with RANSAC")
+    return figure
+
+
+def spacing_plot(rows: list[Row]) -> Figure:
+    """Return curves of the matching rate with RANSAC over the spacing, a panel for each set and band."""
+    panels: dict[str, list[Row]] = {}
+    for row in rows:
+        panels.setdefault(_sequence(row), []).append(row)
+    figure, axes = _panels(len(panels))
+    for at, (sequence, group) in zip(axes, panels.items(), strict=False):
+        for method, curve in _grouped(group, "method").items():
+            spacings, rates = ([row[key] for row in curve] for key in ("spacing", "rate_1_ransac"))
+            colour = _colours(rows)[method]
+            at.plot(spacings, rates, color=colour, marker="o", markersize=3.5, linewidth=1.5, label=method)
+        at.set_title(f"{sequence} …", fontsize=8)
+        at.set_ylim(-0.02, 1.0)
+        at.set_xlabel("Images apart")
+        clean(at)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.supylabel("Matches with RANSAC / keypoints of the first image")
+    return figure
+
+
+def threshold_plot(rows: list[Row]) -> Figure:
+    """Return curves of matches without (dashed) and with RANSAC over the ratio, a panel for each algorithm."""
+    panels = _grouped(rows, "method")
+    figure, axes = _panels(len(panels))
+    for at, (method, group) in zip(axes, panels.items(), strict=False):
+        for (images, curve), colour in zip(_grouped(group, "images").items(), LINE_COLOURS * 2, strict=False):
+            ratios = [row["ratio"] for row in curve]
+            at.plot(ratios, [row["matches"] for row in curve], color=colour, linestyle="--", marker="o", markersize=3)
+            kept = [row["matches_ransac"] for row in curve]
+            at.plot(ratios, kept, color=colour, marker="o", markersize=3, label=images)
+        at.set_title(method, fontsize=9)
+        at.set_xlabel("Ratio of nearest to second-nearest distance")
+        plain_log(at, "y")
+        clean(at)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    figure.supylabel("Matches, dashed without and full with RANSAC")
+    return figure
+
+
+def _panels(count: int) -> tuple[Figure, list[Axes]]:
+    columns = min(COLUMNS, count)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(1.0 + 3.8 * columns, 1.2 + 2.9 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for at in axes[count:]:
+        at.set_axis_off()
+    return figure, axes
+
+
+def _grouped(rows: list[Row], key: str) -> dict[str, list[Row]]:
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row[key], []).append(row)
+    return groups
+
+
+def _sequence(row: Row) -> str:
+    """Return the set, band and first image of a pair."""
+    return str(row["images"]).split(" – ")[0]
+
+
+def _colours(rows: list[Row]) -> dict[str, str]:
+    methods = dict.fromkeys(row["method"] for row in rows)
+    return dict(zip(methods, (*LINE_COLOURS, BLACK), strict=False))
+
+
+_PLOTS = {"Places": places_plot, "Spacing": spacing_plot, "Thresholds": threshold_plot}

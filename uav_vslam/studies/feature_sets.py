@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Image sets for the study of features: what is compared with what, and where the truth is known."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.simulation.camera_render import RenderedFlight
+from uav_vslam.simulation.correspondence import ground_points, pixels_of
+from uav_vslam.simulation.rig import kagaru_rig
+from uav_vslam.simulation.scenario import SCENARIOS, Scenario, SimulatedVehicle, simulate_vehicle
+from uav_vslam.simulation.terrain import ground_of
+from uav_vslam.vision.images import shrink
+
+Pixels = NDArray[np.floating]
+Image = NDArray[np.generic]
+RENDERED_SPACINGS = (1, 2, 5, 10)
+RENDERED_BAND = "rendered"
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One image: its set, band, number in the set, and its name and pixels."""
+
+    group: str
+    band: str
+    number: int
+    name: str
+    image: Image
+
+
+Truth = Callable[[View, View, Pixels], Pixels]  # two images and (N, 2) pixels in the first -> where in the second
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSet:
+    """Images of one place.
+
+    Attributes:
+        name: of the set.
+        bands: images by number, the first being 0, by band.
+        spacings, usual, cross: as in `datasets.image_sets.Layout`.
+        truth: where every point lies in any other image, of any band; None where it isn't known.
+    """
+
+    name: str
+    bands: dict[str, dict[int, View]]
+    spacings: tuple[int, ...]
+    usual: int = 1
+    cross: int | None = None
+    truth: Truth | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two images to be matched, and where the points of the first lie in the second, if that is known."""
+
+    first: View
+    second: View
+    truth: Truth | None
+
+    @property
+    def label(self) -> str:
+        """The set, both bands and both images."""
+        band = self.first.band if self.first.band == self.second.band else f"{self.first.band} / {self.second.band}"
+        return f"{self.first.group} {band} {self.first.name} – {self.second.name}"
+
+    @property
+    def spacing(self) -> int:
+        """How many images apart they are."""
+        return self.second.number - self.first.number
+
+    def errors(self, first: Pixels, second: Pixels) -> Pixels | None:
+        """Return how far (N, 2) pixels of the second image are from where those of the first really lie [px]."""
+        if self.truth is None:
+            return None
+        true = self.truth(self.first, self.second, np.asarray(first, float))
+        return np.asarray(np.linalg.norm(np.asarray(second) - true, axis=1))
+
+
+def steady(shifts: Mapping[tuple[str, int], Pixels]) -> Truth:
+    """Return the truth of a camera that stands still, but for shifts.
+
+    Args:
+        shifts: by band and number, the (2,) way [px] from an image to where its set's images agree.
+    """
+
+    def truth(first: View, second: View, pixels: Pixels) -> Pixels:
+        return np.asarray(pixels + shifts[first.band, first.number] - shifts[second.band, second.number])
+
+    return truth
+
+
+def rendered_set(seed: int, width: int) -> ImageSet:
+    """Return images `width` px wide of the left camera of a simulated flight, 2.8 m of flight apart."""
+    scale = min(1.0, width / kagaru_rig().left.width)
+    scenario = replace(SCENARIOS["kagaru"], seed=seed, vehicles=1, frames=max(RENDERED_SPACINGS) + 1, scale=scale)
+    vehicle = simulate_vehicle(scenario, 0)
+    flight, name = RenderedFlight(vehicle), f"flight {seed}"
+    views = {k: View(name, RENDERED_BAND, k, str(k), flight.frame(k).left) for k in (0, *RENDERED_SPACINGS)}
+    return ImageSet(name, {RENDERED_BAND: views}, RENDERED_SPACINGS, truth=flown(vehicle, scenario))
+
+
+def flown(vehicle: SimulatedVehicle, scenario: Scenario) -> Truth:
+    """Return where the left camera's pixels go as it flies over the ground."""
+    relief, camera = ground_of(scenario).relief, vehicle.rig.left
+    poses = [vehicle.truth.pose(float(t)) @ vehicle.rig.T_body_left for t in vehicle.frame_times_s]
+
+    def truth(first: View, second: View, pixels: Pixels) -> Pixels:
+        points_world = ground_points(pixels, camera, poses[first.number], relief)
+        return pixels_of(points_world, camera, poses[second.number])
+
+    return truth
+
+
+def narrowed(image: Image, width: int) -> Image:
+    """Return an image that is at most so wide [px]."""
+    return shrink(image, width / image.shape[1]) if image.shape[1] > width else image
+
+
+def usual_pairs(images: ImageSet) -> Iterator[Pair]:
+    """Yield each band's first image with the one at the usual distance, or the nearest that there is."""
+    for views in images.bands.values():
+        number = images.usual if images.usual in views else max(views)
+        yield Pair(views[0], views[number], images.truth)
+
+
+def cross_pairs(images: ImageSet) -> Iterator[Pair]:
+    """Yield the first image of each band with an image of every other band."""
+    if images.cross is None:
+        return
+    for first in images.bands:
+        for second in images.bands:
+            if first != second:
+                yield Pair(images.bands[first][0], images.bands[second][images.cross], images.truth)
+
+
+def spaced_pairs(images: ImageSet) -> Iterator[Pair]:
+    """Yield each band's first image with those at all distances."""
+    for views in images.bands.values():
+        yield from (Pair(views[0], views[number], images.truth) for number in images.spacings if number in views)
