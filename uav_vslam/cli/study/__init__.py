@@ -8,6 +8,7 @@ import argparse
 from uav_vslam.cli.study import (
     association,
     euroc,
+    features,
     filters,
     flights,
     frames,
@@ -35,6 +36,7 @@ EXAMPLES = """examples:
   uav-vslam study revisit                  landmark level and rendered: back over the start after 2 km; an hour
   uav-vslam study rig                      rendered images, a right camera that vibrates or is turned; an hour
   uav-vslam study outliers                 landmark level: wrong matches, far ones and look-alikes; an hour
+  uav-vslam study features                 extractors on image pairs of several places and bands; an hour
   uav-vslam study euroc V1_01_easy/mav0    a recording with truth, by every filter from many starts; an hour
   uav-vslam study association              rendered images: every associator and matcher; a quarter of an hour
   uav-vslam study start                    landmark level: no start state, and wrong ones; minutes
@@ -45,6 +47,7 @@ STUDIES = {
     "fusion": fusion,
     "thesis": thesis,
     "frames": frames,
+    "features": features,
     "flights": flights,
     "radio": radio,
     "filters": filters,
