@@ -25,7 +25,7 @@ PICTURES = {
     "models": set(),
     "fusion": {"fleets.png", "three_in_a_row.png"},
     "thesis": {f"{px}_px{what}.png" for px in (6, 10) for what in ("", "_trajectory", "_errors", "_covariance")},
-    "filters": {"consistency.png", "noise_scales.png"},
+    "filters": {"consistency.png", "noise_scales_sift.png", "noise_scales_surf.png"},
     "long": {"long.png"},
     "outliers": {"outliers.png"},
     "association": {"association.png", "matching.png"},

@@ -18,7 +18,8 @@ def consistency(method, value, **other):
 
 
 def noise(method, scale, rer):
-    return {"method": method, "scale": scale, "rer": rer, "nees_position": rer and 10 * rer, "runs": 10, "failures": 0}
+    figures = {"rer": rer, "nees_position": rer and 10 * rer, "runs": 10, "failures": 0}
+    return {"extractor": "SIFT", "method": method, "scale": scale, **figures}
 
 
 def wrong(method, kind, share, ratio):
@@ -52,8 +53,8 @@ OUTLIERS += [wrong("robust", "lookalike", 0.1, 1.6)]
 @pytest.mark.parametrize(
     ("draw", "tree", "names"),
     [
-        (draw_filters, {"rows": CONSISTENCY + NOISE}, ["consistency.png", "noise_scales.png"]),
-        (draw_filters, {"rows": NOISE}, ["noise_scales.png"]),
+        (draw_filters, {"rows": CONSISTENCY + NOISE}, ["consistency.png", "noise_scales_sift.png"]),
+        (draw_filters, {"rows": NOISE}, ["noise_scales_sift.png"]),
         (draw_long, {"rows": [], "series": LONG}, ["long.png"]),
         (draw_long, {"rows": []}, []),
         (draw_outliers, {"rows": OUTLIERS}, ["outliers.png"]),

@@ -6,6 +6,7 @@ import pytest
 
 from uav_vslam.config import FILTERS, STATE_MODELS
 from uav_vslam.evaluation.study import TABLE
+from uav_vslam.simulation.landmarks import PER_FRAME
 from uav_vslam.studies.filters import (
     BATCH,
     BESIDE,
@@ -26,7 +27,7 @@ def settings(found):
 
 
 def lines_of(rows, method):
-    return {row["run"]: row for row in rows if row[TABLE] == RER and row["method"] == method}
+    return {row["run"]: row for row in rows if row[TABLE] == RER["SIFT"] and row["method"] == method}
 
 
 def test_every_filter_and_every_model_is_compared():
@@ -47,6 +48,22 @@ def test_the_noise_scales_are_the_thesiss():
         assert 1 / trial.scenario.frame_rate_hz == pytest.approx(step_s, rel=1e-3)
         assert trial.noise.sigma_px**2 == pytest.approx(10.0)
         assert all(settings(c).sigma_px == trial.noise.sigma_px for c in trial.candidates if c.name != INS)
+
+
+def test_surf_differs_from_sift_as_measured():
+    sift, surf = (noise_trials(extractor)[0] for extractor in ("SIFT", "SURF"))
+    assert sift.noise.wrong_share == 0.0
+    assert sift.per_frame == PER_FRAME
+    assert surf.noise.sigma_px / sift.noise.sigma_px == pytest.approx(0.250 / 0.089)
+    assert surf.noise.wrong_share == pytest.approx(0.278 - 0.011)
+    assert surf.per_frame / sift.per_frame == pytest.approx(187 / 571)
+    assert all(settings(c).sigma_px == surf.noise.sigma_px for c in surf.candidates if c.name != INS)
+
+
+def test_each_extractors_table_stands_under_its_own_heading(make_run):
+    runs = [make_run("ri15 eif", condition=scale) for scale in SCALES]
+    assert {row[TABLE] for row in noise_rows(runs, "SURF")} == {RER["SURF"], BESIDE["SURF"]}
+    assert not {RER["SURF"], BESIDE["SURF"]} & {row[TABLE] for row in noise_rows(runs)}
 
 
 def test_end_errors_stand_beside_that_of_the_batch_optimum(make_run):
@@ -70,7 +87,7 @@ def test_a_filter_that_never_came_to_an_end_keeps_its_place_in_the_table(make_ru
     assert {run: line["w1"] for run, line in lines_of(rows, "euler9 thesis_uhf").items()} == dict.fromkeys(
         ("R1", "R2", "R3", "Ave", "all")
     )
-    assert [(row["scale"], row["failures"]) for row in rows if row[TABLE] == BESIDE] == [(s, 1) for s in SCALES]
+    assert [(row["scale"], row["failures"]) for row in rows if row[TABLE] == BESIDE["SIFT"]] == [(s, 1) for s in SCALES]
 
 
 def test_a_filter_comes_near_the_batch_optimum_and_far_from_the_ins():

@@ -31,8 +31,9 @@ def draw_filters(tree: Tree, folder: Path) -> list[Path]:
     paths = []
     if consistency:
         paths.append(save(consistency_plot(consistency), folder / "consistency.png"))
-    if scales:
-        paths.append(save(noise_plot(scales), folder / "noise_scales.png"))
+    for extractor in dict.fromkeys(row["extractor"] for row in scales):
+        chosen = [row for row in scales if row["extractor"] == extractor]
+        paths.append(save(noise_plot(chosen), folder / f"noise_scales_{extractor.lower()}.png"))
     return paths
 
 

@@ -19,6 +19,7 @@ from uav_vslam.types import StereoFeatures
 Array = NDArray[np.float64]
 
 DESCRIPTOR_LENGTH = 128
+PER_FRAME = 44.0  # landmarks in view of both cameras on average
 LOOKALIKE_PX = (3.0, 15.0)  # how far beside a look-alike lies, in the image and in disparity together
 TWIN_M = (1.0, 6.0)  # how far apart two landmarks of one look lie: not to be taken for each other while well tracked
 LEAST_DISPARITY = 0.5  # share of the disparity that a look-alike keeps at least: it stays on this side of the horizon
@@ -59,7 +60,7 @@ class LandmarkNoise:
 
 
 def scatter_landmarks(
-    vehicles: list[SimulatedVehicle], *, per_frame: float = 44.0, twin_share: float = 0.0
+    vehicles: list[SimulatedVehicle], *, per_frame: float = PER_FRAME, twin_share: float = 0.0
 ) -> LandmarkField:
     """Strew landmarks over all ground that a fleet sees.
 

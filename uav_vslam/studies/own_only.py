@@ -19,7 +19,7 @@ from uav_vslam.config import ImuConfig, VehicleConfig, load_vehicle
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.ins.propagator import InsPropagator
-from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, observe, scatter_landmarks
+from uav_vslam.simulation.landmarks import PER_FRAME, LandmarkField, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.slam.backend import FrameReport, SlamBackend
 from uav_vslam.studies.flights import true_trajectory
@@ -91,12 +91,14 @@ class Trial:
         scenario: the flight; the seed is replaced.
         candidates: what to compare.
         noise: quality of the features.
+        per_frame: landmarks in view on average.
     """
 
     condition: str
     scenario: Scenario
     candidates: tuple[Candidate, ...]
     noise: LandmarkNoise = dataclasses.field(default_factory=LandmarkNoise)
+    per_frame: float = PER_FRAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +129,7 @@ def run_trials(
 def run_trial(job: tuple[Trial, int]) -> list[Run]:
     """Fly one seed of a trial: all vehicles of the scenario, each alone, by all candidates."""
     trial, seed = job
-    flights = prepare(dataclasses.replace(trial.scenario, seed=seed), trial.noise)
+    flights = prepare(dataclasses.replace(trial.scenario, seed=seed), trial.noise, per_frame=trial.per_frame)
     return [
         Run(
             candidate.name,
@@ -143,10 +145,10 @@ def run_trial(job: tuple[Trial, int]) -> list[Run]:
     ]
 
 
-def prepare(scenario: Scenario, noise: LandmarkNoise) -> list[Flight]:
+def prepare(scenario: Scenario, noise: LandmarkNoise, *, per_frame: float = PER_FRAME) -> list[Flight]:
     """Simulate a scenario and return the flight of each vehicle."""
     vehicles = simulate_fleet(scenario)
-    landmarks = scatter_landmarks(vehicles)
+    landmarks = scatter_landmarks(vehicles, per_frame=per_frame)
     return [_flight(vehicle, landmarks, noise) for vehicle in vehicles]
 
 
