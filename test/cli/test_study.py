@@ -18,6 +18,7 @@ SMALL = {
     "filters": ["--seeds", "1", "--vehicles", "1", "--frames", "5", "--runs", "1", "--steps", "4"],
     "long": ["--seeds", "1", "--frames", "12"],
     "outliers": ["--seeds", "1", "--vehicles", "1", "--frames", "5"],
+    "revisit": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
     "association": ["--seeds", "1", "--frames", "6", "--methods", "gated", "hgtm"],
 }
 PICTURES = {
@@ -28,6 +29,7 @@ PICTURES = {
     "filters": {"consistency.png", "noise_scales_sift.png", "noise_scales_surf.png"},
     "long": {"long.png"},
     "outliers": {"outliers.png"},
+    "revisit": {"revisit.png"},
     "association": {"association.png", "matching.png"},
 }
 

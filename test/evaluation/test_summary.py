@@ -12,7 +12,9 @@ def test_the_summary_has_exactly_the_agreed_keys(flight):
     summary = build_summary(flight, git="abc1234")
     assert {"name", "seed", "mode", "git", "duration_s", "realtime_factor", "vehicles", "pooled"} <= set(summary)
     vehicle = summary["vehicles"]["uav2"]
-    assert {"distance_m", "frames_in", "frames_processed", "ins", "s_slam", "c_slam", "link"} <= set(vehicle)
+    assert {"distance_m", "frames_in", "frames_processed", "closures", "ins", "s_slam", "c_slam", "link"} <= set(
+        vehicle
+    )
     assert set(vehicle["link"]) == {
         "sent_bytes_per_s", "packets_sent", "packets_received", "packets_used", "dropped"
     }  # fmt: skip

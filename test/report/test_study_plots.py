@@ -8,6 +8,7 @@ import pytest
 from uav_vslam.report.filter_plots import consistency_plot, draw_filters, noise_plot
 from uav_vslam.report.long_plot import draw_long, long_plot, running_median
 from uav_vslam.report.outlier_plot import draw_outliers, outlier_plot
+from uav_vslam.report.revisit_plot import draw_revisit, revisit_plot
 
 FAILED = {"end_rms_m": None, "ate_rms_m": None, "nees_position": None, "nees_position_end": None, "failures": 40}
 
@@ -48,6 +49,18 @@ LONG = [
 ]
 OUTLIERS = [wrong("robust", "clean", 0.0, 1.0), wrong("robust", "swapped", 0.1, 1.1)]
 OUTLIERS += [wrong("robust", "lookalike", 0.1, 1.6)]
+REVISIT = [
+    {
+        "level": level,
+        "method": name,
+        "distance_m": [0.0, 1000.0, 2000.0],
+        "error_m": [0.0, 2.0, e],
+        "seeds": seeds,
+        "ends_m": [e + seed for seed in seeds],
+    }
+    for level in ("landmark", "rendered")
+    for name, e, seeds in (("retained", 0.5, [1, 2]), ("nothing retained", 1.5, [2]))
+]
 
 
 @pytest.mark.parametrize(
@@ -59,6 +72,8 @@ OUTLIERS += [wrong("robust", "lookalike", 0.1, 1.6)]
         (draw_long, {"rows": []}, []),
         (draw_outliers, {"rows": OUTLIERS}, ["outliers.png"]),
         (draw_outliers, {"rows": []}, []),
+        (draw_revisit, {"rows": [], "series": REVISIT}, ["revisit.png"]),
+        (draw_revisit, {"rows": []}, []),
     ],
 )
 def test_what_there_is_becomes_readable_pictures(draw, tree, names, tmp_path):
@@ -106,3 +121,11 @@ def test_each_kind_of_wrong_match_starts_at_the_clean_flight():
     curves = {line.get_label(): line.get_xydata().tolist() for line in errors.lines}
     assert curves["robust, swapped"] == [[0.0, 1.0], [10.0, 1.1]]
     assert curves["robust, lookalike"] == [[0.0, 1.0], [10.0, 1.6]]
+
+
+def test_each_flights_end_stands_over_its_end_without_retention():
+    errors, ends, *of_rendered = revisit_plot(REVISIT).axes
+    np.testing.assert_array_equal(errors.lines[1].get_ydata(), [0.0, 2.0, 1.5])
+    assert ends.lines[0].get_xydata().tolist() == [[3.5, 2.5]]  # seed 1 has no other end to stand over
+    assert [line.get_ydata()[1] / line.get_xdata()[1] for line in ends.lines[1:]] == [1.0, 0.5]
+    assert len(of_rendered) == 2

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
+from uav_vslam.simulation.landmarks import TWIN_M, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet
 
 FLEET = simulate_fleet(SCENARIOS["kagaru"])
@@ -50,6 +50,29 @@ def test_the_ratio_test_matches_views_of_two_vehicles() -> None:
     matched = ids_b[np.argmin(distance, axis=1)] == ids_a
     assert np.all(matched[accepted])
     assert accepted.sum() == len(np.intersect1d(ids_a, ids_b)) > 10
+
+
+def test_twins_look_alike_and_lie_a_few_metres_apart() -> None:
+    field = scatter_landmarks(FLEET, twin_share=0.2)
+    _, first, counts = np.unique(field.descriptors, axis=0, return_index=True, return_counts=True)
+    assert counts.max() == 2
+    twins = first[counts == 2]
+    assert 2 * len(twins) == pytest.approx(0.2 * len(field.points_world), abs=2)
+    for row in twins[:20]:
+        pair = np.flatnonzero((field.descriptors == field.descriptors[row]).all(axis=1))
+        apart = np.linalg.norm(np.diff(field.points_world[pair, :2], axis=0))
+        assert TWIN_M[0] <= apart <= TWIN_M[1]
+
+
+def test_missed_landmarks_are_drawn_anew_for_each_frame() -> None:
+    full, some = (list(observe(FLEET[0], FIELD, noise=LandmarkNoise(missed_share=share))) for share in (0.0, 0.3))
+    assert all(set(ids) <= set(all_ids) for (_, all_ids), (_, ids) in zip(full, some, strict=True))
+    assert np.mean([len(f) for f, _ in some]) == pytest.approx(0.7 * np.mean([len(f) for f, _ in full]), rel=0.05)
+    missed = [set(all_ids) - set(ids) for (_, all_ids), (_, ids) in zip(full, some, strict=True)]
+    assert missed[0] & set(some[1][1])  # what one frame misses the next one may see
+    for frame in (0, 5):
+        features, ids = some[frame]
+        assert np.abs(features.pixels - expected_pixels(FLEET[0], frame, ids)).max() < 6.0
 
 
 def test_wrong_matches_are_marked_and_as_many_as_asked() -> None:

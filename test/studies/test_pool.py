@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 
+import numpy as np
 import pytest
 
-from uav_vslam.studies.pool import in_pool, mean, median, ratio, rms
+from uav_vslam.studies.pool import in_pool, mean, median, ratio, ratio_interval, rms
 
 
 def test_one_worker_is_this_process_and_keeps_the_order():
@@ -26,3 +27,11 @@ def test_pooled_figures():
 def test_nothing_pools_to_nothing():
     assert [pool([]) for pool in (rms, mean, median)] == [None, None, None]
     assert [ratio(None, 1.0), ratio(1.0, None), ratio(1.0, 0.0)] == [None, None, None]
+
+
+def test_the_interval_holds_the_ratio_and_three_seeds_are_the_least():
+    own = np.array([1.0, 4.0, 9.0, 2.0, 5.0])
+    interval = ratio_interval(own, 0.25 * own * [0.5, 1.5, 1.0, 2.0, 0.8])
+    assert interval["low"] < 0.5 < interval["high"]
+    assert ratio_interval(own, 0.25 * own) == pytest.approx({"low": 0.5, "high": 0.5})
+    assert ratio_interval(own[:2], own[:2]) == {}

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landmarks seen again after long: enough that agree close the loop, a look-alike does not."""
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.estimation.filter import Filter
+from uav_vslam.simulation.flight_path import PATTERNS, racetrack_pattern
+from uav_vslam.simulation.landmarks import LandmarkField, observe, scatter_landmarks
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
+from uav_vslam.slam.backend import FrameReport, SlamBackend
+from uav_vslam.slam.landmark_map import LandmarkMap
+from uav_vslam.slam.revisits import recognise
+from uav_vslam.studies.own_only import reckon
+from uav_vslam.types import ImuIncrement, StereoFeatures
+
+CONFIG = BackendConfig()
+HOME_M = 120.0  # all that it sees when it is back lies so near to the start, and nothing that it sees half way
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Iterator[SimulatedVehicle]:
+    """A vehicle that is back over its start after 0.67 km, and flies on for a little."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PATTERNS, "small", functools.partial(racetrack_pattern, leg_m=60.0))
+        yield simulate_vehicle(Scenario(seed=4, vehicles=1, frames=114, frame_rate_hz=3.0, pattern="small"), 0)
+
+
+@pytest.fixture(scope="module")
+def increments(vehicle: SimulatedVehicle) -> list[ImuIncrement | None]:
+    stamps = [int(stamp_ns) for stamp_ns in vehicle.frame_stamps_ns]
+    return reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)[0]
+
+
+def look(vehicle: SimulatedVehicle, field: LandmarkField) -> list[StereoFeatures]:
+    return [features for features, _ in observe(vehicle, field)]
+
+
+def fly(
+    vehicle: SimulatedVehicle, increments: list[ImuIncrement | None], frames: list[StereoFeatures], **options
+) -> list[FrameReport]:
+    config = VehicleConfig(imu=vehicle.scenario.imu_config, backend=BackendConfig(**options))
+    backend = SlamBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle="uav1")
+    return [backend.process(features, moved) for features, moved in zip(frames, increments, strict=True)]
+
+
+def end_error_m(vehicle: SimulatedVehicle, reports: list[FrameReport]) -> float:
+    pose = reports[-1].pose
+    return float(np.linalg.norm(pose.T_map_body.t - vehicle.true_state(pose.stamp_ns).T_map_body.t))
+
+
+def test_a_loop_closes_over_retained_landmarks(vehicle, increments) -> None:
+    frames = look(vehicle, scatter_landmarks([vehicle], twin_share=0.2))
+    kept = fly(vehicle, increments, frames)
+    without = fly(vehicle, increments, frames, retention="none")
+    late = len(frames) - 25
+    assert sum(report.closures for report in kept[late:]) >= CONFIG.min_revisited
+    assert sum(report.closures for report in without) == 0
+    assert end_error_m(vehicle, kept) < 0.5 * end_error_m(vehicle, without)
+
+
+def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> None:
+    field = scatter_landmarks([vehicle])
+    rng = np.random.default_rng(1)
+    home = np.linalg.norm(field.points_world[:, :2], axis=1) < HOME_M
+    angle, distance = rng.uniform(0.0, 2.0 * np.pi, home.sum()), rng.uniform(0.4, 1.4, home.sum())
+    moved = field.points_world.copy()
+    moved[home, :2] += distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    away = len(vehicle.frame_stamps_ns) // 2
+    before, after = (look(vehicle, dataclasses.replace(field, points_world=p)) for p in (field.points_world, moved))
+    frames = before[:away] + after[away:]
+    assert sum(report.closures for report in fly(vehicle, increments, frames)) == 0
+    assert (
+        sum(report.closures for report in fly(vehicle, increments, frames, min_revisited=1)) > 0
+    )  # if one did
+
+
+@dataclasses.dataclass(frozen=True)
+class Meeting:
+    """Landmarks as a vehicle of hardly known speed meets them again; names are true identities."""
+
+    belief: Filter
+    marks: LandmarkMap
+    names: np.ndarray
+    features: StereoFeatures
+    feature_names: np.ndarray
+
+    def recognise(self, rows: np.ndarray, features: StereoFeatures | None = None, **options) -> np.ndarray:
+        config = BackendConfig(**options)
+        return recognise(self.belief, self.marks, self.features if features is None else features, rows, config=config)
+
+    @property
+    def seen_again(self) -> np.ndarray:
+        return np.flatnonzero(np.isin(self.names, self.feature_names))
+
+
+@pytest.fixture(scope="module")
+def meeting(vehicle, increments) -> Meeting:
+    (first, names), (second, feature_names) = itertools.islice(observe(vehicle, scatter_landmarks([vehicle])), 2)
+    sigma = np.sqrt(np.diag(vehicle.initial.covariance))
+    start = dataclasses.replace(vehicle.initial, covariance=np.diag(np.r_[sigma[:3], 3.0, 3.0, 3.0, sigma[6:]] ** 2))
+    belief = Filter(start, rig=vehicle.rig, imu=vehicle.scenario.imu_config)
+    belief.add_landmarks(first.pixels.astype(float))
+    belief.predict(increments[1])
+    marks = LandmarkMap()
+    marks.append(first.descriptors, 0)
+    return Meeting(belief, marks, names, second, feature_names)
+
+
+def test_a_group_is_recognised_in_wide_gates(meeting: Meeting) -> None:
+    pairs = meeting.recognise(meeting.seen_again)
+    assert len(pairs) > 0.8 * len(meeting.seen_again)
+    np.testing.assert_array_equal(meeting.names[pairs[:, 0]], meeting.feature_names[pairs[:, 1]])
+
+
+def test_who_does_not_agree_with_the_group_is_left_out(meeting: Meeting) -> None:
+    pairs = meeting.recognise(meeting.seen_again)
+    row, feature = pairs[0]
+    pixels = meeting.features.pixels.copy()
+    pixels[feature] += 25.0  # within its own gate
+    elsewhere = dataclasses.replace(meeting.features, pixels=pixels)
+    assert meeting.recognise(np.array([row]), elsewhere, min_revisited=1).tolist() == [[row, feature]]
+    assert row not in meeting.recognise(meeting.seen_again, elsewhere)[:, 0]
+
+
+def test_fewer_than_must_agree_are_not_believed(meeting: Meeting) -> None:
+    two = meeting.recognise(meeting.seen_again)[:2]
+    assert meeting.recognise(two[:, 0], min_revisited=2).tolist() == two.tolist()
+    assert meeting.recognise(two[:, 0], min_revisited=3).shape == (0, 2)
+    assert meeting.recognise(two[:1, 0], min_revisited=2).shape == (0, 2)
+
+
+def test_without_landmarks_or_features_nothing_is_recognised(meeting: Meeting) -> None:
+    dark = StereoFeatures.empty(meeting.features.stamp_ns)
+    assert meeting.recognise(meeting.seen_again, dark).shape == (0, 2)
+    assert meeting.recognise(meeting.seen_again[:0], min_revisited=1).shape == (0, 2)
