@@ -8,12 +8,14 @@ import pytest
 
 from uav_vslam.association import ASSOCIATORS
 from uav_vslam.config import FrontendConfig, VehicleConfig
-from uav_vslam.simulation.scenario import SCENARIOS
+from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.studies.association import Found, Job, TruePoints, associate_all, fly, judge, map_rows
 from uav_vslam.studies.association_stages import Score
+from uav_vslam.studies.flights import true_trajectory
 from uav_vslam.studies.image_matching import image_rows, judge_images, kept_frames
 from uav_vslam.studies.own_only import INS
-from uav_vslam.studies.searched_flights import SearchedFlight, rendered_flight, shown_at
+from uav_vslam.studies.searched_flights import SearchedFlight, recorded_flight, rendered_flight, shown_at
+from uav_vslam.studies.starts import RecordedFlight
 from uav_vslam.vision.matching import MATCHERS
 
 FRAMES = 7
@@ -71,6 +73,26 @@ def test_a_landmark_shows_for_ever_what_it_began_as(flight: SearchedFlight) -> N
     nowhere = flight.points[0][:1] + np.array([2.0, 0.0, 0.0])
     truth.note(1, np.array([11], np.uint32), nowhere, flight.T_world_left[1] @ flight.rig.T_body_left.inverse())
     assert np.isnan(truth.of(np.array([11, 12], np.uint32))).all()
+
+
+def test_a_recording_is_judged_by_its_true_poses_and_its_stereo_points(flight: SearchedFlight) -> None:
+    """The same flight as a recording, whose first frame is older than its start."""
+    vehicle = simulate_vehicle(dataclasses.replace(SCENARIOS["sample"], frames=FRAMES, vehicles=1), 0)
+    features = [seen for seen, _ in flight.steps]
+    early = dataclasses.replace(features[0], stamp_ns=features[0].stamp_ns - 50_000_000)
+    events = sorted([*vehicle.imu.samples(), early, *features], key=lambda event: event.stamp_ns)
+    recording = RecordedFlight(
+        "uav1", flight.rig, vehicle.initial, tuple(events), true_trajectory(vehicle), np.zeros((FRAMES, 3))
+    )
+    found = recorded_flight("recorded", recording, dataclasses.replace(CONFIG, imu=vehicle.scenario.imu_config))
+    assert len(found.steps) == len(found.truth) == FRAMES
+    for T, other in zip(found.T_world_left, flight.T_world_left, strict=True):
+        np.testing.assert_allclose(T.t, other.t, atol=1e-6)
+    shown = shown_at(found.T_world_left[0], found.rig.left, found.points[0])
+    np.testing.assert_allclose(shown, features[0].pixels[:, :2], atol=1.0)  # four pixels that three numbers explain
+    np.testing.assert_allclose(found.ins.positions, flight.ins.positions, atol=1e-6)
+    score = fly(found, "gated").score
+    assert score.right > 0.9 * score.left > 0
 
 
 @pytest.mark.parametrize("name", ["gated", "nn", "hgtm"])
