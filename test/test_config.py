@@ -194,6 +194,13 @@ def test_a_value_out_of_range_is_refused_with_what_is_allowed(cls: type, key: st
         cls(**{key: value})
 
 
+def test_compact_packets_want_descriptors_like_sifts() -> None:
+    narrowband = FusionConfig(mode="narrowband")
+    assert VehicleConfig(fusion=narrowband, frontend=FrontendConfig(extractor="asift")).fusion == narrowband
+    with pytest.raises(ConfigError, match="'surf' is not allowed; use one of sift, asift, dsift in narrowband mode"):
+        VehicleConfig(fusion=narrowband, frontend=FrontendConfig(extractor="surf"))
+
+
 def test_every_name_that_can_be_chosen_exists() -> None:
     assert set(STATE_MODELS) == set(MODELS)
     assert set(RETENTION_POLICIES) == set(RETENTION)

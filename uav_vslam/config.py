@@ -75,7 +75,7 @@ class FrontendConfig:
     """Stereo features."""
 
     method: str = "sift"  # klt: points found now and then are followed; sift: each pair is searched and matched anew
-    extractor: str = "sift"  # name in vision.features.EXTRACTORS
+    extractor: str = "sift"  # name in vision.features.EXTRACTORS; dsift and phow_* lie on a grid, too coarse for a map
     search_every: int = 3  # klt: frames from one search for new points to the next
     scale: float = 0.5  # images are shrunk by this factor before detection (INTER_AREA)
     max_features: int = 1000  # keypoints kept per image, strongest first
@@ -263,6 +263,9 @@ class StartConfig:
             _require(getattr(self, key) > 0, self, key, "a positive standard deviation")
 
 
+SIFT_EXTRACTORS = ("sift", "asift", "dsift")  # with descriptors of 128 bytes that look like SIFT's
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleConfig:
     """Everything that one vehicle's nodes, or its offline twin, need besides calibration and start state."""
@@ -273,6 +276,11 @@ class VehicleConfig:
     frontend: FrontendConfig = field(default_factory=FrontendConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     fusion: FusionConfig = field(default_factory=FusionConfig)
+
+    def __post_init__(self) -> None:
+        fits = self.fusion.mode != "narrowband" or self.frontend.extractor in SIFT_EXTRACTORS
+        allowed = f"one of {', '.join(SIFT_EXTRACTORS)} in narrowband mode, whose descriptors are made of SIFT's"
+        _require(fits, self.frontend, "extractor", allowed)
 
 
 @dataclass(frozen=True, slots=True)
