@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -120,7 +119,6 @@ def revisit_loops(jobs: Sequence[Job], *, workers: int, on_frame: Callable[[], N
 
 def fly_loop(job: Job, on_frame: Callable[[], None] = lambda: None) -> list[Loop]:
     """Fly one scenario: look at each frame once, then give what it shows to the back end of each method."""
-    cv2.setNumThreads(1)
     flight, ground = _look(job, on_frame)
     loops = []
     for name, config in job.configs.items():
