@@ -164,6 +164,14 @@ def test_surf_tells_dark_from_bright_blobs_by_a_descriptors_length():
     assert sorted(signs) == [0, 255]
 
 
+def test_surf_is_indifferent_to_brightness(texture_image):
+    """mahotas as it is sees the brightness at about half of the scales."""
+    image = texture_image(240, 321) // 2
+    dark, bright = (EXTRACTORS["surf"](CONFIG).detect(image + np.uint8(offset)) for offset in (0, 100))
+    np.testing.assert_array_equal(bright.pixels, dark.pixels)
+    assert np.abs(bright.descriptors.astype(int) - dark.descriptors).max() <= 1
+
+
 def test_orb_distances_count_the_bits_that_differ(texture_image):
     image = texture_image(240, 320)
     found = EXTRACTORS["orb"](FrontendConfig(max_features=500)).detect(image)

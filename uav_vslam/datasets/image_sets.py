@@ -73,8 +73,13 @@ def read_image(path: Path) -> Image:
 
 def shift_between(first: Image, second: Image) -> NDArray[np.float64]:
     """Return the (2,) way [px] that one image of a still camera must be moved to lie on another: phase correlation."""
-    grey = [image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (first, second)]
-    size = grey[0].shape[1], grey[0].shape[0]
-    about_zero = [g.astype(np.float32) - np.float32(np.mean(g)) for g in grey]  # or the window itself correlates
-    shift, _ = cv2.phaseCorrelate(*about_zero, cv2.createHanningWindow(size, cv2.CV_32F))
+    size = first.shape[1], first.shape[0]
+    shift, _ = cv2.phaseCorrelate(_about_zero(first), _about_zero(second), cv2.createHanningWindow(size, cv2.CV_32F))
     return np.array(shift)
+
+
+def _about_zero(image: Image) -> NDArray[np.float32]:
+    """Return an image in grey without its mean, by which a window would correlate with itself."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    plain = np.asarray(grey, np.float32)
+    return plain - np.float32(plain.mean())

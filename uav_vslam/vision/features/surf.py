@@ -40,23 +40,17 @@ class SurfExtractor:
             from mahotas.features import surf
         except ImportError:
             raise ConfigError(f"extractor 'surf' needs the package mahotas; install it: {INSTALL}") from None
-        self._surf = surf.surf
+        self._surf = surf
         self._max_features = config.max_features
 
     def detect(self, image: NDArray[np.generic]) -> Keypoints:
         """Return at most `max_features` keypoints of an image."""
         grey = to_grey8(image)
         padded = cv2.copyMakeBorder(grey, *[PADDING_PX] * 4, cv2.BORDER_REPLICATE)
-        # All points above the threshold are asked for: some of the strongest may lie in the padding.
-        found = self._surf(
-            padded,
-            nr_octaves=1,
-            nr_scales=FILTERS,
-            initial_step_size=STEP_PX,
-            threshold=THRESHOLD,
-            max_points=grey.size,
-        )
-        pixels = _unmirrored(found[:, 1::-1]) - PADDING_PX
+        integral = self._surf.integral(padded)
+        points = self._surf.interest_points(integral, 1, FILTERS, STEP_PX, threshold=THRESHOLD, is_integral=True)
+        found = self._surf.descriptors(integral, _corrected(points), is_integral=True)
+        pixels = found[:, 1::-1] - PADDING_PX
         inside = ((pixels >= -0.5) & (pixels < np.array(grey.shape[::-1]) - 0.5)).all(axis=1)
         if not inside.any():
             return no_keypoints(DESCRIPTOR_LENGTH)
@@ -67,9 +61,18 @@ class SurfExtractor:
         return strongest_first(keypoints, self._max_features)
 
 
-def _unmirrored(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Undo a slip of mahotas 1.4: its subpixel step goes from the strongest place in the opposite direction."""
-    return np.asarray(2.0 * STEP_PX * np.rint(pixels / STEP_PX) - pixels)
+def _corrected(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 5) points (y, x, scale, ...) for which mahotas 1.4 gives right descriptors at the right places.
+
+    Its subpixel step goes from the strongest place in the opposite direction. And its wavelets have a half too wide, so
+    that they see the brightness itself, where twice the scale rounds to an odd number: such scales go to the nearest
+    that rounds to an even one, by a tenth at most.
+    """
+    corrected = points.copy()
+    corrected[:, :2] = 2.0 * STEP_PX * np.rint(points[:, :2] / STEP_PX) - points[:, :2]
+    even = np.rint(points[:, 2])
+    corrected[:, 2] = np.clip(points[:, 2], even - 0.25, even + 0.249)
+    return corrected
 
 
 def _descriptors(values: NDArray[np.float64], laplacian: NDArray[np.float64]) -> NDArray[np.uint8]:
