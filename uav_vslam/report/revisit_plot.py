@@ -30,6 +30,7 @@ def revisit_plot(curves: list[Curve]) -> Figure:
         _draw_errors(errors, of_level)
         _draw_ends(ends, of_level)
         errors.set_title(f"{level}, rms of {len(of_level[0]['seeds'])} flights", fontsize=10)
+        ends.set_title(f"each flight; solid: equal, dashed: {ALLOWED_RATIO:g} of it", fontsize=10)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     return figure
