@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ORB (Rublee et al. 2011), by OpenCV: oriented FAST corners with 256 comparisons; no part of [thesis].
+"""ORB [rublee11], by OpenCV: oriented FAST corners with 256 comparisons; no part of [thesis].
 
 Parameters are OpenCV's, which are the authors': eight levels 1.2 apart, patches of 31 px, FAST threshold 20.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dense colour SIFT of several sizes: section 3.4.3.3 of [thesis], as VLFeat's `vl_phow` (Bosch et al. 2007).
+"""Dense colour SIFT of several sizes: section 3.4.3.3 of [thesis], as VLFeat's `vl_phow` [bosch07, vedaldi10].
 
 As there: bins of 4, 6, 8 and 10 px around the same places, smoothed to bin / 6, one descriptor of 128 numbers for each
 of three colour channels, side by side; an image without colour counts as one whose channels are equal; the contrast is

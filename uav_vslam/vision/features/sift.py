@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIFT (Lowe 2004), section 3.4.1 of [thesis], by OpenCV.
+"""SIFT [lowe04], section 3.4.1 of [thesis], by OpenCV.
 
 Parameters are Lowe's (three layers an octave, sigma 1.6, edges up to a ratio of curvatures of 10) but for the contrast
 threshold: his 0.03 is 0.04 in OpenCV's scale, and `frontend.contrast_threshold` lies lower because grass has little.

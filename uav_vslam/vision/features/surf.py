@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SURF (Bay et al. 2008), section 3.4.4 of [thesis], by mahotas, an optional extra: OpenCV's wheels leave it out.
+"""SURF [bay08], section 3.4.4 of [thesis], by mahotas, an optional extra: OpenCV's wheels leave it out.
 
 The threshold is OpenSURF's 0.0004 for images of 0 to 1. What differs from the paper:
 - One octave of eight box filters, 9 to 51 px wide in steps of 6, at every other pixel, spans the paper's first two
