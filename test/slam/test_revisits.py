@@ -76,9 +76,7 @@ def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> N
     before, after = (look(vehicle, dataclasses.replace(field, points_world=p)) for p in (field.points_world, moved))
     frames = before[:away] + after[away:]
     assert sum(report.closures for report in fly(vehicle, increments, frames)) == 0
-    assert (
-        sum(report.closures for report in fly(vehicle, increments, frames, min_revisited=1)) > 0
-    )  # if one did
+    assert sum(report.closures for report in fly(vehicle, increments, frames, min_revisited=1)) > 0  # if one did
 
 
 @dataclasses.dataclass(frozen=True)
