@@ -2,6 +2,7 @@
 """The contract of every extractor, and where each one's points lie."""
 
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from uav_vslam.errors import ConfigError, InvalidMessage
 from uav_vslam.types import StereoFrame
 from uav_vslam.vision.features import EXTRACTORS, make_extractor
 from uav_vslam.vision.features.dense import grid
+from uav_vslam.vision.features.surf import INSTALL
 from uav_vslam.vision.stereo_points import StereoFrontend
 
 CONFIG = FrontendConfig(max_features=200)
@@ -23,7 +25,7 @@ POSITION_TOLERANCE_PX = {  # of a blob's centre
     "surf": 0.1,  # mahotas as it is would be off by as much as a pixel
     "orb": 1.5,  # a corner detector, without subpixel steps
 }
-SMALL = 100, 120  # (height, width) [px]
+SMALL = 80, 96  # (height, width) [px]
 SHIFT_TOLERANCE_PX = {"asift": 0.15}  # OpenCV tilts a view by leaving pixels out; the others: 0.02
 
 
@@ -211,6 +213,13 @@ def test_surf_without_its_package_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "mahotas.features", None)
     with pytest.raises(ConfigError, match=r"needs the package mahotas; install it: pip install mahotas==\d"):
         make_extractor(FrontendConfig(extractor="surf"))
+
+
+def test_the_package_that_surf_wants_is_the_one_that_is_tested():
+    root = Path(__file__).parents[2]
+    wanted = INSTALL.split()[-1]
+    assert f"\n{wanted} " in (root / "requirements/lock.txt").read_text()
+    assert f'"{wanted}"' in (root / "setup.py").read_text()
 
 
 def test_the_front_end_runs_with_each(name, flight_scene):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIFT descriptors on a regular grid, upright and of one size: section 3.4.3.2 of [thesis], as VLFeat's `vl_dsift` [vedaldi10].
+"""SIFT descriptors on a grid, upright and of one size: section 3.4.3.2 of [thesis], as VLFeat's `vl_dsift` [vedaldi10].
 
 As there, a spatial bin is `bin_px` wide and the image is smoothed to a scale of `bin_px / magnification`, of which the
 camera has done 0.5 px. What differs from VLFeat:
