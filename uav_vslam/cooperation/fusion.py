@@ -27,6 +27,8 @@ from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEsti
 
 Pairs = NDArray[np.intp]
 
+FEEDBACK = PacketPolicy(form=ANCHOR, max_landmarks=20)  # a few say it all, and bounding many by one error takes long
+
 
 class Fusion:
     """The fusion node's core.
@@ -47,6 +49,7 @@ class Fusion:
         self._frames: dict[str, PeerFrame] = {}
         self._used: dict[str, LandmarkPacket] = {}
         self._shared: set[int] = set()
+        self._offered: set[int] = set()  # landmarks of the last packet: an answer to it may still come
         self._sequence = 0
         self._told: dict[str, tuple[NDArray[np.intp], NDArray[np.uint32]]] = {}  # own rows, a peer's ids
         self.belief: JointInformation | None = None
@@ -74,6 +77,7 @@ class Fusion:
             prior_id=self._config.prior_id,
             byte_limit=byte_limit,
         )
+        self._offered = set(packet.ids.tolist())
         return self._authentication.sign(packet)
 
     def feedback(self, peer: str) -> LandmarkPacket | None:
@@ -96,14 +100,14 @@ class Fusion:
             information=inverse_spd(submatrix(self.epoch.covariance, columns), "fused landmarks"),
             descriptors=np.zeros((len(ids), 0), np.uint8),
         )
-        packet = make_packet(fused, sequence=self._sequence, policy=PacketPolicy(form=ANCHOR, max_landmarks=len(ids)))
+        packet = make_packet(fused, sequence=self._sequence, policy=FEEDBACK)
         others = sorted(self.epoch.sources - {packet.source})
         packet = dataclasses.replace(packet, sources=(packet.source, *others))
         return self._authentication.sign(dataclasses.replace(packet, checksum=checksum(packet)))
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
         """Start from the own belief and bring in each peer's newest packet, and feedback, that is old enough."""
-        self.belief = self._memory.extended(joint, self._shared)
+        self.belief = self._memory.extended(joint, self._shared, self._offered)
         config = self._config
         overlay = Overlay(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
         self._told.clear()

@@ -27,6 +27,7 @@ from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.uint32]
+Rows = NDArray[np.intp]
 
 OWN_SIGMA_M = 0.01  # added to C: numbers never know a remembered landmark better
 
@@ -60,31 +61,35 @@ class LandmarkMemory:
         self._own: Ids = np.zeros(0, np.uint32)  # of its landmarks, those in the filter's state
         self._known: _Conditional | None = None
 
-    def extended(self, joint: JointInformation, shared: Collection[int]) -> JointInformation:
+    def extended(
+        self, joint: JointInformation, shared: Collection[int], offered: Collection[int] = ()
+    ) -> JointInformation:
         """Return a belief with the remembered landmarks behind its own.
 
         Args:
             joint: the own belief, later than the last one.
             shared: landmarks that peers were found to share, and that are remembered once they leave.
+            offered: landmarks that peers were told of, and may yet answer to: remembered where there is room.
         """
         if self._last is not None and joint.session != self._last.session:
             self._last = self._known = None
         if self._last is not None:
-            self._remember(self._last, joint, shared)
+            self._remember(self._last, joint, shared, offered)
         extended = joint if self._known is None else _joined(joint, self._known)
         self._last, self._own = extended, joint.ids
         return extended
 
-    def _remember(self, last: JointInformation, joint: JointInformation, shared: Collection[int]) -> None:
+    def _remember(
+        self, last: JointInformation, joint: JointInformation, shared: Collection[int], offered: Collection[int]
+    ) -> None:
         """Express what has left, and what was remembered before, by the landmarks that stay."""
-        stay = np.isin(last.ids, joint.ids)
-        left = np.isin(last.ids, self._own) & ~stay & np.isin(last.ids, np.fromiter(shared, np.uint32, len(shared)))
-        old = ~np.isin(last.ids, self._own)
+        stay, old = np.isin(last.ids, joint.ids), ~np.isin(last.ids, self._own)
+        of_use = np.isin(last.ids, np.fromiter({*shared, *offered}, np.uint32))
+        left = ~old & ~stay & of_use
         given_left = self._known is not None and not np.isin(self._known.given, joint.ids).all()
         if not left.any() and not given_left:
             return
-        wanted = np.flatnonzero(old | left)
-        wanted = wanted[spread_on_ground(last.positions[wanted], self._capacity)]
+        wanted = self._spread(last, np.flatnonzero((old & of_use) | left), shared)
         if not stay.any() or len(wanted) == 0:  # the filter began anew: nothing ties the past to it
             self._known = None
             return
@@ -93,8 +98,16 @@ class LandmarkMemory:
         except FilterDivergence:
             self._known = None
 
+    def _spread(self, joint: JointInformation, rows: Rows, shared: Collection[int]) -> Rows:
+        """Return as many rows as there is room for, the shared ones first, spread over the ground."""
+        first = np.isin(joint.ids[rows], np.fromiter(shared, np.uint32, len(shared)))
+        chosen = rows[first][spread_on_ground(joint.positions[rows[first]], self._capacity)]
+        others = rows[~first]
+        others = others[spread_on_ground(joint.positions[others], self._capacity - len(chosen))]
+        return np.concatenate([chosen, others])
 
-def _conditional(joint: JointInformation, given: NDArray[np.intp], wanted: NDArray[np.intp]) -> _Conditional:
+
+def _conditional(joint: JointInformation, given: Rows, wanted: Rows) -> _Conditional:
     P = inverse_spd(joint.information, "joint information")
     x, g = landmark_rows(POSE_DIM, given), landmark_rows(POSE_DIM, wanted)
     P_xg = P[np.ix_(x, g)]

@@ -8,7 +8,7 @@ from uav_vslam.config import MODE_BUDGETS, FusionConfig
 from uav_vslam.cooperation.budget import ByteBudget
 from uav_vslam.types import NS_PER_S
 
-UNHEARD_EPOCHS = 3  # narrowband: while no peer is heard, one epoch in so many has a packet
+UNHEARD_EPOCHS = 3  # narrowband: while no peer is heard, one epoch in so many has a packet; after so many that all have
 SAVED_EPOCHS = 2.0  # epochs are a frame longer or shorter than their mean: what a long one earned, a short one needs
 
 
@@ -48,13 +48,13 @@ class Outbox:
     def is_turn(self, stamp_ns: int) -> bool:
         """Tell, once an epoch, whether it has a packet.
 
-        A narrowband radio that is full of packets has no room left for discovery, which then takes minutes. So while
-        no peer is heard, most epochs are left to it.
+        A narrowband radio that is full of packets has no room left for discovery, which then takes minutes. So once
+        no peer has been heard for some epochs, most are left to it.
         """
         self._now_ns = stamp_ns
         if self._mode == "narrowband" and stamp_ns - self._heard_ns > self._silent_after_s * NS_PER_S:
             self._unheard_epochs += 1
-            return self._unheard_epochs % UNHEARD_EPOCHS == 1
+            return self._unheard_epochs <= UNHEARD_EPOCHS or self._unheard_epochs % UNHEARD_EPOCHS == 1
         self._unheard_epochs = 0
         return self._mode != "none"
 
