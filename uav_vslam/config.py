@@ -77,18 +77,22 @@ class FrontendConfig:
     method: str = "sift"  # klt: points found now and then are followed; sift: each pair is searched and matched anew
     extractor: str = "sift"  # name in vision.features.EXTRACTORS; dsift and phow_* lie on a grid, too coarse for a map
     search_every: int = 3  # klt: frames from one search for new points to the next
-    scale: float = 0.5  # images are shrunk by this factor before detection (INTER_AREA)
+    search_scale: float = 0.25  # klt: images are shrunk by this factor for the search (INTER_AREA)
+    max_tracks: int = 300  # klt: points that are followed
+    scale: float = 0.5  # sift: images are shrunk by this factor before detection (INTER_AREA)
     max_features: int = 1000  # keypoints kept per image, strongest first
     contrast_threshold: float = 0.01  # SIFT contrast threshold (OpenCV's own default 0.04 starves on grass)
     ratio: float = 0.8  # nearest / second-nearest descriptor distance
     epipolar_px: float = 2.0  # largest distance to the epipolar line, full-resolution pixels; wider if rig.flexing
     min_depth_m: float = 0.3  # nearer points are rejected
     max_depth_m: float = 500.0  # farther points are rejected
-    max_matches: int = 400  # stereo points handed on, spread over the image
+    max_matches: int = 400  # sift: stereo points handed on, spread over the image
 
     def __post_init__(self) -> None:
         _require(self.method in FRONTEND_METHODS, self, "method", f"one of {', '.join(FRONTEND_METHODS)}")
         _require(self.search_every > 0, self, "search_every", "a positive count")
+        _require(0.1 <= self.search_scale <= 1.0, self, "search_scale", "0.1 to 1")
+        _require(self.max_tracks > 0, self, "max_tracks", "a positive count")
         _require(0.1 <= self.scale <= 1.0, self, "scale", "0.1 to 1")
         _require(self.max_features > 0, self, "max_features", "a positive count")
         _require(self.contrast_threshold >= 0, self, "contrast_threshold", "zero or more")

@@ -56,6 +56,7 @@ def measure(effort: Any) -> Iterator[dict[str, Any]]:
 
     vehicle, frames = speed.rendered_frames(effort.pairs)
     yield speed.stereo_front_end(vehicle, frames, _sift())
+    yield speed.live_front_end(vehicle, frames, _sift())
     yield from matching_speed.graph_matching(2000, min(effort.repeats, 10))
     for landmarks in (50, 100, 200, 400):
         yield back_end_speed.back_end(landmarks, effort.frames)

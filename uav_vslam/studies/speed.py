@@ -33,7 +33,12 @@ from uav_vslam.types import (
     LandmarkPacket,
     StereoFrame,
 )
+from uav_vslam.vision.features import make_extractor
+from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
 from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam.vision.tracking.flow import follow, shift_between, without_local_mean
+from uav_vslam.vision.tracking.frontend import TrackingFrontend
+from uav_vslam.vision.tracking.prediction import in_right_image
 
 Array = NDArray[np.float64]
 Work = Callable[[], object]
@@ -94,7 +99,7 @@ def stereo_front_end(
     vehicle: SimulatedVehicle, frames: Sequence[StereoFrame], sift: Callable[[NDArray[Any]], object]
 ) -> Row:
     """Time the front end at its default half resolution; `sift` is plain SIFT on a whole image."""
-    config = FrontendConfig()
+    config = FrontendConfig(method="sift")
     frontend = StereoFrontend(vehicle.rig, config)
     frontend.process(frames[0])
     ms, ratio = take_turns(
@@ -104,6 +109,43 @@ def stereo_front_end(
     size = f"{vehicle.rig.left.width}x{vehicle.rig.left.height}"
     condition = f"{size}, scale {config.scale:g}"
     return _row("stereo front end", condition, "OpenCV SIFT, scale 1", ratio, ms_per_frame=ms)
+
+
+def live_front_end(
+    vehicle: SimulatedVehicle, frames: Sequence[StereoFrame], sift: Callable[[NDArray[Any]], object]
+) -> Row:
+    """Time the front end that follows points, over consecutive pairs and on average; and its parts, each by itself.
+
+    The yardstick is plain SIFT on both whole images.
+    """
+    config = FrontendConfig(method="klt")
+    frontend = TrackingFrontend(vehicle.rig, config)
+    times = [_ms(lambda frame=frame: frontend.process(frame)) for frame in frames]  # type: ignore[misc]
+    yardstick_ms = float(np.median([_ms(lambda: (sift(frames[0].left), sift(frames[0].right))) for _ in range(2)]))
+    ms = float(np.mean(times[1:]))
+    size = f"{vehicle.rig.left.width}x{vehicle.rig.left.height}"
+    parts = ", ".join(f"{name} {part:.1f}" for name, part in _live_parts(vehicle, frames, config).items())
+    condition = f"{size}, {config.max_tracks} points; ms: {parts}"
+    return _row("live front end", condition, "OpenCV SIFT, scale 1", ms / yardstick_ms, ms_per_frame=ms)
+
+
+def _live_parts(vehicle: SimulatedVehicle, frames: Sequence[StereoFrame], config: FrontendConfig) -> dict[str, float]:
+    """Return the milliseconds a frame of each part of the live front end."""
+    first, second = frames[0], frames[1]
+    extractor = make_extractor(config)
+    small = shrink(first.left, config.search_scale)
+    found = extractor.detect(small)
+    pixels = to_full_resolution(found.pixels, small.shape, first.left.shape)[: config.max_tracks]
+    left, right, later = (without_local_mean(to_grey8(i)) for i in (first.left, first.right, second.left))
+    moved = pixels + shift_between(left, later)
+    across = in_right_image(vehicle.rig, pixels, np.full(len(pixels), vehicle.scenario.altitude))
+    works: dict[str, tuple[Work, float]] = {
+        "local mean": (lambda: [without_local_mean(to_grey8(i)) for i in (first.left, first.right)], 1.0),
+        "in time": (lambda: follow(left, later, pixels, moved), 1.0),
+        "across": (lambda: follow(left, right, pixels, across), 1.0),
+        "search": (lambda: extractor.detect(shrink(first.left, config.search_scale)), 1.0 / config.search_every),
+    }
+    return {name: share * min(_ms(work) for _ in range(3)) for name, (work, share) in works.items()}
 
 
 def preintegration(repeats: int) -> Row:

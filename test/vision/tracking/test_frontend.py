@@ -17,7 +17,7 @@ from uav_vslam.vision.frontends import FRONTENDS, make_frontend
 from uav_vslam.vision.tracking.frontend import TrackingFrontend
 
 FRAMES = 8
-CONFIG = FrontendConfig(method="klt", scale=1.0, max_matches=120)
+CONFIG = FrontendConfig(method="klt", search_scale=1.0, max_tracks=120, scale=1.0, max_matches=120)
 FLIGHT = Scenario(frames=FRAMES, scale=0.25, noise_sigma=1.0)
 LARGEST_SIGMA_PX = 0.15
 LARGEST_WRONG_SHARE = 0.01
@@ -65,7 +65,7 @@ def right_errors(vehicle: SimulatedVehicle, k: int, features: StereoFeatures) ->
 def test_points_are_precise_and_hardly_one_is_wrong(flight: Flown) -> None:
     vehicle, frames = flight
     errors = np.vstack([right_errors(vehicle, k, found) for k, found in enumerate(process(vehicle.rig, frames))])
-    assert len(errors) > 0.5 * CONFIG.max_matches * FRAMES
+    assert len(errors) > 0.5 * CONFIG.max_tracks * FRAMES
     assert (errors.std(axis=0) < LARGEST_SIGMA_PX).all()
     assert np.mean(np.linalg.norm(errors, axis=1) > 1.0) <= LARGEST_WRONG_SHARE
 
@@ -93,7 +93,7 @@ def test_every_point_has_a_track_and_no_number_is_used_again(flight: Flown) -> N
     before: set[int] = set()
     for features in process(vehicle.rig, frames):
         tracks = set(features.tracks.tolist())
-        assert len(tracks) == len(features) <= CONFIG.max_matches
+        assert len(tracks) == len(features) <= CONFIG.max_tracks
         assert 0 not in tracks
         gone |= before - tracks
         assert not gone & tracks

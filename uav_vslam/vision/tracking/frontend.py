@@ -105,7 +105,7 @@ class TrackingFrontend:
         """Begin to follow points where there is room."""
         if found is None:
             return
-        room = self._config.max_matches - len(self._tracks)
+        room = self._config.max_tracks - len(self._tracks)
         rows = choose_new(found, self._tracks.pixels, room, shape)
         self._tracks = self._tracks.and_new(found.pixels[rows].astype(float), found.descriptors[rows], self._next_id)
         self._next_id += len(rows)

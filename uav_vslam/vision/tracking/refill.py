@@ -31,7 +31,7 @@ class Refill:
         Raises:
             ConfigError: it is not known.
         """
-        self._scale = config.scale
+        self._scale = config.search_scale
         self._extractor = make_extractor(config)
         self._thread = ThreadPoolExecutor(1, "refill")
         self._search: Future[Keypoints] | None = None
