@@ -6,12 +6,14 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save
 
 BLACK = "#000000"
 COLUMNS = 3
+LEAST = 0.5  # what no match is drawn as, for the logarithm
 
 
 def draw_features(tree: dict[str, Any], folder: Path) -> list[Path]:
@@ -27,12 +29,12 @@ def places_plot(rows: list[Row]) -> Figure:
     for at, (images, group) in zip(axes, panels.items(), strict=False):
         positions = range(len(group))
         colours = [_colours(rows)[row["method"]] for row in group]
-        at.bar(positions, [max(row["matches"], 0.5) for row in group], color=colours, alpha=0.35)
-        at.bar(positions, [max(row["matches_ransac"], 0.5) for row in group], color=colours)
+        at.bar(positions, [max(row["matches"], LEAST) for row in group], color=colours, alpha=0.35)
+        at.bar(positions, [max(row["matches_ransac"], LEAST) for row in group], color=colours)
         at.set_xticks(positions, [row["method"] for row in group], rotation=45, ha="right", fontsize=8)
         at.set_title(images, fontsize=8)
         plain_log(at, "y")
-        at.set_ylim(bottom=0.5)
+        at.set_ylim(bottom=LEAST)
         clean(at)
     figure.supylabel("Matches, pale without and full with RANSAC")
     return figure
@@ -52,6 +54,7 @@ def spacing_plot(rows: list[Row]) -> Figure:
         at.set_title(f"{sequence} …", fontsize=8)
         at.set_ylim(-0.02, 1.0)
         at.set_xlabel("Images apart")
+        at.xaxis.set_major_locator(MaxNLocator(integer=True))
         clean(at)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
@@ -66,8 +69,8 @@ def threshold_plot(rows: list[Row]) -> Figure:
     for at, (method, group) in zip(axes, panels.items(), strict=False):
         for (images, curve), colour in zip(_grouped(group, "images").items(), LINE_COLOURS * 2, strict=False):
             ratios = [row["ratio"] for row in curve]
-            at.plot(ratios, [row["matches"] for row in curve], color=colour, linestyle="--", marker="o", markersize=3)
-            kept = [row["matches_ransac"] for row in curve]
+            every, kept = ([max(row[key], LEAST) for row in curve] for key in ("matches", "matches_ransac"))
+            at.plot(ratios, every, color=colour, linestyle="--", marker="o", markersize=3)
             at.plot(ratios, kept, color=colour, marker="o", markersize=3, label=images)
         at.set_title(method, fontsize=9)
         at.set_xlabel("Ratio of nearest to second-nearest distance")
