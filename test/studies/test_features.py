@@ -143,13 +143,23 @@ def test_ransac_is_said_to_help_only_where_precision_rises() -> None:
 
 def test_bands_are_said_to_fail_when_no_algorithm_keeps_more_than_chance() -> None:
     row = made_up(BANDS, "SURF", images="x visible / thermal 1 – 2", matches_ransac=5, rate_1_ransac=0.05)
-    assert verdict([row], "matching visible") == "agrees"
-    assert verdict([{**row, "matches_ransac": 40}], "matching visible") == "differs"
+    assert verdict([row], "matching visible with thermal") == "agrees"
+    assert verdict([{**row, "matches_ransac": 40}], "matching visible with thermal") == "differs"
+    assert verdict([row], "matching visible with near infrared") == "not tested"
+
+
+def test_a_bands_rates_are_held_against_the_visible_ones_of_its_own_set() -> None:
+    rows = [made_up(BANDS, "SIFT", images=f"camp {band} 1 – 2") for band in ("visible", "thermal", "visible / thermal")]
+    rows[1]["rate_1"] = 0.6
+    assert verdict(rows, "thermal images match") == "agrees"
+    rows[1]["rate_1"] = 0.4
+    assert verdict(rows, "thermal images match") == "differs"
+    assert verdict(rows, "near infrared images match") == "not tested"
 
 
 def test_every_trend_is_told_even_without_figures() -> None:
     rows = trend_rows([])
-    assert len(rows) == 17
+    assert len(rows) == 19
     assert {row[TABLE] for row in rows} == {TRENDS}
     assert {row["ours"] for row in rows} == {"not tested"}
 

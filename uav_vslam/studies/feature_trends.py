@@ -8,6 +8,7 @@ from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.studies.features import BANDS, PLACES, SPACINGS, SWEEP_RATIOS, THRESHOLDS
 
 TRENDS = "Trends of the thesis"
+BEYOND = ("thermal", "near infrared")  # the thesis's infrared is thermal; near infrared is reflected light
 COLOUR = ("PHOW (RGB)", "PHOW (HSV)", "PHOW (opponent)")
 THESIS = ("ASIFT", "SURF", "SIFT", "DSIFT", *COLOUR)
 SIMILAR = 1.5  # rates of two methods are "similar" within this factor
@@ -38,11 +39,14 @@ def _trends() -> list[Trend]:
         ("3.6.3", "SURF is the fastest", _first("extract_s", "SURF", most=False)),
         ("3.6.3", "SURF's matching rates are similar to SIFT's", _surf_like_sift),
         ("3.6.4", "SURF gives fewer points and matches than ASIFT and SIFT", _surf_is_sparse),
-        ("3.6.3", "infrared images match at higher rates than visible ones", _infrared_matches),
+        *[
+            ("3.6.3", f"{band} images match at higher rates than visible ones", _infrared_matches(band))
+            for band in BEYOND
+        ],
         ("3.6.3", "dense SIFT is no faster than SIFT and matches fewer points", _dense_gains_nothing),
         ("3.6.3", "colour descriptors are poor: few matches survive RANSAC", _colour_is_poor),
         ("3.6.3", "of the colour descriptors RGB is the best", _rgb_is_best),
-        ("3.6.3", "matching visible with infrared images nearly fails", _bands_fail),
+        *[("3.6.3", f"matching visible with {band} images nearly fails", _bands_fail(band)) for band in BEYOND],
         ("3.6.4", "urban images give more points and matches than rural ones", lambda _: (None, "no urban set")),
         ("3.6.5", "matches grow fewer with the interval", _spacing_costs),
         ("3.6.5", "matches in descending order: ASIFT, SIFT, DSIFT, PHOW (RGB), SURF", _order),
@@ -129,25 +133,24 @@ def _surf_is_sparse(rows: Sequence[Row]) -> Verdict:
     return fewer, ", ".join(f"{m} {points[m]:.0f} points, {matches[m]:.0f} matches" for m in ("SURF", "SIFT", "ASIFT"))
 
 
-def _infrared_matches(rows: Sequence[Row]) -> Verdict:
-    same = [row for row in _rows(rows, BANDS) if " / " not in row["images"]]
-    quotients = []
-    for row in same:
-        if " visible " in row["images"]:
-            group = row["images"].split(" ")[0]
-            other = [
-                r["rate_1"]
-                for r in same
-                if r["method"] == row["method"] and r["images"].startswith(f"{group} ") and r != row
-            ]
-            if other and row["rate_1"] > 0:
-                quotients.append(other[0] / row["rate_1"])
-    if not quotients:
-        return None, "no set of two bands"
-    higher = sum(quotient > 1.0 for quotient in quotients)
-    return higher > len(quotients) / 2, (
-        f"higher for {higher} of {len(quotients)} algorithms and sets, median {median(quotients):.2f} times the visible"
-    )
+def _infrared_matches(band: str) -> Callable[[Sequence[Row]], Verdict]:
+    """Make a judge of the rates in a band against those in the visible one, by set and algorithm."""
+
+    def judge(rows: Sequence[Row]) -> Verdict:
+        rates = {(row["method"], row["images"].rsplit(" ", 3)[0]): row["rate_1"] for row in _rows(rows, BANDS)}
+        pairs = [
+            (rates[method, images.removesuffix(band) + "visible"], rate)
+            for (method, images), rate in rates.items()
+            if images.endswith(f" {band}") and "/" not in images
+        ]
+        quotients = [rate / visible for visible, rate in pairs if visible > 0]
+        if not quotients:
+            return None, "no such band"
+        higher = sum(quotient > 1.0 for quotient in quotients)
+        text = f"higher for {higher} of {len(quotients)} algorithms and sets, median {median(quotients):.2f} times"
+        return higher > len(quotients) / 2, text
+
+    return judge
 
 
 def _dense_gains_nothing(rows: Sequence[Row]) -> Verdict:
@@ -170,16 +173,24 @@ def _rgb_is_best(rows: Sequence[Row]) -> Verdict:
     matches = {m: r for m, r in _by_method(_rows(rows, PLACES), "matches_ransac").items() if m in COLOUR}
     if len(matches) < len(COLOUR):
         return None, "the algorithms were not run"
-    return max(matches, key=lambda m: matches[m]) == COLOUR[0], f"matches after RANSAC, {_listed(matches)}"
+    best = all(matches[COLOUR[0]] > matches[other] for other in COLOUR[1:])
+    return best, f"matches after RANSAC, {_listed(matches)}"
 
 
-def _bands_fail(rows: Sequence[Row]) -> Verdict:
-    cross = [row for row in _rows(rows, BANDS) if " / " in row["images"] and row["method"] in THESIS]
-    if not cross:
-        return None, "no set of two bands"
-    rates, matches = (_by_method(cross, key) for key in ("rate_1_ransac", "matches_ransac"))
-    works = [method for method in rates if rates[method] > FAILS and matches[method] > CHANCE]
-    return not works, f"matches after RANSAC, {_listed(matches)}; rates, {_listed(rates)}"
+def _bands_fail(band: str) -> Callable[[Sequence[Row]], Verdict]:
+    """Make a judge of whether no algorithm matches visible images with those of a band."""
+
+    def judge(rows: Sequence[Row]) -> Verdict:
+        names = f" visible / {band} ", f" {band} / visible "
+        across = [row for row in _rows(rows, BANDS) if any(name in row["images"] for name in names)]
+        cross = [row for row in across if row["method"] in THESIS]
+        if not cross:
+            return None, "no such band"
+        rates, matches = (_by_method(cross, key) for key in ("rate_1_ransac", "matches_ransac"))
+        works = [method for method in rates if rates[method] > FAILS and matches[method] > CHANCE]
+        return not works, f"matches after RANSAC, {_listed(matches)}; rates, {_listed(rates)}"
+
+    return judge
 
 
 def _spacing_costs(rows: Sequence[Row]) -> Verdict:
