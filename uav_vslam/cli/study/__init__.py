@@ -8,11 +8,14 @@ import argparse
 from uav_vslam.cli.study import (
     association,
     euroc,
+    faults,
     features,
     filters,
     flights,
     frames,
+    front_end,
     fusion,
+    live,
     long,
     models,
     outliers,
@@ -31,12 +34,15 @@ EXAMPLES = """examples:
   uav-vslam study thesis                   landmark level: the thesis's cooperative simulation; half an hour
   uav-vslam study flights --seeds 8        rendered images, both inertial grades; about a quarter of an hour
   uav-vslam study radio                    rendered images, the node graph over DDS in both packet modes; an hour
+  uav-vslam study live                     rendered images, the node graph in real time on this machine; a minute
   uav-vslam study filters                  landmark level: every filter with every state model; an hour
   uav-vslam study long                     landmark level: 2.8 km with each retention policy; minutes
   uav-vslam study revisit                  landmark level and rendered: back over the start after 2 km; an hour
   uav-vslam study rig                      rendered images, a right camera that vibrates or is turned; an hour
   uav-vslam study outliers                 landmark level: wrong matches, far ones and look-alikes; an hour
   uav-vslam study features                 extractors on image pairs of several places and bands; an hour
+  uav-vslam study front_end                rendered images: points followed, points matched anew; an hour
+  uav-vslam study faults                   rendered images: cameras that fail for a while; an hour
   uav-vslam study euroc V1_01_easy/mav0    a recording with truth, by every filter from many starts; an hour
   uav-vslam study association              rendered images: every associator and matcher; a quarter of an hour
   uav-vslam study start                    landmark level: no start state, and wrong ones; minutes
@@ -49,6 +55,9 @@ STUDIES = {
     "frames": frames,
     "features": features,
     "flights": flights,
+    "front_end": front_end,
+    "faults": faults,
+    "live": live,
     "radio": radio,
     "filters": filters,
     "long": long,

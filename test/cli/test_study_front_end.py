@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The studies of the front end run from the command line and leave tables and pictures."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uav_vslam.cli.main import main
+from uav_vslam.evaluation.output import LATEST
+from uav_vslam.simulation import camera_render
+from uav_vslam.simulation.faults import FAULTS
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.simulation.terrain import ground_of
+
+pytestmark = pytest.mark.timeout(300)
+KLT = "frontend.method=klt,frontend.search_scale=1.0,frontend.max_tracks=100"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_ground() -> Iterator[None]:
+    """All flights are over the same ground, whose texture need not be made for each anew."""
+    ground = ground_of(Scenario(seed=1))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(camera_render, "ground_of", lambda scenario: ground)
+        yield
+
+
+def rows_of(results: Path, *arguments: str) -> list[dict[str, Any]]:
+    options = ["--seeds", "1", "--scale", "0.2", "--workers", "1", "--variant", KLT, "--results", str(results)]
+    assert main(["study", *arguments, *options]) == 0
+    rows: list[dict[str, Any]] = json.loads((results / LATEST / "study.json").read_text())["rows"]
+    return rows
+
+
+def test_the_study_of_front_ends_judges_points_and_flies_them(tmp_path: Path) -> None:
+    plain, unequal, blurred = rows_of(tmp_path, "front_end", "--frames", "6")
+    assert (tmp_path / LATEST / "front_end.png").exists()
+    for row in (plain, unequal, blurred):
+        assert row["points"] > 40
+        assert row["sigma_px"] < 0.15
+        assert row["beyond_1px"] <= 0.01
+        assert row["followed_share"] > 0.5
+    assert plain["kept_share"] == 1.0
+    assert unequal["kept_share"] > 0.9
+    assert plain["failures"] == 0
+    assert "s_end_m" not in unequal
+
+
+def test_the_study_of_faults_flies_through_each_and_tells_what_was_said(tmp_path: Path) -> None:
+    rows = rows_of(tmp_path, "faults", "--frames", "14")
+    assert (tmp_path / LATEST / "faults.png").exists()
+    said = {row["fault"]: row["alarms"] for row in rows}
+    assert list(said) == ["none", *FAULTS]
+    assert said["none"] == "none"
+    assert "image order" in said["left and right swapped, 1 s"]
+    assert "left camera" in said["black images, 3 s"]
+    assert "right camera" in said["black images, 3 s"]
+    assert said["right camera frozen, 3 s"].startswith("right camera")
+    assert "left camera" in said["half as bright, 3 s"]
+    coasted = {row["fault"]: row["coasted"] for row in rows}
+    assert coasted["none"] <= 1  # the first frame has no landmarks yet
+    assert coasted["left and right swapped, 1 s"] >= 5

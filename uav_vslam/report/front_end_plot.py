@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws the study of the front ends: precision, points and cost, side by side."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from uav_vslam.evaluation.study import Row
+from uav_vslam.report.style import LINE_COLOURS, clean, save
+
+PANELS = {  # key of the row, its axis' name, and what is allowed
+    "sigma_px": ("Right pixel's error, one sigma [px]", 0.15),
+    "kept_share": ("Points over those with equal cameras", 0.9),
+    "ms_per_frame": ("Processor time [ms/frame]", 60.0),
+}
+BAR = 0.8  # of the place of a condition
+
+
+def draw_front_ends(tree: dict[str, Any], folder: Path) -> list[Path]:
+    """Draw the study into its folder and return the paths."""
+    return [save(front_end_plot(tree["rows"]), folder / "front_end.png")]
+
+
+def front_end_plot(rows: list[Row]) -> Figure:
+    """Return a panel a figure, with a group of bars for each condition and a dotted line at what is asked for."""
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    conditions = list(dict.fromkeys(row["condition"] for row in rows))
+    figure = Figure(figsize=(12.0, 1.6 + 0.7 * len(conditions)), layout="constrained")
+    for axes, (key, (name, asked)) in zip(figure.subplots(1, len(PANELS), sharey=True), PANELS.items(), strict=True):
+        clean(axes)
+        height = BAR / len(methods)
+        for number, method in enumerate(methods):
+            found = [row for row in rows if row["method"] == method]
+            places = [conditions.index(row["condition"]) - 0.5 * BAR + (number + 0.5) * height for row in found]
+            widths = [float("nan") if row[key] is None else row[key] for row in found]
+            bars = axes.barh(places, widths, height, color=LINE_COLOURS[number % len(LINE_COLOURS)], label=method)
+            axes.bar_label(bars, fmt="%.3g", padding=3, fontsize=8)
+        axes.axvline(asked, color="#888888", linewidth=0.9, linestyle=":")
+        axes.margins(x=0.15)
+        axes.set(xlabel=name, yticks=range(len(conditions)), yticklabels=conditions)
+    axes.invert_yaxis()
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(methods), frameon=False)
+    return figure

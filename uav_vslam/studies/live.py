@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node graph in real time: how many frames it keeps up with, and what each process needs of a core."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from uav_vslam.evaluation.study import TABLE, Row
+
+PROC = Path("/proc")
+UTIME, STIME = 11, 12  # places in /proc/PID/stat after the program's name
+
+NOTES = {
+    "Frames": "processed_share: frames for which the graph published an own-only pose, of those that were played",
+    "Processor": "share of one core, user and system, over the time of the flight: not over the start of the processes",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What the processes have used up to a time.
+
+    Attributes:
+        time_s: of a steady clock [s].
+        cpu_s: processor time of each process by its name [s].
+    """
+
+    time_s: float
+    cpu_s: Mapping[str, float]
+
+
+def sample_children(parent: int, time_s: float) -> Sample:
+    """Return what the child processes of a launcher have used so far; those that are ending are left out."""
+    found: dict[str, float] = {}
+    tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
+    for entry in (PROC / str(parent) / "task" / str(parent) / "children").read_text(encoding="ascii").split():
+        try:
+            words = (PROC / entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
+            fields = (PROC / entry / "stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+        except OSError:
+            continue
+        name = node_name(words)
+        if name:
+            found[name] = found.get(name, 0.0) + tick_s * (int(fields[UTIME]) + int(fields[STIME]))
+    return Sample(time_s, found)
+
+
+def node_name(words: Sequence[str]) -> str:
+    """Return "uav1/slam_backend" for the command line of a node; empty for any other."""
+    parts = {key: word.removeprefix(key) for key in ("__ns:=", "__node:=") for word in words if word.startswith(key)}
+    return f"{parts['__ns:=']}/{parts['__node:=']}".strip("/") if len(parts) == 2 else ""
+
+
+def processor_rows(samples: Sequence[Sample], leader: str, duration_s: float) -> list[Row]:
+    """Return each process's share of a core over the flight, which ends with the leading process, and the sum."""
+    flown = [sample for sample in samples if leader in sample.cpu_s]
+    if not flown:
+        return []
+    last = flown[-1]
+    first = next(sample for sample in flown if sample.time_s >= last.time_s - duration_s)
+    elapsed_s = max(last.time_s - first.time_s, 1e-9)
+    shares = {name: (cpu_s - first.cpu_s.get(name, 0.0)) / elapsed_s for name, cpu_s in sorted(last.cpu_s.items())}
+    shares["all"] = sum(shares.values())
+    return [{TABLE: "Processor", "process": name, "share_of_a_core": share} for name, share in shares.items()]
+
+
+def frame_rows(processed: Mapping[str, int], played: int, rate: float) -> list[Row]:
+    """Return the share of the frames that each vehicle's graph kept up with."""
+    return [
+        {TABLE: "Frames", "vehicle": name, "rate": rate, "played": played, "processed_share": count / played}
+        for name, count in processed.items()
+    ]
