@@ -108,16 +108,17 @@ def test_only_shared_landmarks_are_remembered_and_at_most_the_capacity(make_join
         assert len(memory.extended(after, shared).ids) == 2 + expected
 
 
-def test_offered_landmarks_are_remembered_where_shared_ones_leave_room_and_for_as_long_as_they_are_offered(
-    make_joint,
+@pytest.mark.parametrize(("shared", "offered"), [([], [102, 104]), ([103], [102, 104, 105])])
+def test_offered_landmarks_are_remembered_where_shared_ones_leave_room(
+    make_joint, shared: list[int], offered: list[int]
 ) -> None:
     filter_ = Kept(4)
     filter_.measure(list(range(COUNT)))
-    beliefs = [filter_.joint(make_joint, rows) for rows in (list(range(COUNT)), [0, 1, 6], [0, 1])]
     memory = LandmarkMemory(capacity=2)
-    memory.extended(beliefs[0], shared=[], offered=[])
-    assert set(memory.extended(beliefs[1], [103], offered=[102, 104, 105]).ids[3:]) & {102, 104, 105}
-    assert memory.extended(beliefs[2], [103], offered=[]).ids.tolist() == [100, 101, 103]
+    memory.extended(filter_.joint(make_joint, list(range(COUNT))), shared, offered)
+    remembered = set(memory.extended(filter_.joint(make_joint, [0, 1, 6]), shared, offered).ids[3:].tolist())
+    assert len(remembered) == 2
+    assert set(shared) <= remembered <= {*shared, *offered}
 
 
 def test_what_was_remembered_by_a_landmark_that_leaves_too_is_passed_on(make_joint) -> None:

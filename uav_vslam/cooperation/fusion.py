@@ -49,7 +49,7 @@ class Fusion:
         self._frames: dict[str, PeerFrame] = {}
         self._used: dict[str, LandmarkPacket] = {}
         self._shared: set[int] = set()
-        self._offered: set[int] = set()  # landmarks of the last packet: an answer to it may still come
+        self._offered: set[int] = set()  # landmarks of the last packet, where no feedback tells what became of them
         self._sequence = 0
         self._told: dict[str, tuple[NDArray[np.intp], NDArray[np.uint32]]] = {}  # own rows, a peer's ids
         self.belief: JointInformation | None = None
@@ -77,7 +77,7 @@ class Fusion:
             prior_id=self._config.prior_id,
             byte_limit=byte_limit,
         )
-        self._offered = set(packet.ids.tolist())
+        self._offered = set() if self._config.returns_feedback else set(packet.ids.tolist())
         return self._authentication.sign(packet)
 
     def feedback(self, peer: str) -> LandmarkPacket | None:

@@ -84,12 +84,11 @@ class LandmarkMemory:
     ) -> None:
         """Express what has left, and what was remembered before, by the landmarks that stay."""
         stay, old = np.isin(last.ids, joint.ids), ~np.isin(last.ids, self._own)
-        of_use = np.isin(last.ids, np.fromiter({*shared, *offered}, np.uint32))
-        left = ~old & ~stay & of_use
+        left = ~old & ~stay & np.isin(last.ids, np.fromiter({*shared, *offered}, np.uint32))
         given_left = self._known is not None and not np.isin(self._known.given, joint.ids).all()
         if not left.any() and not given_left:
             return
-        wanted = self._spread(last, np.flatnonzero((old & of_use) | left), shared)
+        wanted = self._spread(last, np.flatnonzero(old | left), shared)
         if not stay.any() or len(wanted) == 0:  # the filter began anew: nothing ties the past to it
             self._known = None
             return
