@@ -40,7 +40,7 @@ EXAMPLES = """examples:
   uav-vslam study revisit                  landmark level and rendered: back over the start after 2 km; an hour
   uav-vslam study rig                      rendered images, a right camera that vibrates or is turned; an hour
   uav-vslam study outliers                 landmark level: wrong matches, far ones and look-alikes; an hour
-  uav-vslam study features                 extractors on image pairs of several places and bands; an hour
+  uav-vslam study features                 extractors on image pairs of several places and bands; minutes
   uav-vslam study front_end                rendered images: points followed, points matched anew; an hour
   uav-vslam study faults                   rendered images: cameras that fail for a while; an hour
   uav-vslam study euroc V1_01_easy/mav0    a recording with truth, by every filter from many starts; an hour

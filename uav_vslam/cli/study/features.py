@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 HELP = "extractors on image pairs: points, matches with and without RANSAC, time, bands, and spacing of images"
 EXAMPLES = """examples:
-  uav-vslam study features                             the data sets that there are, and a rendered flight; an hour
+  uav-vslam study features                             the data sets that there are, and a rendered flight; minutes
   uav-vslam study features tno_nato_camp --seeds 0     one of them alone
   uav-vslam study features flight/ a.png,b.png         the images of a folder, first with later ones; and one pair
   uav-vslam study features --algorithms SIFT SURF ORB  minutes
