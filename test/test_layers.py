@@ -44,7 +44,13 @@ ALLOWED: dict[str, set[str]] = {
     | {"pipeline", "fleet", "datasets", "mapping", "evaluation", "simulation", "report"}
     | {"offline", "studies"},
 }
-ROS_STARTERS = {"launch", "demo", "topic", "radio", "live"}  # the verbs that start or look at ROS processes may import `ros`
+ROS_STARTERS = {
+    "launch",
+    "demo",
+    "topic",
+    "radio",
+    "live",
+}  # the verbs that start or look at ROS processes may import `ros`
 
 MESSAGES = "messages of ROS"
 AT_HOME = {
