@@ -41,7 +41,9 @@ def mav0(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / camera / "sensor.yaml").write_text(SENSOR.format(x=x))
         (folder / camera / "data.csv").write_text("".join(f"{s},{s}.png\n" for s in stamps))
         for stamp in stamps:
-            cv2.imwrite(str(folder / camera / "data" / f"{stamp}.png"), view)
+            noise = np.random.default_rng([stamp, int(camera[-1])]).normal(0, 1, view.shape)  # no camera repeats itself
+            image = np.clip(view + noise, 0, 255).astype(np.uint8)
+            cv2.imwrite(str(folder / camera / "data" / f"{stamp}.png"), image)
     end = stamps[-1] + 100_000_000
     (folder / "imu0").mkdir()
     (folder / "imu0" / "data.csv").write_text("".join(f"{s},0,0,0,0,0,9.81\n" for s in range(0, end, 5_000_000)))
