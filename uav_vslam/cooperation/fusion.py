@@ -27,6 +27,7 @@ from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEsti
 
 Pairs = NDArray[np.intp]
 
+ENOUGH_SHARED = 5  # landmarks in common that make a newer packet worth more than an older one with more of them
 FEEDBACK = PacketPolicy(form=ANCHOR, max_landmarks=20)  # a few say it all, and bounding many by one error takes long
 
 
@@ -150,13 +151,13 @@ class Fusion:
                 yield peer, packet
 
     def _chosen(self, overlay: Overlay, newest: LandmarkPacket) -> tuple[LandmarkPacket, Pairs]:
-        """Return the one packet of a peer that is used: the newest, or the one of last time if that shares more.
+        """Return the one packet of a peer that is used: the newest, or the one of last time if only that shares enough.
 
         Not while a frame has to be found: that takes every packet once, in order.
         """
         pairs, last = self._common(overlay, newest), self._used.get(newest.vehicle)
         another = last is not None and last is not newest and last.session == newest.session
-        if last is not None and another and self._config.common_origin:
+        if last is not None and another and len(pairs) < ENOUGH_SHARED and self._config.common_origin:
             before = self._common(overlay, last)
             if len(before) > len(pairs):
                 return last, before
