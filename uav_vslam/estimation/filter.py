@@ -109,6 +109,7 @@ class Filter:
         self._rate_map: Array | None = None  # [rad/s] at the end of the last increment
         self.nav: NavState = initial.state
         self.rig_state = RigState()
+        self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
         self.landmarks: Array = np.zeros((0, 3))
         C = self._model.from_map(initial.state)
         self.belief: Belief = form.from_covariance(self._with_rig_prior(C @ initial.covariance @ C.T))
@@ -117,7 +118,9 @@ class Filter:
     @property
     def rig(self) -> StereoRig:
         """The rig with its estimated errors."""
-        return self._errors.rig(self.rig_state)
+        if self._rig_at is not self.rig_state:  # asked for a dozen times a frame, and dear
+            self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
+        return self._rig
 
     @property
     def vehicle(self) -> int:

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.studies.association import Association
@@ -35,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.association_plots import draw_association
     from uav_vslam.studies.association import CONDITIONS, NOTES, Job, map_rows, study_rendered
     from uav_vslam.studies.image_matching import IMAGE_NOTES, image_rows
@@ -56,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         associated += _recording(args)
     rows = map_rows(associated) + image_rows(judged)
     notes = NOTES | IMAGE_NOTES | {"Failures": FAILURE_RULE} | breakdowns([one.run for one in associated])
-    return show(write_study("study_association", rows, seeds, args.results, notes=notes, plot=draw_association))
+    return publish("association", rows, seeds, args.results, notes=notes, plot=draw_association)
 
 
 def _recording(args: argparse.Namespace) -> list[Association]:

@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every study's command line shares: its arguments, the progress bar, and saying where the results are."""
+"""What every study's command line shares: its arguments, the progress bar, and how its results are published."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from uav_vslam.config import VehicleConfig
+    from uav_vslam.evaluation.output import StudyPlotter
+    from uav_vslam.evaluation.study import Row
 
 
 def add_run_arguments(parser: argparse.ArgumentParser, *, seeds: int, workers: int = 2) -> None:
@@ -21,7 +27,7 @@ def seeds_of(args: argparse.Namespace) -> list[int]:
     return list(range(1, args.seeds + 1))
 
 
-def add_variant_argument(parser: argparse.ArgumentParser, default: str) -> None:
+def add_variants(parser: argparse.ArgumentParser, default: str) -> None:
     """Declare the settings to be compared."""
     parser.add_argument(
         "--variant",
@@ -39,6 +45,14 @@ def variants_of(args: argparse.Namespace) -> dict[str, dict[str, object]]:
     return {text: dict(override(item) for item in text.split(",")) for text in args.variant}
 
 
+def configs_of(args: argparse.Namespace, own: Mapping[str, dict[str, object]]) -> dict[str, VehicleConfig]:
+    """Return the configuration of rendered flights with each of the settings to be compared, or the study's own."""
+    from uav_vslam.config import find_config, load_vehicle
+
+    variants = variants_of(args) or own
+    return {name: load_vehicle(find_config("kagaru"), overrides=keys) for name, keys in variants.items()}
+
+
 @contextmanager
 def progress_bar(title: str, total: int) -> Iterator[Callable[[], None]]:
     """Show a bar and give the function that moves it on by one."""
@@ -49,8 +63,20 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[[], None]]:
         yield lambda: progress.advance(task)
 
 
-def show(folder: Path) -> int:
-    """Print the tables of a study that has been written, and where it is; return the exit code."""
+def publish(
+    study: str,
+    rows: list[Row],
+    seeds: list[int],
+    results: Path,
+    *,
+    notes: Mapping[str, str] | None = None,
+    series: list[Row] | None = None,
+    plot: StudyPlotter | None = None,
+) -> int:
+    """Write a study's tables and plots as `write_study` does, say so, and return the exit code."""
+    from uav_vslam.evaluation.output import write_study
+
+    folder = write_study(f"study_{study}", rows, seeds, results, notes=notes, series=series, plot=plot)
     print((folder / "study.md").read_text(encoding="utf-8"))
     print(f"results: {folder}")
     return 0

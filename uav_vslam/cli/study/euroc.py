@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
@@ -39,7 +39,6 @@ def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them."""
     from uav_vslam.cli.overrides import override
     from uav_vslam.config import find_config, load_vehicle
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.start_plots import draw_starts
     from uav_vslam.studies.euroc import NOTES, error_series, run_starts, table_rows
     from uav_vslam.studies.starts import LATER_SHARES
@@ -50,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     with progress_bar("flying", len(args.filters) * (1 + len(seeds) + len(LATER_SHARES))) as advance:
         runs = run_starts(flight, config, filters=args.filters, seeds=seeds, workers=args.workers, on_run=advance)
     rows, series = table_rows(flight, runs), error_series(flight, runs)
-    return show(write_study("study_euroc", rows, seeds, args.results, notes=NOTES, series=series, plot=draw_starts))
+    return publish("euroc", rows, seeds, args.results, notes=NOTES, series=series, plot=draw_starts)
 
 
 def searched_recording(recording: Path, vehicle: str | None, config: VehicleConfig) -> RecordedFlight:

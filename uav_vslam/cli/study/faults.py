@@ -5,14 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import (
-    add_run_arguments,
-    add_variant_argument,
-    progress_bar,
-    seeds_of,
-    show,
-    variants_of,
-)
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, configs_of, progress_bar, publish, seeds_of
 
 HELP = "cameras that fail: lost, swapped, black, blurred, frozen images, and what the diagnostics say"
 EXAMPLES = """examples:
@@ -27,21 +20,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser, seeds=2)
     parser.add_argument("--frames", type=int, default=160, help="frames of each flight (default 160)")
     parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
-    add_variant_argument(parser, "frontend.method klt and sift")
+    add_variants(parser, "frontend.method klt and sift")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.config import find_config, load_vehicle
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.faults_plot import draw_faults
     from uav_vslam.simulation.scenario import Scenario
     from uav_vslam.studies.faults import NOTES, VARIANTS, jobs, run_study
 
-    variants = variants_of(args) or VARIANTS
-    configs = {name: load_vehicle(find_config("kagaru"), overrides=keys) for name, keys in variants.items()}
     seeds = seeds_of(args)
-    work = jobs(Scenario(frames=args.frames, scale=args.scale, vehicles=1), configs, seeds)
+    work = jobs(Scenario(frames=args.frames, scale=args.scale, vehicles=1), configs_of(args, VARIANTS), seeds)
     with progress_bar("study faults", len(work)) as advance:
         rows = run_study(work, workers=args.workers, on_flight=advance)
-    return show(write_study("study_faults", rows, seeds, args.results, notes=NOTES, plot=draw_faults))
+    return publish("faults", rows, seeds, args.results, notes=NOTES, plot=draw_faults)

@@ -7,9 +7,9 @@ import argparse
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.study.common import progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import progress_bar, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.datasets.image_sets import Layout
@@ -42,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them, and draw matches."""
     from uav_vslam.errors import ConfigError
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.feature_plots import draw_features
     from uav_vslam.studies.feature_front_end import accepted_rows
     from uav_vslam.studies.feature_sets import rendered_set
@@ -60,9 +59,12 @@ def run(args: argparse.Namespace) -> int:
     with progress_bar("study features", count_jobs(sets, methods)) as advance:
         rows = feature_rows(sets, lab, methods, advance)
     rows = [*trend_rows(rows), *accepted_rows(sets, seeds_of(args)), *rows]
-    folder = write_study("study_features", rows, seeds_of(args), args.results, notes=NOTES, plot=draw_features)
-    _draw_matches(sets, lab, [method for method in methods if method in DRAWN], folder / "matches")
-    return show(folder)
+
+    def draw(tree: dict[str, Any], folder: Path) -> list[Path]:
+        _draw_matches(sets, lab, [method for method in methods if method in DRAWN], folder / "matches")
+        return draw_features(tree, folder)
+
+    return publish("features", rows, seeds_of(args), args.results, notes=NOTES, plot=draw)
 
 
 def _at_hand() -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
 
 HELP = "EIF, EKF, UKF and UHF with every state model: consistency, and the thesis's tables of section 4.7"
 EXAMPLES = """examples:
@@ -32,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.filter_plots import draw_filters
     from uav_vslam.studies.filters import MEASURED, NOTES, consistency_rows, consistency_trial, noise_rows, noise_trials
     from uav_vslam.studies.own_only import run_trials
@@ -50,4 +49,4 @@ def run(args: argparse.Namespace) -> int:
         }
     rows = consistency_rows(calm) + [row for extractor, found in noisy.items() for row in noise_rows(found, extractor)]
     notes = NOTES | breakdowns([*calm, *(run for found in noisy.values() for run in found)])
-    return show(write_study("study_filters", rows, seeds, args.results, notes=notes, plot=draw_filters))
+    return publish("filters", rows, seeds, args.results, notes=notes, plot=draw_filters)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.studies.flights import Method
@@ -27,13 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table and write study.json."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.studies.flights import run_study
 
     seeds = seeds_of(args)
     with progress_bar("study flights", len(seeds)) as advance:
         rows = run_study(methods(args.frames), seeds, workers=args.workers, on_seed=advance)
-    return show(write_study("study_flights", rows, seeds, args.results))
+    return publish("flights", rows, seeds, args.results)
 
 
 def methods(frames: int) -> list[Method]:

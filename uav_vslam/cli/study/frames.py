@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
 
 HELP = "two vehicles whose map frames differ and whose landmarks are mistaken for one another, at landmark level"
 EXAMPLES = """examples:
@@ -24,10 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables and write study.json."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.studies.frame_rows import NOTES, frame_rows
 
     seeds = seeds_of(args)
     with progress_bar("study frames", len(seeds)) as advance:
         rows = frame_rows(seeds, frames=args.frames, workers=args.workers, on_seed=advance)
-    return show(write_study("study_frames", rows, seeds, args.results, notes=NOTES))
+    return publish("frames", rows, seeds, args.results, notes=NOTES)

@@ -5,14 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import (
-    add_run_arguments,
-    add_variant_argument,
-    progress_bar,
-    seeds_of,
-    show,
-    variants_of,
-)
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, configs_of, progress_bar, publish, seeds_of
 
 HELP = "front ends over rendered flights: precision, cost, unequal cameras, and what SLAM makes of their points"
 EXAMPLES = """examples:
@@ -27,20 +20,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser, seeds=4)
     parser.add_argument("--frames", type=int, default=160, help="frames of each vehicle (default 160)")
     parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
-    add_variant_argument(parser, "frontend.method klt and sift")
+    add_variants(parser, "frontend.method klt and sift")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.config import find_config, load_vehicle
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.front_end_plot import draw_front_ends
     from uav_vslam.simulation.scenario import Scenario
     from uav_vslam.studies.front_end import NOTES, VARIANTS, methods, run_study
 
-    variants = variants_of(args) or VARIANTS
-    configs = {name: load_vehicle(find_config("kagaru"), overrides=keys) for name, keys in variants.items()}
-    compared, seeds = methods(Scenario(frames=args.frames, scale=args.scale), configs), seeds_of(args)
+    seeds = seeds_of(args)
+    compared = methods(Scenario(frames=args.frames, scale=args.scale), configs_of(args, VARIANTS))
     with progress_bar("study front_end", len(compared) * len(seeds)) as advance:
         rows = run_study(compared, seeds, workers=args.workers, on_flight=advance)
-    return show(write_study("study_front_end", rows, seeds, args.results, notes=NOTES, plot=draw_front_ends))
+    return publish("front_end", rows, seeds, args.results, notes=NOTES, plot=draw_front_ends)

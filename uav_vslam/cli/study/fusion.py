@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
 
 HELP = "ways to fuse, the thesis's among them; bad radios; fleets of 2, 4 and 8; at landmark level"
 EXAMPLES = """examples:
@@ -25,7 +25,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.fusion_plots import draw_fusion
     from uav_vslam.studies.fusion import NOTES, PARTS, run_parts
 
@@ -33,4 +32,4 @@ def run(args: argparse.Namespace) -> int:
     seeds = seeds_of(args)
     with progress_bar("study fusion", len(parts) * len(seeds)) as advance:
         rows = run_parts(parts, seeds, workers=args.workers, on_job=advance)
-    return show(write_study("study_fusion", rows, seeds, args.results, notes=NOTES, plot=draw_fusion))
+    return publish("fusion", rows, seeds, args.results, notes=NOTES, plot=draw_fusion)

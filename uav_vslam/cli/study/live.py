@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.study.common import show
+from uav_vslam.cli.study.common import publish
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.study import Row
@@ -45,7 +45,6 @@ def run(args: argparse.Namespace) -> int:
     """Fly; print the tables and write study.json."""
     from uav_vslam.cli.simulate import record
     from uav_vslam.datasets.flight_writer import ImageCoding
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.simulation.scenario import SCENARIOS
     from uav_vslam.studies.live import NOTES
 
@@ -56,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         vehicles = [scenario.vehicle_name(k) for k in range(scenario.vehicles)]
         fleet = write_fleet(folder, vehicles, args.set)
         rows = fly(fleet, args, frames=scenario.frames, duration_s=scenario.duration_s / args.rate)
-    return show(write_study("study_live", rows, [args.seeds], args.results, notes=NOTES))
+    return publish("live", rows, [args.seeds], args.results, notes=NOTES)
 
 
 def write_fleet(folder: Path, vehicles: list[str], settings: list[str]) -> Path:

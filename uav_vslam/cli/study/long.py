@@ -5,14 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import (
-    add_run_arguments,
-    add_variant_argument,
-    progress_bar,
-    seeds_of,
-    show,
-    variants_of,
-)
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, progress_bar, publish, seeds_of, variants_of
 
 HELP = "2.8 km over known ground, with each retention policy: error, time of a frame, memory"
 EXAMPLES = """examples:
@@ -26,12 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's arguments."""
     add_run_arguments(parser, seeds=5)
     parser.add_argument("--frames", type=int, default=1000, help="of the flight (default 1000)")
-    add_variant_argument(parser, "each backend.retention")
+    add_variants(parser, "each backend.retention")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.long_plot import draw_long
     from uav_vslam.studies.long import NOTES, POLICIES, long_rows, long_series, long_trial
     from uav_vslam.studies.own_only import run_trials
@@ -42,8 +34,4 @@ def run(args: argparse.Namespace) -> int:
     with progress_bar("study long", len(seeds)) as advance:
         runs = run_trials([trial], seeds, workers=args.workers, on_job=advance)
     rows, series = long_rows(runs), long_series(runs)
-    return show(
-        write_study(
-            "study_long", rows, seeds, args.results, notes=NOTES | breakdowns(runs), series=series, plot=draw_long
-        )
-    )
+    return publish("long", rows, seeds, args.results, notes=NOTES | breakdowns(runs), series=series, plot=draw_long)

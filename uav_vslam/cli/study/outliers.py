@@ -5,14 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import (
-    add_run_arguments,
-    add_variant_argument,
-    progress_bar,
-    seeds_of,
-    show,
-    variants_of,
-)
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, progress_bar, publish, seeds_of, variants_of
 
 HELP = "wrong matches at landmark level: far ones and look-alikes inside the gate, with and without robust updates"
 EXAMPLES = """examples:
@@ -26,12 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser, seeds=20)
     parser.add_argument("--vehicles", type=int, default=2, help="of each seed, each alone and a run (default 2)")
     parser.add_argument("--frames", type=int, default=160, help="frames of each vehicle (default 160)")
-    add_variant_argument(parser, "backend.robust=true and backend.robust=false")
+    add_variants(parser, "backend.robust=true and backend.robust=false")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.outlier_plot import draw_outliers
     from uav_vslam.studies.outliers import NOTES, ROBUST, outlier_rows, outlier_trials
     from uav_vslam.studies.own_only import run_trials
@@ -42,6 +34,4 @@ def run(args: argparse.Namespace) -> int:
     with progress_bar("study outliers", len(trials) * len(seeds)) as advance:
         runs = run_trials(trials, seeds, workers=args.workers, on_job=advance)
     rows = outlier_rows(runs)
-    return show(
-        write_study("study_outliers", rows, seeds, args.results, notes=NOTES | breakdowns(runs), plot=draw_outliers)
-    )
+    return publish("outliers", rows, seeds, args.results, notes=NOTES | breakdowns(runs), plot=draw_outliers)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.study.common import progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import progress_bar, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.studies.radio import Run
@@ -37,7 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables and write study.json."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.studies.radio import MODES, NOTES, radio_rows
 
     seeds, runs = seeds_of(args), []
@@ -46,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
             for found in fly_seed(seed, args.frames):
                 runs += found
                 advance()
-    return show(write_study("study_radio", radio_rows(runs, len(seeds)), seeds, args.results, notes=NOTES))
+    return publish("radio", radio_rows(runs, len(seeds)), seeds, args.results, notes=NOTES)
 
 
 def fly_seed(seed: int, frames: int) -> Iterator[list[Run]]:

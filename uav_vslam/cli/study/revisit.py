@@ -5,14 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import (
-    add_run_arguments,
-    add_variant_argument,
-    progress_bar,
-    seeds_of,
-    show,
-    variants_of,
-)
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, progress_bar, publish, seeds_of, variants_of
 
 HELP = "flights that come back over their start after 2 km, with and without retained landmarks"
 EXAMPLES = """examples:
@@ -31,12 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rendered-seeds", type=int, default=3, metavar="N", help="seeds 1 to N are rendered too (default 3)"
     )
     parser.add_argument("--frames", type=int, help="of each flight (default: round once, and 0.1 km on)")
-    add_variant_argument(parser, "the default settings")
+    add_variants(parser, "the default settings")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.revisit_plot import draw_revisit
     from uav_vslam.studies.revisit import revisit_jobs, revisit_loops
     from uav_vslam.studies.revisit_rows import NOTES, revisit_rows, revisit_series
@@ -46,15 +38,5 @@ def run(args: argparse.Namespace) -> int:
     jobs = revisit_jobs(variants_of(args), seeds, list(range(1, args.rendered_seeds + 1)), frames=args.frames)
     with progress_bar("study revisit", sum(job.scenario.frames for job in jobs)) as advance:
         loops = revisit_loops(jobs, workers=args.workers, on_frame=advance)
-    notes = NOTES | breakdowns([loop.run for loop in loops])
-    return show(
-        write_study(
-            "study_revisit",
-            revisit_rows(loops),
-            seeds,
-            args.results,
-            notes=notes,
-            series=revisit_series(loops),
-            plot=draw_revisit,
-        )
-    )
+    rows, series, notes = revisit_rows(loops), revisit_series(loops), NOTES | breakdowns([loop.run for loop in loops])
+    return publish("revisit", rows, seeds, args.results, notes=notes, series=series, plot=draw_revisit)

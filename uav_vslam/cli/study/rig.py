@@ -5,14 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import (
-    add_run_arguments,
-    add_variant_argument,
-    progress_bar,
-    seeds_of,
-    show,
-    variants_of,
-)
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, configs_of, progress_bar, publish, seeds_of
 
 HELP = "a right camera that vibrates or is turned, with and without its attitude as a state"
 EXAMPLES = """examples:
@@ -28,20 +21,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's arguments."""
     add_run_arguments(parser, seeds=5)
     parser.add_argument("--frames", type=int, default=160, help="frames of each flight (default 160)")
-    add_variant_argument(parser, "rig.flexing false and true")
+    add_variants(parser, "rig.flexing false and true")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.config import find_config, load_vehicle
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.rig_plot import draw_rig
     from uav_vslam.simulation.scenario import Scenario
     from uav_vslam.studies.rig import NOTES, VARIANTS, conditions, run_study
 
     scenario, seeds = Scenario(frames=args.frames, vehicles=1), seeds_of(args)
-    variants = variants_of(args) or VARIANTS
-    configs = {name: load_vehicle(find_config("kagaru"), overrides=keys) for name, keys in variants.items()}
+    configs = configs_of(args, VARIANTS)
     with progress_bar("study rig", len(conditions(scenario)) * len(seeds)) as advance:
         rows = run_study(scenario, configs, seeds, workers=args.workers, on_look=advance)
-    return show(write_study("study_rig", rows, seeds, args.results, notes=NOTES, plot=draw_rig))
+    return publish("rig", rows, seeds, args.results, notes=NOTES, plot=draw_rig)

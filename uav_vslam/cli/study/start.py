@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
 
 HELP = "flights that begin without a start state or with a wrong one, at landmark level"
 EXAMPLES = """examples:
@@ -22,10 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables and write study.json."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.studies.in_flight import NOTES, WRONGS, study_rows
 
     seeds = seeds_of(args)
     with progress_bar("study start", (len(GRADES) + len(WRONGS)) * len(seeds)) as advance:
         rows = study_rows(GRADES, seeds, frames=args.frames, workers=args.workers, on_job=advance)
-    return show(write_study("study_start", rows, seeds, args.results, notes=NOTES))
+    return publish("start", rows, seeds, args.results, notes=NOTES)

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, seeds_of, show
+from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
 
 HELP = "the thesis's cooperative simulation (7.3.2) with its three ways to communicate; tables and its figures"
 EXAMPLES = """examples:
@@ -24,7 +24,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write them and the figures of the first seed."""
-    from uav_vslam.evaluation.output import write_study
     from uav_vslam.report.ellipsoid_plot import ellipsoid_plot
     from uav_vslam.report.error_plot import error_plot
     from uav_vslam.report.fusion_plots import draw_fusion
@@ -46,4 +45,4 @@ def run(args: argparse.Namespace) -> int:
 
     with progress_bar("study thesis", len(parts) * len(seeds)) as advance:
         rows = fusion.run_parts(parts, seeds, workers=args.workers, on_job=advance)
-    return show(write_study("study_thesis", rows, seeds, args.results, notes=fusion.NOTES | thesis.NOTES, plot=draw))
+    return publish("thesis", rows, seeds, args.results, notes=fusion.NOTES | thesis.NOTES, plot=draw)
