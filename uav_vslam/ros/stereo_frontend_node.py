@@ -23,7 +23,8 @@ from uav_vslam.ros.convert import features_to_msg, image_from_msg
 from uav_vslam.ros.qos import IMAGE, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.types import StereoFrame
-from uav_vslam.vision.frontends import Frontend, make_frontend
+from uav_vslam.vision.frontend_base import Frontend
+from uav_vslam.vision.frontends import make_frontend
 from uav_vslam_msgs.msg import StereoFeatures
 
 Pixels = NDArray[Any]

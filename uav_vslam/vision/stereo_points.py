@@ -12,11 +12,10 @@ from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import StereoFeatures, StereoFrame
 from uav_vslam.vision.features import Keypoints, make_extractor
-from uav_vslam.vision.frame_check import check_sizes
-from uav_vslam.vision.health import FrontendHealth
+from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
 from uav_vslam.vision.matching import match_descriptors, match_gated
-from uav_vslam.vision.stereo_gate import StereoGate, stereo_candidates
+from uav_vslam.vision.stereo_gate import stereo_candidates
 
 Array = NDArray[np.float64]
 
@@ -41,38 +40,16 @@ class DetectedPair:
     pixels_right: Array
 
 
-class StereoFrontend:
+class StereoFrontend(Frontend):
     """Extracts and matches stereo points, each pair by itself; only a frozen camera is told by the pair before."""
 
     def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig | None = None) -> None:
-        """Prepare for one rig.
-
-        Args:
-            rig: calibration.
-            config: of the front end.
-            rig_config: how far the calibration is trusted; a rig that does not flex unless given.
-
-        Raises:
-            ConfigError: the extractor is not known.
-        """
-        self._rig = rig
-        self._config = config
-        self._gate = StereoGate(rig, config, rig_config or RigConfig(), noise_px=DISPARITY_NOISE_PX / config.scale)
-        self._health = FrontendHealth(rig, self._gate.epipolar_px)
+        """Prepare as any front end; raises `ConfigError` where the extractor is not known."""
+        super().__init__(rig, config, rig_config, DISPARITY_NOISE_PX / config.scale)
         self._extractor = make_extractor(config)
 
-    @property
-    def alarms(self) -> dict[str, str]:
-        """What is wrong with the images or the rig at present, by subject."""
-        return self._health.alarms
-
     def process(self, frame: StereoFrame) -> StereoFeatures:
-        """Return the matched points of a pair; none where the images hold no texture or can't be believed.
-
-        Raises:
-            InvalidMessage: an image has another size than the calibration, or a type that can't be used.
-        """
-        check_sizes(frame, self._rig)
+        self._check_sizes(frame)
         if not self._health.look(to_grey8(frame.left), to_grey8(frame.right)):
             return StereoFeatures.empty(frame.stamp_ns)
         detected = self.detect(frame)
@@ -81,7 +58,7 @@ class StereoFrontend:
 
     def detect(self, frame: StereoFrame) -> DetectedPair:
         """Return the keypoints of both images; raises as `process` does."""
-        check_sizes(frame, self._rig)
+        self._check_sizes(frame)
         left, pixels_left = self._detect(frame.left, self._rig.left)
         right, pixels_right = self._detect(frame.right, self._rig.right)
         return DetectedPair(frame.stamp_ns, left, right, pixels_left, pixels_right)

@@ -9,6 +9,8 @@ What it hands on carries the descriptor of the place where the track began, so t
 recognise it, and the track's number, by which the back end knows it again without looking.
 """
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,10 +18,8 @@ from uav_vslam.config import FrontendConfig, RigConfig
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import NS_PER_S, StereoFeatures, StereoFrame
 from uav_vslam.vision.features import Keypoints
-from uav_vslam.vision.frame_check import check_sizes
-from uav_vslam.vision.health import FrontendHealth
+from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.images import to_grey8
-from uav_vslam.vision.stereo_gate import StereoGate
 from uav_vslam.vision.tracking.flow import follow, shift_between, without_local_mean
 from uav_vslam.vision.tracking.prediction import FlowModel, in_right_image
 from uav_vslam.vision.tracking.refill import Refill, choose_new
@@ -34,23 +34,12 @@ FEW_SHARE = 0.5  # of the tracks; if fewer are found where the flow so far led, 
 TYPICAL_DEPTH_SHARE = 0.5  # of the largest depth: what is tried while no depth is known
 
 
-class TrackingFrontend:
+class TrackingFrontend(Frontend):
     """Follows points; what it makes of a pair depends on the pairs before, and on nothing else."""
 
     def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig | None = None) -> None:
-        """Prepare for one rig.
-
-        Args:
-            rig: calibration.
-            config: of the front end.
-            rig_config: how far the calibration is trusted; a rig that does not flex unless given.
-
-        Raises:
-            ConfigError: the extractor is not known.
-        """
-        self._rig, self._config = rig, config
-        self._gate = StereoGate(rig, config, rig_config or RigConfig(), noise_px=DISPARITY_NOISE_PX)
-        self._health = FrontendHealth(rig, self._gate.epipolar_px)
+        """Prepare as any front end; raises `ConfigError` where the extractor is not known."""
+        super().__init__(rig, config, rig_config, DISPARITY_NOISE_PX)
         self._refill = Refill(config)
         self._flow = FlowModel()
         self._tracks = Tracks.none()
@@ -59,18 +48,8 @@ class TrackingFrontend:
         self._since_search = 0  # frames
         self._next_id = 1
 
-    @property
-    def alarms(self) -> dict[str, str]:
-        """What is wrong with the images or the rig at present, by subject."""
-        return self._health.alarms
-
     def process(self, frame: StereoFrame) -> StereoFeatures:
-        """Return the followed points that both images of a pair show.
-
-        Raises:
-            InvalidMessage: an image has another size than the calibration, or a type that can't be used.
-        """
-        check_sizes(frame, self._rig)
+        self._check_sizes(frame)
         grey_left, grey_right = to_grey8(frame.left), to_grey8(frame.right)
         left, right = without_local_mean(grey_left), without_local_mean(grey_right)
         believed = self._health.look(grey_left, grey_right)
@@ -99,7 +78,7 @@ class TrackingFrontend:
             shift = shift_between(self._left, left)
             pixels, good = follow(self._left, left, before.pixels, before.pixels + shift)
         self._flow.learn(before.pixels[good], pixels[good], dt_s)
-        self._tracks = before.seen_at(pixels).chosen(good)
+        self._tracks = dataclasses.replace(before, pixels=pixels).chosen(good)
 
     def _join(self, found: Keypoints | None, shape: tuple[int, ...]) -> None:
         """Begin to follow points where there is room."""
@@ -117,7 +96,7 @@ class TrackingFrontend:
         pixels = np.hstack([self._rig.left.undistort(tracks.pixels), self._rig.right.undistort(raw_right[seen])])
         self._health.judge(pixels)
         depth, good = self._gate.judge(pixels)
-        self._tracks = tracks.chosen(good).at_depth(depth[good])
+        self._tracks = dataclasses.replace(tracks.chosen(good), depth_m=depth[good])
         return StereoFeatures(stamp_ns, pixels[good].astype(np.float32), self._tracks.descriptors, self._tracks.ids)
 
     def _right_guess(self, tracks: Tracks) -> Array:

@@ -37,14 +37,6 @@ class Tracks:
         """Return some of the tracks, by rows or mask."""
         return Tracks(self.ids[rows], self.pixels[rows], self.depth_m[rows], self.descriptors[rows])
 
-    def seen_at(self, pixels: Array) -> "Tracks":
-        """Return the tracks at new places in the left image."""
-        return Tracks(self.ids, pixels, self.depth_m, self.descriptors)
-
-    def at_depth(self, depth_m: Array) -> "Tracks":
-        """Return the tracks at new depths."""
-        return Tracks(self.ids, self.pixels, depth_m, self.descriptors)
-
     def and_new(self, pixels: Array, descriptors: NDArray[np.uint8], first_id: int) -> "Tracks":
         """Return the tracks and, after them, (M, 2) points that are seen for the first time."""
         if len(self) == 0:
