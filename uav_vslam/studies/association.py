@@ -14,16 +14,14 @@ from numpy.typing import NDArray
 
 from uav_vslam.association import ASSOCIATORS, Associator, InView
 from uav_vslam.config import BackendConfig, VehicleConfig
-from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.study import TABLE, Row
-from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.backend import FrameReport, SlamBackend
 from uav_vslam.slam.map_matching import MapMatcher
 from uav_vslam.studies.association_stages import Score
 from uav_vslam.studies.image_matching import Judged, judge_images, kept_frames
-from uav_vslam.studies.own_only import INS, Run, Track
+from uav_vslam.studies.own_only import INS, Run, Track, feed
 from uav_vslam.studies.pool import median
 from uav_vslam.studies.scores import pooled
 from uav_vslam.studies.searched_flights import SearchedFlight, rendered_flight, shown_at
@@ -164,28 +162,21 @@ def fly(flight: SearchedFlight, name: str) -> Association:
     recorder, truth = Recorder(ASSOCIATORS[name]), TruePoints(flight)
     matcher = MapMatcher(backend_config, recorder)
     backend = SlamBackend(flight.initial, rig=flight.rig, config=config, vehicle="uav1", matcher=matcher)
-    poses, frame_ms, ms, score = [], [], [], Score()
-    restarts, failure = 0, ""
-    for frame, (features, increment) in enumerate(flight.steps):
-        points = truth.of(backend.landmarks[0])
-        recorder.found.clear()
-        started_ns = time.process_time_ns()
-        try:
-            report = backend.process(features, increment)
-        except (UavVslamError, np.linalg.LinAlgError) as error:
-            failure = failure or f"{type(error).__name__}: {error}"
-            break
-        frame_ms.append(1e-6 * (time.process_time_ns() - started_ns))
+    scores, ms = [], []
+    points = [truth.of(backend.landmarks[0])]  # that the map shows before each frame
+
+    def judge_frame(report: FrameReport) -> None:
+        frame = len(points) - 1
         for found in recorder.found:
-            score = score + judge(found, points, flight.T_world_left[frame], flight)
+            scores.append(judge(found, points[frame], flight.T_world_left[frame], flight))
             ms.append(found.ms)
+        recorder.found.clear()
         truth.note(frame, *backend.landmarks, report.pose.T_map_body)
-        poses.append(report.pose)
-        restarts += bool(report.recovery)
-        failure = failure or report.recovery
-    track = Track(Trajectory.from_estimates(poses), failure, restarts, np.array(frame_ms))
+        points.append(truth.of(backend.landmarks[0]))
+
+    track = feed(backend, flight.steps, judge_frame)
     run = Run(name, flight.condition, flight.seed, "uav1", track, flight.truth, flight.ins)
-    return Association(run, score, tuple(ms))
+    return Association(run, sum(scores, Score()), tuple(ms))
 
 
 def map_rows(found: Sequence[Association]) -> list[Row]:

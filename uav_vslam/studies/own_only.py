@@ -195,13 +195,18 @@ def _reckon(flight: Flight) -> Track:
 def run_backend(
     flight: Flight, *, config: VehicleConfig, on_report: Callable[[FrameReport], None] = lambda _: None
 ) -> Track:
-    """Feed a flight to the back end, frame by frame, as far as it goes; `config.imu` gives way to the scenario's."""
+    """Feed a flight to a back end of its own; `config.imu` gives way to the scenario's."""
     vehicle = flight.vehicle
     config = dataclasses.replace(config, imu=vehicle.scenario.imu_config)
     backend = SlamBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
+    return feed(backend, flight.steps, on_report)
+
+
+def feed(backend: SlamBackend, steps: Iterable[Step], on_report: Callable[[FrameReport], None]) -> Track:
+    """Feed a flight to a back end, frame by frame, as far as it goes; what `on_report` does is not timed."""
     poses, landmarks, frame_ms, resident_mb = [], [], [], []
     restarts, failure = 0, ""
-    for features, increment in flight.steps:
+    for features, increment in steps:
         started_ns = time.process_time_ns()
         try:
             report = backend.process(features, increment)
