@@ -34,9 +34,15 @@ def spread_on_ground(positions: NDArray[np.float64], count: int) -> NDArray[np.i
     """Choose `count` of (N, 3) points [m] likewise, over the ground that they cover; all where there are no more."""
     if len(positions) <= count:
         return np.arange(len(positions))
-    plan = positions[:, :2] - positions[:, :2].min(axis=0)
-    extent = np.maximum(plan.max(axis=0), 1e-3)
-    return spread(plan, count, size=(float(extent[0]), float(extent[1])))
+    plan, size = ground_plan(positions)
+    return spread(plan, count, size=size)
+
+
+def ground_plan(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    """Return (N, 2) places of (N, 3) points on the ground that they cover, and its size [m], as `spread` wants them."""
+    plan = positions[:, :2] - positions[:, :2].min(axis=0, initial=np.inf)
+    extent = np.maximum(plan.max(axis=0, initial=0.0), 1e-3)
+    return plan, (float(extent[0]), float(extent[1]))
 
 
 def _cells(points: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.intp]:

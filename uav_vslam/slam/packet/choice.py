@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.geometry.coded_points import diagonal_blocks
-from uav_vslam.geometry.image_grid import spread
+from uav_vslam.geometry.image_grid import ground_plan, spread
 from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]
@@ -43,9 +43,7 @@ def choose_landmarks(
         matched_ids: landmarks that a peer was found to share.
         sequence: whose turn it is.
     """
-    plan = joint.positions[:, :2] - joint.positions[:, :2].min(axis=0, initial=np.inf)
-    extent = np.maximum(plan.max(axis=0, initial=0.0), 1e-3)
-    size = (float(extent[0]), float(extent[1]))
+    plan, size = ground_plan(joint.positions)
     matched = np.isin(joint.ids, np.fromiter(matched_ids, np.uint32, len(matched_ids)))
     by_gain = np.argsort(-gain, kind="stable")
 
