@@ -143,7 +143,7 @@ class BackendConfig:
     max_observations: int = 100  # updates a frame, spread over the image
     max_new_landmarks: int = 40  # landmarks added a frame
     max_in_view: int = 120  # with so many landmarks in view no new ones are added
-    max_landmarks: int = 170  # in the state, retained ones included, which are as many as those in view leave room for
+    max_landmarks: int = 200  # in the state, retained ones included, which are as many as those in view leave room for
     retention: str = "grid"  # how landmarks out of view are kept: a name in slam.map_manager.RETENTION
     retention_cell_m: float = 25.0  # one retained landmark per cell of this size
     young_frames: int = 5  # younger landmarks are not removed for space
