@@ -6,18 +6,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_vslam.config import FrontendConfig, RigConfig
-from uav_vslam.errors import InvalidMessage
+from uav_vslam.config import FrontendConfig
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.simulation.camera_render import RenderedFlight, intersect
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.terrain import relief_of
 from uav_vslam.types import StereoFeatures, StereoFrame
-from uav_vslam.vision.frontends import FRONTENDS, make_frontend
 from uav_vslam.vision.tracking.frontend import TrackingFrontend
 
 FRAMES = 8
-CONFIG = FrontendConfig(method="klt", search_scale=1.0, max_tracks=120, scale=1.0, max_matches=120)
+CONFIG = FrontendConfig(search_scale=1.0, max_tracks=120)
 FLIGHT = Scenario(frames=FRAMES, scale=0.25, noise_sigma=1.0)
 LARGEST_SIGMA_PX = 0.15
 LARGEST_WRONG_SHARE = 0.01
@@ -35,20 +33,8 @@ def flight() -> Flown:
     return flown(FLIGHT)
 
 
-@pytest.fixture(scope="module")
-def small() -> tuple[StereoRig, list[StereoFrame]]:
-    """For the contract: what each front end must do with any images."""
-    vehicle, frames = flown(dataclasses.replace(FLIGHT, frames=3))
-    return vehicle.rig, frames
-
-
-@pytest.fixture(params=sorted(FRONTENDS))
-def config(request: pytest.FixtureRequest) -> FrontendConfig:
-    return dataclasses.replace(CONFIG, method=request.param)
-
-
-def process(rig: StereoRig, frames: list[StereoFrame], config: FrontendConfig = CONFIG) -> list[StereoFeatures]:
-    frontend = make_frontend(rig, config, RigConfig())
+def process(rig: StereoRig, frames: list[StereoFrame]) -> list[StereoFeatures]:
+    frontend = TrackingFrontend(rig, CONFIG)
     return [frontend.process(frame) for frame in frames]
 
 
@@ -146,66 +132,3 @@ def test_swapped_images_are_told_and_give_no_points(flight: Flown) -> None:
     swapped = frontend.process(StereoFrame(frames[1].stamp_ns, frames[1].right, frames[1].left))
     assert len(swapped) < 10
     assert "changed places" in frontend.alarms["image order"]
-
-
-# The contract of every front end.
-
-
-def test_the_same_images_give_the_same_bytes_and_stay_as_they_are(
-    small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig
-) -> None:
-    rig, frames = small
-    before = [(frame.left.copy(), frame.right.copy()) for frame in frames]
-    first, second = process(rig, frames, config), process(rig, frames, config)
-    for a, b in zip(first, second, strict=True):
-        assert len(a) > 20
-        assert (a.pixels.tobytes(), a.descriptors.tobytes()) == (b.pixels.tobytes(), b.descriptors.tobytes())
-        np.testing.assert_array_equal(a.tracks, b.tracks)
-    for frame, (left, right) in zip(frames, before, strict=True):
-        np.testing.assert_array_equal(frame.left, left)
-        np.testing.assert_array_equal(frame.right, right)
-
-
-@pytest.mark.parametrize("grey", [0, 128, 255])
-def test_uniform_images_give_no_points(
-    small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig, grey: int
-) -> None:
-    rig, frames = small
-    blank = np.full_like(frames[0].left, grey)
-    features = make_frontend(rig, config, RigConfig()).process(StereoFrame(5, blank, blank))
-    assert (features.stamp_ns, features.pixels.shape, features.descriptors.shape) == (5, (0, 4), (0, 128))
-    assert (features.pixels.dtype, features.descriptors.dtype, features.tracks.shape) == (np.float32, np.uint8, (0,))
-
-
-def test_16_bit_and_colour_images_do(small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig) -> None:
-    rig, frames = small
-    deep = [StereoFrame(f.stamp_ns, *(image.astype(np.uint16) * 16 for image in (f.left, f.right))) for f in frames]
-    colour = [StereoFrame(f.stamp_ns, *(np.dstack([image] * 3) for image in (f.left, f.right))) for f in frames]
-    grey = process(rig, frames, config)
-    for other in (deep, colour):
-        for a, b in zip(grey, process(rig, other, config), strict=True):
-            assert len(b) > 0.8 * len(a)
-
-
-def test_an_image_of_another_size_is_refused_and_changes_nothing(
-    small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig
-) -> None:
-    rig, frames = small
-    frontend = make_frontend(rig, config, RigConfig())
-    frontend.process(frames[0])
-    with pytest.raises(InvalidMessage, match="right image is") as caught:
-        frontend.process(StereoFrame(frames[1].stamp_ns, frames[1].left, frames[1].right[:-1]))
-    assert caught.value.reason == "image_size"
-    np.testing.assert_array_equal(frontend.process(frames[1]).pixels, process(rig, frames[:2], config)[1].pixels)
-
-
-def test_a_frozen_camera_is_told_and_gives_no_points(
-    small: tuple[StereoRig, list[StereoFrame]], config: FrontendConfig
-) -> None:
-    rig, frames = small
-    frontend = make_frontend(rig, config, RigConfig())
-    frontend.process(frames[0])
-    assert len(frontend.process(StereoFrame(frames[1].stamp_ns, frames[1].left, frames[0].right))) == 0
-    assert "frozen" in frontend.alarms["right camera"]
-    assert len(frontend.process(frames[2])) > 20
-    assert frontend.alarms == {}
