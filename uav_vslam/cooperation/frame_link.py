@@ -48,17 +48,9 @@ class FrameLink:
         *,
         config: FusionConfig,
     ) -> Pairs:
-        """Match own landmarks with a packet's, and renew the alignment; as `common_landmarks.find_common` otherwise.
+        """Match as `common_landmarks.find_common`, with landmarks in the own frame, and renew the alignment.
 
-        Args:
-            positions: (N, 3) own landmarks in the own frame [m].
-            covariance: (3N, 3N) their joint covariance [m^2].
-            descriptors: (N, D) as extracted.
-            packet: the peer's.
-            config: ratio, floor and the smallest number of pairs that is believed.
-
-        Returns:
-            (K, 2) rows of own landmarks and of the packet; none without an alignment.
+        Without an alignment nothing matches.
         """
         if packet.session != self._session:
             self._forget()
