@@ -13,6 +13,7 @@ from uav_vslam.estimation.numerics import (
     cholesky,
     inverse_of_triangle,
     inverse_spd,
+    mahalanobis2,
     marginalise_information,
     solve_spd,
     submatrix,
@@ -111,3 +112,12 @@ def test_symmetrise_works_on_stacks() -> None:
     S = symmetrise(A)
     np.testing.assert_array_equal(S, np.swapaxes(S, 1, 2))
     np.testing.assert_allclose(S + 0.5 * (A - np.swapaxes(A, 1, 2)), A)
+
+
+@pytest.mark.parametrize("shape", [(0,), (7,), (2, 3)])
+def test_squared_distances_are_those_of_each_residual_alone(shape: tuple[int, ...]) -> None:
+    count = int(np.prod(shape))
+    S = np.array([random_spd(k, 4) for k in range(count)]).reshape(*shape, 4, 4)
+    r = np.random.default_rng(1).normal(size=(*shape, 4))
+    expected = [x @ solve_spd(A, x, "S") for x, A in zip(r.reshape(-1, 4), S.reshape(-1, 4, 4), strict=True)]
+    np.testing.assert_allclose(mahalanobis2(r, S), np.reshape(expected, shape), rtol=RELATIVE)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from uav_vslam.association.guided import STEREO_DOF
+from uav_vslam.estimation.numerics import mahalanobis2
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ def consensus(nu: Array, S: Array, *, probability: float) -> NDArray[np.intp]:
         left = nu - gain @ nu[given]
         sharp = own - gain @ blocks[given]
         sharp[given] = own[given]  # nothing is left of itself: left is zero there, whatever the covariance
-        distance2 = np.einsum("ni,ni->n", left, np.linalg.solve(sharp, left[..., None])[..., 0])
+        distance2 = mahalanobis2(left, sharp)
         agree = np.flatnonzero(distance2 <= limit)
         if len(agree) > len(best):
             best = agree
@@ -60,7 +61,7 @@ def _borne_out(nu: Array, S: Array, limit: float) -> NDArray[np.intp]:
     while len(rows):
         pull = (A @ nu[rows].ravel()).reshape(-1, STEREO_DOF)
         own = A.reshape(len(rows), STEREO_DOF, len(rows), STEREO_DOF)[np.arange(len(rows)), :, np.arange(len(rows))]
-        distance2 = np.einsum("ni,ni->n", pull, np.linalg.solve(own, pull[..., None])[..., 0])
+        distance2 = mahalanobis2(pull, own)
         worst = int(np.argmax(distance2))
         if distance2[worst] <= limit:
             break

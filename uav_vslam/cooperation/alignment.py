@@ -27,7 +27,7 @@ from uav_vslam.cooperation.point_pairs import (
 )
 from uav_vslam.cooperation.two_point import GATE, Hypotheses, gated, hypotheses
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.estimation.numerics import inverse_spd, symmetrise
+from uav_vslam.estimation.numerics import inverse_spd, mahalanobis2, symmetrise
 from uav_vslam.geometry.pose import Pose
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ def _borne_out(pairs: PointPairs, T_own_peer: Pose) -> Rows:
     while len(rows) > 2:  # two fit always
         k = np.arange(len(rows))
         pull, own = (B @ residual[rows].ravel()).reshape(-1, 3), blocks(B)[k, k]
-        distance2 = np.einsum("ni,ni->n", pull, np.linalg.solve(own, pull[..., None])[..., 0])
+        distance2 = mahalanobis2(pull, own)
         worst = int(np.argmax(distance2))
         if distance2[worst] <= GATE:
             break

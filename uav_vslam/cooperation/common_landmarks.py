@@ -12,6 +12,7 @@ from scipy.special import chdtri
 from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.heard_map import Told
+from uav_vslam.estimation.numerics import mahalanobis2
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, in_basis, load_basis, single_distance
 from uav_vslam.vision.matching.nn_ratio import match_descriptors
@@ -82,7 +83,7 @@ def _gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: flo
     """Return the rows of pairs whose landmarks coincide within E P E^T + R + floor."""
     a, b = pairs[:, 0], pairs[:, 1]
     S = blocks(P)[a, a] + blocks(R)[b, b] + floor * np.eye(3)
-    return np.flatnonzero(_mahalanobis2(peer[b] - own[a], S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability))
+    return np.flatnonzero(mahalanobis2(peer[b] - own[a], S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability))
 
 
 def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: float, config: FusionConfig) -> Pairs:
@@ -91,7 +92,7 @@ def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor
     a, b = pairs[:, 0], pairs[:, 1]
     offset = (peer[b[j]] - peer[b[i]]) - (own[a[j]] - own[a[i]])
     S = _offset_covariance(P, a[i], a[j]) + _offset_covariance(R, b[i], b[j]) + 2 * floor * np.eye(3)
-    agree = _mahalanobis2(offset, S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability)
+    agree = mahalanobis2(offset, S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability)
     graph = np.zeros((len(pairs), len(pairs)), dtype=bool)
     graph[i, j] = graph[j, i] = agree
     return largest_clique(graph)
@@ -101,7 +102,3 @@ def _offset_covariance(covariance: Array, i: Pairs, j: Pairs) -> Array:
     """Return (M, 3, 3) covariances of x_j - x_i."""
     B = blocks(covariance)
     return np.asarray(B[i, i] + B[j, j] - B[i, j] - B[j, i])
-
-
-def _mahalanobis2(difference: Array, S: Array) -> Array:
-    return np.asarray(np.einsum("ni,ni->n", difference, np.linalg.solve(S, difference[..., None])[..., 0]))

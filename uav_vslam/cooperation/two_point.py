@@ -13,6 +13,7 @@ from scipy.special import chdtri
 
 from uav_vslam.cooperation.common_landmarks import blocks
 from uav_vslam.cooperation.point_pairs import PointPairs
+from uav_vslam.estimation.numerics import mahalanobis2
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
 
@@ -69,13 +70,13 @@ def hypotheses(pairs: PointPairs, *, rng: np.random.Generator) -> Hypotheses:
     centre = 0.5 * (pairs.peer[i] + pairs.peer[j])
     t = 0.5 * (pairs.own[i] + pairs.own[j]) - np.einsum("hab,hb->ha", R, centre)
     residuals = pairs.own - np.einsum("hab,kb->hka", R, pairs.peer) - t[:, None]
-    return Hypotheses(R, t, _mahalanobis2(residuals, pairs.pair_covariances(R)))
+    return Hypotheses(R, t, mahalanobis2(residuals, pairs.pair_covariances(R)))
 
 
 def gated(pairs: PointPairs, T_own_peer: Pose, *, slack_m: float = 0.0) -> NDArray[np.intp]:
     """Return the rows of pairs that fit a transform within their own covariances, and a sigma of the transform's."""
     S = pairs.pair_covariances(T_own_peer.R) + slack_m**2 * np.eye(3)
-    return np.flatnonzero(_mahalanobis2(pairs.residuals(T_own_peer), S) <= GATE)
+    return np.flatnonzero(mahalanobis2(pairs.residuals(T_own_peer), S) <= GATE)
 
 
 def _agree(pairs: PointPairs, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -99,8 +100,3 @@ def _along(covariance: Array, offset: Array, i: NDArray[np.intp], j: NDArray[np.
     axes[:, 1, 0], axes[:, 1, 1] = -y, x
     axes[:, 2, 2] = 1.0
     return np.asarray(np.einsum("mab,mbc,mac->ma", axes, C, axes))
-
-
-def _mahalanobis2(residual: Array, S: Array) -> Array:
-    """Return (...) squared distances of (..., 3) residuals with covariances (..., 3, 3)."""
-    return np.asarray(np.einsum("...a,...a->...", residual, np.linalg.solve(S, residual[..., None])[..., 0]))

@@ -8,6 +8,7 @@ from scipy.special import chdtri
 from uav_vslam.association import Associator, InView
 from uav_vslam.association.guided import STEREO_DOF
 from uav_vslam.config import BackendConfig
+from uav_vslam.estimation.numerics import mahalanobis2
 from uav_vslam.types import StereoFeatures
 
 Rows = NDArray[np.intp]
@@ -41,6 +42,5 @@ def followed(marks: InView, tracks: Tracks, seen: StereoFeatures, *, probability
     known = tracks[rows] != 0
     rows, features = rows[known], features[known]
     nu = seen.pixels[features] - marks.expected[rows]
-    distance = np.einsum("ni,ni->n", nu, np.linalg.solve(marks.S[rows], nu[..., None])[..., 0])
-    inside = distance <= chdtri(STEREO_DOF, 1.0 - probability)
+    inside = mahalanobis2(nu, marks.S[rows]) <= chdtri(STEREO_DOF, 1.0 - probability)
     return np.column_stack([rows[inside], features[inside]])

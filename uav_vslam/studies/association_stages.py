@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.common_landmarks import POINT_DOF, find_common, look_alikes
 from uav_vslam.cooperation.point_pairs import PointPairs
-from uav_vslam.estimation.numerics import inverse_spd
+from uav_vslam.estimation.numerics import inverse_spd, mahalanobis2
 from uav_vslam.evaluation.study import Row
 from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.pool import ratio
@@ -89,7 +89,7 @@ def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: Fusi
     mutual = look_alikes(joint.descriptors, packet, config.ratio)
     points = PointPairs.of(joint.positions, covariance, packet, mutual, config.floor_sigma_m)
     offset, S = points.own - points.peer, points.pair_covariances(np.eye(3))
-    distance2 = np.einsum("ki,ki->k", offset, np.linalg.solve(S, offset[..., None])[..., 0])
+    distance2 = mahalanobis2(offset, S)
     any_number = dataclasses.replace(config, min_common=1)
     left = (
         one_way,
