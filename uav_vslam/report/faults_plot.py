@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log, save
+from uav_vslam.report.style import BAND, LINE_COLOURS, clean, column, plain_log, save
 
 ALLOWED_NEES = 3.0
 MARKERS = "os^D"
@@ -33,7 +33,7 @@ def faults_plot(rows: list[Row]) -> Figure:
             "alpha": 0.8,
         }
         errors.plot([row["end_rms_m"] for row in found], places, label=method, **style)
-        nees.plot([_number(row["nees_worst"]) for row in found], places, **style)
+        nees.plot(column(found, "nees_worst"), places, **style)
     for axes in (errors, nees):
         plain_log(axes, "x")
         clean(axes)
@@ -46,7 +46,3 @@ def faults_plot(rows: list[Row]) -> Figure:
     handles, labels = errors.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
     return figure
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.consistency import chi_square_band
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import BAND, clean, plain_log, save
+from uav_vslam.report.style import BAND, clean, column, plain_log, save
 
 Tree = dict[str, Any]
 
@@ -68,11 +68,12 @@ def noise_plot(rows: list[Row]) -> Figure:
     rates, nees = figure.subplots(1, 2, sharex=True)
     scales = list(dict.fromkeys(row["scale"] for row in rows))
     for method in dict.fromkeys(row["method"] for row in rows):
-        found = {row["scale"]: row for row in rows if row["method"] == method}
-        missing = all(found[scale]["rer"] is None for scale in scales)
+        by_scale = {row["scale"]: row for row in rows if row["method"] == method}
+        found = [by_scale[scale] for scale in scales]
+        missing = all(row["rer"] is None for row in found)
         label = f"{method} (fails)" if missing else method
-        rates.plot(scales, [_number(found[scale]["rer"]) for scale in scales], label=label, **_line(method))
-        nees.plot(scales, [_number(found[scale]["nees_position"]) for scale in scales], **_line(method))
+        rates.plot(scales, column(found, "rer"), label=label, **_line(method))
+        nees.plot(scales, column(found, "nees_position"), **_line(method))
     low, high = chi_square_band(rows[0]["runs"])
     nees.axhspan(low, high, color=BAND, zorder=0, label=f"consistent: {low:.2f} to {high:.2f}")
     rates.set(ylabel="Relative error rate, SLAM / INS", xlabel="Noise scale")
@@ -85,8 +86,7 @@ def noise_plot(rows: list[Row]) -> Figure:
 
 
 def _dots(axes: Axes, rows: list[Row], key: str, marker: str, colour: str, label: str) -> None:
-    values = [_number(row[key]) for row in rows]
-    axes.plot(values, range(len(rows)), marker, color=colour, label=label, markersize=6, alpha=0.9)
+    axes.plot(column(rows, key), range(len(rows)), marker, color=colour, label=label, markersize=6, alpha=0.9)
 
 
 def _line(method: str) -> dict[str, Any]:
@@ -100,7 +100,3 @@ def _line(method: str) -> dict[str, Any]:
         "markersize": 4.0 + width,
         "alpha": 0.9,
     }
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import LINE_COLOURS, clean, save
+from uav_vslam.report.style import LINE_COLOURS, clean, column, save
 
 PANELS = {  # key of the row, its axis' name, and what is allowed
     "sigma_px": ("Right pixel's error, one sigma [px]", 0.15),
@@ -33,8 +33,8 @@ def front_end_plot(rows: list[Row]) -> Figure:
         for number, method in enumerate(methods):
             found = [row for row in rows if row["method"] == method]
             places = [conditions.index(row["condition"]) - 0.5 * BAR + (number + 0.5) * height for row in found]
-            widths = [float("nan") if row[key] is None else row[key] for row in found]
-            bars = axes.barh(places, widths, height, color=LINE_COLOURS[number % len(LINE_COLOURS)], label=method)
+            colour = LINE_COLOURS[number % len(LINE_COLOURS)]
+            bars = axes.barh(places, column(found, key), height, color=colour, label=method)
             axes.bar_label(bars, fmt="%.3g", padding=3, fontsize=8)
         axes.axvline(asked, color="#888888", linewidth=0.9, linestyle=":")
         axes.margins(x=0.15)

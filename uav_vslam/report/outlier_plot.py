@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.consistency import chi_square_band
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import BAND, LINE_COLOURS, clean, plain_log, save
+from uav_vslam.report.style import BAND, LINE_COLOURS, clean, column, plain_log, save
 
 KIND_DASHES = {"swapped": "--", "lookalike": "-"}
 ALLOWED_RATIO = 1.3  # of the end error with a tenth of the matches wrong
@@ -29,8 +29,8 @@ def outlier_plot(rows: list[Row]) -> Figure:
             curve = [row for row in rows if row["method"] == method and (row["kind"] == kind or row["share"] == 0.0)]
             percent = [100.0 * row["share"] for row in curve]
             style = {"color": colour, "linestyle": dashes, "marker": "o", "linewidth": 1.6}
-            errors.plot(percent, [_number(row["end_to_clean"]) for row in curve], label=f"{method}, {kind}", **style)
-            nees.plot(percent, [_number(row["nees_position"]) for row in curve], **style)
+            errors.plot(percent, column(curve, "end_to_clean"), label=f"{method}, {kind}", **style)
+            nees.plot(percent, column(curve, "nees_position"), **style)
     errors.axhline(ALLOWED_RATIO, color="#888888", linewidth=0.8, linestyle=":")
     low, high = chi_square_band(rows[0]["runs"])
     nees.axhspan(low, high, color=BAND, zorder=0, label=f"consistent: {low:.2f} to {high:.2f}")
@@ -41,7 +41,3 @@ def outlier_plot(rows: list[Row]) -> Figure:
         clean(axes)
     figure.legend(loc="outside lower center", ncols=3, frameon=False, handlelength=3.5)
     return figure
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

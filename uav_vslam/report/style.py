@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How all plots look: the thesis's colours, and the part of the world worth showing."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.result import VehicleResult
+from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -84,6 +86,11 @@ def plain_log(axes: Axes, which: str) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def column(rows: Sequence[Row], key: str) -> list[float]:
+    """Return what rows hold under a key, NaN where that is nothing."""
+    return [float("nan") if row[key] is None else row[key] for row in rows]
 
 
 def save(figure: Figure, path: Path) -> Path:
