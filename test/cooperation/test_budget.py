@@ -15,6 +15,11 @@ def test_a_new_budget_is_full() -> None:
     assert ByteBudget(900, 1400).available(123) == 1400
 
 
+def test_a_new_budget_has_what_it_is_told_to_have_saved_but_never_more_than_the_burst() -> None:
+    assert ByteBudget(900, 1400, 900).available(123) == 900
+    assert ByteBudget(900, 1400, 2000).available(123) == 1400
+
+
 def test_what_was_spent_is_earned_again_at_the_rate_and_no_further_than_the_burst() -> None:
     budget = ByteBudget(900, 1400)
     assert budget.spend(0, 1400)

@@ -14,26 +14,23 @@ def test_wideband_sends_whole_covariances_and_raw_descriptors() -> None:
     assert (policy.form, policy.max_landmarks, policy.descriptor_basis) == (DENSE, 33, RAW)
 
 
-def test_narrowband_sends_at_most_twenty_landmarks_in_the_compact_form() -> None:
+def test_narrowband_sends_the_compact_form() -> None:
     policy = packet_policy(FusionConfig(mode="narrowband"), tag_bytes=16)
-    assert (policy.form, policy.max_landmarks, policy.descriptor_basis) == (ANCHOR, 20, COMPACT)
-    assert policy.tag_bytes == 16
+    assert (policy.form, policy.descriptor_basis, policy.tag_bytes) == (ANCHOR, COMPACT, 16)
     assert packet_policy(FusionConfig(mode="narrowband", max_packet_landmarks=5)).max_landmarks == 5
 
 
-@pytest.mark.parametrize(("epoch_s", "landmarks"), [(0.5, 5), (1.0, 14), (2.0, 20), (5.0, 20)])
-def test_narrowband_keeps_below_its_budget_and_one_frame_of_ethernet(make_joint, epoch_s, landmarks) -> None:
+@pytest.mark.parametrize(("byte_limit", "landmarks"), [(450, 5), (900, 14), (1800, 24), (None, 24)])
+def test_a_narrowband_packet_fills_what_is_left_of_one_frame_of_ethernet(make_joint, byte_limit, landmarks) -> None:
     joint = make_joint(np.random.default_rng(0).uniform(-50, 50, (40, 3)), np.eye(126))
-    policy = packet_policy(FusionConfig(mode="narrowband", epoch_s=epoch_s))
-    packet = make_packet(joint, sequence=1, policy=policy)
+    policy = packet_policy(FusionConfig(mode="narrowband"))
+    packet = make_packet(joint, sequence=1, policy=policy, byte_limit=byte_limit)
     assert len(packet) == landmarks
-    assert payload_bytes(packet) <= 900 * epoch_s
-    assert payload_bytes(packet) < 1400
+    assert payload_bytes(packet) <= min(byte_limit or 1399, 1399)
 
 
-def test_a_budget_of_ones_own_counts_for_any_mode() -> None:
-    for mode in ("wideband", "narrowband"):
-        assert packet_policy(FusionConfig(mode=mode, budget_bytes_per_s=700, epoch_s=0.5)).max_bytes == 350
+def test_a_wideband_packet_is_an_epochs_share_of_a_budget_of_ones_own() -> None:
+    assert packet_policy(FusionConfig(budget_bytes_per_s=700, epoch_s=0.5)).max_bytes == 350
 
 
 def test_an_unknown_form_is_refused() -> None:

@@ -8,17 +8,17 @@ from uav_vslam.types import NS_PER_S
 
 
 class ByteBudget:
-    """Earns `rate_bytes_per_s` up to `burst_bytes`, and begins full.
+    """Earns `rate_bytes_per_s` up to `burst_bytes`, and begins with `saved_bytes`, or full.
 
     It counts in whole byte-nanoseconds, so that over any time t at most rate * t + burst is granted, to the byte.
     """
 
-    def __init__(self, rate_bytes_per_s: int, burst_bytes: int) -> None:
+    def __init__(self, rate_bytes_per_s: int, burst_bytes: int, saved_bytes: int | None = None) -> None:
         if rate_bytes_per_s < 0 or burst_bytes < 0:
             raise ValueError(f"a budget of {rate_bytes_per_s} B/s, {burst_bytes} B at once: neither may be negative")
         self._rate = rate_bytes_per_s
         self._full = burst_bytes * NS_PER_S
-        self._saved = self._full  # [byte ns]
+        self._saved = self._full if saved_bytes is None else min(saved_bytes * NS_PER_S, self._full)  # [byte ns]
         self._latest_ns: int | None = None
 
     def available(self, now_ns: int) -> int:

@@ -6,10 +6,12 @@ A packet is self-contained, so nothing needs to be made good later: the next epo
 
 from uav_vslam.config import MODE_BUDGETS, FusionConfig
 from uav_vslam.cooperation.budget import ByteBudget
+from uav_vslam.slam.packet import NARROWBAND_PACKET_BYTES
 from uav_vslam.types import NS_PER_S
 
 UNHEARD_EPOCHS = 3  # narrowband: while no peer is heard, one epoch in so many has a packet; after so many that all have
-SAVED_EPOCHS = 2.0  # epochs are a frame longer or shorter than their mean: what a long one earned, a short one needs
+SAVED_EPOCHS = 2.0  # of the budget at most: epochs are longer or shorter by a frame, and narrowband saves for a packet
+WORTH_EPOCHS = 1.25  # of the budget that a narrowband packet waits for: of a small one a fifth is not about landmarks
 
 
 class Outbox:
@@ -24,7 +26,8 @@ class Outbox:
         self.packets_sent = 0
         self.bytes_sent = 0
         self.over_budget = 0
-        self._first_ns = self._last_ns = 0
+        self._first_ns: int | None = None  # stamp of the first epoch
+        self._last_ns = 0
         self._heard_ns = 0  # stamp of the newest packet of any peer
         self._now_ns = 0  # stamp of the last epoch
         self._unheard_epochs = 0
@@ -34,12 +37,14 @@ class Outbox:
         """Begin a new budget, as another communication mode has it; counts go on."""
         self._mode, self._epoch_s, self._silent_after_s = config.mode, config.epoch_s, config.silent_after_s
         rate = config.budget_bytes_per_s or MODE_BUDGETS[config.mode]
-        self._budget = ByteBudget(rate, round(rate * config.epoch_s * SAVED_EPOCHS))
+        share = round(rate * config.epoch_s)
+        self._budget = ByteBudget(rate, round(share * SAVED_EPOCHS), share)
+        self._worth_bytes = min(round(share * WORTH_EPOCHS), NARROWBAND_PACKET_BYTES)
 
     @property
     def sent_bytes_per_s(self) -> float:
-        """Mean payload rate since the first packet; each packet counts for one epoch [B/s]."""
-        return self.bytes_sent / ((self._last_ns - self._first_ns) / NS_PER_S + self._epoch_s)
+        """Mean payload rate from the first epoch to the one after the last packet [B/s]."""
+        return self.bytes_sent / ((self._last_ns - (self._first_ns or 0)) / NS_PER_S + self._epoch_s)
 
     def hear(self, stamp_ns: int) -> None:
         """Note that a peer's packet of that stamp came; one from the future says that it was heard now, no more."""
@@ -48,15 +53,18 @@ class Outbox:
     def is_turn(self, stamp_ns: int) -> bool:
         """Tell, once an epoch, whether it has a packet.
 
-        A narrowband radio that is full of packets has no room left for discovery, which then takes minutes. So once
+        In narrowband that is where enough is saved for a large one: two of three epochs, which tell more than three
+        small packets. A radio that is full of packets has no room left for discovery, which then takes minutes: so once
         no peer has been heard for some epochs, most are left to it.
         """
         self._now_ns = stamp_ns
-        if self._mode == "narrowband" and stamp_ns - self._heard_ns > self._silent_after_s * NS_PER_S:
-            self._unheard_epochs += 1
-            return self._unheard_epochs <= UNHEARD_EPOCHS or self._unheard_epochs % UNHEARD_EPOCHS == 1
-        self._unheard_epochs = 0
-        return self._mode != "none"
+        if self._mode != "narrowband":
+            return self._mode != "none"
+        self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
+        unheard = stamp_ns - self._heard_ns > self._silent_after_s * NS_PER_S
+        self._unheard_epochs = self._unheard_epochs + 1 if unheard else 0
+        to_discovery = self._unheard_epochs > UNHEARD_EPOCHS and self._unheard_epochs % UNHEARD_EPOCHS != 1
+        return not to_discovery and self.available(stamp_ns) >= self._worth_bytes
 
     def available(self, now_ns: int) -> int:
         """Return how large a packet may be now [byte]."""
@@ -67,8 +75,7 @@ class Outbox:
         if not self._budget.spend(stamp_ns, size_bytes):
             self.over_budget += 1
             return False
-        if self.packets_sent == 0:
-            self._first_ns = stamp_ns
+        self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
         self._last_ns = stamp_ns
         self.packets_sent += 1
         self.bytes_sent += size_bytes

@@ -9,13 +9,14 @@ than the sender knows.
 from uav_vslam.slam.packet.checks import MAX_LANDMARKS, validate
 from uav_vslam.slam.packet.choice import choose_landmarks
 from uav_vslam.slam.packet.making import POSE_DIM, make_packet
-from uav_vslam.slam.packet.policy import ANCHOR, DENSE, PacketPolicy, packet_policy
+from uav_vslam.slam.packet.policy import ANCHOR, DENSE, NARROWBAND_PACKET_BYTES, PacketPolicy, packet_policy
 from uav_vslam.slam.packet.wire import VERSION, canonical_bytes, checksum, payload_bytes
 
 __all__ = [
     "ANCHOR",
     "DENSE",
     "MAX_LANDMARKS",
+    "NARROWBAND_PACKET_BYTES",
     "POSE_DIM",
     "VERSION",
     "PacketPolicy",

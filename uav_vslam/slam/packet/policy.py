@@ -7,7 +7,6 @@ from uav_vslam.config import MODE_BUDGETS, FusionConfig
 from uav_vslam.vision.compact_descriptors import COMPACT, RAW
 
 DENSE, ANCHOR = "dense", "anchor"
-NARROWBAND_LANDMARKS = 20
 NARROWBAND_PACKET_BYTES = 1399  # with the headers of RTPS, UDP and IP it stays in one Ethernet frame
 
 
@@ -35,14 +34,18 @@ class PacketPolicy:
 
 
 def packet_policy(config: FusionConfig, *, tag_bytes: int = 0) -> PacketPolicy:
-    """Return the policy of the configured communication mode: no packet is more than an epoch's share of its budget."""
+    """Return the policy of the configured communication mode.
+
+    A wideband packet is no more than an epoch's share of the budget; narrowband ones, of which a large one says more
+    for its bytes, are as large as can be, and fewer.
+    """
+    if config.mode == "narrowband":
+        return PacketPolicy(
+            form=ANCHOR,
+            max_landmarks=config.max_packet_landmarks,
+            descriptor_basis=COMPACT,
+            max_bytes=NARROWBAND_PACKET_BYTES,
+            tag_bytes=tag_bytes,
+        )
     share = int((config.budget_bytes_per_s or MODE_BUDGETS[config.mode]) * config.epoch_s)
-    if config.mode != "narrowband":
-        return PacketPolicy(max_landmarks=config.max_packet_landmarks, max_bytes=share, tag_bytes=tag_bytes)
-    return PacketPolicy(
-        form=ANCHOR,
-        max_landmarks=min(NARROWBAND_LANDMARKS, config.max_packet_landmarks),
-        descriptor_basis=COMPACT,
-        max_bytes=min(NARROWBAND_PACKET_BYTES, share),
-        tag_bytes=tag_bytes,
-    )
+    return PacketPolicy(max_landmarks=config.max_packet_landmarks, max_bytes=share, tag_bytes=tag_bytes)
