@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A packet shows what a peer shares, then what promises most, and in time everything."""
+"""A packet shows what a peer shares, then what is new, and in time everything."""
 
 import dataclasses
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -24,10 +25,10 @@ TWENTY = JointInformation(
 EQUAL = np.ones(20)
 
 
-@given(st.integers(0, 25), st.integers(0, 100), st.sets(st.integers(1, 20)))
+@given(st.integers(0, 25), st.dictionaries(st.integers(1, 20), st.integers(0, 3)), st.sets(st.integers(1, 20)))
 @settings(max_examples=50)
-def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, sequence, matched) -> None:
-    rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=matched, sequence=sequence)
+def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, shown, matched) -> None:
+    rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=matched, shown=shown)
     assert len(rows) == min(count, 20)
     assert (np.diff(rows) > 0).all()
     chosen_matched = len(matched & set((rows + 1).tolist()))
@@ -35,24 +36,28 @@ def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, se
 
 
 @pytest.mark.parametrize("count", [3, 6, 7, 19])
-def test_in_time_every_landmark_is_offered(count: int) -> None:
-    offered = [choose_landmarks(TWENTY, EQUAL, count, matched_ids=(2, 9), sequence=k) for k in range(1, 20)]
-    assert all({1, 8} <= set(rows.tolist()) for rows in offered)
-    assert set(np.concatenate(offered).tolist()) == set(range(20))
+def test_all_are_shown_once_before_any_is_shown_again(count: int) -> None:
+    shown: Counter[int] = Counter()
+    for _ in range(20):
+        rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=(2, 9), shown=shown)
+        assert {1, 8} <= set(rows.tolist())
+        shown.update(TWENTY.ids[rows].tolist())
+        others = [shown[landmark] for landmark in set(TWENTY.ids.tolist()) - {2, 9}]
+        assert max(others) - min(others) <= 1
 
 
-def test_half_of_the_room_is_for_the_most_promising() -> None:
-    corner = dataclasses.replace(TWENTY, positions=np.zeros((20, 3)))  # all in one place: nothing to spread
-    gain = np.arange(20.0)
-    for sequence in range(1, 9):
-        rows = choose_landmarks(corner, gain, 9, matched_ids=(1,), sequence=sequence)
-        assert {0, 16, 17, 18, 19} <= set(rows.tolist())
+def test_of_those_shown_as_often_the_newest_go_first() -> None:
+    shown = {20: 1, 18: 1, 3: 2}
+    rows = choose_landmarks(TWENTY, EQUAL, 5, matched_ids=(1,), shown=shown)
+    assert (rows + 1).tolist() == [1, 15, 16, 17, 19]
+    all_but_three = dict.fromkeys(range(1, 21), 1) | {3: 0}
+    assert (choose_landmarks(TWENTY, EQUAL, 3, matched_ids=(), shown=all_but_three) + 1).tolist() == [3, 19, 20]
 
 
 def test_of_two_in_one_place_the_more_promising_goes_first() -> None:
     positions = np.repeat(np.random.default_rng(1).uniform(-40, 40, (10, 3)), 2, axis=0)
     joint = dataclasses.replace(TWENTY, positions=positions)
-    rows = choose_landmarks(joint, np.tile([1.0, 2.0], 10), 10, matched_ids=range(1, 21), sequence=1)
+    rows = choose_landmarks(joint, np.tile([1.0, 2.0], 10), 10, matched_ids=range(1, 21), shown={})
     assert rows.tolist() == list(range(1, 20, 2))
 
 
@@ -60,13 +65,13 @@ def test_surplus_shared_landmarks_are_spread_over_the_ground() -> None:
     corners = np.array([[0, 0], [0, 40], [40, 0], [40, 40]], float)
     positions = np.vstack([np.full((16, 2), 20.0), corners])
     joint = dataclasses.replace(TWENTY, positions=np.column_stack([positions, np.zeros(20)]))
-    rows = choose_landmarks(joint, EQUAL, 5, matched_ids=range(1, 21), sequence=1)
+    rows = choose_landmarks(joint, EQUAL, 5, matched_ids=range(1, 21), shown={})
     assert rows.tolist() == [0, 16, 17, 18, 19]
 
 
 def test_nothing_is_chosen_of_nothing() -> None:
     none = dataclasses.replace(TWENTY, ids=TWENTY.ids[:0], positions=TWENTY.positions[:0])
-    assert choose_landmarks(none, EQUAL[:0], 5, matched_ids=(3,), sequence=1).shape == (0,)
+    assert choose_landmarks(none, EQUAL[:0], 5, matched_ids=(3,), shown={}).shape == (0,)
 
 
 def test_the_gain_is_half_the_bits_that_a_peer_as_uncertain_as_the_vehicle_would_learn() -> None:

@@ -7,6 +7,7 @@ adds; any overlap makes its share dependent. In between, the fused pose is carri
 """
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -51,6 +52,7 @@ class Fusion:
         self._used: dict[str, LandmarkPacket] = {}
         self._shared: set[int] = set()
         self._offered: set[int] = set()  # landmarks of the last packet, where no feedback tells what became of them
+        self._shown: Counter[int] = Counter()  # how often packets showed a landmark, of those in the belief
         self._sequence = 0
         self._told: dict[str, tuple[NDArray[np.intp], NDArray[np.uint32]]] = {}  # own rows, a peer's ids
         self.belief: JointInformation | None = None
@@ -75,9 +77,12 @@ class Fusion:
             sequence=self._sequence,
             policy=packet_policy(self._config, tag_bytes=self._authentication.tag_bytes),
             matched_ids=self._shared,
+            shown=self._shown,
             prior_id=self._config.prior_id,
             byte_limit=byte_limit,
         )
+        self._shown = Counter({i: self._shown[i] for i in joint.ids.tolist()})
+        self._shown.update(packet.ids.tolist())
         self._offered = set() if self._config.returns_feedback else set(packet.ids.tolist())
         return self._authentication.sign(packet)
 
@@ -101,7 +106,7 @@ class Fusion:
             information=inverse_spd(submatrix(self.epoch.covariance, columns), "fused landmarks"),
             descriptors=np.zeros((len(ids), 0), np.uint8),
         )
-        packet = make_packet(fused, sequence=self._sequence, policy=FEEDBACK)
+        packet = make_packet(fused, sequence=self._sequence, policy=FEEDBACK, matched_ids=ids.tolist())
         others = sorted(self.epoch.sources - {packet.source})
         packet = dataclasses.replace(packet, sources=(packet.source, *others))
         return self._authentication.sign(dataclasses.replace(packet, checksum=checksum(packet)))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which landmarks a packet shows: shared ones first, then what promises most, then the others in turn."""
+"""Which landmarks a packet shows: shared ones first, those that promise most, then the others in turn."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,29 +29,27 @@ def expected_gain(P: Array) -> Array:
 
 
 def choose_landmarks(
-    joint: JointInformation, gain: Array, count: int, *, matched_ids: Collection[int], sequence: int
+    joint: JointInformation, gain: Array, count: int, *, matched_ids: Collection[int], shown: Mapping[int, int]
 ) -> Rows:
     """Return at most `count` ascending rows.
 
-    Landmarks that a peer is known to share go first. Half of what room they leave goes to those with the largest gain,
-    the other half to the rest in turn, so that over time a peer is shown all of them. Both are spread over the ground.
+    Landmarks that a peer is known to share go first, the most gainful of each place on the ground. What room they leave
+    goes to those shown least often, of which the newest first: peers that fly near look at the same ground now, and
+    what was shown in vain they hardly have.
 
     Args:
         joint: the belief.
         gain: (N,) what each landmark is worth.
         count: how many are wanted.
         matched_ids: landmarks that a peer was found to share.
-        sequence: whose turn it is.
+        shown: how often landmarks were shown, by identifier; those that are not in it never were.
     """
     plan, size = ground_plan(joint.positions)
     matched = np.isin(joint.ids, np.fromiter(matched_ids, np.uint32, len(matched_ids)))
     by_gain = np.argsort(-gain, kind="stable")
-
     first = by_gain[matched[by_gain]]
     first = first[spread(plan[first], count, size=size)]
-    room = max(count - len(first), 0)
-    others = by_gain[~matched[by_gain]]
-    best = others[spread(plan[others], room // 2, size=size, taken=plan[first])]
-    rest = np.setdiff1d(others, best)
-    turns = room - len(best)
-    return np.sort(np.concatenate([first, best, np.roll(rest, -sequence * turns)[:turns]]))
+    others = np.flatnonzero(~matched)
+    times = np.array([shown.get(landmark, 0) for landmark in joint.ids[others].tolist()], np.intp)
+    in_turn = others[np.lexsort((-joint.ids[others].astype(np.int64), times))]
+    return np.sort(np.concatenate([first, in_turn[: count - len(first)]]))

@@ -2,7 +2,8 @@
 """From the sender's belief to a packet."""
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ def make_packet(
     sequence: int,
     policy: PacketPolicy,
     matched_ids: Collection[int] = (),
+    shown: Mapping[int, int] = MappingProxyType({}),
     prior_id: str = "",
     byte_limit: int | None = None,
 ) -> LandmarkPacket:
@@ -38,6 +40,7 @@ def make_packet(
         sequence: number of the packet within the session.
         policy: form and size.
         matched_ids: landmarks that a peer was found to share; they go first.
+        shown: how often others were shown before; they take turns.
         prior_id: hash of a loaded map or shared survey behind the belief.
         byte_limit: what the link has room for now, beside the policy's own limit.
 
@@ -48,7 +51,7 @@ def make_packet(
     codes = in_basis(joint.descriptors, policy.descriptor_basis)
     count = _most(joint, policy, codes.shape[1], prior_id, byte_limit)
     P = inverse_spd(joint.information, "joint information")
-    rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, sequence=sequence)
+    rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, shown=shown)
     origin = _origin(joint, rows)
     if policy.form == ANCHOR:
         near = np.abs(joint.positions[rows] - origin) <= OFFSET_LIMIT_M
