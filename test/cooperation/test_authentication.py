@@ -192,6 +192,6 @@ def test_a_fleet_with_a_key_fuses_its_own_packets_and_no_strangers(with_fleet_ke
         receiver.inbox.add(Fusion("uav2", dataclasses.replace(with_key, fleet_key_file="")).packet(uav2))
     assert receiver.fuse(uav1).common == {}
     packet = member.packet(uav2)
-    assert payload_bytes(packet) <= 1399
+    assert payload_bytes(packet) <= 1340
     receiver.inbox.add(packet)
     assert receiver.fuse(uav1).common == {"uav2": len(packet)}
