@@ -9,7 +9,7 @@ from uav_vslam.cooperation.budget import ByteBudget
 from uav_vslam.slam.packet import NARROWBAND_PACKET_BYTES
 from uav_vslam.types import NS_PER_S
 
-UNHEARD_EPOCHS = 3  # narrowband: while no peer is heard, one epoch in so many has a packet; after so many that all have
+UNHEARD_EPOCHS = 4  # narrowband: while no peer is heard, one epoch in so many has a packet; after so many that all have
 SAVED_EPOCHS = 2.0  # of the budget at most: epochs are longer or shorter by a frame, and narrowband saves for a packet
 WORTH_EPOCHS = 1.25  # of the budget that a narrowband packet waits for: of a small one a fifth is not about landmarks
 
