@@ -39,7 +39,7 @@ def main(messages: Path, start_s: float, result: Path) -> None:
         own = {
             name: getattr(message, name)
             for name in (
-                *("mode", "packets_sent", "packets_held_back", "bytes_sent", "sent_bytes_per_s", "recent_bytes_per_s"),
+                *("mode", "packets_sent", "packets_held_back", "bytes_sent", "sent_bytes_per_s"),
                 *("wire_sent_bytes", "wire_received_bytes", "wire_sent_bytes_per_s"),
             )
         }

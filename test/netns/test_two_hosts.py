@@ -282,7 +282,7 @@ def test_two_hosts_cooperate_over_a_lossy_9600_bit_radio_within_its_budget(
         backlog = [sample[2] for sample in settled]
         assert sum(backlog[-third:]) <= sum(backlog[:third]) + third * 1100, "the modem's queue grows"
         status = heard["status"][-1]
-        assert status["recent_bytes_per_s"] <= PAYLOAD_BYTES_PER_S
+        assert status["sent_bytes_per_s"] <= PAYLOAD_BYTES_PER_S
         (link,) = status["peers"]
         assert not link["silent"]
         begun = next(epoch for epoch, status in enumerate(heard["status"]) if status["peers"])
