@@ -203,7 +203,7 @@ class FusionConfig:
     mode: str = "wideband"  # wideband, narrowband or none
     budget_bytes_per_s: int = 0  # payload that is sent at most; 0: as much as the mode allows
     silent_after_s: float = 5.0  # a peer whose last packet was made longer ago is reported as silent
-    epoch_s: float = 1.0  # a packet is sent and a fusion made whenever a frame's stamp passes a multiple of this
+    epoch_s: float = 1.0  # whenever a stamp passes a multiple: a fusion, and a packet (narrowband: two of three)
     min_delay_s: float = 0.2  # only packets at least this much older than the epoch enter: makes replay repeatable
     scheme: str = "split_ci"  # how packets are brought in, in cooperation.schemes: split_ci, full_ci, ...
     weighing: str = "position_trace"  # how the own weight of an intersection is found, see FUSION_WEIGHTS
