@@ -15,7 +15,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import (
@@ -58,7 +57,7 @@ class StateModel(Protocol):
         Args:
             nav: mean.
             arms: (..., 3) mean landmark minus mean position, map frame [m].
-            pose: (..., 6) errors in the columns `POSE`.
+            pose: (..., 6) errors in the columns `POSE`; all three are broadcast.
             landmark: (..., 3) errors.
         """
 
@@ -131,10 +130,7 @@ class Ordinary15(RightInvariant15):
         )
 
     def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
-        moved = arms + landmark - pose[..., :3]
-        xi = np.array(pose[..., 3:]).reshape(-1, 3)  # a copy: scipy refuses what is read-only
-        turned = Rotation.from_rotvec(xi).inv().apply(moved.reshape(-1, 3))
-        return np.asarray(turned.reshape(moved.shape) @ nav.T_map_body.R)
+        return _turned_back(so3_exp(pose[..., 3:]), arms + landmark - pose[..., :3]) @ nav.T_map_body.R
 
 
 class Euler9:
@@ -181,10 +177,14 @@ class Euler9:
         )
 
     def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
-        rpy = rpy_from_rotation(nav.T_map_body.R) + pose[..., 3:].reshape(-1, 3)
-        moved = arms + landmark - pose[..., :3]
-        turned = Rotation.from_euler("ZYX", rpy[:, ::-1]).inv().apply(moved.reshape(-1, 3))
-        return np.asarray(turned.reshape(moved.shape))
+        rpy = rpy_from_rotation(nav.T_map_body.R) + pose[..., 3:]
+        R = rotation_from_rpy(rpy[..., 0], rpy[..., 1], rpy[..., 2])
+        return _turned_back(R, arms + landmark - pose[..., :3])
+
+
+def _turned_back(R: Array, vectors: Array) -> Array:
+    """Return R^T v for broadcastable (..., 3, 3) and (..., 3)."""
+    return np.asarray(np.einsum("...ij,...i->...j", R, vectors))
 
 
 def _right_jacobian_times(xi: Array, v: Array) -> Array:
@@ -202,9 +202,8 @@ def _right_jacobian_times(xi: Array, v: Array) -> Array:
 def _rotation_per_rpy(R: Array) -> Array:
     """Return E (3, 3) with xi = E d(roll, pitch, yaw) for R = Rz Ry Rx and a map-frame rotation vector xi."""
     _, pitch, yaw = rpy_from_rotation(R)
-    return np.column_stack(
-        [rotation_from_rpy(0.0, pitch, yaw)[:, 0], rotation_from_rpy(0.0, 0.0, yaw)[:, 1], [0, 0, 1]]
-    )
+    sin, cos = np.sin(yaw), np.cos(yaw)
+    return np.array([[cos * np.cos(pitch), -sin, 0.0], [sin * np.cos(pitch), cos, 0.0], [-np.sin(pitch), 0.0, 1.0]])
 
 
 def difference(nav: NavState, landmarks: Array, nav_to: NavState, landmarks_to: Array) -> Array:

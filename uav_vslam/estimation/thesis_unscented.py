@@ -90,8 +90,7 @@ class ThesisUnscentedFilter(Filter):
         camera = self._camera()
         arms = self.landmarks[predicted.landmarks] - camera.nav.T_map_body.t
         own = chi[:, landmark_rows(self.vehicle, predicted.landmarks)].reshape(len(chi), -1, 3)
-        pose = np.broadcast_to(chi[:, None, POSE], (*own.shape[:2], 6))
-        in_body = camera.model.perturbed_arms(camera.nav, np.broadcast_to(arms, own.shape), pose, own)
+        in_body = camera.model.perturbed_arms(camera.nav, arms, chi[:, None, POSE], own)
         points_left = (in_body - camera.rig.T_body_left.t) @ camera.rig.T_body_left.R
         if points_left[..., 2].min(initial=np.inf) <= 0.0:
             raise FilterDivergence("a sigma point puts a landmark behind the camera")

@@ -30,16 +30,20 @@ def skew(vector: ArrayLike) -> Array:
     return out
 
 
-def _series(theta: Array) -> tuple[Array, Array, Array]:
-    """Return sin(t)/t, (1-cos(t))/t^2 and (t-sin(t))/t^3 without cancellation near zero."""
+def _sinc_and_versine(theta: Array) -> tuple[Array, Array]:
+    """Return sin(t)/t and (1-cos(t))/t^2 without cancellation near zero."""
     small = theta < SMALL_ANGLE_RAD
     safe = np.where(small, 1.0, theta)
     sinc = np.where(small, 1.0 - theta**2 / 6.0, np.sin(safe) / safe)
     versine = np.where(small, 0.5 - theta**2 / 24.0, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2)
-    # t - sin(t) cancels long before SMALL_ANGLE_RAD: use two more terms of the series up to 0.05 rad.
-    cubic_series = (1.0 - theta**2 / 20.0 * (1.0 - theta**2 / 42.0)) / 6.0
-    cubic = np.where(theta < 0.05, cubic_series, (safe - np.sin(safe)) / safe**3)
-    return sinc, versine, cubic
+    return sinc, versine
+
+
+def _cubic(theta: Array) -> Array:
+    """Return (t-sin(t))/t^3; t - sin(t) cancels long before SMALL_ANGLE_RAD: the series has two terms up to 0.05."""
+    series = (1.0 - theta**2 / 20.0 * (1.0 - theta**2 / 42.0)) / 6.0
+    safe = np.where(theta < SMALL_ANGLE_RAD, 1.0, theta)
+    return np.where(theta < 0.05, series, (safe - np.sin(safe)) / safe**3)
 
 
 def so3_exp(rotation_vector: ArrayLike) -> Array:
@@ -53,7 +57,7 @@ def so3_exp(rotation_vector: ArrayLike) -> Array:
     """
     xi = np.asarray(rotation_vector, dtype=float)
     theta = np.linalg.norm(xi, axis=-1)[..., None, None]
-    sinc, versine, _ = _series(theta)
+    sinc, versine = _sinc_and_versine(theta)
     K = skew(xi)
     return np.asarray(np.eye(3) + sinc * K + versine * (K @ K))
 
@@ -69,9 +73,9 @@ def so3_left_jacobian(rotation_vector: ArrayLike) -> Array:
     """
     xi = np.asarray(rotation_vector, dtype=float)
     theta = np.linalg.norm(xi, axis=-1)[..., None, None]
-    _, versine, cubic = _series(theta)
+    _, versine = _sinc_and_versine(theta)
     K = skew(xi)
-    return np.asarray(np.eye(3) + versine * K + cubic * (K @ K))
+    return np.asarray(np.eye(3) + versine * K + _cubic(theta) * (K @ K))
 
 
 def so3_log(R: ArrayLike) -> Array:
