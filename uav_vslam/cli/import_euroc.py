@@ -4,6 +4,8 @@
 import argparse
 from pathlib import Path
 
+from uav_vslam.cli.progress import progress_bar
+
 HELP = "turn a sequence in EuRoC's ASL layout into a bag"
 EXAMPLES = """examples:
   uav-vslam import-euroc V1_01_easy/mav0 v101
@@ -32,17 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Import and record; return the exit status."""
-    from rich.progress import Progress
-
     from uav_vslam.datasets.euroc import InitialSigma, frame_count, read_euroc
     from uav_vslam.datasets.flight_writer import write_flights
 
     sigma = InitialSigma(*args.initial_sigma) if args.initial_sigma else None
     flight = read_euroc(args.mav0, vehicle=args.vehicle, sigma=sigma)
     frames = frame_count(args.mav0)
-    with Progress(transient=True) as progress:
-        task = progress.add_task("importing", total=frames)
-        write_flights(args.out, [flight], storage=args.storage, on_frame=lambda: progress.advance(task))
+    with progress_bar("importing", frames) as advance:
+        write_flights(args.out, [flight], storage=args.storage, on_frame=advance)
     size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
     print(f"{args.out}: {frames} image pairs of {args.vehicle}, {size_mb:.1f} MB")
     return 0

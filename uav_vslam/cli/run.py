@@ -7,6 +7,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.progress import progress_bar
+
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
     from uav_vslam.evaluation.trajectory import Trajectory
@@ -44,8 +46,6 @@ def run(args: argparse.Namespace) -> int:
     import time
     from functools import partial
 
-    from rich.progress import Progress
-
     from uav_vslam.config import find_link, load
     from uav_vslam.cooperation.link import LinkConfig, link_between
     from uav_vslam.datasets.bag import open_flight
@@ -60,12 +60,9 @@ def run(args: argparse.Namespace) -> int:
     links = partial(link_between, load(LinkConfig, find_link(args.link))) if args.link else None
     flights = {name: open_flight(bags, name) for name in configs}
     started = time.monotonic()
-    with Progress(transient=True) as progress:
-        task = progress.add_task("flying", total=sum(flight.frame_count for flight in flights.values()))
+    with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
         sources: list[FlightSource] = list(flights.values())
-        tracks, fleet = fly(
-            sources, configs, workers=args.workers, on_frame=lambda n: progress.advance(task, n), links=links
-        )
+        tracks, fleet = fly(sources, configs, workers=args.workers, on_frame=advance, links=links)
     truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     name = args.name or args.inputs[0].stem
     result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started)

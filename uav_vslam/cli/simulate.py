@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.progress import progress_bar
+
 if TYPE_CHECKING:
     from uav_vslam.datasets.flight_writer import FlightRecording, ImageCoding
     from uav_vslam.datasets.messages import TruthSample
@@ -54,22 +56,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate and record; return the exit status."""
     import cv2
-    from rich.progress import Progress
 
     from uav_vslam.datasets.flight_writer import ImageCoding
 
     cv2.setNumThreads(1)
     scenario = scenario_from(args)
     coding = ImageCoding(args.compressed or "raw", args.quality)
-    with Progress(transient=True) as progress:
-        task = progress.add_task("rendering", total=scenario.frames * scenario.vehicles)
+    with progress_bar("rendering", scenario.frames * scenario.vehicles) as advance:
         record(
             scenario,
             args.out,
             coding=coding,
             storage=args.storage,
             zstd=args.zstd,
-            on_frame=lambda: progress.advance(task),
+            on_frame=advance,
         )
     size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
     print(

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every study's command line shares: its arguments, the progress bar, and how its results are published."""
+"""What every study's command line shares: its arguments, and how its results are published."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,16 +50,6 @@ def configs_of(args: argparse.Namespace, own: Mapping[str, dict[str, object]]) -
 
     variants = variants_of(args) or own
     return {name: load_vehicle(find_config("kagaru"), overrides=keys) for name, keys in variants.items()}
-
-
-@contextmanager
-def progress_bar(title: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar and give the function that moves it on by one."""
-    from rich.progress import Progress
-
-    with Progress(transient=True) as progress:
-        task = progress.add_task(title, total=total)
-        yield lambda: progress.advance(task)
 
 
 def publish(

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import add_run_arguments, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig

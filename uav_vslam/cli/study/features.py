@@ -9,7 +9,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.study.common import progress_bar, publish, seeds_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.datasets.image_sets import Layout

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import add_run_arguments, publish, seeds_of
 
 HELP = "EIF, EKF, UKF and UHF with every state model: consistency, and the thesis's tables of section 4.7"
 EXAMPLES = """examples:

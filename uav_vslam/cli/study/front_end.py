@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, add_variants, configs_of, progress_bar, publish, seeds_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, configs_of, publish, seeds_of
 
 HELP = "front ends over rendered flights: precision, cost, unequal cameras, and what SLAM makes of their points"
 EXAMPLES = """examples:

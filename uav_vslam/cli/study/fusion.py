@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import add_run_arguments, publish, seeds_of
 
 HELP = "ways to fuse, the thesis's among them; bad radios; fleets of 2, 4 and 8; at landmark level"
 EXAMPLES = """examples:

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, add_variants, progress_bar, publish, seeds_of, variants_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, publish, seeds_of, variants_of
 
 HELP = "2.8 km over known ground, with each retention policy: error, time of a frame, memory"
 EXAMPLES = """examples:

@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.study.common import progress_bar, publish, seeds_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.studies.radio import Run

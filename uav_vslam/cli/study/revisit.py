@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.cli.study.common import add_run_arguments, add_variants, progress_bar, publish, seeds_of, variants_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import add_run_arguments, add_variants, publish, seeds_of, variants_of
 
 HELP = "flights that come back over their start after 2 km, with and without retained landmarks"
 EXAMPLES = """examples:

@@ -7,7 +7,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from uav_vslam.cli.study.common import add_run_arguments, progress_bar, publish, seeds_of
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.study.common import add_run_arguments, publish, seeds_of
 
 HELP = "the thesis's cooperative simulation (7.3.2) with its three ways to communicate; tables and its figures"
 EXAMPLES = """examples:
