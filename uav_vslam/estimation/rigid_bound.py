@@ -12,6 +12,8 @@ see [boyd04], section 11.6. W = blkdiag(P_ii + q^2 I)^-1 asks for little growth 
 seen by a receiver to whom less than q means nothing.
 """
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,10 +86,10 @@ def _newton_step(P: Array, Q: Array, common: Array, own: Array, t: float) -> tup
 
     gradient_common = np.einsum("aij,ij->a", S_k, t * np.eye(k) - G_00 - inverse_common)
     gradient_own = np.einsum("aij,nij->na", S_3, t * np.eye(3) - diagonal_blocks(M) - inverse_own)
-    H_00 = _curvature(S_k, G_00, S_k) + _curvature(S_k, inverse_common, S_k)
-    H_0i = _curvature(S_k, G_0i, S_3).transpose(1, 0, 2).reshape(len(S_k), -1)
-    H_ij = _curvature(S_3, G_ij, S_3)
-    H_ij[np.arange(n), np.arange(n)] += _curvature(S_3, inverse_own, S_3)
+    H_00 = _curvature(G_00) + _curvature(inverse_common)
+    H_0i = _curvature(G_0i).transpose(1, 0, 2).reshape(len(S_k), -1)
+    H_ij = _curvature(G_ij)
+    H_ij[np.arange(n), np.arange(n)] += _curvature(inverse_own)
     H = np.block([[H_00, H_0i], [H_0i.T, H_ij.transpose(0, 2, 1, 3).reshape(6 * n, 6 * n)]])
 
     gradient = np.concatenate([gradient_common, gradient_own.ravel()])
@@ -110,16 +112,21 @@ def _walk(P: Array, Q: Array, common: Array, own: Array, step_common: Array, ste
     return common + share * step_common, own + share * step_own, False
 
 
-def _curvature(S_a: Array, G: Array, S_b: Array) -> Array:
-    """Return (..., A, B) of trace(S_a G S_b G^T), for G (..., n_a, n_b)."""
-    left = np.einsum("aij,...jk->...aik", S_a, G)
-    right = np.einsum("...ij,bjk->...bik", G, S_b)
-    flat = (*G.shape[:-2], -1, G.shape[-2] * G.shape[-1])
-    return np.asarray(left.reshape(flat) @ np.swapaxes(right.reshape(flat), -1, -2))
+def _curvature(G: Array) -> Array:
+    """Return (..., A, B) of trace(S_a G S_b G^T) over the bases of symmetric matrices, for G (..., n_a, n_b).
+
+    S_a has ones at (p, q) and (q, p), and to both the trace gives the same: sum over (r, s) of G_pr S_b,rs G_qs.
+    """
+    n_a, n_b = G.shape[-2:]
+    p, q = np.tril_indices(n_a)
+    pairs = G[..., p, :, None] * G[..., q, None, :]
+    summed = pairs.reshape(*pairs.shape[:-2], -1) @ _symmetric_basis(n_b).reshape(-1, n_b * n_b).T
+    return np.asarray(np.where(p == q, 1.0, 2.0)[:, None] * summed)
 
 
+@functools.cache
 def _symmetric_basis(n: int) -> Array:
-    """Return (n (n+1) / 2, n, n) unit symmetric matrices."""
+    """Return (n (n+1) / 2, n, n) unit symmetric matrices, in the order of `np.tril_indices`."""
     L = unpack_lower(np.eye(n * (n + 1) // 2))
     return np.maximum(L, L.transpose(0, 2, 1))
 
