@@ -67,7 +67,7 @@ def measure(effort: Any) -> Iterator[dict[str, Any]]:
     for shared in (10, 50, 200):
         yield speed.weight_search(shared, min(effort.repeats, 10))
     yield from speed.packets(64, PacketPolicy(), effort.repeats)
-    yield from speed.packets(14, PacketPolicy(form=ANCHOR, descriptor_basis=COMPACT), effort.repeats)
+    yield from speed.packets(22, PacketPolicy(form=ANCHOR, descriptor_basis=COMPACT), effort.repeats)
     yield speed.preintegration(effort.repeats)
     yield bag_reading(vehicle, frames, repeats=min(effort.repeats, 10))
 
