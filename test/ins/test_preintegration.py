@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_left_jacobian, so3_log
-from uav_vslam.ins.preintegration import ImuBuffer, compose, error_transfer, preintegrate
+from uav_vslam.ins.preintegration import ImuBuffer, bridged, compose, error_transfer, preintegrate
 from uav_vslam.ins.propagation import corrected, propagate
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavState
 
@@ -330,3 +330,16 @@ def test_increments_that_do_not_join_are_not_composed(readings) -> None:
         compose(second, first)
     with pytest.raises(ValueError, match="different biases"):
         compose(first, dataclasses.replace(second, gyro_bias=np.zeros(3)))
+
+
+def test_a_bridged_increment_begins_earlier_and_knows_no_more_than_before(readings) -> None:
+    known = integrate(readings(START_S, FRAME_S, 28))
+    whole = bridged(known, known.start_ns - 200_000_000, IMU)
+    assert (whole.start_ns, whole.stamp_ns) == (known.start_ns - 200_000_000, known.stamp_ns)
+    assert whole.samples == known.samples
+    hover = np.array([0.0, 0.0, IMU.gravity])
+    np.testing.assert_allclose(whole.delta_v, 0.2 * hover + known.delta_v, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(whole.rate_end, known.rate_end)
+    sigma = np.sqrt(np.diag(whole.covariance))
+    assert (sigma[3:6] >= 0.5).all()  # of the unknown 0.2 s, as above
+    assert np.linalg.eigvalsh(whole.covariance)[0] > 0

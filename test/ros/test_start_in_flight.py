@@ -143,3 +143,10 @@ def test_diagnostics_say_why_there_is_no_start_yet(graph: Graph, vehicle: Simula
     assert graph.backend.notes["start"].startswith("searching: of 0 points only")
     assert graph.starts == []
     assert graph.live == []
+
+
+def test_increments_queue_as_deep_as_readings(graph: Graph) -> None:
+    """A back end that is busy for a second with one frame must find the motion of all the others."""
+    ends = [*graph.ins.publishers, *graph.backend.subscriptions]
+    depths = [end.qos_profile.depth for end in ends if end.topic_name == "/uav1/ins/increment"]
+    assert depths == [SENSOR.depth] * 2

@@ -8,7 +8,7 @@ import pytest
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.ins.preintegration import preintegrate
-from uav_vslam.slam.frame_queue import MAX_WAITING, FrameQueue
+from uav_vslam.slam.frame_queue import MAX_AHEAD, MAX_WAITING, FrameQueue
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
 
@@ -98,3 +98,73 @@ def test_what_waits_is_bounded() -> None:
         queue.add_features(frame(stamp_ns))
     queue.add_increment(motion(0, 10 + MAX_WAITING))
     assert drain(queue) == [(10 + MAX_WAITING, 1)]
+    assert queue.without_motion == 2 * MAX_WAITING - MAX_WAITING  # none left unseen and uncounted
+
+
+def test_frames_that_overflow_before_the_start_is_known_are_counted_as_from_before_it() -> None:
+    queue = FrameQueue()
+    for stamp_ns in range(MAX_WAITING + 3):
+        queue.add_features(frame(stamp_ns))
+    assert queue.before_start == 3
+
+
+def test_motion_goes_on_without_features_that_stay_away_and_none_of_it_is_lost() -> None:
+    """A camera that is silent for much longer than the queue could hold."""
+    queue, got = FrameQueue(0), []
+    count = 3 * MAX_WAITING
+    for k in range(count):
+        queue.add_increment(motion(10 * k, 10 * (k + 1)))
+        got += drain(queue)
+        assert len(got) == max(0, k + 1 - MAX_AHEAD)
+    queue.add_features(frame(10 * count))
+    got += drain(queue)
+    assert got == [*((10 * k, 0) for k in range(1, count)), (10 * count, 1)]
+    assert queue.lost == count - 1
+
+
+@pytest.mark.parametrize(("period", "late"), [(4, 0), (10, 1), (30, 4)])
+def test_a_slow_front_end_far_behind_is_waited_for(period: int, late: int) -> None:
+    """It sees one image in so many, each one and a half periods late; the first ones may be taken for lost."""
+    queue, got = FrameQueue(0), []
+    for k in range(1, 10 * period):
+        queue.add_increment(motion(10 * (k - 1), 10 * k))
+        seen = k - period - period // 2
+        if seen >= 0 and seen % period == 0:
+            queue.add_features(frame(10 * seen))
+        got += drain(queue)
+    used = [stamp_ns for stamp_ns, points in got if points]
+    assert used == [10 * period * number for number in range(late, 9)]
+    assert queue.without_motion + queue.before_start == late
+
+
+def test_features_that_come_too_late_for_their_motion_are_dropped() -> None:
+    queue = FrameQueue(0)
+    for k in range(MAX_AHEAD + 2):
+        queue.add_increment(motion(10 * k, 10 * (k + 1)))
+    assert drain(queue) == [(10, 0), (20, 0)]
+    queue.add_features(frame(20))
+    queue.add_features(frame(30))
+    assert drain(queue) == [(30, 1)]
+    assert queue.without_motion == 1
+
+
+def test_motion_after_a_lost_increment_leads_to_its_frame() -> None:
+    queue = FrameQueue(10)
+    for stamp_ns in (10, 20, 30, 40):
+        queue.add_features(frame(stamp_ns))
+    queue.add_increment(motion(20, 30))  # the one from 10 to 20 was lost
+    queue.add_increment(motion(30, 40))
+    assert drain(queue) == [(10, 1), (30, 1), (40, 1)]
+    assert (queue.without_motion, queue.motion_refused) == (1, 0)
+
+
+def test_motion_from_before_the_stamp_reached_is_refused_and_counted() -> None:
+    queue = FrameQueue(10)
+    for stamp_ns in (20, 30):
+        queue.add_features(frame(stamp_ns))
+    queue.add_increment(motion(5, 20))  # the start state is not where it begins
+    queue.add_increment(motion(10, 20))
+    queue.add_increment(motion(10, 20))  # said twice
+    queue.add_increment(motion(20, 30))
+    assert drain(queue) == [(20, 1), (30, 1)]
+    assert queue.motion_refused == 2

@@ -118,6 +118,18 @@ def compose(first: ImuIncrement, second: ImuIncrement) -> ImuIncrement:
     )
 
 
+def bridged(increment: ImuIncrement, start_ns: int, imu: ImuConfig) -> ImuIncrement:
+    """Return the motion from an earlier stamp on; what the airframe did until the increment begins is not known.
+
+    Args:
+        increment: what is known of the motion.
+        start_ns: where the whole is to begin, before the increment does [ns].
+        imu: gravity, against which the unknown part hovers.
+    """
+    unknown = _unknown_motion(start_ns, increment.start_ns, increment.gyro_bias, increment.accel_bias, imu)
+    return compose(unknown, increment)
+
+
 def error_transfer(first: ImuIncrement, second: ImuIncrement) -> tuple[Array, Array]:
     """Return A, B (9, 9): errors (rotation, velocity, position) of the whole by those of the first and the second."""
     R, dt = first.delta_R, second.dt_s

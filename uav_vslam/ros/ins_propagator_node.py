@@ -47,7 +47,7 @@ class InsPropagatorNode(VehicleNode):
         self._reckoning = DeadReckoning(self.config.imu)
         self._live: InsOdometry | None = None
         self._early: list[ImuSample | int] = []
-        self._increments = self.advertise(InsIncrement, "ins/increment", STATE)
+        self._increments = self.advertise(InsIncrement, "ins/increment", SENSOR)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)

@@ -16,7 +16,7 @@ def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATI
 
 
 IMAGE = _reliable(5)  # reliable with the shared-memory profile; best effort loses images without it
-SENSOR = _reliable(500)  # inertial readings: none may be missing, 2.5 s at 200 Hz
+SENSOR = _reliable(500)  # inertial readings and increments: none may be missing, 2.5 s at 200 Hz
 STATE = _reliable(10)
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)  # said once, for whoever comes later
 

@@ -35,7 +35,7 @@ from uav_vslam.ros.convert import (
     pose_to_msg,
     transform_to_msg,
 )
-from uav_vslam.ros.qos import LATCHED, STATE
+from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.slam.backend import FrameReport
 from uav_vslam.slam.session import next_session
@@ -68,7 +68,7 @@ class SlamBackendNode(VehicleNode):
             self._initial_state = self.advertise(NavigationState, "initial_state", LATCHED)
         else:
             self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
-        self.listen(InsIncrement, "ins/increment", self._on_increment, STATE)
+        self.listen(InsIncrement, "ins/increment", self._on_increment, SENSOR)
         self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, STATE)
 
     def _on_initial_state(self, message: NavigationState) -> None:

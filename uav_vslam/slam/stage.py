@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.preintegration import bridged
 from uav_vslam.ins.propagator import advance
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
@@ -51,6 +52,7 @@ class SlamStage:
         self._backend: SlamBackend | None = None
         self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
         self._previous_ns: int | None = None
+        self._motion_lost = 0
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
 
@@ -63,7 +65,10 @@ class SlamStage:
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Frames that were not processed, by reason, and those that are held back for a start state."""
+        """Frames that were not processed or motion that is missing, by reason.
+
+        Frames that are held back for a start state count as from before it.
+        """
         before_start = self._queue.before_start
         if self._search is not None:
             before_start += self._search.dropped + (self._search.waiting if self.initial is None else 0)
@@ -71,6 +76,8 @@ class SlamStage:
             "before_start": before_start,
             "frame_lost": self._queue.lost,
             "without_motion": self._queue.without_motion,
+            "motion_lost": self._motion_lost,
+            "motion_refused": self._queue.motion_refused,
         }
 
     def start(self, initial: NavEstimate) -> None:
@@ -115,13 +122,22 @@ class SlamStage:
             self._backend = SlamBackend(
                 self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
             )
-        report = self._backend.process(features, increment)
         if increment is not None:
+            increment = self._joined(increment, self._backend.stamp_ns)
+            # before the filter, which may fail: the baseline must not miss a step for that
             self._reckoned = advance(self._reckoned, increment, self._config.imu)
+        report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
         joint = self._backend.joint_information() if at_epoch else None
         return FrameOutput(report, self._reckoned, joint, self._warnings(report))
+
+    def _joined(self, increment: ImuIncrement, reached_ns: int) -> ImuIncrement:
+        """Return the motion since the stamp reached: where an increment was lost on the way, that part is unknown."""
+        if increment.start_ns == reached_ns:
+            return increment
+        self._motion_lost += 1
+        return bridged(increment, reached_ns, self._config.imu)
 
     def _warnings(self, report: FrameReport) -> tuple[str, ...]:
         if report.recovery:
