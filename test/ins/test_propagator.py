@@ -168,3 +168,27 @@ def test_readings_from_before_the_start_change_nothing() -> None:
     odometry = InsOdometry(NavEstimate(state, np.eye(15)), IMU)
     assert odometry.add_imu(hovering(1 * NS_PER_S - 1)) == state
     assert odometry.pose.stamp_ns == 1 * NS_PER_S
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 30])
+def test_a_silence_of_the_unit_is_seen_whatever_the_rate_of_the_images(rate_hz: int) -> None:
+    """Every piece of it lies between the same two readings, 2 s apart; the images around it are as certain as ever."""
+    samples = [s for s in restless(1001) if not 1000 < s.stamp_ns / MS < 3000]
+    cutter = IncrementCutter(IMU)
+    increments = cut(cutter, samples, [round(1000 / rate_hz * k) for k in range(5 * rate_hz)])
+    silent = [i for i in increments if i.stamp_ns > 1000 * MS and i.start_ns < 3000 * MS]
+    sigmas = [np.sqrt(np.diag(i.covariance)[:6]) / i.dt_s for i in silent]
+    measured = [np.sqrt(np.diag(i.covariance)[:6]) / i.dt_s for i in increments if i not in silent]
+    assert min(sigma.min() for sigma in sigmas) > 0.2  # half of what it may turn and accelerate, at least
+    assert max(sigma.max() for sigma in measured) < 0.1
+    assert cutter.gaps == len(silent) >= 2 * rate_hz
+    assert {i.samples for i in silent if i.start_ns >= 1000 * MS and i.stamp_ns < 3000 * MS} == {0}
+    assert sum(i.samples for i in increments) == sum(0 < s.stamp_ns <= increments[-1].stamp_ns for s in samples)
+
+
+def test_an_interval_without_a_reading_between_near_ones_is_no_gap() -> None:
+    """Images may come faster than readings."""
+    cutter = IncrementCutter(IMU)
+    increments = cut(cutter, restless(10), [11, 13, 17, 22])
+    assert [i.samples for i in increments] == [0, 1, 1]
+    assert cutter.gaps == 0

@@ -36,7 +36,8 @@ def preintegrate(
     """Integrate readings over [start_ns, stamp_ns] by the midpoint rule.
 
     The readings at the two ends are interpolated linearly; where the recording has none there, the nearest one holds.
-    Over a gap of more than MAX_GAP_S the motion counts as all but unknown.
+    Between readings more than MAX_GAP_S apart the motion counts as all but unknown, however short the interval is that
+    is cut from such a gap.
 
     Args:
         samples: readings in stamp order; those outside the interval serve for the interpolation at its ends.
@@ -72,12 +73,12 @@ def preintegrate(
     G[:, 3:6, 3:6] = R_mid_dt
     G[:, 6:9, 3:6] = R_mid_dt * (left + 0.5 * dt)[:, None, None]
     variance = np.repeat([imu.gyro_noise**2, imu.accel_noise**2], 3)[None, :] / dt[:, None]
-    variance[dt > MAX_GAP_S] += np.repeat([UNKNOWN_RATE_SIGMA**2, UNKNOWN_ACCEL_SIGMA**2], 3)
+    variance[_in_gap(samples, start_ns, stamp_ns)] += np.repeat([UNKNOWN_RATE_SIGMA**2, UNKNOWN_ACCEL_SIGMA**2], 3)
     covariance = np.einsum("jab,jb,jcb->ac", G, variance, G)
     return ImuIncrement(
         start_ns=start_ns,
         stamp_ns=stamp_ns,
-        samples=len(samples),
+        samples=sum(start_ns < sample.stamp_ns <= stamp_ns for sample in samples),
         delta_R=dR[-1],
         delta_v=dv[-1],
         delta_p=dp[-1],
@@ -160,6 +161,23 @@ def _readings_within(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> 
     readings = np.array([np.concatenate([s.gyro, s.accel]) for s in samples])
     columns = np.column_stack([np.interp(t_s, t_all, readings[:, k]) for k in range(6)])
     return t_s, columns[:, :3], columns[:, 3:]
+
+
+def has_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> bool:
+    """Tell whether the motion over an interval is unknown in part; arguments as for `preintegrate`."""
+    return not samples or bool(_in_gap(samples, start_ns, stamp_ns).any())
+
+
+def _in_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> NDArray[np.bool_]:
+    """Return for each of the K-1 pieces of `_readings_within` whether the readings around it are too far apart.
+
+    They are those that were taken, inside the interval or not: a gap is no shorter for an image that falls into it.
+    """
+    stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
+    before, after = stamps[stamps <= start_ns][-1:], stamps[stamps >= stamp_ns][:1]
+    inside = stamps[(stamps > start_ns) & (stamps < stamp_ns)]
+    ends = (before if len(before) else [start_ns], after if len(after) else [stamp_ns])
+    return np.diff(np.concatenate([ends[0], inside, ends[1]])) > MAX_GAP_S * NS_PER_S
 
 
 def _unknown_motion(start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: Array, imu: ImuConfig) -> ImuIncrement:

@@ -10,7 +10,7 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.ins.preintegration import ImuBuffer, preintegrate
+from uav_vslam.ins.preintegration import ImuBuffer, has_gap, preintegrate
 from uav_vslam.ins.propagation import propagate, transition
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavState, PoseEstimate
 
@@ -29,6 +29,7 @@ class IncrementCutter:
     Attributes:
         start_ns: where the first increment begins; images up to it need none [ns]. None until the first image, where
             no start state was given.
+        gaps: increments over which the motion is unknown, at least in part.
     """
 
     def __init__(self, imu: ImuConfig, start: NavState | None = None) -> None:
@@ -40,6 +41,7 @@ class IncrementCutter:
         self._pending: deque[int] = deque()
         self.start_ns = None if start is None else start.stamp_ns
         self._last_ns = self.start_ns
+        self.gaps = 0
 
     def add_imu(self, sample: ImuSample) -> None:
         """Take in a reading; see `ImuBuffer.append` for what is refused."""
@@ -68,8 +70,10 @@ class IncrementCutter:
         ready: list[ImuIncrement] = []
         while self._last_ns is not None and self._pending and (flush or self._buffer.covers(self._pending[0])):
             stamp_ns = self._pending.popleft()
+            samples = self._buffer.cut(self._last_ns, stamp_ns)
+            self.gaps += has_gap(samples, self._last_ns, stamp_ns)
             increment = preintegrate(
-                self._buffer.cut(self._last_ns, stamp_ns),
+                samples,
                 self._last_ns,
                 stamp_ns,
                 gyro_bias=self._gyro_bias,

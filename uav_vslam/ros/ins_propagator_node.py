@@ -19,7 +19,6 @@ from tf2_msgs.msg import TFMessage
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
-from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.propagator import DeadReckoning, IncrementCutter, InsOdometry
 from uav_vslam.ros.convert import (
     imu_from_msg,
@@ -99,6 +98,7 @@ class InsPropagatorNode(VehicleNode):
             cutter.add_frame_stamp(item)
         for increment in cutter.increments():
             self._publish_increment(increment)
+        self.counts["imu_gaps"] = cutter.gaps
 
     def _follow(self, live: InsOdometry, item: ImuSample | int) -> None:
         if not isinstance(item, ImuSample):
@@ -121,7 +121,6 @@ class InsPropagatorNode(VehicleNode):
 
     def _publish_increment(self, increment: ImuIncrement) -> None:
         self.counts["increments"] += 1
-        self.counts["imu_gaps"] += increment.samples < increment.dt_s / MAX_GAP_S
         self._increments.publish(increment_to_msg(increment, frame_id=self.base_frame))
         for reckoned in self._reckoning.add(increment):
             self._publish_dead_reckoning(reckoned)
