@@ -460,6 +460,17 @@ def test_a_divergence_is_never_handed_on_and_names_the_time(course, name: str, m
                 step()
 
 
+def test_a_matrix_that_numpy_cannot_factor_is_a_divergence_that_names_the_time(course, monkeypatch) -> None:
+    f = course.filter()
+
+    def fail(*_) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(type(f.belief), "predicted", fail)
+    with pytest.raises(FilterDivergence, match=r"at [0-9.]+ s: Singular matrix"):
+        f.predict(course.increments[0])
+
+
 def test_pixels_that_are_not_numbers_are_refused(course, name: str, model: str) -> None:
     f = course.flown(model, name)
     before, pixels = content(f), course.pixels(3, SOME)

@@ -13,6 +13,7 @@ from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landm
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.health import MAX_LOST
+from uav_vslam.slam.map_matching import MapMatcher
 from uav_vslam.types import NS_PER_S, ImuIncrement, StereoFeatures
 
 FRAMES = 25
@@ -216,6 +217,26 @@ def test_a_filter_that_lost_its_definiteness_begins_anew_from_the_inertial_unit(
     assert reports[12].landmarks > 0  # of this very frame
     assert np.trace(reports[13].pose.covariance) > 2 * np.trace(reports[11].pose.covariance)
     assert min(r.associated for r in reports[13:]) >= 10
+    assert flight.position_error_m(reports[-1]) < 1.0
+
+
+@pytest.mark.parametrize("step", ["predicted", "updated", "candidates"])
+def test_a_matrix_that_numpy_cannot_factor_is_a_filter_that_begins_anew(flight: Flight, step: str, monkeypatch) -> None:
+    """Raised in the prediction, the association or the update: the frame's motion is taken in either way."""
+    backend = flight.backend()
+    reports = [backend.process(flight.features[k], flight.increments[k]) for k in range(8)]
+
+    def fail(*_) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    of = MapMatcher if step == "candidates" else type(backend._filter.belief)
+    with monkeypatch.context() as patch:
+        patch.setattr(of, step, fail)
+        reports.append(backend.process(flight.features[8], flight.increments[8]))
+    reports += [backend.process(flight.features[k], flight.increments[k]) for k in range(9, FRAMES)]
+    assert [k for k, r in enumerate(reports) if r.recovery] == [8]
+    assert "Singular matrix" in reports[8].recovery
+    assert [r.pose.stamp_ns for r in reports] == [f.stamp_ns for f in flight.features]
     assert flight.position_error_m(reports[-1]) < 1.0
 
 

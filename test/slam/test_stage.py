@@ -176,3 +176,25 @@ def test_in_flight_a_lost_increment_begins_the_search_anew(flown) -> None:
     outputs = feed(stage, [(f, None if k == 3 else i) for k, (f, i) in enumerate(flight.frames)])
     assert stage.dropped["motion_lost"] == 0
     assert stamps(outputs)[0] == flight.frames[4][0].stamp_ns
+
+
+def test_dead_reckoning_misses_no_step_where_the_filter_fails(flown, monkeypatch) -> None:
+    flight, failing = flown(1), 6
+    stage = make(flight)
+    stage.start(flight.vehicle.initial)
+    feed(stage, flight.frames[:failing])
+
+    def fail(*_) -> None:
+        raise ValueError("no way on")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stage._backend, "process", fail)
+        with pytest.raises(ValueError, match="no way on"):
+            feed(stage, [flight.frames[failing]])
+    outputs = feed(stage, flight.frames[failing + 1 :])
+    assert len(outputs) == len(flight.frames) - failing - 1
+    reckoned = flight.vehicle.initial
+    for _, increment in flight.frames[1:]:
+        reckoned = advance(reckoned, increment, flight.vehicle.scenario.imu_config)
+    np.testing.assert_array_equal(outputs[-1].dead_reckoning.covariance, reckoned.covariance)
+    assert stage.dropped["motion_lost"] == 1

@@ -367,7 +367,7 @@ def _whitened(predicted: PredictedObservation, nu: Array, weights: Array) -> Obs
 
 
 class _stamped:
-    """Adds the time to a `FilterDivergence`."""
+    """Adds the time to a `FilterDivergence`; a matrix that numpy can't factor or invert is one too."""
 
     def __init__(self, stamp_ns: int) -> None:
         self._stamp_ns = stamp_ns
@@ -376,5 +376,5 @@ class _stamped:
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, FilterDivergence):
+        if isinstance(error, FilterDivergence | np.linalg.LinAlgError):
             raise FilterDivergence(f"at {self._stamp_ns / NS_PER_S:.3f} s: {error}") from error

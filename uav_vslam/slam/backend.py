@@ -121,7 +121,7 @@ class SlamBackend:
             self._nav = self._filter.nav_estimate()
             self._make_room()
             recovery = self._health.judge(innovation, features=len(features), landmarks=known)
-        except FilterDivergence as error:
+        except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter where observations are associated
             if increment is not None and self._nav.state.stamp_ns != features.stamp_ns:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
             recovery = str(error)

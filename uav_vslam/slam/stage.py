@@ -123,9 +123,11 @@ class SlamStage:
                 self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
             )
         if increment is not None:
-            increment = self._joined(increment, self._backend.stamp_ns)
             # before the filter, which may fail: the baseline must not miss a step for that
-            self._reckoned = advance(self._reckoned, increment, self._config.imu)
+            since_reckoned = self._joined(increment, self._reckoned.state.stamp_ns)
+            self._reckoned = advance(self._reckoned, since_reckoned, self._config.imu)
+            self._motion_lost += increment.start_ns != self._backend.stamp_ns
+            increment = self._joined(increment, self._backend.stamp_ns)
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
@@ -136,7 +138,6 @@ class SlamStage:
         """Return the motion since the stamp reached: where an increment was lost on the way, that part is unknown."""
         if increment.start_ns == reached_ns:
             return increment
-        self._motion_lost += 1
         return bridged(increment, reached_ns, self._config.imu)
 
     def _warnings(self, report: FrameReport) -> tuple[str, ...]:
