@@ -170,6 +170,19 @@ def test_frames_from_before_the_start_are_dropped_and_counted() -> None:
     assert len(track.outputs) == 8
 
 
+def test_a_lone_reading_from_the_future_is_dropped_and_stops_nothing() -> None:
+    (source,) = simulated(1, frames=8)
+    events = list(source.iter_events())
+    reading = next(event for event in events[50:] if isinstance(event, ImuSample))
+    hour_ns = 3600 * NS_PER_S
+    place = next(k for k, event in enumerate(events) if event is reading)
+    events.insert(place, dataclasses.replace(reading, stamp_ns=reading.stamp_ns + hour_ns))
+    track, undisturbed = fly(source, config_of(source), events), fly(source, config_of(source))
+    assert track.dropped == {"stamp_leap": 1}
+    for a, b in zip(track.outputs, undisturbed.outputs, strict=True):
+        np.testing.assert_array_equal(a.report.nav.covariance, b.report.nav.covariance)
+
+
 def test_frames_at_the_end_are_completed_with_the_readings_there_are() -> None:
     (source,) = simulated(1, frames=8)
     last = int(source.simulated.frame_stamps_ns[-1])

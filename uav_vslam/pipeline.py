@@ -10,6 +10,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagator import IncrementCutter
 from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.stamps import LeapGuard
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 
@@ -46,6 +47,7 @@ class VehiclePipeline:
         """Begin at a state, or with `start.method: in_flight` at the one that is found: then it may be None."""
         self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._cutter = IncrementCutter(config.imu, initial.state if initial else None)
+        self._imu_stamps = LeapGuard("IMU")
         self._slam = SlamStage(config, vehicle=vehicle, session=session)
         self._slam.rig = rig
         if initial is not None:
@@ -69,6 +71,7 @@ class VehiclePipeline:
 
     def add_imu(self, sample: ImuSample) -> list[FrameOutput]:
         """Take in a reading; it may complete a waiting frame."""
+        self._imu_stamps.check(sample.stamp_ns)
         self._cutter.add_imu(sample)
         return self._complete(self._cutter.increments())
 

@@ -91,3 +91,20 @@ def test_one_camera_may_lag_by_some_frames(lag: int) -> None:
         if k >= lag:
             found.append(pairer.add_right((k - lag) * 100 * MS, k - lag))
     assert [pair.right for pair in found if pair] == list(range(20 - lag))
+
+
+def test_a_lone_stamp_from_the_future_costs_one_image() -> None:
+    pairer: StereoPairer[int] = StereoPairer()
+    found = []
+    for k in range(6):
+        stamp_ns = (10**6 if k == 2 else k) * 100 * MS
+        found += [pairer.add_left(stamp_ns, k), pairer.add_right(k * 100 * MS, k)]
+    assert [pair.left for pair in found if pair] == [0, 1, 3, 4, 5]
+    assert pairer.dropped == 2  # both of the pair
+
+
+def test_cameras_that_were_silent_for_long_go_on() -> None:
+    pairer: StereoPairer[int] = StereoPairer()
+    stamps_ns = [0, 100 * MS, 60_000 * MS, 60_100 * MS, 60_200 * MS]
+    found = [pair for s in stamps_ns for pair in (pairer.add_left(s, s), pairer.add_right(s, s)) if pair]
+    assert [pair.stamp_ns for pair in found] == [0, 100 * MS, 60_100 * MS, 60_200 * MS]

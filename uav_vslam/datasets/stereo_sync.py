@@ -5,6 +5,9 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.stamps import LeapGuard
+
 T = TypeVar("T")
 
 
@@ -25,7 +28,7 @@ class StereoPair(Generic[T]):
 class StereoPairer(Generic[T]):
     """Holds images until their partner comes; those that can't have one any more are dropped and counted.
 
-    Each camera's stamps must rise; an image that does not is dropped.
+    Each camera's stamps must rise, and not leap, see `LeapGuard`; an image whose stamp doesn't fit is dropped.
 
     Attributes:
         dropped: images that never found a partner.
@@ -43,11 +46,12 @@ class StereoPairer(Generic[T]):
         self._left: deque[tuple[int, T]] = deque()
         self._right: deque[tuple[int, T]] = deque()
         self._newest = {"left": -1, "right": -1}
+        self._guards = {side: LeapGuard(f"{side} image") for side in self._newest}
         self.dropped = 0
 
     def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
         """Add a left image; return the pair that it completes, if any."""
-        if not self._is_newer("left", stamp_ns):
+        if not self._is_next("left", stamp_ns):
             return None
         partner = self._take_partner(self._right, stamp_ns)
         if partner is None:
@@ -58,7 +62,7 @@ class StereoPairer(Generic[T]):
 
     def add_right(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
         """Add a right image; return the pair that it completes, if any."""
-        if not self._is_newer("right", stamp_ns):
+        if not self._is_next("right", stamp_ns):
             return None
         partner = self._take_partner(self._left, stamp_ns)
         if partner is None:
@@ -67,7 +71,12 @@ class StereoPairer(Generic[T]):
         self._drop_older(self._right, stamp_ns)
         return StereoPair(partner[0], partner[1], item)
 
-    def _is_newer(self, side: str, stamp_ns: int) -> bool:
+    def _is_next(self, side: str, stamp_ns: int) -> bool:
+        try:
+            self._guards[side].check(stamp_ns)
+        except InvalidMessage:
+            self.dropped += 1
+            return False
         if stamp_ns <= self._newest[side]:
             self.dropped += 1
             return False

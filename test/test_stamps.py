@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lone stamp from the future is refused; time that did leap is believed at the second one."""
+
+import pytest
+
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.stamps import MAX_LEAP_S, LeapGuard
+from uav_vslam.types import NS_PER_S
+
+LEAP_NS = round(MAX_LEAP_S * NS_PER_S)
+FAR_NS = 1000 * LEAP_NS
+
+
+def refused(stamps_ns: list[int]) -> list[int]:
+    """Return those of the stamps that are refused, fed in order."""
+    guard, out = LeapGuard("IMU"), []
+    for stamp_ns in stamps_ns:
+        try:
+            guard.check(stamp_ns)
+        except InvalidMessage:
+            out.append(stamp_ns)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("stamps_ns", "expected"),
+    [
+        ([1, 2, 3, 2 + LEAP_NS, 2 * LEAP_NS], []),
+        ([1, FAR_NS, 2, 3], [FAR_NS]),
+        ([1, FAR_NS, 2, FAR_NS + 1, 3], [FAR_NS, FAR_NS + 1]),  # what came between took the first one's word away
+        ([1, FAR_NS, FAR_NS + 1, FAR_NS + 2], [FAR_NS]),
+        ([1, FAR_NS, FAR_NS, FAR_NS + 1], [FAR_NS, FAR_NS]),  # said twice by one message is no confirmation
+        ([1, FAR_NS, 2 * FAR_NS, 3 * FAR_NS], [FAR_NS, 2 * FAR_NS, 3 * FAR_NS]),
+        ([0, FAR_NS, FAR_NS + 1], [FAR_NS]),  # a clock that is set after the first reading
+        ([FAR_NS, 1, FAR_NS + 1], []),  # an old one is no leap, nor is what follows
+    ],
+)
+def test_a_leap_ahead_is_believed_once_it_is_confirmed(stamps_ns: list[int], expected: list[int]) -> None:
+    assert refused(stamps_ns) == expected
+
+
+def test_the_refusal_names_stream_and_leap() -> None:
+    guard = LeapGuard("IMU")
+    guard.check(0)
+    with pytest.raises(InvalidMessage, match=r"stamp_leap: IMU stamp 60000000000 ns is 60.0 s after the newest, more than 5 s"):
+        guard.check(60 * NS_PER_S)
