@@ -42,5 +42,5 @@ def test_a_leap_ahead_is_believed_once_it_is_confirmed(stamps_ns: list[int], exp
 def test_the_refusal_names_stream_and_leap() -> None:
     guard = LeapGuard("IMU")
     guard.check(0)
-    with pytest.raises(InvalidMessage, match=r"stamp_leap: IMU stamp 60000000000 ns is 60.0 s after the newest, more than 5 s"):
+    with pytest.raises(InvalidMessage, match=r"stamp_leap: IMU stamp 60000000000 ns is 60.0 s after the newest"):
         guard.check(60 * NS_PER_S)
