@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_left_jacobian, so3_log
-from uav_vslam.ins.preintegration import ImuBuffer, bridged, compose, error_transfer, preintegrate
+from uav_vslam.ins.preintegration import (
+    MAX_HELD_S,
+    ImuBuffer,
+    bridged,
+    compose,
+    error_transfer,
+    has_gap,
+    preintegrate,
+)
 from uav_vslam.ins.propagation import corrected, propagate
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavState
 
@@ -343,3 +351,17 @@ def test_a_bridged_increment_begins_earlier_and_knows_no_more_than_before(readin
     sigma = np.sqrt(np.diag(whole.covariance))
     assert (sigma[3:6] >= 0.5).all()  # of the unknown 0.2 s, as above
     assert np.linalg.eigvalsh(whole.covariance)[0] > 0
+
+
+def test_readings_are_kept_for_some_minutes_and_what_is_gone_is_a_gap() -> None:
+    buffer, second = ImuBuffer(), NS_PER_S
+    step_ns, end_ns = second // 25, round(3 * MAX_HELD_S) * second
+    for stamp_ns in range(0, end_ns + 1, step_ns):
+        buffer.append(reading(stamp_ns))
+    kept = buffer.cut(0, end_ns)
+    assert kept[0].stamp_ns == end_ns - round(MAX_HELD_S) * second
+    assert len(kept) == MAX_HELD_S * 25 + 1
+    assert has_gap(kept, 0, end_ns)
+    assert not has_gap(kept, kept[0].stamp_ns, end_ns)
+    increment = preintegrate(kept, 0, end_ns, gyro_bias=np.zeros(3), accel_bias=np.zeros(3), imu=IMU)
+    assert np.sqrt(increment.covariance[2, 2]) > 0.5 * MAX_HELD_S  # half a radian for each second that is not known

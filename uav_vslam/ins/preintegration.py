@@ -20,6 +20,7 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
 Array = NDArray[np.float64]
 
 MAX_GAP_S = 0.05  # without a reading for longer, nobody knows what the airframe did
+MAX_HELD_S = 120.0  # readings kept while no image comes: 12 MB at 200 Hz
 UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] what it may turn meanwhile
 UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] what it may accelerate meanwhile
 
@@ -201,7 +202,7 @@ def _unknown_motion(start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: 
 
 
 class ImuBuffer:
-    """Readings in arrival order, from which intervals are cut.
+    """Readings in arrival order, from which intervals are cut; of the last MAX_HELD_S at most: what is gone is a gap.
 
     A reading at or after the end of an interval must have arrived before it can be cut: see `covers`.
     """
@@ -221,6 +222,8 @@ class ImuBuffer:
             newest = self._samples[-1].stamp_ns
             raise InvalidMessage("stamp", f"IMU stamp {sample.stamp_ns} ns is not after {newest} ns")
         self._samples.append(sample)
+        while self._samples[0].stamp_ns < sample.stamp_ns - MAX_HELD_S * NS_PER_S:
+            self._samples.popleft()
 
     def covers(self, stamp_ns: int) -> bool:
         """Tell whether a reading at or after the stamp has arrived."""
