@@ -199,7 +199,7 @@ class LandmarkPacket:
 
     Attributes:
         stamp_ns: time of the estimate [ns].
-        vehicle, session, sequence: the sender's key; a newer (session, sequence) replaces an older packet whole.
+        vehicle, session, sequence: the sender, its start, and the number of the packet since its fusion began.
         sources: "vehicle/session" of every measurement that is inside, the sender's own among them.
         prior_id: hash of a loaded map or shared survey; "" for none.
         ids: (N,) landmark identifiers of the sender.
@@ -230,6 +230,14 @@ class LandmarkPacket:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def order(self) -> tuple[int, int]:
+        """Stamp and sequence: of one session's packets the largest is the newest, and replaces the others whole.
+
+        The stamp comes first because a fusion node that is started anew counts from the beginning.
+        """
+        return self.stamp_ns, self.sequence
 
     @property
     def source(self) -> str:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packets of made-up beliefs, and two maps of the same landmarks."""
 
+import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -32,6 +33,9 @@ def make_small_packet(make_joint) -> Callable[..., LandmarkPacket]:
     return make
 
 
+NUMBERS = itertools.count(1)
+
+
 @dataclass(frozen=True)
 class SentMap:
     """What matching and alignment read of a packet, not rounded by any coding."""
@@ -42,6 +46,7 @@ class SentMap:
     session: int = 1
     descriptor_basis: int = RAW
     told: np.ndarray | None = None
+    order: tuple[int, int] = field(default_factory=lambda: (next(NUMBERS), 1))
 
     @property
     def ids(self) -> np.ndarray:

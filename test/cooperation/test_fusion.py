@@ -403,6 +403,34 @@ def test_feedback_to_an_earlier_session_is_not_used(own, peer_packet) -> None:
     np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
 
 
+@pytest.mark.parametrize("wrong", ["lie", "for another", "of an ended session"])
+def test_feedback_that_can_not_be_believed_changes_nothing(own, peer_packet, wrong: str) -> None:
+    there, here = Fusion("uav2", EXACT), Fusion("uav1", EXACT)
+    there.inbox.add(make_packet_for(own, stamp_ns=NOW_NS - 2 * 10**9))
+    there.fuse(dataclasses.replace(own, vehicle="uav2", stamp_ns=NOW_NS - 10**9))
+    feedback = there.feedback("uav1")
+    if wrong == "lie":
+        feedback = dataclasses.replace(feedback, origin=feedback.origin + np.int32(50))
+    elif wrong == "for another":
+        feedback = dataclasses.replace(feedback, sources=("uav2/1", "uav3/1", "uav1/1"))
+    else:
+        restarted = dataclasses.replace(peer_packet(), ids=np.arange(1000, 1000 + COUNT, dtype=np.uint32), session=2)
+        restarted = dataclasses.replace(restarted, sources=("uav2/2",), descriptors=255 - restarted.descriptors)
+        here.inbox.add(dataclasses.replace(restarted, checksum=checksum(restarted)))
+    here.returned.add(dataclasses.replace(feedback, checksum=checksum(feedback)))
+    epoch = here.fuse(own)
+    np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
+
+
+def test_what_was_shared_is_forgotten_with_the_session_that_numbered_it(own, peer_packet) -> None:
+    fusion = Fusion("uav1", EXACT)
+    fusion.inbox.add(peer_packet())
+    assert fusion.fuse(own).matched_ids
+    again = dataclasses.replace(own, session=2, stamp_ns=NOW_NS + 10**9, descriptors=255 - own.descriptors)
+    fusion.fuse(again)
+    assert not fusion._shared
+
+
 def test_the_packet_of_last_time_is_used_while_it_shares_more_than_the_newest(own, peer_packet) -> None:
     fusion, shared, strange = Fusion("uav1", EXACT), peer_packet(sequence=1), peer_packet(sequence=2)
     fusion.inbox.add(shared)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from uav_vslam.cooperation.authentication import FleetKey
 from uav_vslam.cooperation.inbox import KEPT_PER_PEER, MAX_PEERS, Inbox
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.slam.packet import PacketPolicy, make_packet
+from uav_vslam.slam.packet import PacketPolicy, checksum, make_packet
 from uav_vslam.types import LandmarkPacket
 
 END_NS = 10**15
@@ -93,8 +93,26 @@ def test_a_packet_without_landmarks_takes_nothing_back(make_small_packet, make_j
     for packet in (empty(1), make_small_packet(2), *map(empty, range(3, 9))):
         inbox.add(packet)
     assert inbox.newest("uav2", END_NS).sequence == 2
+    assert offer(inbox, empty(8)) == "duplicate"
     inbox.add(empty(1, session=2))  # but a restart does
-    assert len(inbox.newest("uav2", END_NS)) == 0
+    assert inbox.newest("uav2", END_NS) is None
+    assert inbox.peers["uav2"].arrived[-1].session == 2
+
+
+def test_a_fusion_node_that_counts_from_the_beginning_again_is_heard(make_small_packet) -> None:
+    inbox = Inbox("uav1")
+    for sequence in range(1, 9):
+        inbox.add(make_small_packet(sequence))
+    inbox.add(make_small_packet(1, stamp_ns=9 * 10**9))
+    assert inbox.newest("uav2", END_NS).stamp_ns == 9 * 10**9
+    assert offer(inbox, make_small_packet(8)) == "duplicate"
+
+
+def test_nobody_without_the_key_makes_a_receiver_compute(make_small_packet) -> None:
+    packet = dataclasses.replace(make_small_packet(1), covariance_scale=np.nan)  # contents are wrong as well
+    packet = dataclasses.replace(packet, checksum=checksum(packet))
+    assert offer(Inbox("uav1", authentication=FleetKey(b"k" * 32)), packet) == "signature"
+    assert offer(Inbox("uav1"), packet) == "not_finite"
 
 
 def test_strangers_whose_packets_are_bad_get_no_record(make_small_packet) -> None:

@@ -41,6 +41,18 @@ def test_narrowband_saves_for_large_packets_and_uses_up_its_budget() -> None:
     assert not outbox.take(10**15, 1801)  # more than two epochs earn, however long one waits
 
 
+def test_where_every_peer_costs_a_copy_narrowband_saves_for_all_of_them() -> None:
+    outbox, sent = Outbox(FusionConfig(mode="narrowband")), 0
+    outbox.configure(FusionConfig(mode="narrowband"), copies=5)
+    for stamp_ns in epochs(90):
+        if outbox.is_turn(stamp_ns, copies=5):
+            assert outbox.available(stamp_ns) // 5 >= 1125
+            assert outbox.take(stamp_ns, 5 * 1125)
+            sent += 1
+        outbox.hear(stamp_ns)
+    assert 13 <= sent <= 15
+
+
 @pytest.mark.parametrize(("rate", "first"), [(300, [False, True, False]), (5000, [True, True, True])])
 def test_a_narrowband_of_ones_own_waits_for_its_own_share(rate: int, first: list[bool]) -> None:
     outbox, turns_taken = Outbox(FusionConfig(mode="narrowband", budget_bytes_per_s=rate)), []

@@ -65,3 +65,18 @@ def test_feedback_from_a_peer_whose_frame_is_not_known_is_left_alone(joints) -> 
     here.returned.add(feedback)
     epoch = here.fuse(own)
     np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
+
+
+def test_feedback_in_a_frame_that_was_found_is_used_until_the_frame_is_forgotten(joints) -> None:
+    own, peer = joints
+    there, here = (Fusion(name, FusionConfig(common_origin=False)) for name in ("uav2", "uav1"))
+    there.inbox.add(make_packet(dataclasses.replace(own, stamp_ns=8_000_000_000), sequence=1, policy=PacketPolicy()))
+    there.fuse(peer)
+    here.inbox.add(make_packet(peer, sequence=1, policy=PacketPolicy()))
+    here.fuse(own)
+    here.inbox.peers["uav2"].packets.clear()
+    assert not here.fuse(own).matched_ids
+    here.returned.add(there.feedback("uav1"))
+    assert len(here.fuse(own).matched_ids) > 10
+    here.frame("uav2")._link._forget("contradicted")
+    assert not here.fuse(own).matched_ids

@@ -20,7 +20,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from uav_vslam.config import FusionConfig  # noqa: E402
 from uav_vslam.cooperation.fusion import Fusion  # noqa: E402
-from uav_vslam.errors import ConfigError  # noqa: E402
+from uav_vslam.errors import ConfigError, FilterDivergence  # noqa: E402
 from uav_vslam.ros.convert import joint_to_msg, odometry_to_msg  # noqa: E402
 from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
 from uav_vslam.ros.packet_message import packet_to_msg  # noqa: E402
@@ -163,6 +163,35 @@ def test_a_mode_that_there_is_not_is_refused(fly: Callable[..., Flight], name: s
     assert not result.successful
     assert reason in result.reason
     assert flight.epoch(1).mode == "wideband"
+
+
+def test_a_mode_that_does_not_go_with_the_extractor_is_refused(fly: Callable[..., Flight]) -> None:
+    flight = fly("frontend.extractor:=surf")
+    result = flight.set("mode", "narrowband")
+    assert not result.successful
+    assert "in narrowband mode, whose descriptors are made of SIFT's" in result.reason
+    assert flight.epoch(1).mode == "wideband"
+
+
+def test_an_epoch_that_fails_leaves_the_vehicle_its_pose(
+    fly: Callable[..., Flight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flight, poses = fly(), []
+    flight.others.create_subscription(Odometry, "/uav1/fused/odometry", poses.append, STATE)
+    assert flight.spin(lambda: flight.node._odometry.get_subscription_count() > 0)
+    flight.epoch(1)
+    fuse = flight.node._fusion.fuse
+
+    def fail(_: JointInformation) -> None:
+        monkeypatch.setattr(flight.node._fusion, "fuse", fuse)
+        raise FilterDivergence("joint information is not positive definite")
+
+    monkeypatch.setattr(flight.node._fusion, "fuse", fail)
+    flight._joints.publish(joint_to_msg(flight.joint(2, "uav1"), frame_id="uav1/map"))
+    flight._move(2 * NS_PER_S)
+    assert flight.spin(lambda: poses and poses[-1].header.stamp.sec == 2)
+    assert flight.node.counts["dropped/refused"] == 1
+    assert flight.epoch(3).header.stamp.sec == 3
 
 
 def test_a_mode_that_there_is_not_ends_the_node_at_its_start() -> None:

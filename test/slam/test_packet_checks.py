@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from uav_vslam.config import MAX_PACKET_LANDMARKS
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.slam.packet import ANCHOR, MAX_LANDMARKS, PacketPolicy, checksum, make_packet, validate
+from uav_vslam.slam.packet import ANCHOR, PacketPolicy, checksum, make_packet, validate
 from uav_vslam.types import LandmarkPacket
 
 
@@ -41,7 +42,7 @@ def with_entry(array: NDArray, place: tuple[int, ...], value: float) -> NDArray:
 
 
 COMMON = {
-    "too_many": ("shape", lambda p: {"ids": np.arange(MAX_LANDMARKS + 1, dtype=np.uint32)}),
+    "too_many": ("shape", lambda p: {"ids": np.arange(MAX_PACKET_LANDMARKS + 1, dtype=np.uint32)}),
     "ids_without_offsets": ("shape", lambda p: {"ids": p.ids[:-1]}),
     "flat_offsets": ("shape", lambda p: {"offsets": p.points.offsets.ravel()}),
     "missing_descriptor": ("shape", lambda p: {"descriptors": p.descriptors[:-1]}),

@@ -44,11 +44,19 @@ def find_common(
         (K, 2) rows of own landmarks and of the packet; none where fewer than `min_common` agree.
     """
     pairs = look_alikes(descriptors, packet, config.ratio)
+    pairs = gated(pairs, positions, covariance, packet, config=config)
     peer_positions, peer_covariance = packet.positions, packet.covariance
     floor = config.floor_sigma_m**2
-    pairs = pairs[_gated(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
     pairs = pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
     return pairs if len(pairs) >= config.min_common else pairs[:0]
+
+
+def gated(pairs: Pairs, positions: Array, covariance: Array, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
+    """Return the (K, 2) pairs whose landmarks coincide within E P E^T + R + floor; arguments as of `find_common`."""
+    own, peer = pairs[:, 0], pairs[:, 1]
+    S = blocks(covariance)[own, own] + blocks(packet.covariance)[peer, peer] + config.floor_sigma_m**2 * np.eye(3)
+    distance2 = mahalanobis2(packet.positions[peer] - positions[own], S)
+    return pairs[distance2 <= chdtri(POINT_DOF, 1.0 - config.gate_probability)]
 
 
 def look_alikes(descriptors: NDArray[np.uint8], packet: Told, ratio: float, *, mutual: bool = True) -> Pairs:
@@ -77,13 +85,6 @@ def blocks(covariance: Array) -> Array:
     """View a (3N, 3N) covariance as (N, N, 3, 3) blocks."""
     n = len(covariance) // 3
     return covariance.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
-
-
-def _gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: float, config: FusionConfig) -> Pairs:
-    """Return the rows of pairs whose landmarks coincide within E P E^T + R + floor."""
-    a, b = pairs[:, 0], pairs[:, 1]
-    S = blocks(P)[a, a] + blocks(R)[b, b] + floor * np.eye(3)
-    return np.flatnonzero(mahalanobis2(peer[b] - own[a], S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability))
 
 
 def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: float, config: FusionConfig) -> Pairs:

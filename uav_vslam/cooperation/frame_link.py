@@ -36,6 +36,7 @@ class FrameLink:
         self.reason = "no packet yet"
         self.found = 0
         self._session: int | None = None
+        self._newest = (0, 0)  # stamp and sequence of the newest packet
         self._heard: HeardMap | None = None
         self._misfits = 0
 
@@ -53,7 +54,7 @@ class FrameLink:
         Without an alignment nothing matches.
         """
         if packet.session != self._session:
-            self._forget()
+            self._forget("no frame found since it started")
             self._session = packet.session
         if not comparable(descriptors, packet):
             return np.zeros((0, 2), np.intp)
@@ -61,19 +62,26 @@ class FrameLink:
         pairs = look_alikes(descriptors, self._heard, config.ratio)
         points = PointPairs.of(positions, covariance, self._heard, pairs, config.floor_sigma_m)
         now = np.flatnonzero(pairs[:, 1] < len(packet))  # the others are of packets before: evidence, not to be fused
-        rows = self._inliers(points, now, config.min_common)
+        is_new, self._newest = packet.order != self._newest, packet.order
+        rows = self._inliers(points, now, config.min_common, is_new=is_new)
         return pairs[rows]
 
-    def _inliers(self, points: PointPairs, now: Pairs, min_common: int) -> Pairs:
+    def agreeing(self, points: PointPairs) -> Pairs:
+        """Return the rows of pairs that fit the known frame and each other; none where there is none."""
+        followed = follow(points, self.alignment.T_own_peer) if self.alignment else None
+        return followed.inliers if followed else np.zeros(0, np.intp)
+
+    def _inliers(self, points: PointPairs, now: Pairs, min_common: int, *, is_new: bool) -> Pairs:
         """Renew the alignment; return the rows of the newest packet, of those in `now`, that fit."""
         found, nothing = align(points), now[:0]
         if isinstance(found, Refusal):
             self.reason = found.reason
-            rows = now[self._followed(points.take(now))]
+            rows = now[self.agreeing(points.take(now))]
         else:
             rows = np.intersect1d(found.inliers, now)
         if len(rows) < min_common and len(now) >= MIN_INLIERS:
-            self._contradicted()
+            if is_new:  # an epoch without news looks at the same packet again
+                self._contradicted()
             return nothing
         if len(rows) >= min_common:
             self._misfits = 0
@@ -82,16 +90,11 @@ class FrameLink:
             self.alignment, self.reason = found, ""
         return rows if len(rows) >= min_common else nothing
 
-    def _followed(self, points: PointPairs) -> Pairs:
-        """Return the rows that fit the known frame."""
-        followed = follow(points, self.alignment.T_own_peer) if self.alignment else None
-        return followed.inliers if followed else np.zeros(0, np.intp)
-
     def _contradicted(self) -> None:
         """Forget the frame, and what it rested on, when packets with enough matches don't fit it too often."""
         self._misfits += self.alignment is not None
         if self._misfits == MISFITS:
-            self._forget()
+            self._forget("its landmarks contradicted the frame found before")
 
-    def _forget(self) -> None:
-        self.alignment, self._heard, self._misfits = None, None, 0
+    def _forget(self, reason: str) -> None:
+        self.alignment, self._heard, self._misfits, self.reason = None, None, 0, reason

@@ -54,7 +54,7 @@ class Fusion:
         self._offered: set[int] = set()  # landmarks of the last packet, where no feedback tells what became of them
         self._shown: Counter[int] = Counter()  # how often packets showed a landmark, of those in the belief
         self._sequence = 0
-        self._told: dict[str, tuple[NDArray[np.intp], NDArray[np.uint32]]] = {}  # own rows, a peer's ids
+        self._told: dict[str, tuple[str, NDArray[np.intp], NDArray[np.uint32]]] = {}  # its source, own rows, its ids
         self.belief: JointInformation | None = None
         self.epoch: FusedEpoch | None = None
 
@@ -94,7 +94,7 @@ class Fusion:
         told = self._told.get(peer)
         if self.belief is None or self.epoch is None or told is None:
             return None
-        rows, ids = told
+        addressee, rows, ids = told
         columns = state_rows(POSE_DIM, rows)
         fused = JointInformation(
             stamp_ns=self.belief.stamp_ns,
@@ -107,12 +107,14 @@ class Fusion:
             descriptors=np.zeros((len(ids), 0), np.uint8),
         )
         packet = make_packet(fused, sequence=self._sequence, policy=FEEDBACK, matched_ids=ids.tolist())
-        others = sorted(self.epoch.sources - {packet.source})
-        packet = dataclasses.replace(packet, sources=(packet.source, *others))
+        others = sorted(self.epoch.sources - {packet.source, addressee})
+        packet = dataclasses.replace(packet, sources=(packet.source, addressee, *others))
         return self._authentication.sign(dataclasses.replace(packet, checksum=checksum(packet)))
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
         """Start from the own belief and bring in each peer's newest packet, and feedback, that is old enough."""
+        if self.belief is not None and joint.session != self.belief.session:  # its landmarks are numbered anew
+            self._shared, self._offered, self._shown = set(), set(), Counter()
         self.belief = self._memory.extended(joint, self._shared, self._offered)
         config = self._config
         overlay = Overlay(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
@@ -126,11 +128,10 @@ class Fusion:
             overlay.common[peer] = len(pairs)
             overlay.add(packet, pairs, self.frame(peer))
             if len(pairs):
-                self._told[peer] = pairs[:, 0], packet.ids[pairs[:, 1]]
+                self._told[peer] = packet.source, pairs[:, 0], packet.ids[pairs[:, 1]]
         for peer, packet in self._newest(self.returned):
-            if not self.frame(peer).reason:  # it is told in the peer's frame
-                overlay.add(packet, self._named(overlay, packet), self.frame(peer))
-        self._shared |= overlay.matched
+            overlay.add(packet, self._named(overlay, packet), self.frame(peer))
+        self._shared = self._shared & set(self.belief.ids.tolist()) | overlay.matched
         self.epoch = overlay.epoch()
         return self.epoch
 
@@ -175,11 +176,18 @@ class Fusion:
         return self.frame(packet.vehicle).find_common(overlay.positions, covariance, descriptors, packet)
 
     def _named(self, overlay: Overlay, packet: LandmarkPacket) -> Pairs:
-        """Return (K, 2) rows of own landmarks and of feedback, which names them; none of another session's."""
-        if f"{overlay.joint.vehicle}/{overlay.joint.session}" not in packet.sources:
-            return np.zeros((0, 2), np.intp)
+        """Return (K, 2) rows of own landmarks and of feedback, which names them in the peer's frame.
+
+        None where it is for another vehicle, for an earlier start of this one, or of an earlier start of the peer.
+        """
+        nothing, addressee = np.zeros((0, 2), np.intp), f"{overlay.joint.vehicle}/{overlay.joint.session}"
+        record = self.inbox.peers.get(packet.vehicle)
+        ended = record is not None and record.arrived[-1].session != packet.session
+        if packet.other_sources[:1] != (addressee,) or ended:
+            return nothing
         _, own, theirs = np.intersect1d(overlay.joint.ids, packet.ids, return_indices=True)
-        return np.column_stack([own, theirs])
+        pairs = np.column_stack([own, theirs])
+        return self.frame(packet.vehicle).agreeing(overlay.positions, overlay.landmark_covariance, packet, pairs)
 
     def _note(self, peer: str, packet: LandmarkPacket, common: int) -> None:
         record = self.inbox.peers[peer]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The packets that peers sent: validated, counted, and at most one per vehicle ever used at a time.
 
-A packet is a self-contained marginal, and a newer one (session, then sequence) replaces an older one whole. So loss,
+A packet is a self-contained marginal, and a newer one (session, then stamp) replaces an older one whole. So loss,
 duplication and reordering are harmless, and nothing is counted twice. For the same reason a packet that somebody
-recorded and sends again does no harm: an older session or a sequence that was seen or overtaken is refused, as far back
+recorded and sends again does no harm: an older session, or a packet that was seen or overtaken, is refused as far back
 as this vehicle has listened. (What it replays before the peer's first new packet looks new; that then withdraws it.)
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from uav_vslam.cooperation.authentication import Authentication, NoAuthentication
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.slam.packet import validate
+from uav_vslam.slam.packet import check_contents, check_form
 from uav_vslam.types import LandmarkPacket
 
 KEPT_PER_PEER = 4  # recent packets, so that an epoch can be served with one old enough
@@ -23,7 +23,8 @@ MAX_PEERS = 64  # made-up names must not fill the memory
 class PeerRecord:
     """What one peer sent."""
 
-    packets: list[LandmarkPacket] = field(default_factory=list)  # by (session, sequence)
+    packets: list[LandmarkPacket] = field(default_factory=list)  # of the newest session, those with landmarks, by order
+    arrived: list[LandmarkPacket] = field(default_factory=list)  # the same and those without
     received: int = 0
     used: set[tuple[int, int]] = field(default_factory=set)
     dropped: Counter[str] = field(default_factory=Counter)
@@ -54,7 +55,7 @@ class Inbox:
         try:
             self._check(packet)
             record = record or self._new_record(packet.vehicle)
-            _check_order(packet, record.packets)
+            _check_order(packet, record.arrived)
         except InvalidMessage as error:
             if record is None:
                 self.refused[error.reason] += 1
@@ -63,13 +64,12 @@ class Inbox:
                 record.dropped[error.reason] += 1
             raise
         record.received += 1
-        if record.packets and packet.session > record.packets[-1].session:
+        if record.arrived and packet.session > record.arrived[-1].session:
+            record.arrived.clear()
             record.packets.clear()  # a restart withdraws what the earlier session said
-        if len(packet) == 0 and record.packets:
-            return  # its link had no room, or it sees nothing: what it said before still holds
-        record.packets.append(packet)
-        record.packets.sort(key=lambda p: p.sequence)
-        del record.packets[:-KEPT_PER_PEER]
+        _keep(packet, record.arrived)
+        if len(packet):  # or else its link had no room, or it sees nothing: what it said before still holds
+            _keep(packet, record.packets)
 
     def newest(self, peer: str, not_after_ns: int) -> LandmarkPacket | None:
         """Return the peer's newest packet made at or before a stamp."""
@@ -80,13 +80,20 @@ class Inbox:
     def _check(self, packet: LandmarkPacket) -> None:
         if packet.vehicle == self._vehicle:
             raise InvalidMessage("own", f"a packet claims to come from {self._vehicle} itself")
-        validate(packet)
+        check_form(packet)
         self._authentication.check(packet)
+        check_contents(packet)
 
     def _new_record(self, vehicle: str) -> PeerRecord:
         if len(self.peers) >= MAX_PEERS:
             raise InvalidMessage("too_many_peers", f"{vehicle!r} would be peer {MAX_PEERS + 1}")
         return self.peers.setdefault(vehicle, PeerRecord())
+
+
+def _keep(packet: LandmarkPacket, among: list[LandmarkPacket]) -> None:
+    among.append(packet)
+    among.sort(key=lambda p: p.order)
+    del among[:-KEPT_PER_PEER]
 
 
 def _check_order(packet: LandmarkPacket, kept: list[LandmarkPacket]) -> None:
@@ -95,7 +102,7 @@ def _check_order(packet: LandmarkPacket, kept: list[LandmarkPacket]) -> None:
         return
     if packet.session < kept[-1].session:
         raise InvalidMessage("stale_session", f"session {packet.session} of {packet.vehicle} has ended")
-    if any(p.sequence == packet.sequence for p in kept):
+    if any(p.order == packet.order for p in kept):
         raise InvalidMessage("duplicate", f"packet {packet.sequence} of {packet.source} came twice")
-    if len(kept) == KEPT_PER_PEER and packet.sequence < kept[0].sequence:
+    if len(kept) == KEPT_PER_PEER and packet.order < kept[0].order:
         raise InvalidMessage("late", f"packet {packet.sequence} of {packet.source} is older than the last kept")

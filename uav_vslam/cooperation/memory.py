@@ -2,8 +2,9 @@
 """Shared landmarks that have left the filter's state, so that what a peer taught about them is not forgotten.
 
 When a landmark leaves, nothing will be measured of it again. What is left to know is how it lies to the landmarks that
-stay, and that never changes: g = A x + e, where e is independent of everything to come. So the own belief of any later
-time and this conditional together are the belief over both; in information form they simply add:
+stay, and that hardly changes: g = A x + e, with e taken as independent of everything to come. (The part of e that the
+pose and the biases share is left out: a fraction of one measurement's error where many landmarks stay.) So the own
+belief of any later time and this conditional together are the belief over both; in information form they simply add:
 
     Y(x, g) = Y_own(x) + [A^T C^-1 A   -A^T C^-1]      C = cov(e)
                          [ -C^-1 A        C^-1  ]
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.estimation.numerics import cholesky, inverse_from_cholesky, inverse_spd, solve_spd, symmetrise
+from uav_vslam.estimation.numerics import inverse_spd, solve_spd, symmetrise
 from uav_vslam.geometry.image_grid import spread_on_ground
 from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.types import JointInformation
@@ -39,7 +40,7 @@ class _Conditional:
     Attributes:
         given: (R,) identifiers of the landmarks in the state, and `at` (R, 3) where they were [m].
         ids, positions, descriptors: of the (G,) remembered ones, when the given ones were there.
-        A: (3G, 3R), C: (3G, 3G).
+        A: (3G, 3R), C_inv: (3G, 3G).
     """
 
     given: Ids
@@ -48,7 +49,7 @@ class _Conditional:
     positions: Array
     descriptors: NDArray[np.uint8]
     A: Array
-    C: Array
+    C_inv: Array
 
 
 class LandmarkMemory:
@@ -119,7 +120,7 @@ def _conditional(joint: JointInformation, given: Rows, wanted: Rows) -> _Conditi
         positions=joint.positions[wanted],
         descriptors=joint.descriptors[wanted],
         A=A,
-        C=C,
+        C_inv=inverse_spd(C, "covariance of remembered landmarks"),
     )
 
 
@@ -128,16 +129,15 @@ def _joined(joint: JointInformation, known: _Conditional) -> JointInformation:
     order = np.argsort(joint.ids)
     places = order[np.searchsorted(joint.ids, known.given, sorter=order)]
     moved = (joint.positions[places] - known.at).ravel()
-    C_inv = inverse_from_cholesky(cholesky(known.C, "covariance of remembered landmarks"))
-    CA = C_inv @ known.A
-    n, g = len(joint.information), len(known.C)
+    CA = known.C_inv @ known.A
+    n, g = len(joint.information), len(known.C_inv)
     Y = np.zeros((n + g, n + g))
     Y[:n, :n] = joint.information
     x = landmark_rows(POSE_DIM, places)
     Y[np.ix_(x, x)] += symmetrise(known.A.T @ CA)
     Y[n:, x] = -CA
     Y[x, n:] = -CA.T
-    Y[n:, n:] = C_inv
+    Y[n:, n:] = known.C_inv
     return dataclasses.replace(
         joint,
         ids=np.concatenate([joint.ids, known.ids]),

@@ -20,6 +20,7 @@ class Outbox:
     Attributes:
         packets_sent, bytes_sent: what was let through (payload).
         over_budget: packets held back.
+        now_ns: stamp of the last epoch.
     """
 
     def __init__(self, config: FusionConfig) -> None:
@@ -29,17 +30,23 @@ class Outbox:
         self._first_ns: int | None = None  # stamp of the first epoch
         self._last_ns = 0
         self._heard_ns = 0  # stamp of the newest packet of any peer
-        self._now_ns = 0  # stamp of the last epoch
+        self.now_ns = 0
         self._unheard_epochs = 0
         self.configure(config)
 
-    def configure(self, config: FusionConfig) -> None:
-        """Begin a new budget, as another communication mode has it; counts go on."""
+    def configure(self, config: FusionConfig, *, copies: int = 1) -> None:
+        """Begin a new budget, as another communication mode has it; counts go on.
+
+        Args:
+            config: mode, budget and epoch.
+            copies: how often packets are expected to cross the radio: so much can be saved for.
+        """
         self._mode, self._epoch_s, self._silent_after_s = config.mode, config.epoch_s, config.silent_after_s
         rate = config.budget_bytes_per_s or MODE_BUDGETS[config.mode]
         share = round(rate * config.epoch_s)
-        self._budget = ByteBudget(rate, round(share * SAVED_EPOCHS), share)
         self._worth_bytes = min(round(share * WORTH_EPOCHS), NARROWBAND_PACKET_BYTES)
+        self._most_bytes = round(share * SAVED_EPOCHS) + self._worth_bytes * (copies - 1)
+        self._budget = ByteBudget(rate, self._most_bytes, share)
 
     @property
     def sent_bytes_per_s(self) -> float:
@@ -48,23 +55,23 @@ class Outbox:
 
     def hear(self, stamp_ns: int) -> None:
         """Note that a peer's packet of that stamp came; one from the future says that it was heard now, no more."""
-        self._heard_ns = max(self._heard_ns, min(stamp_ns, self._now_ns))
+        self._heard_ns = max(self._heard_ns, min(stamp_ns, self.now_ns))
 
-    def is_turn(self, stamp_ns: int) -> bool:
-        """Tell, once an epoch, whether it has a packet.
+    def is_turn(self, stamp_ns: int, *, copies: int = 1) -> bool:
+        """Tell, once an epoch, whether it has a packet, which crosses the radio so many times.
 
         In narrowband that is where enough is saved for a large one: two of three epochs, which tell more than three
         small packets. A radio that is full of packets has no room left for discovery, which then takes minutes: so once
         no peer has been heard for some epochs, most are left to it.
         """
-        self._now_ns = stamp_ns
+        self.now_ns = stamp_ns
         if self._mode != "narrowband":
             return self._mode != "none"
         self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
         unheard = stamp_ns - self._heard_ns > self._silent_after_s * NS_PER_S
         self._unheard_epochs = self._unheard_epochs + 1 if unheard else 0
         to_discovery = self._unheard_epochs > UNHEARD_EPOCHS and self._unheard_epochs % UNHEARD_EPOCHS != 1
-        return not to_discovery and self.available(stamp_ns) >= self._worth_bytes
+        return not to_discovery and self.available(stamp_ns) >= min(self._worth_bytes * copies, self._most_bytes)
 
     def available(self, now_ns: int) -> int:
         """Return how large a packet may be now [byte]."""

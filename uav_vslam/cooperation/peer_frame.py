@@ -10,6 +10,7 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation import common_landmarks
 from uav_vslam.cooperation.alignment import Alignment
 from uav_vslam.cooperation.frame_link import FrameLink
+from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.cooperation.unknown_frame import Framed, FrameEstimate, framed
 from uav_vslam.estimation.belief import landmark_rows
@@ -36,6 +37,9 @@ class PeerFrame(Protocol):
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
     ) -> Pairs:
         """Return (K, 2) rows of own landmarks and of the packet; the arguments are `common_landmarks.find_common`'s."""
+
+    def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
+        """Return those of (K, 2) pairs, which identifiers have told, that can be believed; none in an unknown frame."""
 
     def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
         """Return what the packet says of the own state, position, xi and (N, 3) landmarks."""
@@ -64,6 +68,10 @@ class CommonFrame:
     ) -> Pairs:
         """See `PeerFrame`."""
         return common_landmarks.find_common(positions, covariance, descriptors, packet, config=self._config)
+
+    def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
+        """See `PeerFrame`."""
+        return common_landmarks.gated(pairs, positions, covariance, packet, config=self._config)
 
     def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
         """See `PeerFrame`."""
@@ -105,6 +113,11 @@ class UnknownFrame:
     ) -> Pairs:
         """See `PeerFrame`; renews the alignment."""
         return self._link.find_common(positions, covariance, descriptors, packet, config=self._config)
+
+    def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
+        """See `PeerFrame`; two at least, for one alone says nothing of a frame."""
+        points = PointPairs.of(positions, covariance, packet, pairs, self._config.floor_sigma_m)
+        return pairs[self._link.agreeing(points)]
 
     def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
         """See `PeerFrame`; where the frame lies is taken out of it."""

@@ -29,6 +29,7 @@ SHARPENING = 20.0  # of t, each time that Newton's method has settled
 SETTLED = 4.0  # square of the Newton decrement at which it has
 MAX_STEPS = 60
 STAY_INSIDE = 0.9  # share of the way to the boundary that a step may go
+SHORTEST_STEP = 1e-12  # share of a step below which none is possible
 RANK_TOLERANCE = 1e-9  # of J: one or two points don't show all six rigid motions
 
 
@@ -106,6 +107,8 @@ def _walk(P: Array, Q: Array, common: Array, own: Array, step_common: Array, ste
         if all(_is_definite(A) for A in (X_0, X_i, Q @ X_0 @ Q.T + block_diagonal(X_i) - P)):
             break
         share *= 0.7
+        if share < SHORTEST_STEP:
+            raise FilterDivergence("no rigid bound was found for the covariance of a packet")
     if share == 1.0:
         return X_0, X_i, True
     share *= STAY_INSIDE

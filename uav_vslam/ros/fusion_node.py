@@ -14,6 +14,7 @@ out  landmark_information                  uav_vslam_msgs/LandmarkInformation at
                                            world is the own map's, and world to <peer>/map is found and said too
 """
 
+import dataclasses
 from collections import deque
 
 from geometry_msgs.msg import PoseStamped
@@ -23,7 +24,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
-from uav_vslam.config import MODE_BUDGETS
+from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.errors import ConfigError
@@ -84,8 +85,7 @@ class FusionNode(VehicleNode):
         interface = Interface(name) if name else None
         self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
         mode = self.declare_parameter("mode", self.config.fusion.mode).value
-        if mode not in MODE_BUDGETS:
-            raise ConfigError(_refusal(mode))
+        self._in_mode(mode)
         self._exchange.tune(mode)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._on_parameters)
@@ -98,11 +98,18 @@ class FusionNode(VehicleNode):
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for one in parameters:
-            if one.name == "mode" and one.value not in MODE_BUDGETS:
-                return SetParametersResult(successful=False, reason=_refusal(one.value))
+            if one.name == "mode":
+                try:
+                    self._in_mode(one.value)
+                except ConfigError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
             if one.name == "fusion.mode":
                 return SetParametersResult(successful=False, reason="fusion.mode counts at the start; set mode instead")
         return SetParametersResult(successful=True)
+
+    def _in_mode(self, mode: str) -> VehicleConfig:
+        """Return the configuration in a communication mode; raises `ConfigError` where the two do not go together."""
+        return dataclasses.replace(self.config, fusion=dataclasses.replace(self.config.fusion, mode=mode))
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
         for one in parameters:
@@ -121,16 +128,18 @@ class FusionNode(VehicleNode):
     def _work(self) -> None:
         while self._waiting:
             own = self._waiting[0]
-            if crosses_epoch(self._previous_ns, own.stamp_ns, self.config.fusion.epoch_s):
-                joint = self._joints.pop(own.stamp_ns, None)
-                if joint is not None:
-                    self._run_epoch(joint)
-                elif len(self._waiting) < MAX_WAITING:
-                    return
-                else:
-                    self.drop("joint_lost", f"no joint information came for the epoch at {own.stamp_ns} ns")
+            is_epoch = crosses_epoch(self._previous_ns, own.stamp_ns, self.config.fusion.epoch_s)
+            joint = self._joints.get(own.stamp_ns) if is_epoch else None
+            if is_epoch and joint is None and len(self._waiting) < MAX_WAITING:
+                return
+            self._waiting.popleft()
             self._previous_ns = own.stamp_ns
-            self._publish_pose(own, self._fusion.carry(self._waiting.popleft()))
+            self._joints = {stamp_ns: later for stamp_ns, later in self._joints.items() if stamp_ns > own.stamp_ns}
+            if joint is not None:
+                self.guarded("joint_information", self._run_epoch)(joint)  # one that fails leaves the pose carried
+            elif is_epoch:
+                self.drop("joint_lost", f"no joint information came for the epoch at {own.stamp_ns} ns")
+            self._publish_pose(own, self._fusion.carry(own))
 
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
@@ -173,10 +182,6 @@ class FusionNode(VehicleNode):
         if status.radio_interface:
             self.notes["wire_sent_bytes_per_s"] = f"{status.wire_sent_bytes_per_s:.0f}"
         self.notes |= {f"received_bytes_per_s/{link.peer}": f"{link.received_bytes_per_s:.0f}" for link in status.peers}
-
-
-def _refusal(mode: object) -> str:
-    return f"mode = {mode!r} is not allowed; use one of {', '.join(MODE_BUDGETS)}"
 
 
 def main(args: list[str] | None = None) -> int:

@@ -58,12 +58,12 @@ class StatusReporter:
 
     def _peer(self, name: str, stamp_ns: int) -> PeerLink:
         record = self._fusion.inbox.peers[name]
-        newest = record.packets[-1] if record.packets else None
-        age_s = (stamp_ns - newest.stamp_ns) / NS_PER_S if newest else 0.0
+        newest = record.arrived[-1]
+        age_s = (stamp_ns - newest.stamp_ns) / NS_PER_S
         return PeerLink(
             peer=name,
-            session=newest.session if newest else 0,
-            last_sequence=newest.sequence if newest else 0,
+            session=newest.session,
+            last_sequence=newest.sequence,
             packets_received=record.received,
             packets_used=len(record.used),
             received_bytes=self._exchange.received_bytes[name],

@@ -48,19 +48,20 @@ class PacketExchange:
         """Begin a communication mode."""
         self.settings = dataclasses.replace(self.settings, mode=mode)
         self._fusion.configure(self.settings)
-        self.outbox.configure(self.settings)
+        self.outbox.configure(self.settings, copies=self._radio.expected_copies)
         self._radio.tune(mode, feedback=self.settings.returns_feedback)
         self._node.notes["mode"] = mode
         self._node.get_logger().info(f"communication mode: {mode}")
 
     def send(self, joint: JointInformation) -> None:
         """Send an epoch's packet, unless the budget has no room for it: then the next epoch's replaces it."""
-        if not self.outbox.is_turn(joint.stamp_ns):
+        copies = self._radio.copies
+        if not self.outbox.is_turn(joint.stamp_ns, copies=copies):
             return
-        left = self.outbox.available(joint.stamp_ns) // self._radio.copies
+        left = self.outbox.available(joint.stamp_ns) // copies
         packet = self._fusion.packet(joint, byte_limit=left)
         data = serialize_message(packet_to_msg(packet))
-        if self.outbox.take(packet.stamp_ns, len(data) * self._radio.copies):
+        if self.outbox.take(packet.stamp_ns, len(data) * copies):
             self._radio.send(data)
         else:
             detail = f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B a peer left"
@@ -82,6 +83,8 @@ class PacketExchange:
         if message.vehicle != peer and message.vehicle not in self._vehicles:
             raise InvalidMessage("sender", f"{peer}'s topic carries a packet of {message.vehicle!r}")
         packet = packet_from_msg(message)
+        if packet.other_sources:
+            raise InvalidMessage("sources", f"{packet.source} sends feedback where packets are expected")
         try:
             self._fusion.inbox.add(packet)
         except InvalidMessage:
@@ -89,13 +92,14 @@ class PacketExchange:
                 raise
             return  # what is sent on often comes twice, or comes home; the inbox counts it
         self.outbox.hear(packet.stamp_ns)
-        if self.settings.relay and self.outbox.take(packet.stamp_ns, len(data) * self._radio.copies):
+        now_ns = self.outbox.now_ns  # a peer's own stamp may be wrong
+        if self.settings.relay and self.outbox.take(now_ns, len(data) * self._radio.copies):
             self._radio.send(data)
 
     def _on_feedback(self, _: str, message: LandmarkInformation, data: bytes) -> None:
-        self.received_bytes[message.vehicle] += len(data)
         if message.vehicle not in self._peers:
             raise InvalidMessage("sender", f"feedback comes from {message.vehicle!r}")
+        self.received_bytes[message.vehicle] += len(data)
         packet = packet_from_msg(message)
         self._fusion.returned.add(packet)
         self.outbox.hear(packet.stamp_ns)

@@ -110,6 +110,11 @@ class Radio:
         own_domain = self._host is not self._node
         return max(self._publisher.get_subscription_count(), 1) if own_domain and self._publisher else 1
 
+    @property
+    def expected_copies(self) -> int:
+        """The same once all peers listen, and nobody else does."""
+        return max(len(self._peers), 1) if self._host is not self._node else 1
+
     def send(self, data: bytes) -> None:
         """Publish a serialised packet."""
         self._publisher.publish(data)

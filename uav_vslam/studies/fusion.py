@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import FUSION_WEIGHTS, VehicleConfig
+from uav_vslam.config import FUSION_WEIGHTS, MAX_PACKET_LANDMARKS, VehicleConfig
 from uav_vslam.cooperation.link import LinkConfig
 from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES
 from uav_vslam.evaluation.study import Row
@@ -54,7 +54,7 @@ class Part:
 def schemes(frames: int) -> list[Part]:
     """The ways to fuse, the thesis's among them, and the ways to weigh an intersection."""
     weights = [Setting(f"full_ci, {name}", {"scheme": "full_ci", "weighing": name}) for name in FUSION_WEIGHTS[1:]]
-    everything = {"scheme": "overlay", "max_packet_landmarks": 1000, "budget_bytes_per_s": 10_000_000}
+    everything = {"scheme": "overlay", "max_packet_landmarks": MAX_PACKET_LANDMARKS, "budget_bytes_per_s": 10_000_000}
     settings = (
         Setting("split_ci"),
         Setting("split_ci, without feedback", {"feedback": False}),

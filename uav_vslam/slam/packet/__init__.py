@@ -6,7 +6,7 @@ decodes, bounds the exact P: `lambda_max(R^-1 P) <= 1` makes `R - P` positive se
 than the sender knows.
 """
 
-from uav_vslam.slam.packet.checks import MAX_LANDMARKS, validate
+from uav_vslam.slam.packet.checks import check_contents, check_form, validate
 from uav_vslam.slam.packet.choice import choose_landmarks
 from uav_vslam.slam.packet.making import POSE_DIM, make_packet
 from uav_vslam.slam.packet.policy import ANCHOR, DENSE, NARROWBAND_PACKET_BYTES, PacketPolicy, packet_policy
@@ -15,12 +15,13 @@ from uav_vslam.slam.packet.wire import VERSION, canonical_bytes, checksum, paylo
 __all__ = [
     "ANCHOR",
     "DENSE",
-    "MAX_LANDMARKS",
     "NARROWBAND_PACKET_BYTES",
     "POSE_DIM",
     "VERSION",
     "PacketPolicy",
     "canonical_bytes",
+    "check_contents",
+    "check_form",
     "checksum",
     "choose_landmarks",
     "make_packet",

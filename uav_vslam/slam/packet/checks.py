@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.config import MAX_PACKET_LANDMARKS
 from uav_vslam.errors import FilterDivergence, InvalidMessage
 from uav_vslam.estimation.numerics import cholesky
 from uav_vslam.geometry.coded_points import COMMON_NUMBERS, OWN_NUMBERS, AnchoredPoints, DensePoints, size_m
@@ -13,7 +14,6 @@ from uav_vslam.slam.packet.wire import checksum
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, load_basis
 
-MAX_LANDMARKS = 1000  # a packet that claims more is not believed
 MAX_SOURCES = 100
 MAX_TEXT = 100  # characters of a name
 MAX_OFFSET_M = 1e6  # numbers beyond these would only break the receiver's algebra
@@ -22,17 +22,30 @@ MAX_SCALE = 1e6
 
 
 def validate(packet: LandmarkPacket) -> None:
-    """Check a packet.
+    """Check all of a packet; raises as `check_form` and `check_contents` do."""
+    check_form(packet)
+    check_contents(packet)
+
+
+def check_form(packet: LandmarkPacket) -> None:
+    """Check what costs little, before anybody knows who made the packet.
 
     Raises:
-        InvalidMessage: with reason shape, name, sources, descriptors, checksum, not_finite, position, covariance or
-            duplicate_id.
+        InvalidMessage: with reason shape, name, sources, descriptors or checksum.
     """
     _check_shapes(packet)
     _check_names(packet)
     _check_descriptors(packet)
     if checksum(packet) != packet.checksum:
         raise InvalidMessage("checksum", f"{_name(packet)} was damaged on its way")
+
+
+def check_contents(packet: LandmarkPacket) -> None:
+    """Check the numbers of a packet whose form is right.
+
+    Raises:
+        InvalidMessage: with reason not_finite, position, covariance or duplicate_id.
+    """
     _check_numbers(packet)
     if len(np.unique(packet.ids)) != len(packet):
         raise InvalidMessage("duplicate_id", f"{_name(packet)} repeats a landmark")
@@ -40,8 +53,8 @@ def validate(packet: LandmarkPacket) -> None:
 
 def _check_shapes(packet: LandmarkPacket) -> None:
     n, points = len(packet.ids), packet.points
-    if n > MAX_LANDMARKS:
-        raise InvalidMessage("shape", f"{n} landmarks; at most {MAX_LANDMARKS} are accepted")
+    if n > MAX_PACKET_LANDMARKS:
+        raise InvalidMessage("shape", f"{n} landmarks; at most {MAX_PACKET_LANDMARKS} are accepted")
     arrays: list[tuple[str, NDArray[Any], tuple[int, ...]]] = [
         ("origin", packet.origin, (3,)),
         ("offsets", points.offsets, (n, 3)),
