@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
+import struct
 import time
+import zlib
 
+import cv2
 import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from sensor_msgs.msg import CameraInfo, Image  # noqa: E402
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from uav_vslam.geometry.pose import Pose  # noqa: E402
@@ -36,8 +39,8 @@ def graph():
     rclpy.shutdown()
 
 
-def spin_until(executor, condition):
-    deadline = time.monotonic() + PATIENCE_S
+def spin_until(executor, condition, patience_s=PATIENCE_S):
+    deadline = time.monotonic() + patience_s
     while not condition() and time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.05)
     return condition()
@@ -65,21 +68,74 @@ def extrinsics(node):
     return TFMessage(transforms=edges)
 
 
+class Rig:
+    """Cameras that the node knows, or not yet, and what it makes of their images."""
+
+    def __init__(self, graph, kinds=(Image,)) -> None:
+        self.front, other, self.executor = graph
+        self.heard = []
+        other.create_subscription(StereoFeatures, "stereo_features", self.heard.append, STATE)
+        names = {Image: "image_raw", CompressedImage: "image_raw/compressed"}
+        self.images = {
+            (side, kind): other.create_publisher(kind, f"{side}/{names[kind]}", IMAGE)
+            for side in ("left", "right")
+            for kind in kinds
+        }
+        self._infos = {s: other.create_publisher(CameraInfo, f"{s}/camera_info", STATE) for s in ("left", "right")}
+        self._transforms = other.create_publisher(TFMessage, "/tf_static", LATCHED)
+        publishers = [*self.images.values(), *self._infos.values()]
+        assert self.until(lambda: all(p.get_subscription_count() for p in publishers))
+
+    def until(self, condition):
+        return spin_until(self.executor, condition)
+
+    def calibrate(self) -> None:
+        for side, publisher in self._infos.items():
+            publisher.publish(calibration(side))
+        self._transforms.publish(extrinsics(self.front))
+
+
+def encoded(image, data):
+    return CompressedImage(header=image.header, format="png", data=data)
+
+
 def test_images_that_come_before_their_calibration_are_processed_once_it_is_complete(graph):
-    front, other, executor = graph
-    heard = []
-    other.create_subscription(StereoFeatures, "stereo_features", heard.append, STATE)
-    images = {side: other.create_publisher(Image, f"{side}/image_raw", IMAGE) for side in ("left", "right")}
-    infos = {side: other.create_publisher(CameraInfo, f"{side}/camera_info", STATE) for side in ("left", "right")}
-    transforms = other.create_publisher(TFMessage, "/tf_static", LATCHED)
-    publishers = [*images.values(), *infos.values()]
-    assert spin_until(executor, lambda: all(p.get_subscription_count() for p in publishers))
-    for side, publisher in images.items():
+    rig = Rig(graph)
+    for (side, _), publisher in rig.images.items():
         publisher.publish(blank_image(side))
-    assert spin_until(executor, lambda: front.counts["pairs"] == 1)
-    assert not heard
-    for side, publisher in infos.items():
-        publisher.publish(calibration(side))
-    transforms.publish(extrinsics(front))
-    assert spin_until(executor, lambda: len(heard) == 1)
-    assert (heard[0].width, heard[0].height) == (WIDTH, HEIGHT)
+    assert rig.until(lambda: rig.front.counts["pairs"] == 1)
+    assert not rig.heard
+    rig.calibrate()
+    assert rig.until(lambda: len(rig.heard) == 1)
+    assert (rig.heard[0].width, rig.heard[0].height) == (WIDTH, HEIGHT)
+
+
+HUGE = b"\x89PNG\r\n\x1a\n" + b"".join(  # a header that claims 65535 x 65535 px
+    struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    for kind, data in ((b"IHDR", struct.pack(">IIBBBBB", 65535, 65535, 8, 0, 0, 0, 0)), (b"IEND", b""))
+)
+
+
+@pytest.mark.parametrize("data", [b"not a picture", HUGE])
+def test_a_picture_that_can_not_be_read_is_a_frame_without_points(graph, data):
+    rig = Rig(graph, [CompressedImage])
+    rig.calibrate()
+    for (side, _), publisher in rig.images.items():
+        publisher.publish(encoded(blank_image(side), data))
+    assert rig.until(lambda: len(rig.heard) == 1)
+    assert len(rig.heard[0].pixels) == 0
+    assert rig.heard[0].header.stamp.sec == STAMP_NS // 10**9
+    assert rig.front.counts["dropped/image"] == 2
+
+
+def test_a_camera_that_sends_each_picture_twice_is_taken_once(graph):
+    rig = Rig(graph, [Image, CompressedImage])
+    rig.calibrate()
+    for (side, kind), publisher in rig.images.items():
+        image = blank_image(side)
+        png = cv2.imencode(".png", np.zeros((HEIGHT, WIDTH), np.uint8))[1].tobytes()
+        publisher.publish(image if kind is Image else encoded(image, png))
+    assert rig.until(lambda: len(rig.heard) == 1)
+    spin_until(rig.executor, lambda: False, 0.5)
+    assert rig.front.counts["pairs"] == 1
+    assert rig.front.counts["dropped/unpaired"] == 0

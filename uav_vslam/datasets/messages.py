@@ -72,8 +72,7 @@ def image_of(built: Any) -> NDArray[Any]:
         BagError: the picture can't be decoded.
     """
     if hasattr(built, "format"):
-        data = np.asarray(built.data)  # of no bytes at all OpenCV would make an error of its own
-        decoded = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR) if len(data) else None
+        decoded = _decoded(np.asarray(built.data))
         if decoded is None:
             raise BagError(f"compressed image at {stamp_ns_of(built)} ns can't be decoded; is it {built.format!r}?")
         return np.asarray(decoded)
@@ -90,6 +89,14 @@ def image_of(built: Any) -> NDArray[Any]:
         return pixels
     colour = pixels.reshape(built.height, built.width, channels)
     return colour[:, :, ::-1] if built.encoding == "rgb8" else colour
+
+
+def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
+    """Return an encoded picture's pixels, or None. OpenCV raises for no bytes, and for a size beyond its limits."""
+    try:
+        return cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    except cv2.error:
+        return None
 
 
 def camera_info_message(stamp_ns: int, frame_id: str, camera: PinholeCamera) -> Any:

@@ -13,15 +13,18 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import features_to_msg, image_from_msg
 from uav_vslam.ros.qos import IMAGE, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.types import StereoFeatures as Features
 from uav_vslam.types import StereoFrame
 from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.frontends import make_frontend
@@ -45,14 +48,17 @@ class StereoFrontendNode(VehicleNode):
         self._pairer: StereoPairer[Pixels] = StereoPairer()
         self._waiting: deque[StereoFrame] = deque()
         self._publisher = self.advertise(StereoFeatures, "stereo_features", STATE)
+        self._taken: dict[str, type] = {}  # of the two messages that a camera may send, the one that came first
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
             raw = f"{side}/image_raw"
-            on_image = partial(self._on_image, add)
+            on_image = partial(self._on_image, side, add)
             self.listen(Image, raw, on_image, IMAGE)
             self.listen(CompressedImage, f"{raw}/compressed", on_image, IMAGE, instead_of=raw)
 
-    def _on_image(self, add: AddImage, message: Image | CompressedImage) -> None:
-        pair = add(stamp_ns_of(message), image_from_msg(message))
+    def _on_image(self, side: str, add: AddImage, message: Image | CompressedImage) -> None:
+        if self._taken.setdefault(side, type(message)) is not type(message):
+            return  # the same picture once more
+        pair = add(stamp_ns_of(message), self._pixels(message))
         self.counts["dropped/unpaired"] = self._pairer.dropped
         if pair is None:
             self._alone += 1
@@ -67,17 +73,33 @@ class StereoFrontendNode(VehicleNode):
             self.drop("no_calibration", "image pairs come, but camera_info or /tf_static does not")
         self._work()
 
+    def _pixels(self, message: Image | CompressedImage) -> Pixels:
+        """Return the picture, of no size at all where it can't be read: its frame goes on without points."""
+        try:
+            return image_from_msg(message)
+        except InvalidMessage as error:
+            self.drop(error.reason, str(error))
+            return np.zeros((0, 0), np.uint8)
+
     def _work(self) -> None:
         rig = self._rig.rig
         if rig is None:
             return
         self._frontend = self._frontend or make_frontend(rig, self.config.frontend, self.config.rig)
         while self._waiting:
-            features = self._frontend.process(self._waiting.popleft())
+            features = self._found(self._frontend, self._waiting.popleft())
             self._alarm(self._frontend.alarms)
             size = (rig.left.width, rig.left.height)
             self._publisher.publish(features_to_msg(features, frame_id=self._rig.left_frame, size=size))
             self.counts["features"] += len(features)
+
+    def _found(self, frontend: Frontend, frame: StereoFrame) -> Features:
+        """Return the points of a pair, none where it can't be used: the vehicle then coasts."""
+        try:
+            return frontend.process(frame)
+        except InvalidMessage as error:
+            self.drop(error.reason, str(error))
+            return Features.empty(frame.stamp_ns)
 
     def _alarm(self, alarms: dict[str, str]) -> None:
         """Report what is wrong now: in the state as long as it lasts, in the log when it begins, counted for ever."""
