@@ -21,7 +21,7 @@ STATE = _reliable(10)
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)  # said once, for whoever comes later
 
 LIFESPAN = Duration(seconds=2)  # an older packet has been replaced by a newer one: it need not be sent any more
-DEADLINE = Duration(seconds=3)  # three epochs without a packet are reported
+DEADLINE = Duration(seconds=3)  # a longer time without a packet is counted
 RADIO = {  # by communication mode
     "wideband": _reliable(10),
     # A packet sent again would take the place of the next one, which replaces it anyway.

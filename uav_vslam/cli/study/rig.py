@@ -14,7 +14,7 @@ EXAMPLES = """examples:
   uav-vslam study rig --seeds 1 --workers 1            a first look; about ten minutes
   uav-vslam study rig --seeds 1 --variant rig.flexing=true --variant rig.flexing=true,rig.attitude_sigma_deg=0.1
 
-One vehicle alone, SIFT, config kagaru. The extrinsic attitude is a state where `rig.flexing` is true.
+One vehicle alone, config kagaru. The extrinsic attitude is a state where `rig.flexing` is true.
 """
 
 
