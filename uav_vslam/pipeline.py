@@ -10,7 +10,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagator import IncrementCutter
 from uav_vslam.slam.stage import FrameOutput, SlamStage
-from uav_vslam.stamps import LeapGuard
+from uav_vslam.stamps import IMU_LEAP_S, LeapGuard
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 
@@ -47,7 +47,7 @@ class VehiclePipeline:
         """Begin at a state, or with `start.method: in_flight` at the one that is found: then it may be None."""
         self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._cutter = IncrementCutter(config.imu, initial.state if initial else None)
-        self._imu_stamps = LeapGuard("IMU")
+        self._imu_stamps = LeapGuard("IMU", IMU_LEAP_S)
         self._slam = SlamStage(config, vehicle=vehicle, session=session)
         self._slam.rig = rig
         if initial is not None:

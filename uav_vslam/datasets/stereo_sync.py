@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.stamps import LeapGuard
+from uav_vslam.stamps import IMAGE_LEAP_S, LeapGuard
 
 T = TypeVar("T")
 
@@ -46,7 +46,7 @@ class StereoPairer(Generic[T]):
         self._left: deque[tuple[int, T]] = deque()
         self._right: deque[tuple[int, T]] = deque()
         self._newest = {"left": -1, "right": -1}
-        self._guards = {side: LeapGuard(f"{side} image") for side in self._newest}
+        self._guards = {side: LeapGuard(f"{side} image", IMAGE_LEAP_S) for side in self._newest}
         self.dropped = 0
 
     def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
