@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames go through once rig and start state are known, in order, whatever comes first."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -65,12 +67,26 @@ def test_dead_reckoning_goes_along_and_beliefs_come_at_epochs(flown) -> None:
     assert (at_epochs[0].vehicle, at_epochs[0].session) == ("uav1", 3)
 
 
-def test_only_the_first_start_state_counts(flown) -> None:
+def test_no_other_start_state_counts_once_a_frame_was_processed(flown) -> None:
     flight = flown(1)
     stage = make(flight)
     stage.start(flight.vehicle.initial)
+    feed(stage, flight.frames[:1])
     stage.start(flown(2).vehicle.initial)
     assert stage.initial is flight.vehicle.initial
+
+
+def test_a_start_state_without_a_stamp_is_put_right_by_another(flown) -> None:
+    """The INS refuses it and cuts no increment from it, so the back end waits for the next one, too."""
+    flight = flown(1)
+    stage = make(flight)
+    initial = flight.vehicle.initial
+    stage.start(dataclasses.replace(initial, state=dataclasses.replace(initial.state, stamp_ns=0)))
+    assert feed(stage, flight.frames[:1]) == []
+    stage.start(initial)
+    outputs = feed(stage, flight.frames[1:])
+    assert stamps(outputs) == [f.stamp_ns for f, _ in flight.frames]
+    assert not any(stage.dropped.values())
 
 
 def test_in_flight_the_held_frames_come_out_together_from_the_first_on(flown) -> None:

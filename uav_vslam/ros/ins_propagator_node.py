@@ -19,6 +19,7 @@ from tf2_msgs.msg import TFMessage
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.ins.early import MAX_APART_S, EarlyData
 from uav_vslam.ins.propagator import DeadReckoning, IncrementCutter, InsOdometry
 from uav_vslam.ros.convert import (
     imu_from_msg,
@@ -30,10 +31,9 @@ from uav_vslam.ros.convert import (
 )
 from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.stamps import IMAGE_LEAP_S, IMU_LEAP_S, LeapGuard
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
-
-MAX_EARLY = 2000  # readings and image stamps held until the start state is known
 
 
 class InsPropagatorNode(VehicleNode):
@@ -45,7 +45,9 @@ class InsPropagatorNode(VehicleNode):
         self._cutter = IncrementCutter(self.config.imu) if method == "in_flight" else None
         self._reckoning = DeadReckoning(self.config.imu)
         self._live: InsOdometry | None = None
-        self._early: list[ImuSample | int] = []
+        self._early = EarlyData(self.config.start.rest_s if method == "static" else MAX_APART_S)
+        self._given: NavEstimate | None = None  # start state that readings have not confirmed yet
+        imu_stamps, image_stamps = LeapGuard("IMU", IMU_LEAP_S), LeapGuard("image", IMAGE_LEAP_S)
         self._increments = self.advertise(InsIncrement, "ins/increment", SENSOR)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
@@ -55,16 +57,40 @@ class InsPropagatorNode(VehicleNode):
             self._initial_state = self.advertise(NavigationState, "initial_state", LATCHED)
         else:
             self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
-        self.listen(Imu, "imu/data_raw", lambda m: self._feed(imu_from_msg(m)), SENSOR)
-        self.listen(CameraInfo, "left/camera_info", lambda m: self._feed(stamp_ns_of(m)), STATE)
+        self.listen(Imu, "imu/data_raw", lambda m: self._feed(imu_from_msg(m), imu_stamps), SENSOR)
+        self.listen(CameraInfo, "left/camera_info", lambda m: self._feed(stamp_ns_of(m), image_stamps), STATE)
         self.listen(NavigationState, "slam/correction", self._on_correction, STATE)
 
     def _on_initial_state(self, message: NavigationState) -> None:
-        if self._live is None:
-            self._start(navigation_from_msg(message))
+        if self._live is not None:
+            return
+        given = navigation_from_msg(message)
+        if self._cutter is not None:  # found in flight by the back end
+            self._start(given)
+            return
+        self._given = given
+        self._start_where_given()
+
+    def _start_where_given(self) -> None:
+        """Start as soon as readings come near the stamp; a start from long before them is refused."""
+        if self._given is None or (ahead_s := self._early.ahead_s(self._given.state.stamp_ns)) is None:
+            return
+        given = self._given
+        self.notes["start"] = f"given {ahead_s:+.1f} s from the newest reading"
+        if ahead_s > MAX_APART_S:
+            return
+        self._given = None
+        if ahead_s < -MAX_APART_S:
+            self.drop(
+                "start_stamp",
+                f"initial_state is stamped {given.state.stamp_ns} ns, {-ahead_s:.1f} s before the newest IMU reading, "
+                f"more than {MAX_APART_S:g} s; stamp it with the time at which it holds",
+            )
+            return
+        self._start(given)
 
     def _start(self, initial: NavEstimate) -> None:
-        early, self._early = self._early, []
+        early = self._early.take()
         for reckoned in self._reckoning.start(initial):
             self._publish_dead_reckoning(reckoned)
         self._live = InsOdometry(initial, self.config.imu)
@@ -79,17 +105,18 @@ class InsPropagatorNode(VehicleNode):
             except InvalidMessage as error:
                 self.drop(error.reason, str(error))
 
-    def _feed(self, item: ImuSample | int) -> None:
+    def _feed(self, item: ImuSample | int, guard: LeapGuard) -> None:
         """Take a reading or an image stamp, in arrival order."""
+        guard.check(item.stamp_ns if isinstance(item, ImuSample) else item)
         if self._cutter is not None:
             self._cut(self._cutter, item)
         if self._live is not None:
             self._follow(self._live, item)
             return
-        self._early.append(item)
-        del self._early[:-MAX_EARLY]
+        self._early.add(item)
         if self._aligns:
-            self._align([early for early in self._early if isinstance(early, ImuSample)])
+            self._align(self._early.readings())
+        self._start_where_given()
 
     def _cut(self, cutter: IncrementCutter, item: ImuSample | int) -> None:
         if isinstance(item, ImuSample):

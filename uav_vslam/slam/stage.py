@@ -81,10 +81,10 @@ class SlamStage:
         }
 
     def start(self, initial: NavEstimate) -> None:
-        """Begin at a state; only the first one counts."""
-        if self.initial is None:
+        """Begin at a state; another one counts only while no frame has been processed, if it is not to be found."""
+        if self.initial is None or (self._backend is None and not self._in_flight):
             self.initial = self._reckoned = initial
-            if self._queue.start_ns is None:
+            if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
     def add_features(self, features: StereoFeatures) -> None:

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What comes before the start is held by time, whatever the rate of the inertial unit."""
+
+import numpy as np
+import pytest
+
+from uav_vslam.ins.early import EarlyData
+from uav_vslam.types import NS_PER_S, ImuSample
+
+
+def reading(stamp_ns: int) -> ImuSample:
+    return ImuSample(stamp_ns, np.zeros(3), np.zeros(3))
+
+
+@pytest.mark.parametrize("rate_hz", [10, 200, 4000])
+@pytest.mark.parametrize("held_s", [0.5, 1.5])
+def test_a_span_is_held_at_any_rate(rate_hz: int, held_s: float) -> None:
+    early = EarlyData(held_s)
+    for k in range(3 * rate_hz):
+        early.add(reading(k * NS_PER_S // rate_hz))
+        if k % 5 == 0:
+            early.add(k * NS_PER_S // rate_hz + 1000)
+        stamps = [sample.stamp_ns for sample in early.readings()]
+        assert stamps[-1] - stamps[0] <= (held_s + 2.5 / rate_hz) * NS_PER_S
+    assert stamps[-1] - stamps[0] >= held_s * NS_PER_S
+
+
+def test_nothing_is_forgotten_before_the_span_is_full() -> None:
+    """So the first alignment is made of all readings from the very first on."""
+    early = EarlyData(1.0)
+    items = [reading(0), 1000, *(reading(k * 5_000_000) for k in range(1, 203))]
+    for item in items[:-1]:
+        early.add(item)
+    assert early.readings() == [items[0], *items[2:-1]]
+    early.add(items[-1])
+    assert early.readings() == items[2:]
+    assert early.take() == items[2:]  # the image has gone too
+
+
+def test_what_is_taken_is_held_no_longer() -> None:
+    early = EarlyData()
+    items = [reading(0), 1000, reading(2000)]
+    for item in items:
+        early.add(item)
+    assert early.take() == items
+    assert early.take() == []
+
+
+def test_a_start_is_measured_from_the_newest_reading() -> None:
+    early = EarlyData()
+    early.add(5 * NS_PER_S)  # an image
+    assert early.ahead_s(0) is None
+    for seconds in (20, 21, 19):
+        early.add(reading(seconds * NS_PER_S))
+    early.take()
+    assert early.ahead_s(0) == -21.0
+    assert early.ahead_s(24 * NS_PER_S) == 3.0

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the increments begin: at a start state that fits the readings, given or found at rest."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from geometry_msgs.msg import Vector3  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
+
+from uav_vslam.geometry.pose import Pose  # noqa: E402
+from uav_vslam.ins.early import MAX_APART_S  # noqa: E402
+from uav_vslam.ros.convert import header, navigation_to_msg  # noqa: E402
+from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
+from uav_vslam.types import NS_PER_S, NavEstimate, NavState  # noqa: E402
+from uav_vslam_msgs.msg import NavigationState  # noqa: E402
+
+pytestmark = pytest.mark.ros
+DOMAIN_ID = 96
+NOW_NS = 1_700_000_000 * NS_PER_S
+STEP_NS = 5_000_000
+Make = Callable[..., InsPropagatorNode]
+
+
+@pytest.fixture
+def make() -> Iterator[Make]:
+    """Return a maker of a node with parameters; what it is fed goes to its callbacks directly."""
+    nodes = []
+
+    def made(*parameters: str) -> InsPropagatorNode:
+        arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
+        rclpy.init(args=arguments, domain_id=DOMAIN_ID)
+        nodes.append(InsPropagatorNode())
+        return nodes[-1]
+
+    yield made
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown()
+
+
+def tell(node: InsPropagatorNode, topic: str, message: object) -> None:
+    (one,) = (one for one in node._inputs if one.topic == topic)
+    one.callback(message)
+
+
+def rest(node: InsPropagatorNode, start_ns: int, seconds: float) -> None:
+    """Feed readings at rest, and an image at every seventh of them."""
+    for k in range(round(seconds * NS_PER_S) // STEP_NS + 1):
+        stamp_ns = start_ns + k * STEP_NS
+        reading = Imu(header=header(stamp_ns, node.base_frame), linear_acceleration=Vector3(z=node.config.imu.gravity))
+        tell(node, "imu/data_raw", reading)
+        if k % 7 == 6:
+            tell(node, "left/camera_info", CameraInfo(header=header(stamp_ns - 1_000_000, "left_optical")))
+
+
+def start_at(stamp_ns: int) -> NavigationState:
+    state = NavState(stamp_ns, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+    return navigation_to_msg(NavEstimate(state, np.eye(15)), frame_id="uav1/map", child_frame_id="uav1/base_link")
+
+
+@pytest.mark.parametrize("first", ["start", "readings"])
+def test_a_start_without_a_stamp_is_refused_and_the_next_one_taken(make: Make, first: str) -> None:
+    node = make()
+    if first == "start":
+        tell(node, "initial_state", start_at(0))
+        rest(node, NOW_NS, 0.1)
+    else:
+        rest(node, NOW_NS, 0.1)
+        tell(node, "initial_state", start_at(0))
+    assert node.counts["dropped/start_stamp"] == 1
+    assert node.counts["increments"] == 0
+    tell(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS + 105_000_000, 1.0)
+    assert node.counts["increments"] > 25
+    assert node.counts["imu_gaps"] == 0
+    assert node.counts["dropped/start_stamp"] == 1
+
+
+def test_a_start_long_after_the_first_readings_is_waited_for(make: Make) -> None:
+    node, wait_s = make(), MAX_APART_S + 1.0
+    tell(node, "initial_state", start_at(NOW_NS + round(wait_s * NS_PER_S)))
+    rest(node, NOW_NS, 0.1)
+    assert node.notes["start"].startswith("given +30.9")
+    assert node._live is None
+    rest(node, NOW_NS + 105_000_000, wait_s)
+    assert node._live is not None
+    assert node.counts["increments"] == 3  # to the images in the last 0.1 s
+
+
+@pytest.mark.parametrize("rest_s", [0.5, 12.0])
+def test_rest_is_averaged_for_as_long_as_is_said(make: Make, rest_s: float) -> None:
+    """Longer than any number of readings held would last at 200 Hz."""
+    node = make("start.method:=static", f"start.rest_s:={rest_s}")
+    rest(node, NOW_NS, rest_s - 0.01)
+    assert node._live is None
+    rest(node, NOW_NS + round((rest_s - 0.005) * NS_PER_S), 0.2)
+    assert node._live is not None
+    assert node._cutter.start_ns == NOW_NS + round(rest_s * NS_PER_S)
+    assert node.counts["increments"] > 3
+
+
+@pytest.mark.parametrize("method", ["given", "static"])
+def test_one_reading_from_the_future_costs_a_reading(make: Make, method: str) -> None:
+    node = make(f"start.method:={method}", "start.rest_s:=0.5")
+    if method == "given":
+        tell(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 0.2)
+    rest(node, NOW_NS + 3600 * NS_PER_S, 0.0)
+    rest(node, NOW_NS + 205_000_000, 1.0)
+    assert node.counts["dropped/stamp_leap"] == 1
+    assert node.counts["dropped/stamp"] == 0
+    assert node._live is not None
+    assert node._live.state.stamp_ns == NOW_NS + 1_205_000_000
+    assert node.counts["imu_gaps"] == 0
