@@ -87,7 +87,7 @@ class ImuIncrement:
 
     Attributes:
         start_ns, stamp_ns: ends of the interval [ns].
-        samples: number of IMU readings integrated; 0 means that the interval had none and the motion is not known.
+        samples: number of IMU readings inside; 0 over more than their usual distance means that it was not measured.
         delta_R: (3, 3) R_start_end.
         delta_v: (3,) velocity gained without gravity, in the start body frame [m/s].
         delta_p: (3,) displacement gained without gravity and initial velocity, in the start body frame [m].
