@@ -4,6 +4,7 @@
 import sys
 
 import pytest
+from rich.console import Console
 
 from uav_vslam.cli import progress
 from uav_vslam.cli.progress import progress_bar
@@ -26,8 +27,8 @@ def test_where_output_is_no_terminal_lines_tell_how_far_it_is(
 
 def test_a_terminal_gets_a_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes captured output for a terminal then
-    monkeypatch.setenv("TERM", "xterm")  # and this one can draw
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("rich.progress.get_console", lambda: Console(force_terminal=True))
     with progress_bar("flying", 2) as advance:
         advance(2)
     captured = capsys.readouterr()
