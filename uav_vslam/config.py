@@ -194,8 +194,6 @@ FUSION_WEIGHTS = ("position_trace", "trace", "determinant", "niehsen", "franken_
 
 # Communication modes, and what a vehicle may send in each: payload, before DDS, UDP and IP [B/s].
 MODE_BUDGETS = {"wideband": 100_000, "narrowband": 900, "none": 0}
-
-
 MAX_PACKET_LANDMARKS = 400  # a packet that claims more is not believed: checking it costs the cube
 
 
@@ -233,8 +231,8 @@ class FusionConfig:
         _require(self.memory_landmarks >= 0, self, "memory_landmarks", "zero or more")
         _require(self.epoch_s > 0, self, "epoch_s", "a positive time [s]")
         _require(self.min_delay_s >= 0, self, "min_delay_s", "zero or more [s]")
-        few = 0 < self.max_packet_landmarks <= MAX_PACKET_LANDMARKS
-        _require(few, self, "max_packet_landmarks", f"a positive count of at most {MAX_PACKET_LANDMARKS}")
+        fits = 0 < self.max_packet_landmarks <= MAX_PACKET_LANDMARKS
+        _require(fits, self, "max_packet_landmarks", f"a positive count of at most {MAX_PACKET_LANDMARKS}")
         _require(0 < self.ratio <= 1, self, "ratio", "a number in (0, 1]")
         _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
         _require(self.min_common >= 1, self, "min_common", "one or more")

@@ -192,6 +192,11 @@ class JointInformation:
     information: Array
     descriptors: NDArray[np.uint8]
 
+    @property
+    def source(self) -> str:
+        """What packets call these measurements: "vehicle/session"."""
+        return f"{self.vehicle}/{self.session}"
+
 
 @dataclass(frozen=True, slots=True)
 class LandmarkPacket:

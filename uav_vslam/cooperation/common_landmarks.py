@@ -44,19 +44,24 @@ def find_common(
         (K, 2) rows of own landmarks and of the packet; none where fewer than `min_common` agree.
     """
     pairs = look_alikes(descriptors, packet, config.ratio)
-    pairs = gated(pairs, positions, covariance, packet, config=config)
     peer_positions, peer_covariance = packet.positions, packet.covariance
-    floor = config.floor_sigma_m**2
-    pairs = pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, floor, config)]
+    pairs = pairs[gated(pairs, positions, covariance, peer_positions, peer_covariance, config)]
+    pairs = pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, config)]
     return pairs if len(pairs) >= config.min_common else pairs[:0]
 
 
-def gated(pairs: Pairs, positions: Array, covariance: Array, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
-    """Return the (K, 2) pairs whose landmarks coincide within E P E^T + R + floor; arguments as of `find_common`."""
-    own, peer = pairs[:, 0], pairs[:, 1]
-    S = blocks(covariance)[own, own] + blocks(packet.covariance)[peer, peer] + config.floor_sigma_m**2 * np.eye(3)
-    distance2 = mahalanobis2(packet.positions[peer] - positions[own], S)
-    return pairs[distance2 <= chdtri(POINT_DOF, 1.0 - config.gate_probability)]
+def gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:
+    """Return the rows of (K, 2) pairs whose landmarks coincide within E P E^T + R + floor.
+
+    Args:
+        pairs: rows of own landmarks and of the peer's.
+        own, P: (N, 3) and (3N, 3N) own landmarks and their covariance [m], [m^2].
+        peer, R: (M, 3) and (3M, 3M) the peer's, in the same frame.
+        config: gate and floor.
+    """
+    a, b = pairs[:, 0], pairs[:, 1]
+    S = blocks(P)[a, a] + blocks(R)[b, b] + config.floor_sigma_m**2 * np.eye(3)
+    return np.flatnonzero(mahalanobis2(peer[b] - own[a], S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability))
 
 
 def look_alikes(descriptors: NDArray[np.uint8], packet: Told, ratio: float, *, mutual: bool = True) -> Pairs:
@@ -87,12 +92,12 @@ def blocks(covariance: Array) -> Array:
     return covariance.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
 
 
-def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, floor: float, config: FusionConfig) -> Pairs:
+def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:
     """Return the largest set of pairs whose mutual offsets agree in both maps."""
     i, j = np.triu_indices(len(pairs), 1)
     a, b = pairs[:, 0], pairs[:, 1]
     offset = (peer[b[j]] - peer[b[i]]) - (own[a[j]] - own[a[i]])
-    S = _offset_covariance(P, a[i], a[j]) + _offset_covariance(R, b[i], b[j]) + 2 * floor * np.eye(3)
+    S = _offset_covariance(P, a[i], a[j]) + _offset_covariance(R, b[i], b[j]) + 2 * config.floor_sigma_m**2 * np.eye(3)
     agree = mahalanobis2(offset, S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability)
     graph = np.zeros((len(pairs), len(pairs)), dtype=bool)
     graph[i, j] = graph[j, i] = agree

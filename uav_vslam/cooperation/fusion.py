@@ -180,7 +180,7 @@ class Fusion:
 
         None where it is for another vehicle, for an earlier start of this one, or of an earlier start of the peer.
         """
-        nothing, addressee = np.zeros((0, 2), np.intp), f"{overlay.joint.vehicle}/{overlay.joint.session}"
+        nothing, addressee = np.zeros((0, 2), np.intp), overlay.joint.source
         record = self.inbox.peers.get(packet.vehicle)
         ended = record is not None and record.arrived[-1].session != packet.session
         if packet.other_sources[:1] != (addressee,) or ended:

@@ -42,8 +42,7 @@ Told = LandmarkPacket | HeardMap  # what a peer's landmarks can be read from
 
 def heard(packet: LandmarkPacket, before: HeardMap | None) -> HeardMap:
     """Put a packet before what was heard already; its rows stay the first ones."""
-    kinds = [(told.descriptor_basis, told.descriptors.shape[1]) for told in (packet, before) if told is not None]
-    if before is None or kinds[0] != kinds[1]:
+    if before is None or _kind(before) != _kind(packet):
         before = HeardMap(packet.ids[:0], np.zeros((0, 3)), np.zeros((0, 0)), packet.descriptors[:0], 0)
     old = np.flatnonzero(~np.isin(before.ids, packet.ids))[: max(HEARD_LANDMARKS - len(packet), 0)]
     coordinates = landmark_rows(0, old)
@@ -54,3 +53,8 @@ def heard(packet: LandmarkPacket, before: HeardMap | None) -> HeardMap:
         descriptors=np.vstack([packet.descriptors, before.descriptors[old]]),
         descriptor_basis=packet.descriptor_basis,
     )
+
+
+def _kind(told: Told) -> tuple[int, int]:
+    """Return what descriptors must have in common to stand in one array."""
+    return told.descriptor_basis, told.descriptors.shape[1]

@@ -37,7 +37,7 @@ class Overlay:
         self._frames: dict[str, FrameEstimate] = {}
         self.joint = joint
         self.positions: Array = joint.positions
-        self.sources = {f"{joint.vehicle}/{joint.session}"}
+        self.sources = {joint.source}
         self.common: dict[str, int] = {}
         self.matched: set[int] = set()
 

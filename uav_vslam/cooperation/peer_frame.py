@@ -71,7 +71,8 @@ class CommonFrame:
 
     def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
         """See `PeerFrame`."""
-        return common_landmarks.gated(pairs, positions, covariance, packet, config=self._config)
+        peer = packet.positions, packet.covariance
+        return pairs[common_landmarks.gated(pairs, positions, covariance, *peer, self._config)]
 
     def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
         """See `PeerFrame`."""

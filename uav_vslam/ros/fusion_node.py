@@ -24,7 +24,6 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
-from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.errors import ConfigError
@@ -85,7 +84,7 @@ class FusionNode(VehicleNode):
         interface = Interface(name) if name else None
         self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
         mode = self.declare_parameter("mode", self.config.fusion.mode).value
-        self._in_mode(mode)
+        self._check_mode(mode)
         self._exchange.tune(mode)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._on_parameters)
@@ -100,16 +99,16 @@ class FusionNode(VehicleNode):
         for one in parameters:
             if one.name == "mode":
                 try:
-                    self._in_mode(one.value)
+                    self._check_mode(one.value)
                 except ConfigError as error:
                     return SetParametersResult(successful=False, reason=str(error))
             if one.name == "fusion.mode":
                 return SetParametersResult(successful=False, reason="fusion.mode counts at the start; set mode instead")
         return SetParametersResult(successful=True)
 
-    def _in_mode(self, mode: str) -> VehicleConfig:
-        """Return the configuration in a communication mode; raises `ConfigError` where the two do not go together."""
-        return dataclasses.replace(self.config, fusion=dataclasses.replace(self.config.fusion, mode=mode))
+    def _check_mode(self, mode: str) -> None:
+        """Raise `ConfigError` where the configuration does not go with a communication mode."""
+        dataclasses.replace(self.config, fusion=dataclasses.replace(self.config.fusion, mode=mode))
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
         for one in parameters:

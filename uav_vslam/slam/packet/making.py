@@ -63,7 +63,7 @@ def make_packet(
         vehicle=joint.vehicle,
         session=joint.session,
         sequence=sequence,
-        sources=(f"{joint.vehicle}/{joint.session}",),
+        sources=(joint.source,),
         prior_id=prior_id,
         ids=joint.ids[rows],
         origin=origin,
