@@ -30,7 +30,8 @@ PROGRAM = """
 
 
 def run(act: str) -> subprocess.CompletedProcess[str]:
-    program = textwrap.dedent(PROGRAM).format(act=act)
+    body = textwrap.indent(textwrap.dedent(act).strip(), " " * 8).lstrip()
+    program = textwrap.dedent(PROGRAM.format(act=body))
     environment = os.environ | {"ROS_DOMAIN_ID": str(free_domain_id())}
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=30)
 
@@ -38,6 +39,17 @@ def run(act: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
 def test_a_signal_while_a_node_is_still_being_made_ends_it_without_a_traceback(number: str) -> None:
     done = run(f"os.kill(os.getpid(), signal.{number})")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_signal_that_comes_while_rclpy_holds_its_lock_ends_the_node_too() -> None:
+    done = run("""
+        def interrupt():
+            with node.context._lock:
+                signal.raise_signal(signal.SIGINT)
+
+        node.create_timer(0.01, interrupt)
+    """)
     assert (done.returncode, done.stderr) == (0, "")
 
 

@@ -10,8 +10,7 @@ from typing import Any
 import cv2
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -160,20 +159,22 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
     A node may end itself by raising SystemExit in a callback. An error of ours is one line and exit code 2.
     """
     cv2.setNumThreads(1)  # several nodes share the cores, and results must not depend on how many there are
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    stopping = False
+
+    def stop(*_: object) -> None:
+        nonlocal stopping
+        stopping = True  # and no more: the signal may have come while rclpy held a lock that its shutdown needs too
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: rclpy.try_shutdown())
+        signal.signal(number, stop)
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
         node = factory()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        executor.spin()
-    except (ExternalShutdownException, KeyboardInterrupt):
-        pass
-    except rclpy_implementation.RCLError:
-        if rclpy.ok():
-            raise  # else the signal came while the node was still being made
+        while not stopping:  # each node has a timer on wall time, which ends the wait
+            executor.spin_once()
     except UavVslamError as error:
         print(f"{getattr(node, 'get_name', lambda: 'uav_vslam')()}: {error}", file=sys.stderr)
         return 2
