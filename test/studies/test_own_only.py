@@ -6,12 +6,14 @@ import pytest
 
 from uav_vslam.config import IMU_GRADES, VehicleConfig
 from uav_vslam.errors import ConfigError, FilterDivergence
+from uav_vslam.ins.preintegration import MAX_HELD_S
 from uav_vslam.offline import track_vehicle
 from uav_vslam.simulation.landmarks import LandmarkNoise
-from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.backend import SlamBackend
-from uav_vslam.studies.own_only import INS, Trial, dead_reckoning, own_only, prepare, run_trial, run_trials
+from uav_vslam.studies.own_only import INS, Trial, dead_reckoning, own_only, prepare, reckon, run_trial, run_trials
+from uav_vslam.types import NS_PER_S, ImuSample
 
 SHORT = Scenario(frames=12)
 
@@ -93,3 +95,13 @@ def test_new_beginnings_are_counted(monkeypatch, trial):
 def test_a_wrong_setting_is_refused_before_anything_flies():
     with pytest.raises(ConfigError, match="retentoin"):
         own_only("typo", {"backend.retentoin": "grid"})
+
+
+def test_a_flight_longer_than_readings_are_kept_is_reckoned_whole():
+    initial = simulate_vehicle(SHORT, 0).initial
+    period_ns, count = NS_PER_S // 20, int(20 * 1.2 * MAX_HELD_S)
+    level = np.zeros(3), np.array([0.0, 0.0, SHORT.imu_config.gravity])
+    samples = [ImuSample(initial.state.stamp_ns + k * period_ns, *level) for k in range(count)]
+    increments, _ = reckon(initial, SHORT.imu_config, samples, [sample.stamp_ns for sample in samples[::20]])
+    assert len(increments) == count // 20
+    assert all(increment.samples > 0 for increment in increments[1:])

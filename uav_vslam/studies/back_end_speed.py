@@ -17,15 +17,15 @@ import numpy as np
 from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.ins.propagator import InsPropagator
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.studies.factors import Motion
 from uav_vslam.studies.frame_chain import Identities
+from uav_vslam.studies.own_only import reckon
 from uav_vslam.studies.smoothers import FixedLagSmoother, cholesky_motion
 from uav_vslam.studies.speed import Row, medians
-from uav_vslam.types import ImuIncrement, ImuSample, NavState, StereoFeatures
+from uav_vslam.types import ImuSample, NavState, StereoFeatures
 
 Frame = tuple[StereoFeatures, Identities]
 
@@ -108,7 +108,9 @@ def _our_back_end(vehicle: SimulatedVehicle, seen: list[Frame]) -> _Contestant:
     )
     config = VehicleConfig(imu=vehicle.scenario.imu_config, backend=settings)
     backend = SlamBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
-    increments = _increments(vehicle)
+    increments, _ = reckon(
+        vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), vehicle.frame_stamps_ns.tolist()
+    )
 
     def step(k: int) -> tuple[Pose, int]:
         report = backend.process(seen[k][0], increments[k])
@@ -131,16 +133,6 @@ def _gtsam(vehicle: SimulatedVehicle, seen: list[Frame], lag_s: float, factorisa
         return smoother.process(*seen[k], motions[k]), smoother.landmarks
 
     return _Contestant(step)
-
-
-def _increments(vehicle: SimulatedVehicle) -> list[ImuIncrement | None]:
-    """Return the motion that leads to each frame, none to the first."""
-    ins = InsPropagator(vehicle.initial, vehicle.scenario.imu_config)
-    for sample in vehicle.imu.samples():
-        ins.add_imu(sample)
-    for stamp_ns in vehicle.frame_stamps_ns[1:].tolist():
-        ins.add_frame_stamp(stamp_ns)
-    return [None, *(increment for increment, _ in ins.increments())]
 
 
 def _motions(

@@ -165,11 +165,12 @@ def reckon(
 ) -> tuple[list[ImuIncrement | None], Trajectory]:
     """Return the motion that leads to each frame, None for the first, where the start is; and the INS's poses there."""
     ins = InsPropagator(initial, imu)
-    for sample in samples:
-        ins.add_imu(sample)
     for stamp_ns in stamps_ns[1:]:
         ins.add_frame_stamp(stamp_ns)
-    moved = ins.increments()
+    moved = []
+    for sample in samples:
+        ins.add_imu(sample)
+        moved += ins.increments()  # at once: readings are not kept for a whole flight
     poses = [initial.pose, *(estimate.pose for _, estimate in moved)]
     return [None, *(increment for increment, _ in moved)], Trajectory.from_estimates(poses)
 
