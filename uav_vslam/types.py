@@ -6,10 +6,12 @@ origin; `body` is FLU at the IMU. Stamps are nanoseconds since the epoch of the 
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.geometry.coded_points import CodedPoints
 from uav_vslam.geometry.pose import Pose
 
@@ -169,7 +171,7 @@ class PoseEstimate:
     covariance: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # no slots: the covariance is kept
 class JointInformation:
     """The own-only belief over the pose and all landmarks, for the fusion node of the same vehicle.
 
@@ -196,6 +198,15 @@ class JointInformation:
     def source(self) -> str:
         """What packets call these measurements: "vehicle/session"."""
         return f"{self.vehicle}/{self.session}"
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(6+3N, 6+3N) inverse of the information, worked out once: an epoch needs it several times.
+
+        Raises:
+            FilterDivergence: the information is not positive definite.
+        """
+        return inverse_spd(self.information, "joint information")
 
 
 @dataclass(frozen=True, slots=True)

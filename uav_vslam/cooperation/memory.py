@@ -108,7 +108,7 @@ class LandmarkMemory:
 
 
 def _conditional(joint: JointInformation, given: Rows, wanted: Rows) -> _Conditional:
-    P = inverse_spd(joint.information, "joint information")
+    P = joint.covariance
     x, g = landmark_rows(POSE_DIM, given), landmark_rows(POSE_DIM, wanted)
     P_xg = P[np.ix_(x, g)]
     A = solve_spd(P[np.ix_(x, x)], P_xg, "covariance of the landmarks that stay").T

@@ -9,7 +9,6 @@ from uav_vslam.cooperation.peer_frame import PeerFrame
 from uav_vslam.cooperation.schemes import SCHEMES
 from uav_vslam.cooperation.unknown_frame import FrameEstimate
 from uav_vslam.estimation.covariance_intersection import Split
-from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
 
@@ -29,7 +28,7 @@ class Overlay:
     """
 
     def __init__(self, joint: JointInformation, *, scheme: str, weighing: str, prior_id: str) -> None:
-        P = inverse_spd(joint.information, "own joint information")
+        P = joint.covariance
         self._bring_in, self._weighing = SCHEMES[scheme], weighing
         self._belief = Split(P, np.zeros_like(P))
         self._own_covariance, self._T_map_body = P[:POSE_DIM, :POSE_DIM], joint.T_map_body

@@ -121,7 +121,7 @@ def _curvature(G: Array) -> Array:
     S_a has ones at (p, q) and (q, p), and to both the trace gives the same: sum over (r, s) of G_pr S_b,rs G_qs.
     """
     n_a, n_b = G.shape[-2:]
-    p, q = np.tril_indices(n_a)
+    p, q = _lower(n_a)
     pairs = G[..., p, :, None] * G[..., q, None, :]
     summed = pairs.reshape(*pairs.shape[:-2], -1) @ _symmetric_basis(n_b).reshape(-1, n_b * n_b).T
     return np.asarray(np.where(p == q, 1.0, 2.0)[:, None] * summed)
@@ -132,6 +132,9 @@ def _symmetric_basis(n: int) -> Array:
     """Return (n (n+1) / 2, n, n) unit symmetric matrices, in the order of `np.tril_indices`."""
     L = unpack_lower(np.eye(n * (n + 1) // 2))
     return np.maximum(L, L.transpose(0, 2, 1))
+
+
+_lower = functools.cache(np.tril_indices)
 
 
 def _inverse(A: Array) -> Array:

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.common_landmarks import POINT_DOF, find_common, look_alikes
 from uav_vslam.cooperation.point_pairs import PointPairs
-from uav_vslam.estimation.numerics import inverse_spd, mahalanobis2
+from uav_vslam.estimation.numerics import mahalanobis2
 from uav_vslam.evaluation.study import Row
 from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.pool import ratio
@@ -84,7 +84,7 @@ def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: Fusi
         packet: a peer's.
         config: ratio, gate and floor; the last stage believes any number of pairs.
     """
-    covariance = inverse_spd(joint.information, "own joint information")[POSE_DIM:, POSE_DIM:]
+    covariance = joint.covariance[POSE_DIM:, POSE_DIM:]
     one_way = look_alikes(joint.descriptors, packet, config.ratio, mutual=False)
     mutual = look_alikes(joint.descriptors, packet, config.ratio)
     points = PointPairs.of(joint.positions, covariance, packet, mutual, config.floor_sigma_m)

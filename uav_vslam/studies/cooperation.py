@@ -15,7 +15,6 @@ from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link, LinkConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import PacketLink, cooperate
@@ -266,7 +265,7 @@ class _PacketWatch:
         order = np.argsort(fusion.belief.ids)
         rows = order[np.searchsorted(fusion.belief.ids, packet.ids, sorter=order)]
         at = landmark_rows(POSE_DIM, rows)
-        P = inverse_spd(fusion.belief.information, "own belief")[np.ix_(at, at)]
+        P = fusion.belief.covariance[np.ix_(at, at)]
         L = np.linalg.cholesky(packet.covariance)
         half = np.linalg.solve(L, P)
         self.largest = max(self.largest, float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1]))

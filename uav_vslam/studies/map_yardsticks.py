@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from uav_vslam.cooperation.alignment import fit
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.evaluation.alignment import align_yaw
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
@@ -41,7 +40,7 @@ def map_to_map(own: JointInformation, peer: JointInformation, truth: Identities)
 def weighted_map_to_map(own: JointInformation, peer: JointInformation, truth: Identities, floor_sigma_m: float) -> Pose:
     """Return the T_own_peer that fits all landmarks that two maps share best by the covariances of both."""
     pairs = common_rows(own, peer, truth)
-    P, R = (inverse_spd(joint.information, "joint information")[POSE_DIM:, POSE_DIM:] for joint in (own, peer))
+    P, R = (joint.covariance[POSE_DIM:, POSE_DIM:] for joint in (own, peer))
     a, b = (landmark_rows(0, rows) for rows in pairs.T)
     points = PointPairs(
         own.positions[pairs[:, 0]], peer.positions[pairs[:, 1]], P[np.ix_(a, a)], R[np.ix_(b, b)], floor_sigma_m

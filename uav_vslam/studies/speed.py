@@ -19,7 +19,6 @@ from scipy.optimize import minimize_scalar
 from uav_vslam.config import FrontendConfig, FusionConfig, ImuConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.estimation.covariance_intersection import WEIGHT_BOUNDS, WEIGHTS, Encounter, Split
-from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.camera_render import RenderedFlight
@@ -177,7 +176,8 @@ def fusion(shared: int, repeats: int) -> Row:
     core = Fusion("uav1", FusionConfig())
     core.inbox.add(make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=shared)))
     size = POSE + 3 * count
-    ms, ratio = take_turns([lambda: core.fuse(own)] * repeats, _cholesky(size))
+    # Anew each time: a belief keeps its inverse.
+    ms, ratio = take_turns([lambda: core.fuse(dataclasses.replace(own))] * repeats, _cholesky(size))
     found = core.epoch.common["uav2"] if core.epoch else 0
     condition = f"{count} own landmarks, {shared} shared"
     return _row("fusion", condition, _cholesky_name(size), ratio, ms_per_packet=ms, landmarks=found)
@@ -188,8 +188,8 @@ def weight_search(shared: int, repeats: int) -> Row:
     count = max(OWN_LANDMARKS, shared)
     own_belief = _belief("uav1", list(range(count)), stamp_s=1.0, sigma_m=(0.3, 0.15, 0.3))
     peer_belief = _belief("uav2", list(range(shared)), stamp_s=1.0, sigma_m=(0.15, 0.3, 0.3))  # better in another way
-    P = inverse_spd(own_belief.information, "own belief")
-    R = inverse_spd(peer_belief.information, "a peer's")[POSE:, POSE:]
+    P = own_belief.covariance
+    R = peer_belief.covariance[POSE:, POSE:]
     own, peer = Split(np.zeros_like(P), P), Split(0.09 * np.eye(len(R)), R)
     E = np.eye(len(R), len(P), POSE)
 
@@ -217,7 +217,7 @@ def packets(landmarks: int, policy: PacketPolicy, repeats: int) -> list[Row]:
     packet = make_packet(joint, sequence=1, policy=policy)
 
     def encode() -> LandmarkPacket:
-        return make_packet(joint, sequence=1, policy=policy)
+        return make_packet(dataclasses.replace(joint), sequence=1, policy=policy)
 
     def decode() -> tuple[Array, Array]:
         validate(packet)

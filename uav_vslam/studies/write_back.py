@@ -148,7 +148,7 @@ def _exchange(
     joints = {name: backend.joint_information() for name, backend in backends.items()}
     for receiver, sender in itertools.permutations(backends, 2):
         packet, own = _everything(joints[sender]), joints[receiver]
-        P = inverse_spd(own.information, "own joint information")[POSE_DIM:, POSE_DIM:]
+        P = own.covariance[POSE_DIM:, POSE_DIM:]
         pairs = find_common(own.positions, P, own.descriptors, packet, config=config.fusion)
         if len(pairs):
             shared = Shared.of(packet, pairs[:, 1])

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.geometry.coded_points import OFFSET_LIMIT_M, CodedPoints
 from uav_vslam.slam.packet.choice import POSE_DIM, choose_landmarks, expected_gain
 from uav_vslam.slam.packet.covariance import code_anchored, code_dense
@@ -50,7 +49,7 @@ def make_packet(
     """
     codes = in_basis(joint.descriptors, policy.descriptor_basis)
     count = _most(joint, policy, codes.shape[1], prior_id, byte_limit)
-    P = inverse_spd(joint.information, "joint information")
+    P = joint.covariance
     rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, shown=shown)
     origin = _origin(joint, rows)
     if policy.form == ANCHOR:
