@@ -206,7 +206,9 @@ class JointInformation:
         Raises:
             FilterDivergence: the information is not positive definite.
         """
-        return inverse_spd(self.information, "joint information")
+        P = inverse_spd(self.information, "joint information")
+        P.flags.writeable = False
+        return P
 
 
 @dataclass(frozen=True, slots=True)
