@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 import time
 
+import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from uav_vslam.ros.inputs import Input, silent, unmatched  # noqa: E402
+from uav_vslam.ros.inputs import STREAM, Input, silent, stopped, unmatched  # noqa: E402
 from uav_vslam.ros.qos import STATE  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -61,6 +62,42 @@ def test_an_input_stays_reliable_where_that_is_offered(node):
     assert spin_until(node, lambda: one.subscription.get_publisher_count() > 0)
     assert not one.follow(node)
     assert spin_until(node, lambda: bool(heard), lambda: publisher.publish(String(data="x")))
+
+
+def test_a_stream_that_came_over_dds_and_ended_has_stopped(node):
+    one = make_input(node, "stream", [])
+    publisher = node.create_publisher(String, "stream", STATE)
+    assert spin_until(node, lambda: one.heard >= STREAM, lambda: publisher.publish(String(data="x")))
+    assert stopped([one], time.monotonic()) == {}
+    assert list(stopped([one], time.monotonic() + 60.0)) == ["stream"]
+
+
+def spoken(topic, *, times_s, stands_for=None, may_pause=False):
+    one = Input(String, topic, lambda _: None, STATE, stands_for or topic, may_pause=may_pause)
+    one.heard, one.first_s, one.last_s = len(times_s), times_s[0], times_s[-1]
+    return one
+
+
+def test_a_stream_that_stops_is_named_and_one_that_never_was_is_not():
+    imu = spoken("imu", times_s=np.arange(0.0, 10.0, 0.005))
+    info = spoken("camera_info", times_s=[0.0])
+    peer = spoken("peer", times_s=np.arange(0.0, 10.0, 1.0), may_pause=True)
+    assert stopped([imu, info, peer], now_s=14.0) == {}
+    assert stopped([imu, info, peer], now_s=16.0) == {"imu": pytest.approx(6.005)}
+
+
+def test_a_slow_stream_may_take_longer():
+    slow = spoken("image", times_s=np.arange(0.0, 40.0, 4.0))
+    assert slow.heard == STREAM
+    assert stopped([slow], now_s=75.0) == {}
+    assert stopped([slow], now_s=77.0) == {"image": 41.0}
+
+
+def test_a_stream_goes_on_in_its_stand_in():
+    raw = spoken("image", times_s=np.arange(0.0, 10.0, 0.1))
+    compressed = spoken("image/compressed", times_s=np.arange(10.0, 20.0, 0.1), stands_for="image")
+    assert stopped([raw, compressed], now_s=24.0) == {}
+    assert list(stopped([raw, compressed], now_s=26.0)) == ["image"]
 
 
 def test_what_is_missing_is_named_unless_a_stand_in_speaks(node):

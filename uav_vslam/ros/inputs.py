@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of a node: which inputs are still missing, and the reliability that their publishers offer.
+"""Subscriptions of a node: which inputs are missing or have stopped, and the reliability that publishers offer.
 
 Camera and IMU drivers often publish best effort, and a reliable subscription would never match them; a best-effort one
 would lose messages of a reliable publisher. So an input starts reliable and follows if only best effort is offered.
 """
 
+import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +14,10 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+
+STREAM = 10  # messages after which more are expected
+PAUSE_S = 5.0  # of a stream before it has stopped,
+PAUSE_PERIODS = 10.0  # or so many of its mean periods, whichever is longer
 
 
 @dataclass(slots=True)
@@ -22,7 +28,9 @@ class Input:
         message_type, topic, callback, qos: as given to create_subscription.
         stands_for: topic whose absence it makes good; its own as a rule.
         subscription: the live one.
-        heard: a message has come.
+        heard: messages that have come.
+        may_pause: that no more come is nothing to report.
+        first_s, last_s: wall time of the first and the last message.
     """
 
     message_type: Any
@@ -31,7 +39,10 @@ class Input:
     qos: QoSProfile
     stands_for: str
     subscription: Any = None
-    heard: bool = False
+    heard: int = 0
+    may_pause: bool = False
+    first_s: float = 0.0
+    last_s: float = 0.0
 
     def subscribe(self, node: Node) -> None:
         """Create the subscription; its policies can be overridden by parameters qos_overrides.<topic>.subscription."""
@@ -53,7 +64,9 @@ class Input:
         return True
 
     def _on_message(self, message: Any) -> None:
-        self.heard = True
+        self.last_s = time.monotonic()
+        self.first_s = self.first_s if self.heard else self.last_s
+        self.heard += 1
         self.callback(message)
 
 
@@ -71,5 +84,20 @@ def silent(inputs: Iterable[Input]) -> list[str]:
     """Return the topics from which nothing has come, neither by themselves nor by a stand-in."""
     heard: dict[str, bool] = {}
     for one in inputs:
-        heard[one.stands_for] = heard.get(one.stands_for, False) or one.heard
+        heard[one.stands_for] = heard.get(one.stands_for, False) or one.heard > 0
     return [topic for topic, came in heard.items() if not came]
+
+
+def stopped(inputs: Iterable[Input], now_s: float) -> dict[str, float]:
+    """Return the topics that spoke regularly, by themselves or by a stand-in, and no longer do: for how long [s]."""
+    streams = defaultdict(list)
+    for one in inputs:
+        if one.heard >= STREAM and not one.may_pause:
+            streams[one.stands_for].append(one)
+    pauses = {}
+    for topic, ones in streams.items():
+        last = max(ones, key=lambda one: one.last_s)
+        period_s = (last.last_s - last.first_s) / (last.heard - 1)
+        if now_s - last.last_s > max(PAUSE_S, PAUSE_PERIODS * period_s):
+            pauses[topic] = now_s - last.last_s
+    return pauses

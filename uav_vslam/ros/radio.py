@@ -35,6 +35,7 @@ class PeerInput(Input):
     host: Node
     wanted: QoSProfile
     events: SubscriptionEventCallbacks
+    may_pause: bool = True  # peers come and go: the fusion's status has them
 
     def subscribe(self, node: Node) -> None:
         """Create the subscription, to take bytes: their number is what the radio carried."""
@@ -56,10 +57,6 @@ class PeerInput(Input):
     def close(self) -> None:
         """Stop listening."""
         self.host.destroy_subscription(self.subscription)
-
-    def _on_message(self, message: bytes) -> None:
-        self.heard = True
-        self.callback(message)
 
 
 class Radio:

@@ -3,6 +3,7 @@
 
 import signal
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import UavVslamError
-from uav_vslam.ros.inputs import Input, silent, unmatched
+from uav_vslam.ros.inputs import Input, silent, stopped, unmatched
 from uav_vslam.ros.params import declare
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -124,13 +125,19 @@ class VehicleNode(Node):
             waiting.append(f"{resolved} ({'published, but nothing has come' if published else 'nobody publishes it'})")
         if waiting:  # one line for all: the throttle counts lines of code, not texts
             self.get_logger().warning(f"waiting for {', '.join(waiting)}", throttle_duration_sec=20.0)
+        pauses = stopped(self._inputs, time.monotonic())
+        if pauses:
+            self.get_logger().warning(_no_more(pauses), throttle_duration_sec=20.0)
 
     def _publish_diagnostics(self) -> None:
         missing = silent(self._inputs)
         dropped = sum(count for reason, count in self.counts.items() if reason.startswith("dropped/"))
+        pauses = stopped(self._inputs, time.monotonic())
         level, text = DiagnosticStatus.OK, "running"
         if missing:
             level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"
+        elif pauses:
+            level, text = DiagnosticStatus.WARN, _no_more(pauses)
         elif self.alarms:
             level, text = DiagnosticStatus.WARN, "; ".join(self.alarms.values())
         elif dropped:
@@ -151,6 +158,10 @@ class VehicleNode(Node):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+
+def _no_more(pauses: dict[str, float]) -> str:
+    return "nothing more from " + ", ".join(f"{topic} for {pause_s:.0f} s" for topic, pause_s in pauses.items())
 
 
 def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
