@@ -21,6 +21,7 @@ DPI = 150
 GRID = "#d9d9d9"
 BAND = "#d7ecd9"  # behind figures that are as they should be
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")  # told apart by all eyes
+MANY_DECADES = 500.0  # largest over smallest above which a logarithmic axis has room for powers of ten only
 INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; what lies beyond is cut off
 
 
@@ -80,10 +81,12 @@ def clean(axes: Axes) -> None:
 
 
 def plain_log(axes: Axes, which: str) -> None:
-    """Make the "x" or "y" axis logarithmic, with ticks at 1, 2, 5 written out."""
+    """Make the "x" or "y" axis logarithmic, with ticks written out: at 1, 2, 5, or at 1 over many decades."""
     axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    low, high = axis.get_view_interval()
+    subs = (1.0, 2.0, 5.0) if high <= MANY_DECADES * low else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=12))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
