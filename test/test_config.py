@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from uav_vslam.config import (
+    EXTRACTORS,
     IMU_GRADES,
     RETENTION_POLICIES,
     STATE_MODELS,
@@ -33,7 +34,7 @@ from uav_vslam.cooperation.link import LinkConfig
 from uav_vslam.errors import ConfigError
 from uav_vslam.estimation.models import MODELS
 from uav_vslam.slam.map_manager import RETENTION
-from uav_vslam.vision.features import EXTRACTORS
+from uav_vslam.vision import features
 
 ROOT = Path(__file__).parents[1]
 Write = Callable[[str], Path]
@@ -204,7 +205,7 @@ def test_compact_packets_want_descriptors_like_sifts() -> None:
 def test_every_name_that_can_be_chosen_exists() -> None:
     assert set(STATE_MODELS) == set(MODELS)
     assert set(RETENTION_POLICIES) == set(RETENTION)
-    assert FrontendConfig().extractor in EXTRACTORS
+    assert set(EXTRACTORS) == set(features.EXTRACTORS)
     assert IMU_GRADES["adis16480"] == ImuConfig()
 
 

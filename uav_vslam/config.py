@@ -67,6 +67,8 @@ IMU_GRADES = {
 } | {f"thesis_w{k}": _thesis_noise(rate_deg, accel) for k, (rate_deg, accel) in enumerate(THESIS_NOISE, start=1)}
 
 
+# The names in vision.features.EXTRACTORS.
+EXTRACTORS = ("sift", "asift", "surf", "dsift", "phow_rgb", "phow_hsv", "phow_opponent", "orb")
 FRONTEND_METHODS = ("klt", "sift")  # the names in vision.frontends.FRONTENDS
 
 
@@ -89,6 +91,7 @@ class FrontendConfig:
     max_matches: int = 400  # sift: stereo points handed on, spread over the image
 
     def __post_init__(self) -> None:
+        _require(self.extractor in EXTRACTORS, self, "extractor", f"one of {', '.join(EXTRACTORS)}")
         _require(self.method in FRONTEND_METHODS, self, "method", f"one of {', '.join(FRONTEND_METHODS)}")
         _require(self.search_every > 0, self, "search_every", "a positive count")
         _require(0.1 <= self.search_scale <= 1.0, self, "search_scale", "0.1 to 1")

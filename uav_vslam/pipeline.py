@@ -84,8 +84,15 @@ class VehiclePipeline:
         return self._complete(self._cutter.increments())
 
     def _look(self, frame: StereoFrame) -> StereoFeatures:
-        """Run the front end; what it finds wrong is counted, and told when it happens first."""
-        features = self._frontend.process(frame)
+        """Run the front end; what it finds wrong is counted, and told when it happens first.
+
+        A pair that it refuses is a frame without points: the vehicle coasts.
+        """
+        try:
+            features = self._frontend.process(frame)
+        except InvalidMessage as error:
+            self._refused[error.reason] += 1
+            features = StereoFeatures.empty(frame.stamp_ns)
         for subject, text in self._frontend.alarms.items():
             if subject not in self.track.alarms:
                 self.track.warnings.append(f"frame {self.track.frames_in}: {text}")

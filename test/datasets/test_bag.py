@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.cli.simulate import record
+from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.messages import camera_info_message, image_message, stamp_ns_of, transforms_message
@@ -16,6 +17,7 @@ from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, i
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.offline import track_vehicle
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.types import ImuSample, StereoFrame
@@ -217,7 +219,7 @@ def test_images_of_another_size_than_calibrated_are_refused(tiny_bag: Path, tmp_
 
     flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")
     with pytest.raises(CalibrationError, match="right/image_raw are 80x60 px but camera_info says 160x120"):
-        list(flight.iter_events())
+        flight.check_images()
 
 
 def test_late_recorded_messages_are_put_in_order(tiny_bag: Path, tmp_path: Path) -> None:
@@ -235,6 +237,23 @@ def test_a_lost_image_costs_only_its_pair(tiny_bag: Path, tmp_path: Path) -> Non
     bag = rewrite(tiny_bag, tmp_path / "bag", lambda raw: None if raw == images[2] else raw)
     stamps = [e.stamp_ns for e in open_flight(bag, "uav1").iter_events() if isinstance(e, StereoFrame)]
     assert stamps == [raw.stamp_ns for raw in images if raw != images[2]]
+
+
+def test_a_picture_that_can_not_be_read_is_one_of_no_size(tiny_bag: Path, tmp_path: Path) -> None:
+    images = list(iter_raw([tiny_bag], ["/uav1/right/image_raw"]))
+
+    def change(raw: RawMessage) -> RawMessage:
+        if raw != images[2]:
+            return raw
+        message = decode(raw)
+        message.encoding = "bayer_rggb8"
+        return dataclasses.replace(raw, data=encode(message))
+
+    flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")
+    pairs = [event for event in flight.iter_events() if isinstance(event, StereoFrame)]
+    assert [pair.right.size > 0 for pair in pairs] == [raw != images[2] for raw in images]
+    track = track_vehicle(flight, VehicleConfig())
+    assert (track.frames_in, track.dropped) == (len(images), {"image": 1})
 
 
 def test_a_cut_bag_opens_and_replays_up_to_the_break(tiny_bag: Path, tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Projection, its Jacobian, and the lens's distortion there and back."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -37,6 +39,20 @@ def test_a_bearing_leads_back_to_its_point(point) -> None:
 @given(st.floats(0, EUROC.width - 1), st.floats(0, EUROC.height - 1))
 def test_distortion_is_undone_everywhere_in_the_image(u: float, v: float) -> None:
     np.testing.assert_allclose(EUROC.distort(EUROC.undistort([u, v])), [u, v], rtol=0, atol=UNDISTORTED_PX)
+
+
+@pytest.mark.parametrize(("f", "k1", "k2"), [(560.0, -0.30, 0.10), (400.0, -0.25, 0.06)])
+def test_a_wide_lens_is_undone_into_its_corners(f: float, k1: float, k2: float) -> None:
+    """Where the fixed-point iteration does not converge."""
+    camera = PinholeCamera(1280, 960, f, 1.01 * f, 640.0, 480.0, np.array([k1, k2, 1e-3, -5e-4, 0.0]))
+    pixels = np.stack(np.meshgrid(np.linspace(0, 1279, 33), np.linspace(0, 959, 25)), axis=-1)
+    np.testing.assert_allclose(camera.distort(camera.undistort(pixels)), pixels, rtol=0, atol=1e-3)
+
+
+def test_where_a_lens_images_nothing_there_is_no_ray() -> None:
+    camera = dataclasses.replace(CAMERA, fx=300.0, fy=300.0, distortion=np.array([-0.4, 0.0, 0.0, 0.0, 0.0]))
+    assert np.isnan(camera.undistort([0.0, 0.0])).all()
+    np.testing.assert_allclose(camera.distort(camera.undistort([600.0, 400.0])), [600.0, 400.0], rtol=0, atol=1e-3)
 
 
 def test_distortion_is_opencvs() -> None:

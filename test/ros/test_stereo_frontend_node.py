@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import struct
+import subprocess
+import sys
 import time
 import zlib
 
@@ -15,7 +17,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ros.convert import flat, header, transform_to_msg  # noqa: E402
 from uav_vslam.ros.qos import IMAGE, LATCHED, STATE  # noqa: E402
-from uav_vslam.ros.stereo_frontend_node import StereoFrontendNode  # noqa: E402
+from uav_vslam.ros.stereo_frontend_node import RAW_AWAITED, StereoFrontendNode  # noqa: E402
 from uav_vslam_msgs.msg import StereoFeatures  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -125,7 +127,7 @@ def test_a_picture_that_can_not_be_read_is_a_frame_without_points(graph, data):
     assert rig.until(lambda: len(rig.heard) == 1)
     assert len(rig.heard[0].pixels) == 0
     assert rig.heard[0].header.stamp.sec == STAMP_NS // 10**9
-    assert rig.front.counts["dropped/image"] == 2
+    assert rig.front.counts["dropped/image"] == 1
 
 
 def test_a_camera_that_sends_each_picture_twice_is_taken_once(graph):
@@ -139,3 +141,38 @@ def test_a_camera_that_sends_each_picture_twice_is_taken_once(graph):
     spin_until(rig.executor, lambda: False, 0.5)
     assert rig.front.counts["pairs"] == 1
     assert rig.front.counts["dropped/unpaired"] == 0
+    assert all(list(choices) == [Image] for choices in rig.front._choices.values())
+
+
+def test_compressed_pictures_are_taken_where_the_raw_ones_are_offered_but_never_come(graph):
+    rig = Rig(graph, [Image, CompressedImage])
+    rig.calibrate()
+    png = cv2.imencode(".png", np.zeros((HEIGHT, WIDTH), np.uint8))[1].tobytes()
+
+    def publish():
+        for (side, kind), publisher in rig.images.items():
+            if kind is CompressedImage:
+                publisher.publish(encoded(blank_image(side), png))
+
+    for _ in range(RAW_AWAITED):
+        publish()
+    spin_until(rig.executor, lambda: False, 0.5)
+    assert rig.front.counts["pairs"] == 0
+    publish()
+    assert rig.until(lambda: len(rig.heard) == 1)
+
+
+@pytest.mark.parametrize(("extractor", "text"), [("sfit", "use one of sift, asift"), ("surf", "pip install mahotas")])
+def test_an_extractor_that_can_not_be_made_ends_the_node(extractor, text):
+    hide = "import sys; sys.modules['mahotas.features'] = None; from uav_vslam.ros.stereo_frontend_node import main"
+    command = [
+        sys.executable,
+        "-c",
+        f"{hide}; sys.exit(main())",
+        "--ros-args",
+        "-p",
+        f"frontend.extractor:={extractor}",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 2
+    assert text in done.stderr

@@ -50,6 +50,12 @@ def test_a_rig_that_was_bent_is_told_after_some_frames(rig: StereoRig) -> None:
     assert "2.9 px off their epipolar lines" in judged(rig, pixels, EPIPOLAR_FRAMES)["rig"]
 
 
+def test_points_outside_the_lens_do_not_hide_a_bent_rig(rig: StereoRig) -> None:
+    pixels = points_of(turned(rig, 0.1))
+    pixels[3, 2:] = np.nan
+    assert "2.9 px off their epipolar lines" in judged(rig, pixels, EPIPOLAR_FRAMES)["rig"]
+
+
 def test_points_of_swapped_images_are_told_at_once(rig: StereoRig) -> None:
     alarms = judged(rig, points_of(rig)[:, [2, 3, 0, 1]], 1)
     assert "changed places" in alarms["image order"]

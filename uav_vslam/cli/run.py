@@ -59,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
     bags, configs = _inputs(args)
     links = partial(link_between, load(LinkConfig, find_link(args.link))) if args.link else None
     flights = {name: open_flight(bags, name) for name in configs}
+    for flight in flights.values():
+        flight.check_images()
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
         sources: list[FlightSource] = list(flights.values())

@@ -22,7 +22,7 @@ from uav_vslam.datasets.messages import (
     truth_of,
 )
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, TopicInfo, decode, iter_raw, topics_of
-from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+from uav_vslam.datasets.stereo_sync import StereoPairer
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -90,8 +90,8 @@ class BagFlight:
             tolerance_ns: largest stamp difference of a pair [ns].
 
         Raises:
-            BagError: the recording is damaged (after all that can be read), or a message can't be decoded.
-            CalibrationError: the images are not of the size that camera_info states.
+            BagError: the recording is damaged (after all that can be read), or a message can't be decoded. A picture
+                that can't is one of no size instead: its frame goes on without points.
         """
         return _in_stamp_order(self._recorded_events(tolerance_ns))
 
@@ -112,7 +112,7 @@ class BagFlight:
             add = pairer.add_left if raw.topic == self.left_topic else pairer.add_right
             pair = add(stamp_ns_of(built), built)
             if pair is not None:
-                yield self._frame(pair)
+                yield StereoFrame(pair.stamp_ns, _picture(pair.left), _picture(pair.right))
 
     def check_images(self) -> None:
         """Decode the first image of each side, for whoever wants to know beforehand what `iter_events` would meet.
@@ -125,21 +125,19 @@ class BagFlight:
             first = next(_readable(iter_raw(self.paths, [topic])), None)
             if first is None:
                 raise BagError(f"bag {_names(self.paths)} holds no message on {topic}; record the images")
-            self._pixels(topic, decode(first))
+            height, width = image_of(decode(first)).shape[:2]
+            if (width, height) != self.image_size:
+                raise CalibrationError(
+                    f"bag {_names(self.paths)}: images on {topic} are {width}x{height} px but camera_info says "
+                    f"{self.image_size[0]}x{self.image_size[1]}; calibrate at the recorded size"
+                )
 
-    def _frame(self, pair: StereoPair[Any]) -> StereoFrame:
-        left, right = self._pixels(self.left_topic, pair.left), self._pixels(self.right_topic, pair.right)
-        return StereoFrame(pair.stamp_ns, left, right)
 
-    def _pixels(self, topic: str, built: Any) -> NDArray[Any]:
-        image = image_of(built)
-        width, height = self.image_size
-        if image.shape[:2] != (height, width):
-            raise CalibrationError(
-                f"bag {_names(self.paths)}: images on {topic} are {image.shape[1]}x{image.shape[0]} px but camera_info "
-                f"says {width}x{height}; calibrate at the recorded size"
-            )
-        return image
+def _picture(built: Any) -> NDArray[Any]:
+    try:
+        return image_of(built)
+    except BagError:
+        return np.zeros((0, 0), np.uint8)
 
 
 def vehicles(paths: Sequence[Path]) -> list[str]:

@@ -10,6 +10,8 @@ from uav_vslam.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
+UNDISTORTED_PX = 1e-3  # largest error of a raw pixel that counts as undistorted
+
 
 @dataclass(frozen=True, slots=True)
 class PinholeCamera:
@@ -81,11 +83,42 @@ class PinholeCamera:
         return np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], axis=-1)
 
     def undistort(self, pixels: ArrayLike, iterations: int = 20) -> Array:
-        """Map (..., 2) raw pixels to the ideal pinhole's, by fixed-point iteration of `distort`."""
+        """Map (..., 2) raw pixels to the ideal pinhole's; a row is NaN where nothing is imaged there.
+
+        By fixed-point iteration of `distort`, which wide lenses make diverge towards the corners: there by Newton's.
+        """
         raw = np.asarray(pixels, dtype=float)
         if not np.any(self.distortion):
             return raw.copy()
         ideal = raw.copy()
-        for _ in range(iterations):
-            ideal = ideal + (raw - self.distort(ideal))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(iterations):
+                ideal = ideal + (raw - self.distort(ideal))
+            lost = ~(np.abs(raw - self.distort(ideal)).max(axis=-1) <= UNDISTORTED_PX)
+            if lost.any():
+                ideal[lost] = self._undistort_by_newton(raw[lost], iterations)
         return ideal
+
+    def _undistort_by_newton(self, raw: Array, iterations: int) -> Array:
+        """Return (N, 2) undistorted pixels of raw ones, NaN where there is none, or the lens folds the image over."""
+        ideal = raw.copy()
+        for _ in range(iterations):
+            a, b, d = self._distortion_jacobian(ideal)
+            u, v = np.moveaxis((raw - self.distort(ideal)) / [self.fx, self.fy], -1, 0)
+            step = np.stack([d * u - b * v, a * v - b * u], axis=-1) / (a * d - b * b)[:, None]
+            ideal = ideal + step * [self.fx, self.fy]
+        a, b, d = self._distortion_jacobian(ideal)
+        found = (np.abs(raw - self.distort(ideal)).max(axis=-1) <= UNDISTORTED_PX) & (a * d > b * b) & (a + d > 0)
+        ideal[~found] = np.nan
+        return ideal
+
+    def _distortion_jacobian(self, pixels: Array) -> tuple[Array, Array, Array]:
+        """Return d(xd)/dx, d(xd)/dy = d(yd)/dx and d(yd)/dy of `distort`, for focal lengths of one."""
+        x, y, _ = np.moveaxis(self.bearings(pixels), -1, 0)
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))  # twice its derivative by r^2
+        a = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+        d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+        return a, slope * x * y + 2.0 * (p1 * x + p2 * y), d

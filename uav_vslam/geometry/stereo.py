@@ -70,11 +70,12 @@ class StereoRig:
         T = self.T_right_left
         return np.concatenate([self.left.project_jacobian(p), self.right.project_jacobian(T.apply(p)) @ T.R], axis=-2)
 
-    def triangulate(self, pixels: ArrayLike) -> Array:
-        """Return the points that best explain stereo pixels: midpoint of the rays, then two Gauss-Newton steps.
+    def triangulate(self, pixels: ArrayLike, *, refinements: int = 2) -> Array:
+        """Return the points that best explain stereo pixels: midpoint of the rays, then Gauss-Newton steps.
 
         Args:
             pixels: (N, 4) undistorted stereo pixels.
+            refinements: number of those steps.
 
         Returns:
             (N, 3) points in the left camera frame [m]; a row is NaN where the rays are parallel, diverge, or meet
@@ -96,7 +97,7 @@ class StereoRig:
         depth_right = (lr * (ray_left @ b) - ll * (ray_right @ b)) / safe
         good &= (depth_left > 0) & (depth_right > 0)
         points = 0.5 * (depth_left[:, None] * ray_left + b + depth_right[:, None] * ray_right)
-        for _ in range(2):
+        for _ in range(refinements):
             points[~good] = [0.0, 0.0, 1e3 * self.baseline_m]
             J = self.project_jacobian(points)
             residual = z - self.project(points)

@@ -61,6 +61,7 @@ class RigListener:
         try:
             self.rig = StereoRig(left, right, T_body_left, T_body_right)
         except CalibrationError as error:
+            self._cameras.clear()  # the next ones may be right
             raise InvalidMessage("calibration", str(error)) from None
         get_logger(self._node.get_name()).info(f"rig complete: baseline {self.rig.baseline_m:.3f} m")
         self._on_complete()

@@ -67,7 +67,7 @@ class VehicleNode(Node):
 
     def listen(
         self, message_type: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, *, instead_of: str = ""
-    ) -> None:
+    ) -> Input:
         """Subscribe; a message that the callback refuses is dropped, counted by reason, and stops nothing.
 
         Args:
@@ -79,6 +79,7 @@ class VehicleNode(Node):
         one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic)
         one.subscribe(self)
         self.watch(one)
+        return one
 
     def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return a callback that drops and counts what `callback` refuses."""

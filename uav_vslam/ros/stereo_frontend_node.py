@@ -22,10 +22,12 @@ from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import features_to_msg, image_from_msg
+from uav_vslam.ros.inputs import Input
 from uav_vslam.ros.qos import IMAGE, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.types import StereoFeatures as Features
 from uav_vslam.types import StereoFrame
+from uav_vslam.vision.features import make_extractor
 from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.frontends import make_frontend
 from uav_vslam_msgs.msg import StereoFeatures
@@ -35,6 +37,7 @@ AddImage = Callable[[int, Pixels], StereoPair[Pixels] | None]
 
 MAX_WAITING = 10  # pairs held until the calibration is known
 MAX_ALONE = 10  # images without a partner in a row, and one camera is taken to be silent
+RAW_AWAITED = 5  # compressed images that are left alone where a camera offers raw ones too
 
 
 class StereoFrontendNode(VehicleNode):
@@ -42,21 +45,24 @@ class StereoFrontendNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("stereo_frontend")
+        make_extractor(self.config.frontend)  # one that can't be made ends the node here, not at each pair
         self._rig = RigListener(self, self._work)
         self._frontend: Frontend | None = None
         self._alone = 0  # images since the last pair
         self._pairer: StereoPairer[Pixels] = StereoPairer()
         self._waiting: deque[StereoFrame] = deque()
         self._publisher = self.advertise(StereoFeatures, "stereo_features", STATE)
-        self._taken: dict[str, type] = {}  # of the two messages that a camera may send, the one that came first
+        self._choices: dict[str, dict[type, Input]] = {}  # by camera: the two topics it may have, until one is taken
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
             raw = f"{side}/image_raw"
             on_image = partial(self._on_image, side, add)
-            self.listen(Image, raw, on_image, IMAGE)
-            self.listen(CompressedImage, f"{raw}/compressed", on_image, IMAGE, instead_of=raw)
+            self._choices[side] = {
+                Image: self.listen(Image, raw, on_image, IMAGE),
+                CompressedImage: self.listen(CompressedImage, f"{raw}/compressed", on_image, IMAGE, instead_of=raw),
+            }
 
     def _on_image(self, side: str, add: AddImage, message: Image | CompressedImage) -> None:
-        if self._taken.setdefault(side, type(message)) is not type(message):
+        if not self._takes(side, type(message)):
             return  # the same picture once more
         pair = add(stamp_ns_of(message), self._pixels(message))
         self.counts["dropped/unpaired"] = self._pairer.dropped
@@ -70,15 +76,27 @@ class StereoFrontendNode(VehicleNode):
         self._waiting.append(StereoFrame(pair.stamp_ns, pair.left, pair.right))
         if len(self._waiting) > MAX_WAITING:
             self._waiting.popleft()
-            self.drop("no_calibration", "image pairs come, but camera_info or /tf_static does not")
+            self.drop("no_calibration", "image pairs come, but no camera_info or /tf_static that can be used")
         self._work()
+
+    def _takes(self, side: str, kind: type) -> bool:
+        """Tell whether a camera's messages of a kind are used: raw ones, where they are published; the others end."""
+        choices = self._choices[side]
+        if len(choices) > 1:
+            raw_offered = choices[Image].subscription.get_publisher_count() > 0
+            if kind is CompressedImage and raw_offered and choices[kind].heard <= RAW_AWAITED:
+                return False
+            other = choices.pop(Image if kind is CompressedImage else CompressedImage)
+            self.unwatch(other)
+            self.destroy_subscription(other.subscription)
+        return kind in choices
 
     def _pixels(self, message: Image | CompressedImage) -> Pixels:
         """Return the picture, of no size at all where it can't be read: its frame goes on without points."""
         try:
             return image_from_msg(message)
         except InvalidMessage as error:
-            self.drop(error.reason, str(error))
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
             return np.zeros((0, 0), np.uint8)
 
     def _work(self) -> None:

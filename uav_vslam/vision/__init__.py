@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images to points: extraction, matching, stereo points and pose from points; OpenCV is imported here only."""
+"""Images to points: extraction, matching, stereo points and pose from points."""

@@ -41,8 +41,10 @@ class Frontend(ABC):
         """
 
     def _check_sizes(self, frame: StereoFrame) -> None:
-        """Refuse images of another size than the calibration's."""
+        """Refuse images of another size than the calibration's, or of none: they could not be read."""
         for name, image, camera in (("left", frame.left, self._rig.left), ("right", frame.right, self._rig.right)):
+            if image.size == 0:
+                raise InvalidMessage("image", f"the {name} image could not be read")
             if image.shape[:2] != (camera.height, camera.width):
                 met, wanted = image.shape[1::-1], (camera.width, camera.height)
                 raise InvalidMessage("image_size", f"{name} image is {met} px but its calibration is for {wanted} px")

@@ -19,6 +19,6 @@ def make_frontend(rig: StereoRig, config: FrontendConfig, rig_config: RigConfig)
     """Build the front end that the configuration names.
 
     Raises:
-        ConfigError: the extractor is not known.
+        ConfigError: a package that the extractor needs is not installed.
     """
     return FRONTENDS[config.method](rig, config, rig_config)

@@ -47,6 +47,7 @@ class FrontendHealth:
 
     def judge(self, pixels: Array) -> None:
         """Take note of (N, 4) undistorted stereo points that were matched by their looks, before any gate."""
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
         if len(pixels) < MIN_POINTS:
             return
         if self._fit(pixels) < 0.5 * SWAPPED_SHARE and self._fit(pixels[:, [2, 3, 0, 1]]) > SWAPPED_SHARE:
@@ -62,7 +63,7 @@ class FrontendHealth:
 
     def _fit(self, pixels: Array) -> float:
         """Return the share of stereo points that lie on their epipolar lines and before both cameras."""
-        ahead = np.isfinite(self._rig.triangulate(pixels)[:, 2])
+        ahead = np.isfinite(self._rig.triangulate(pixels, refinements=0)[:, 2])
         return float(np.mean(ahead & (self._rig.epipolar_distance(pixels) <= self._epipolar_px)))
 
     def _set(self, subject: str, text: str) -> None:

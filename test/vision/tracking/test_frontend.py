@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig
 from uav_vslam.geometry.stereo import StereoRig
@@ -20,6 +21,7 @@ FLIGHT = Scenario(frames=FRAMES, scale=0.25, noise_sigma=1.0)
 LARGEST_SIGMA_PX = 0.15
 LARGEST_WRONG_SHARE = 0.01
 
+Array = NDArray[np.float64]
 Flown = tuple[SimulatedVehicle, list[StereoFrame]]
 
 
@@ -56,21 +58,33 @@ def test_points_are_precise_and_hardly_one_is_wrong(flight: Flown) -> None:
     assert np.mean(np.linalg.norm(errors, axis=1) > 1.0) <= LARGEST_WRONG_SHARE
 
 
-def test_a_track_stays_on_its_point_of_the_ground(flight: Flown) -> None:
-    vehicle, frames = flight
-    first, *later = process(vehicle.rig, frames)
-    last = later[3]
-    _, rows, same = np.intersect1d(first.tracks, last.tracks, return_indices=True)
-    assert len(rows) >= 20
+def drifts_px(vehicle: SimulatedVehicle, first: tuple[int, StereoFeatures], last: tuple[int, StereoFeatures]) -> Array:
+    """Return how far the points that two frames' features share have moved over the ground, in pixels there."""
+    _, *rows = np.intersect1d(first[1].tracks, last[1].tracks, return_indices=True)
     places = []
-    for k, features, chosen in ((0, first, rows), (4, last, same)):
+    for (k, features), chosen in zip((first, last), rows, strict=True):
         T_world_left = vehicle.truth.pose(float(vehicle.frame_times_s[k])) @ vehicle.rig.T_body_left
         rays = vehicle.rig.left.bearings(features.pixels[chosen, :2]) @ T_world_left.R.T
         places.append(intersect(relief_of(vehicle.scenario), T_world_left.t, rays))
-    pixel_on_ground_m = 70.0 / vehicle.rig.left.fx
-    drift_px = np.linalg.norm(places[1] - places[0], axis=1) / pixel_on_ground_m
-    assert np.median(drift_px) < 0.3
-    np.testing.assert_array_equal(first.descriptors[rows], last.descriptors[same])
+    return np.linalg.norm(places[1] - places[0], axis=1) * vehicle.rig.left.fx / 70.0
+
+
+def test_a_track_stays_on_its_point_of_the_ground(flight: Flown) -> None:
+    vehicle, frames = flight
+    first, *later = process(vehicle.rig, frames)
+    drifts = drifts_px(vehicle, (0, first), (4, later[3]))
+    assert len(drifts) >= 20
+    assert np.median(drifts) < 0.3
+    _, rows, same = np.intersect1d(first.tracks, later[3].tracks, return_indices=True)
+    np.testing.assert_array_equal(first.descriptors[rows], later[3].descriptors[same])
+
+
+def test_tracks_that_leave_the_image_in_a_long_gap_do_not_mislead_the_others() -> None:
+    vehicle, frames = flown(dataclasses.replace(FLIGHT, frames=11))
+    before, after = process(vehicle.rig, [*frames[:4], frames[10]])[3:]  # 17 px a frame: half of 240 in the gap
+    drifts = drifts_px(vehicle, (3, before), (10, after))
+    assert len(drifts) >= 5
+    assert np.median(drifts) < 0.5
 
 
 def test_every_point_has_a_track_and_no_number_is_used_again(flight: Flown) -> None:

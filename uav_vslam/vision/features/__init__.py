@@ -5,7 +5,6 @@ from collections.abc import Callable
 from functools import partial
 
 from uav_vslam.config import FrontendConfig
-from uav_vslam.errors import ConfigError
 from uav_vslam.vision.features.asift import AffineSiftExtractor
 from uav_vslam.vision.features.base import Extractor, Keypoints
 from uav_vslam.vision.features.dense import DenseSiftExtractor
@@ -30,8 +29,6 @@ def make_extractor(config: FrontendConfig) -> Extractor:
     """Build the extractor that the configuration names.
 
     Raises:
-        ConfigError: no extractor has that name, or a package that it needs is not installed.
+        ConfigError: a package that it needs is not installed.
     """
-    if config.extractor not in EXTRACTORS:
-        raise ConfigError(f"frontend.extractor = {config.extractor!r} is not known; use one of {', '.join(EXTRACTORS)}")
     return EXTRACTORS[config.extractor](config)

@@ -38,7 +38,7 @@ class TrackingFrontend(Frontend):
     """Follows points; what it makes of a pair depends on the pairs before, and on nothing else."""
 
     def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig | None = None) -> None:
-        """Prepare as any front end; raises `ConfigError` where the extractor is not known."""
+        """Prepare as any front end; raises `ConfigError` where the extractor is not installed."""
         super().__init__(rig, config, rig_config, DISPARITY_NOISE_PX)
         self._refill = Refill(config)
         self._flow = FlowModel()
@@ -74,9 +74,11 @@ class TrackingFrontend(Frontend):
         self._join(found, left.shape)
         before = self._tracks
         pixels, good = follow(self._left, left, before.pixels, self._flow.predict(before.pixels, dt_s))
-        if good.sum() < FEW_SHARE * len(good):  # the flow has changed, or is not known yet
+        if good.sum() < FEW_SHARE * len(good):  # the flow has changed, or is not known yet, or many left the image
             shift = shift_between(self._left, left)
-            pixels, good = follow(self._left, left, before.pixels, before.pixels + shift)
+            pixels_shifted, good_shifted = follow(self._left, left, before.pixels, before.pixels + shift)
+            if good_shifted.sum() > good.sum():
+                pixels, good = pixels_shifted, good_shifted
         self._flow.learn(before.pixels[good], pixels[good], dt_s)
         self._tracks = dataclasses.replace(before, pixels=pixels).chosen(good)
 
