@@ -23,6 +23,6 @@ check: setup ## lint, formatting, types
 bench: setup ## measure speed
 	@$(ACTIVATE) uav-vslam bench
 
-clean: ## remove what was built and cached; .venv stays
-	rm -rf build install log results .pytest_cache .mypy_cache .ruff_cache .hypothesis
+clean: ## remove what was built and cached; .venv and results stay
+	rm -rf build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -path ./.venv -prune -o -name __pycache__ -type d -exec rm -rf {} +

@@ -13,14 +13,16 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "uav_vslam"
 
 # What each part may import, beside itself and `errors`; the EARLY ones may be used by all.
-EARLY = {"types", "config", "geometry", "stamps"}
+EARLY = {"types", "config", "geometry", "numerics", "stamps"}
 ESTIMATOR = EARLY | {"ins", "estimation", "vision", "association", "slam", "cooperation"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
-    "types": {"geometry"},  # a record holds a Pose
+    "types": {"geometry", "numerics"},  # a record holds a Pose, and keeps the inverse of its information
     "config": set(),
     "stamps": {"types"},
     "geometry": set(),
+    "numerics": set(),
+    "processes": set(),
     # the estimator, in its order
     "ins": EARLY,
     "estimation": EARLY | {"ins"},  # the filter predicts by increments
@@ -37,10 +39,10 @@ ALLOWED: dict[str, set[str]] = {
     "mapping": EARLY | {"vision"},
     "report": {"types", "evaluation"},
     # what puts them together without ROS
-    "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation"},
-    "studies": ESTIMATOR | {"pipeline", "fleet", "evaluation", "simulation", "offline"},
+    "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation", "processes"},
+    "studies": ESTIMATOR | {"pipeline", "fleet", "evaluation", "simulation", "offline", "processes"},
     # the top
-    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "mapping"},
+    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "mapping", "processes"},
     "cli": ESTIMATOR
     | {"pipeline", "fleet", "datasets", "mapping", "evaluation", "simulation", "report"}
     | {"offline", "studies"},

@@ -8,7 +8,7 @@ same, bit for bit, however many workers there are.
 import multiprocessing
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from typing import Any, Protocol
 
 import cv2
@@ -22,6 +22,7 @@ from uav_vslam.fleet import CooperativeTrack, PacketLink, cooperate
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
+from uav_vslam.processes import worker_pool
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures, StereoFrame
 
 POLL_S = 0.2
@@ -106,17 +107,17 @@ def flight_result(
     wall_s: float = 0.0,
 ) -> FlightResult:
     """Gather what evaluation needs."""
-    mode = next(iter(configs.values())).fusion.mode
-    alone = len(tracks) == 1 or mode == "none"
+    modes = {vehicle: configs[vehicle].fusion.mode if len(tracks) > 1 else "none" for vehicle in tracks}
+    members = {vehicle: None if modes[vehicle] == "none" else fleet[vehicle] for vehicle in tracks}
     vehicles = {
-        vehicle: _vehicle_result(track, None if alone else fleet[vehicle], truths[vehicle], configs[vehicle])
+        vehicle: _vehicle_result(track, members[vehicle], truths[vehicle], configs[vehicle])
         for vehicle, track in tracks.items()
     }
     stamps = [output.report.pose.stamp_ns for track in tracks.values() for output in track.outputs]
     return FlightResult(
         name=name,
         seed=seed,
-        mode="none" if alone else mode,
+        mode=next(iter(modes.values())) if len(set(modes.values())) == 1 else "mixed",
         duration_s=(max(stamps) - min(stamps)) / NS_PER_S if stamps else 0.0,
         wall_s=wall_s,
         vehicles=vehicles,
@@ -199,9 +200,8 @@ def _track_for_pool(source: FlightSource, config: VehicleConfig) -> VehicleTrack
 def _track_in_workers(
     sources: list[FlightSource], configs: dict[str, VehicleConfig], workers: int, on_frame: Callable[[int], None]
 ) -> list[VehicleTrack]:
-    context = multiprocessing.get_context("spawn")
-    queue = context.Queue()
-    with ProcessPoolExecutor(min(workers, len(sources)), context, initializer=_adopt, initargs=(queue,)) as pool:
+    queue = multiprocessing.get_context("spawn").Queue()
+    with worker_pool(min(workers, len(sources)), _adopt, queue) as pool:
         futures: list[Future[VehicleTrack]] = [pool.submit(_track_for_pool, s, configs[s.vehicle]) for s in sources]
         while not all(future.done() for future in futures):
             time.sleep(POLL_S)

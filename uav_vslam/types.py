@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.estimation.numerics import inverse_spd
 from uav_vslam.geometry.coded_points import CodedPoints
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.numerics import inverse_spd
 
 Array = NDArray[np.float64]
 

@@ -193,6 +193,39 @@ def test_a_vehicle_named_twice_is_told_with_its_line(
     assert f"{fleet}: key 'uav1' is used twice (line 3)" in line
 
 
+def test_what_a_fleet_file_says_itself_is_not_taken_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fleet = fleet_file(tmp_path, "vehicles: {uav1: {}}\nreplay: {bags: [bag]}\n")
+    for more in (["another_bag"], ["--config", "kagaru"], ["--vehicles", "uav1"]):
+        assert "is a fleet file" in refused(capsys, "run", fleet, *more)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "bag", "--workers", "0"], "'0' is not a count of at least 1"),
+        (["study", "models", "--seeds", "-1"], "'-1' is not a whole number of at least 0"),
+        (["run", "bag", "--results", "FILE/results"], "nothing can be written to"),
+        (["run", "bag", "--results", "WITH_LATEST"], "latest is not a symbolic link"),
+    ],
+)
+def test_arguments_that_can_not_work_are_refused_before_anything_begins(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "with" / LATEST).mkdir(parents=True)
+    given = [a.replace("FILE", f"{tmp_path}/file").replace("WITH_LATEST", f"{tmp_path}/with") for a in arguments]
+    with pytest.raises(SystemExit) as left:
+        main(given)
+    assert left.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_value_that_is_no_yaml_is_told(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "'backend.filter=[1': the value is not YAML" in refused(capsys, "run", good, "--set", "backend.filter=[1")
+
+
 def test_a_vehicle_named_twice_on_the_command_line_is_told(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "names one twice" in refused(capsys, "run", good, "--vehicles", "uav1", "uav1")
 

@@ -135,6 +135,19 @@ def test_a_recording_overwrites_nothing(tiny_bag: Path) -> None:
         RawRecorder(tiny_bag)
 
 
+def test_a_recording_that_fails_leaves_nothing_that_looks_whole(tiny_bag: Path, tmp_path: Path) -> None:
+    first = next(iter_raw([tiny_bag]))
+
+    def record() -> None:
+        with RawRecorder(tmp_path / "half") as recorder:
+            for msgtype in (first.msgtype, "another/msg/Type"):
+                recorder.write(first.topic, msgtype, first.data, first.stamp_ns)
+
+    with pytest.raises(BagError):
+        record()
+    assert not (tmp_path / "half").exists()
+
+
 def test_an_unknown_type_or_a_second_type_is_refused(tmp_path: Path) -> None:
     data = encode(message("std_msgs/msg/String", data="x"))
     with RawRecorder(tmp_path / "bag") as recorder:

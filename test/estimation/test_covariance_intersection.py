@@ -19,7 +19,7 @@ from uav_vslam.estimation.covariance_intersection import (
     inverse_covariance_intersection,
     split_covariance_intersection,
 )
-from uav_vslam.estimation.numerics import symmetrise
+from uav_vslam.numerics import symmetrise
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ from uav_vslam.estimation.filters import BOUNDED, FILTERS
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.linearisation import Cubature, Jacobians
 from uav_vslam.estimation.models import MODELS, difference
-from uav_vslam.estimation.numerics import symmetrise
 from uav_vslam.estimation.observation import point_jacobian, triangulation_covariance
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.ins.propagation import NAV_DIM, POSITION, ROTATION, VELOCITY, propagate, transition
+from uav_vslam.numerics import symmetrise
 from uav_vslam.types import NavEstimate
 
 Array = NDArray[np.float64]

@@ -34,6 +34,12 @@ def test_figures_are_those_of_the_known_errors(flight):
     assert figures["link"]["dropped"] == {"stale": 1}
 
 
+def test_aligned_errors_have_no_nees_beside_them(flight):
+    figures = build_summary(flight, git=None, alignment="yaw")["vehicles"]["uav1"]["s_slam"]
+    assert figures["ate_m"] is not None
+    assert {key: value for key, value in figures.items() if key.startswith("nees") and value is not None} == {}
+
+
 def test_pooling_takes_the_rms_of_errors_and_the_mean_of_nees(flight):
     summary = build_summary(flight, git=None)
     one, two = (summary["vehicles"][name]["c_slam"] for name in ("uav1", "uav2"))

@@ -2,6 +2,7 @@
 """The replay and the recorder as processes, between a written bag and a vehicle that only answers."""
 
 import contextlib
+import dataclasses
 import os
 import signal
 import subprocess
@@ -22,7 +23,8 @@ from sensor_msgs.msg import CameraInfo, Image, Imu  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from uav_vslam.datasets.flight_writer import FlightRecording, write_flights  # noqa: E402
-from uav_vslam.datasets.rosbag import iter_raw, topics_of  # noqa: E402
+from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw, topics_of  # noqa: E402
+from uav_vslam.errors import BagError  # noqa: E402
 from uav_vslam.geometry.camera import PinholeCamera  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.geometry.stereo import StereoRig  # noqa: E402
@@ -204,6 +206,37 @@ def test_the_static_transforms_of_all_bags_come_as_one_message(fleet: Fleet, bag
     fleet.replay(bags)
     children = [transform.child_frame_id for transform in fleet.static[-1].transforms]
     assert sorted(children) == [f"{name}/{side}_optical" for name in ("uav1", "uav2") for side in ("left", "right")]
+
+
+def rewritten(source: Path, out: Path, keep: Callable[[RawMessage], list[bytes]]) -> Path:
+    with RawRecorder(out) as recorder:
+        for raw in iter_raw([source]):
+            for data in keep(raw):
+                latched = raw.topic in {"/tf_static", "/uav1/initial_state"}
+                recorder.write(raw.topic, raw.msgtype, data, raw.stamp_ns, latched=latched)
+    return out
+
+
+def test_static_transforms_that_came_one_by_one_are_all_kept(bags: list[Path], tmp_path: Path) -> None:
+    def one_by_one(raw: RawMessage) -> list[bytes]:
+        if raw.topic != "/tf_static":
+            return [raw.data]
+        whole = decode(raw)
+        return [encode(dataclasses.replace(whole, transforms=[transform])) for transform in whole.transforms]
+
+    parts = Recording([rewritten(bags[0], tmp_path / "parts", one_by_one)]).latched
+    assert [raw.topic for raw in parts].count("/tf_static") == 2
+
+
+def test_a_recording_with_too_few_camera_infos_is_refused(bags: list[Path], tmp_path: Path) -> None:
+    seen: list[RawMessage] = []
+
+    def first_only(raw: RawMessage) -> list[bytes]:
+        seen.extend([raw] if raw.topic == "/uav1/left/camera_info" else [])
+        return [raw.data] if raw.topic != "/uav1/left/camera_info" or len(seen) == 1 else []
+
+    with pytest.raises(BagError, match=f"1 messages on /uav1/left/camera_info for {FRAMES} left images"):
+        Recording([rewritten(bags[0], tmp_path / "few", first_only)])
 
 
 def test_a_vehicle_that_stops_answering_is_named_with_topic_and_stamp(fleet: Fleet, bags: list[Path]) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from uav_vslam.association.guided import STEREO_DOF
-from uav_vslam.estimation.numerics import mahalanobis2
+from uav_vslam.numerics import mahalanobis2
 
 Array = NDArray[np.float64]
 

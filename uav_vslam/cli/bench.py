@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uav_vslam.cli.arguments import results_folder
+
 if TYPE_CHECKING:
     from uav_vslam.simulation.scenario import SimulatedVehicle
     from uav_vslam.types import StereoFrame
@@ -25,7 +27,7 @@ machines and revisions. All in one process and one thread; times are processor t
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("--quick", action="store_true", help="a few repeats only")
-    parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
 def run(args: argparse.Namespace) -> int:

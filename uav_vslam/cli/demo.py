@@ -10,6 +10,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from uav_vslam.cli.arguments import results_folder
+
 HELP = "replay two vehicles' sample recordings through the node graph and report"
 EXAMPLES = """examples:
   uav-vslam demo
@@ -29,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate (default wideband)"
     )
     parser.add_argument("--rate", type=float, metavar="R", help="multiple of real time (default 0: lock-step)")
-    parser.add_argument("--root", type=Path, default=Path("results"), help="folder of all results (default results)")
+    parser.add_argument("--root", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep estimates and output in this new folder")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
     parser.add_argument("--verbose", action="store_true", help="print all output of all processes")

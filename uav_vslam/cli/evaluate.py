@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uav_vslam.cli.arguments import results_folder
+
 if TYPE_CHECKING:
     from uav_vslam.datasets.outputs import RecordedOutputs
     from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
@@ -37,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="none",
         help="of the estimates to the truth (default none)",
     )
-    parser.add_argument("--root", type=Path, default=Path("results"), help="folder of all results (default results)")
+    parser.add_argument("--root", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
 
 

@@ -6,7 +6,7 @@ def override(item: str) -> tuple[str, object]:
     """Return key and value of one.
 
     Raises:
-        ConfigError: it is not of that form.
+        ConfigError: it is not of that form, or the value is not YAML.
     """
     import yaml
 
@@ -15,4 +15,7 @@ def override(item: str) -> tuple[str, object]:
     key, separator, value = item.partition("=")
     if not separator:
         raise ConfigError(f"setting {item!r} must have the form KEY=VALUE, for example backend.sigma_px=0.5")
-    return key, yaml.safe_load(value)
+    try:
+        return key, yaml.safe_load(value)
+    except yaml.YAMLError:
+        raise ConfigError(f"setting {item!r}: the value is not YAML; quote it, or close its brackets") from None

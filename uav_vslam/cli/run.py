@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import positive, results_folder
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -30,13 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/ (bags only)")
     parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting (bags only)"
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting of all vehicles"
     )
     parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="communication mode")
     parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--name", help="of the results folder (default: that of the input)")
-    parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
-    parser.add_argument("--workers", type=int, default=2, help="processes, one a vehicle at most (default 2)")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+    parser.add_argument("--workers", type=positive, default=2, help="processes, one a vehicle at most (default 2)")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
 
 
@@ -61,11 +62,11 @@ def run(args: argparse.Namespace) -> int:
     flights = {name: open_flight(bags, name) for name in configs}
     for flight in flights.values():
         flight.check_images()
+    truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
         sources: list[FlightSource] = list(flights.values())
         tracks, fleet = fly(sources, configs, workers=args.workers, on_frame=advance, links=links)
-    truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     name = args.name or args.inputs[0].stem
     result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started)
     folder = write_results(result, args.results, plot=None if args.no_plots else write_plots)
@@ -91,6 +92,11 @@ def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, Vehic
     if args.mode:
         overrides["fusion.mode"] = args.mode
     if args.inputs[0].suffix in {".yaml", ".yml"}:
+        if len(args.inputs) > 1 or args.vehicles or args.config:
+            raise ConfigError(
+                f"{args.inputs[0]} is a fleet file: it names the recordings, the vehicles and their configurations, so "
+                "no other input, --vehicles or --config goes with it; change the file, or use --set"
+            )
         fleet = load_fleet(args.inputs[0], overrides=overrides)
         if not fleet.replay.bags:
             raise ConfigError(f"{args.inputs[0]}: replay.bags is empty; name the recordings to run")

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import non_negative
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenario", default="kagaru", help="kagaru (leg, 160 frames), sample or long (lawnmower, 1000)"
     )
-    parser.add_argument("--seed", type=int, help="of everything random; the same seed gives the same bytes")
+    parser.add_argument("--seed", type=non_negative, help="of everything random; the same seed gives the same bytes")
     parser.add_argument("--vehicles", type=int, help="number of vehicles")
     parser.add_argument("--frames", type=int, help="image pairs of each vehicle, at 7.14 Hz")
     parser.add_argument("--pattern", help="leg, lawnmower or racetrack")

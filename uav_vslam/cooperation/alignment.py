@@ -27,8 +27,8 @@ from uav_vslam.cooperation.point_pairs import (
 )
 from uav_vslam.cooperation.two_point import GATE, Hypotheses, gated, hypotheses
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.estimation.numerics import inverse_spd, mahalanobis2, symmetrise
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.numerics import inverse_spd, mahalanobis2, symmetrise
 
 Array = NDArray[np.float64]
 

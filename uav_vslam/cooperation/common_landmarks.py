@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.heard_map import Told
-from uav_vslam.estimation.numerics import mahalanobis2
+from uav_vslam.numerics import mahalanobis2
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, in_basis, load_basis, single_distance
 from uav_vslam.vision.matching.nn_ratio import match_descriptors

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.cooperation.unknown_frame import FrameEstimate
-from uav_vslam.estimation.numerics import symmetrise
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
+from uav_vslam.numerics import symmetrise
 from uav_vslam.types import PoseEstimate
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.estimation.numerics import inverse_spd, solve_spd, symmetrise
 from uav_vslam.geometry.image_grid import spread_on_ground
+from uav_vslam.numerics import inverse_spd, solve_spd, symmetrise
 from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.types import JointInformation
 
@@ -76,7 +76,8 @@ class LandmarkMemory:
             self._last = self._known = None
         if self._last is not None:
             self._remember(self._last, joint, shared, offered)
-        extended = joint if self._known is None else _joined(joint, self._known)
+        # A record of its own: the covariance that it keeps ends with it, and callers keep theirs for the whole flight.
+        extended = dataclasses.replace(joint) if self._known is None else _joined(joint, self._known)
         self._last, self._own = extended, joint.ids
         return extended
 

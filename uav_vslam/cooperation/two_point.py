@@ -13,9 +13,9 @@ from scipy.special import chdtri
 
 from uav_vslam.cooperation.common_landmarks import blocks
 from uav_vslam.cooperation.point_pairs import PointPairs
-from uav_vslam.estimation.numerics import mahalanobis2
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
+from uav_vslam.numerics import mahalanobis2
 
 Array = NDArray[np.float64]
 

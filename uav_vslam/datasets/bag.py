@@ -96,9 +96,16 @@ class BagFlight:
         return _in_stamp_order(self._recorded_events(tolerance_ns))
 
     def truth(self) -> TruthTrack | None:
-        """Return the true motion, or None if none was recorded."""
+        """Return the true motion, or None if none was recorded.
+
+        Raises:
+            BagError: a message can't be decoded, or its quaternion is none.
+        """
         topic = f"/{self.vehicle}/ground_truth/odometry"
-        samples = [truth_of(decode(raw)) for raw in _readable(iter_raw(self.paths, [topic]))]
+        try:
+            samples = [truth_of(decode(raw)) for raw in _readable(iter_raw(self.paths, [topic]))]
+        except ValueError as error:
+            raise BagError(f"bag {_names(self.paths)}, {topic}: {error}") from None
         return _track(samples) if samples else None
 
     def _recorded_events(self, tolerance_ns: int) -> Iterator[ImuSample | StereoFrame]:
@@ -276,7 +283,7 @@ def _in_stamp_order(events: Iterator[ImuSample | StereoFrame]) -> Iterator[ImuSa
 
 
 def _track(samples: list[TruthSample]) -> TruthTrack:
-    samples = sorted(samples, key=lambda s: s.stamp_ns)
+    samples = sorted({sample.stamp_ns: sample for sample in samples}.values(), key=lambda s: s.stamp_ns)
     return TruthTrack(
         np.array([s.stamp_ns for s in samples], dtype=np.int64),
         np.array([s.T_world_body.t for s in samples]),

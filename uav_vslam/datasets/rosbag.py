@@ -6,6 +6,7 @@ A damaged recording (its writer was killed, or the file was cut) is read up to t
 
 import heapq
 import os
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -138,7 +139,10 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
 
 
 class RawRecorder:
-    """Writes a bag from CDR bytes; a context manager. A topic is declared by its first message."""
+    """Writes a bag from CDR bytes. A topic is declared by its first message.
+
+    A context manager; one that is left by an error leaves no bag.
+    """
 
     def __init__(self, path: Path, *, storage: str = "mcap", zstd: bool = False) -> None:
         """Create the bag.
@@ -196,6 +200,8 @@ class RawRecorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+        if error is not None:  # half a bag would look like a short one
+            shutil.rmtree(self.path)
 
     def _connect(self, topic: str, msgtype: str, *, latched: bool) -> Connection:
         _require_type(msgtype)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 
-from uav_vslam.estimation.numerics import cholesky, inverse_spd, log_det_of, symmetrise
+from uav_vslam.numerics import cholesky, inverse_spd, log_det_of, symmetrise
 
 Array = NDArray[np.float64]
 

@@ -31,12 +31,12 @@ from uav_vslam.estimation.linearisation import (
     pixel_jacobians,
 )
 from uav_vslam.estimation.models import MODELS, POSE, StateModel, difference, shear
-from uav_vslam.estimation.numerics import cholesky, symmetrise
 from uav_vslam.estimation.observation import smoothed, triangulation_covariance
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import ROTATION
+from uav_vslam.numerics import cholesky, symmetrise
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState
 
 Array = NDArray[np.float64]

@@ -27,7 +27,7 @@ from uav_vslam.estimation.belief import (
     landmark_rows,
     state_rows,
 )
-from uav_vslam.estimation.numerics import (
+from uav_vslam.numerics import (
     cholesky,
     inverse_from_cholesky,
     inverse_of_triangle,

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig
 from uav_vslam.estimation.belief import Belief, Indices, Marginals
 from uav_vslam.estimation.models import POSE, StateModel
-from uav_vslam.estimation.numerics import cholesky, symmetrise
 from uav_vslam.estimation.observation import MIN_DEPTH_M, point_jacobian, smoothed
 from uav_vslam.estimation.rig_errors import RigErrors
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import POSITION, ROTATION, propagate, transition
+from uav_vslam.numerics import cholesky, symmetrise
 from uav_vslam.types import ImuIncrement, NavState
 
 Array = NDArray[np.float64]

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.numerics import symmetrise
 from uav_vslam.geometry.coded_points import block_diagonal, diagonal_blocks, unpack_lower
+from uav_vslam.numerics import symmetrise
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from uav_vslam.estimation.belief import Indices, Marginals, Observation, Update, landmark_rows, state_rows
-from uav_vslam.estimation.numerics import cholesky, inverse_spd, square_root
+from uav_vslam.numerics import cholesky, inverse_spd, square_root
 
 Array = NDArray[np.float64]
 

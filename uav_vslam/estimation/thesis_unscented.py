@@ -22,8 +22,8 @@ from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.estimation.models import POSE
-from uav_vslam.estimation.numerics import symmetrise
 from uav_vslam.ins.propagation import propagate, transition
+from uav_vslam.numerics import symmetrise
 from uav_vslam.types import ImuIncrement, NavEstimate
 
 Array = NDArray[np.float64]

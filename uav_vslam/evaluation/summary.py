@@ -29,7 +29,7 @@ def build_summary(result: FlightResult, *, git: str | None, alignment: str = "no
     Args:
         result: the flight.
         git: revision of the code, or None where it isn't known.
-        alignment: "none", "se3" or "yaw", of the estimates to the truth; NEES are never aligned.
+        alignment: "none", "se3" or "yaw", of the estimates to the truth; there are NEES without one only.
     """
     vehicles = {name: _vehicle(vehicle, alignment) for name, vehicle in result.vehicles.items()}
     return _null_if_not_finite(
@@ -89,7 +89,7 @@ def _errors(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figu
 
 
 def _errors_and_nees(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figures:
-    values = None if truth is None else nees(track, truth)
+    values = nees(track, truth) if truth is not None and alignment == "none" else None  # aligned, P would not fit
     position = summarise(values.position) if values else None
     rotation = summarise(values.rotation) if values else None
     return {

@@ -99,10 +99,11 @@ class Recording:
 
     def _read_latched(self) -> list[RawMessage]:
         topics = [topic for topic, info in self.topics.items() if info.latched or _is_latched(topic)]
-        newest: dict[tuple[Path, str], RawMessage] = {}
+        newest: dict[tuple[Path, str, bytes], RawMessage] = {}
         for path in self._paths:
             for raw in self._until_broken(path, topics):
-                newest[path, raw.topic] = raw
+                # Each node that knows a part of /tf_static tells it by itself.
+                newest[path, raw.topic, raw.data if raw.topic == TF_STATIC else b""] = raw
         self.damage.clear()  # the replay meets it again
         return list(newest.values())
 
@@ -121,6 +122,13 @@ class Recording:
                 held = ", ".join(_with_images(topics_of(self._paths))) or "none"
                 bags = ", ".join(map(str, self._paths))
                 raise BagError(f"{bags}: no {names} for vehicle {vehicle}; vehicles recorded: {held}")
+        infos = sum(info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, Kind.INFO))
+        if 2 * infos < self.frames(vehicle):
+            raise BagError(
+                f"{', '.join(map(str, self._paths))}: {infos} messages on /{vehicle}/left/camera_info for "
+                f"{self.frames(vehicle)} left images; the nodes need one with each image, of the same stamp "
+                "(uav-vslam run does not)"
+            )
 
 
 def header_stamp_ns(data: bytes) -> int:

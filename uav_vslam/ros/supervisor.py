@@ -5,7 +5,6 @@ Every process has its own process group, so that a terminal's Ctrl-C reaches the
 kernel if the supervisor dies without a chance to end it. One thread does it all: fork and signals stay simple.
 """
 
-import ctypes
 import os
 import selectors
 import signal
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import IO
 
 from uav_vslam.errors import ConfigError
+from uav_vslam.processes import end_with
 from uav_vslam.ros.fleet_commands import NodeSpec
 
 PACKAGE = "uav_vslam"
@@ -26,8 +26,6 @@ DRAIN_S = 1.0  # after the replay's end, for messages that are still under way
 ESCALATION = ((0.0, signal.SIGINT), (2.0, signal.SIGTERM), (4.0, signal.SIGKILL))  # seconds after the order to end
 POLL_S = 0.05
 MAX_DOMAIN_ID = 101  # above, DDS ports collide with those that Linux gives to clients
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,9 +253,7 @@ def _die_with(parent: int) -> Callable[[], None]:
     """Return what a child does before it becomes its program: bind its life to ours, and take SIGINT again."""
 
     def prepare() -> None:
-        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:  # we died before the kernel was told
-            os._exit(1)
+        end_with(parent)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
     return prepare

@@ -8,7 +8,7 @@ from scipy.special import chdtri
 from uav_vslam.association import Associator, InView
 from uav_vslam.association.guided import STEREO_DOF
 from uav_vslam.config import BackendConfig
-from uav_vslam.estimation.numerics import mahalanobis2
+from uav_vslam.numerics import mahalanobis2
 from uav_vslam.types import StereoFeatures
 
 Rows = NDArray[np.intp]

@@ -14,8 +14,8 @@ from scipy.special import chdtri
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.common_landmarks import POINT_DOF, find_common, look_alikes
 from uav_vslam.cooperation.point_pairs import PointPairs
-from uav_vslam.estimation.numerics import mahalanobis2
 from uav_vslam.evaluation.study import Row
+from uav_vslam.numerics import mahalanobis2
 from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.pool import ratio
 from uav_vslam.types import JointInformation, LandmarkPacket

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many independent jobs over a few processes, and the figures pooled over them."""
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
+
+from uav_vslam.processes import worker_pool
 
 Array = NDArray[np.float64]
 Job = TypeVar("Job")
@@ -28,7 +29,7 @@ def in_pool(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int) ->
     if workers == 1:
         yield from map(work, jobs)
         return
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    with worker_pool(workers) as pool:
         for future in as_completed([pool.submit(work, job) for job in jobs]):
             yield future.result()
 

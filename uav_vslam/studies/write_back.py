@@ -19,8 +19,8 @@ from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import search
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.information import InformationBelief
-from uav_vslam.estimation.numerics import cholesky, inverse_spd, symmetrise
 from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.numerics import cholesky, inverse_spd, symmetrise
 from uav_vslam.slam.backend import SlamBackend, crosses_epoch
 from uav_vslam.slam.packet import POSE_DIM, PacketPolicy, make_packet
 from uav_vslam.studies.own_only import Flight, Track

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import non_negative, positive, results_folder
+
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
     from uav_vslam.evaluation.output import StudyPlotter
@@ -16,9 +18,11 @@ if TYPE_CHECKING:
 
 def add_run_arguments(parser: argparse.ArgumentParser, *, seeds: int, workers: int = 2) -> None:
     """Declare seeds, processes and the results folder, with a study's own defaults."""
-    parser.add_argument("--seeds", type=int, default=seeds, metavar="N", help=f"seeds 1 to N (default {seeds})")
-    parser.add_argument("--workers", type=int, default=workers, help=f"processes (default {workers})")
-    parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
+    parser.add_argument(
+        "--seeds", type=non_negative, default=seeds, metavar="N", help=f"seeds 1 to N (default {seeds})"
+    )
+    parser.add_argument("--workers", type=positive, default=workers, help=f"processes (default {workers})")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
 def seeds_of(args: argparse.Namespace) -> list[int]:

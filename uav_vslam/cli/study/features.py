@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uav_vslam.cli.arguments import non_negative, results_folder
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.study.common import publish, seeds_of
 
@@ -36,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--algorithms", nargs="+", metavar="NAME", default=[], help="which (default all)")
     parser.add_argument("--width", type=int, default=360, help="wider images are shrunk to this [px] (default 360)")
-    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="rendered flights besides (default 1)")
-    parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
+    parser.add_argument("--seeds", type=non_negative, default=1, metavar="N", help="rendered flights too (default 1)")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import non_negative, results_folder
 from uav_vslam.cli.study.common import publish
 
 if TYPE_CHECKING:
@@ -32,13 +33,13 @@ LEADER = "replay"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's arguments."""
-    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="seed of the flight (default 1)")
+    parser.add_argument("--seeds", type=non_negative, default=1, metavar="N", help="seed of the flight (default 1)")
     parser.add_argument("--frames", type=int, default=160, help="frames of each vehicle (default 160)")
     parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
     parser.add_argument("--rate", type=float, default=1.0, help="multiple of real time (default 1)")
     parser.add_argument("--mode", default="wideband", help="how the vehicles communicate (default wideband)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of both vehicles")
-    parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import non_negative, results_folder
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.study.common import publish, seeds_of
 
@@ -31,9 +32,9 @@ LAST_WORDS = 5  # lines of output that are told of a graph that failed
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's arguments."""
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds 1 to N (default 5)")
+    parser.add_argument("--seeds", type=non_negative, default=5, metavar="N", help="seeds 1 to N (default 5)")
     parser.add_argument("--frames", type=int, default=160, help="frames of each vehicle (default 160)")
-    parser.add_argument("--results", type=Path, default=Path("results"), help="where results go (default results/)")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import MAX_PACKET_LANDMARKS
 from uav_vslam.errors import FilterDivergence, InvalidMessage
-from uav_vslam.estimation.numerics import cholesky
 from uav_vslam.geometry.coded_points import COMMON_NUMBERS, OWN_NUMBERS, AnchoredPoints, DensePoints, size_m
+from uav_vslam.numerics import cholesky
 from uav_vslam.slam.packet.wire import checksum
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, load_basis

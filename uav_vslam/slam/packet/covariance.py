@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from uav_vslam.estimation.numerics import cholesky, symmetrise
 from uav_vslam.estimation.rigid_bound import smallest_rigid_bound
 from uav_vslam.geometry.coded_points import (
     COMMON_NUMBERS,
@@ -22,6 +21,7 @@ from uav_vslam.geometry.coded_points import (
     size_code,
     unpack_lower,
 )
+from uav_vslam.numerics import cholesky, symmetrise
 
 Array = NDArray[np.float64]
 

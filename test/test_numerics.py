@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.numerics import (
+from uav_vslam.numerics import (
     SMALL_TRIANGLE,
     cholesky,
     inverse_of_triangle,

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Types of arguments: what can't be used is refused before any work begins."""
+
+import argparse
+import os
+from pathlib import Path
+
+
+def positive(text: str) -> int:
+    """Return a count of at least one."""
+    return _whole(text, 1, "a count of at least 1")
+
+
+def non_negative(text: str) -> int:
+    """Return a count, or a seed."""
+    return _whole(text, 0, "a whole number of at least 0")
+
+
+def results_folder(text: str) -> Path:
+    """Return the folder of all results, which is made when there are some."""
+    folder = Path(text)
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise argparse.ArgumentTypeError(f"nothing can be written to {there}; choose another folder")
+    latest = folder / "latest"
+    if latest.exists() and not latest.is_symlink():
+        raise argparse.ArgumentTypeError(f"{latest} is not a symbolic link, so it can't be updated; move it away")
+    return folder
+
+
+def _whole(text: str, least: int, wanted: str) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        number = least - 1
+    if number < least:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
+    return number
