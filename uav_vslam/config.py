@@ -84,7 +84,7 @@ class FrontendConfig:
     scale: float = 0.5  # sift: images are shrunk by this factor before detection (INTER_AREA)
     max_features: int = 1000  # keypoints kept per image, strongest first
     contrast_threshold: float = 0.01  # SIFT contrast threshold (OpenCV's own default 0.04 starves on grass)
-    ratio: float = 0.8  # nearest / second-nearest descriptor distance
+    ratio: float = 0.8  # sift: nearest / second-nearest descriptor distance, left to right
     epipolar_px: float = 2.0  # largest distance to the epipolar line, full-resolution pixels; wider if rig.flexing
     min_depth_m: float = 0.3  # nearer points are rejected
     max_depth_m: float = 500.0  # farther points are rejected

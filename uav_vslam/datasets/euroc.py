@@ -76,7 +76,7 @@ def read_euroc(mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None 
     left, T_body_left = _camera(mav0 / "cam0")
     right, T_body_right = _camera(mav0 / "cam1")
     imu, truth = _table(mav0 / "imu0", 6), _table(mav0 / TRUTH_FOLDER, 16)
-    pairs = [pair for pair in _pairs(mav0) if truth.stamps_ns[0] <= pair[0] <= truth.stamps_ns[-1]]
+    pairs = _pairs(mav0, truth)
     if not pairs:
         raise BagError(f"{mav0}: no pair of images with the same stamp lies within the ground truth; check data.csv")
     initial = NavEstimate(_state(truth, pairs[0][0], mav0), (sigma or InitialSigma()).covariance())
@@ -91,8 +91,8 @@ def read_euroc(mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None 
 
 
 def frame_count(mav0: Path) -> int:
-    """Return the number of image pairs with equal stamps."""
-    return len(_pairs(mav0))
+    """Return the number of image pairs that `read_euroc` gives."""
+    return len(_pairs(mav0, _table(mav0 / TRUTH_FOLDER, 16)))
 
 
 def _samples(imu: _Table) -> Iterator[ImuSample]:
@@ -111,7 +111,7 @@ def _frames(pairs: list[tuple[int, Path, Path]]) -> Iterator[EncodedStereoFrame]
         try:
             yield EncodedStereoFrame(stamp, left.read_bytes(), right.read_bytes(), FORMATS[left.suffix.lower()])
         except (OSError, KeyError) as error:
-            raise BagError(f"{left}: can't be imported ({error}); jpg and png images are") from None
+            raise BagError(f"the images at {stamp} ns can't be imported ({error}); jpg and png images are") from None
 
 
 def _state(truth: _Table, stamp_ns: int, mav0: Path) -> NavState:
@@ -125,10 +125,11 @@ def _state(truth: _Table, stamp_ns: int, mav0: Path) -> NavState:
     return NavState(stamp_ns, Pose(R, row[:3]), row[7:10], row[10:13], row[13:16])
 
 
-def _pairs(mav0: Path) -> list[tuple[int, Path, Path]]:
-    """Return (stamp, left file, right file) of all images whose stamps are equal."""
+def _pairs(mav0: Path, truth: _Table) -> list[tuple[int, Path, Path]]:
+    """Return (stamp, left file, right file) of all images whose stamps are equal and for which there is truth."""
     left, right = _image_names(mav0 / "cam0"), _image_names(mav0 / "cam1")
-    return [(stamp, left[stamp], right[stamp]) for stamp in sorted(left.keys() & right.keys())]
+    stamps = [at for at in sorted(left.keys() & right.keys()) if truth.stamps_ns[0] <= at <= truth.stamps_ns[-1]]
+    return [(stamp, left[stamp], right[stamp]) for stamp in stamps]
 
 
 def _image_names(camera: Path) -> dict[int, Path]:
