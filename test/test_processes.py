@@ -20,8 +20,9 @@ from uav_vslam.processes import worker_pool
 
 if __name__ == "__main__":
     with worker_pool(2) as pool:
-        print(pool.submit(os.getpid).result(), flush=True)
-        pool.submit(time.sleep, 60.0).result()
+        first, work = pool.submit(os.getpid), pool.submit(time.sleep, 60.0)
+        print(first.result(), flush=True)
+        work.result()
 """
 
 
