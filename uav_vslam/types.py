@@ -171,6 +171,11 @@ class PoseEstimate:
     covariance: Array
 
 
+def source_of(vehicle: str, session: int) -> str:
+    """Return what packets call the measurements of one start of a vehicle."""
+    return f"{vehicle}/{session}"
+
+
 @dataclass(frozen=True)  # no slots: the covariance is kept
 class JointInformation:
     """The own-only belief over the pose and all landmarks, for the fusion node of the same vehicle.
@@ -197,7 +202,7 @@ class JointInformation:
     @property
     def source(self) -> str:
         """What packets call these measurements: "vehicle/session"."""
-        return f"{self.vehicle}/{self.session}"
+        return source_of(self.vehicle, self.session)
 
     @cached_property
     def covariance(self) -> Array:
@@ -260,7 +265,7 @@ class LandmarkPacket:
     @property
     def source(self) -> str:
         """The sender's own key among `sources`."""
-        return f"{self.vehicle}/{self.session}"
+        return source_of(self.vehicle, self.session)
 
     @property
     def other_sources(self) -> tuple[str, ...]:

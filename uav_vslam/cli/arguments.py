@@ -18,13 +18,17 @@ def non_negative(text: str) -> int:
 
 def results_folder(text: str) -> Path:
     """Return the folder of all results, which is made when there are some."""
+    from uav_vslam.errors import UavVslamError
+    from uav_vslam.evaluation.output import latest_link
+
     folder = Path(text)
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
         raise argparse.ArgumentTypeError(f"nothing can be written to {there}; choose another folder")
-    latest = folder / "latest"
-    if latest.exists() and not latest.is_symlink():
-        raise argparse.ArgumentTypeError(f"{latest} is not a symbolic link, so it can't be updated; move it away")
+    try:
+        latest_link(folder)
+    except UavVslamError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
     return folder
 
 

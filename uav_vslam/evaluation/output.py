@@ -83,12 +83,22 @@ def write_study(
     return folder
 
 
-@contextmanager
-def _new_folder(root: Path, name: str) -> Iterator[Path]:
-    """Give a new dated folder; when it has been filled without an error, `latest` leads to it."""
+def latest_link(root: Path) -> Path:
+    """Return where the link to the newest results is, or will be.
+
+    Raises:
+        UavVslamError: something else is there.
+    """
     latest = root / LATEST
     if latest.exists() and not latest.is_symlink():
         raise UavVslamError(f"{latest} is not a symbolic link, so it can't be updated; move it away")
+    return latest
+
+
+@contextmanager
+def _new_folder(root: Path, name: str) -> Iterator[Path]:
+    """Give a new dated folder; when it has been filled without an error, `latest` leads to it."""
+    latest = latest_link(root)
     folder = _make_unique(root, f"{datetime.now():%Y-%m-%d_%H%M%S}_{_file_name(name)}")
     yield folder
     # A link is replaced in one step only by renaming another one over it.

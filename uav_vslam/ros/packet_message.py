@@ -10,7 +10,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.coded_points import OWN_NUMBERS, AnchoredPoints, CodedPoints, DensePoints
 from uav_vslam.ros.convert import flat, rows_of, stamp_from_ns
 from uav_vslam.slam.packet import VERSION
-from uav_vslam.types import NS_PER_S, LandmarkPacket
+from uav_vslam.types import NS_PER_S, LandmarkPacket, source_of
 from uav_vslam_msgs.msg import LandmarkInformation
 
 
@@ -61,7 +61,7 @@ def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
         vehicle=vehicle,
         session=session,
         sequence=int(message.sequence),
-        sources=(f"{vehicle}/{session}", *message.sources),
+        sources=(source_of(vehicle, session), *message.sources),
         prior_id=message.prior_id,
         ids=np.array(message.ids, dtype=np.uint32),
         origin=np.array(message.origin, dtype=np.int32),

@@ -67,7 +67,7 @@ class Recording:
 
     def frames(self, vehicle: str) -> int:
         """Return how many left images were recorded."""
-        return max(info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, Kind.LEFT))
+        return self._count(vehicle, Kind.LEFT)
 
     def classify(self, topic: str) -> tuple[str, Kind]:
         """Return the vehicle ("" for the fleet's own topics) and what the topic is to the pacing."""
@@ -114,20 +114,22 @@ class Recording:
             return False
         return topic == TF_STATIC or (vehicle != "" and name not in OUTPUTS and not name.startswith(OUTPUT_FOLDERS))
 
+    def _count(self, vehicle: str, kind: Kind) -> int:
+        return max(info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, kind))
+
     def _require(self, vehicle: str) -> None:
+        bags = ", ".join(map(str, self._paths))
         recorded = {self.classify(topic) for topic in self.topics}
         for kind in (Kind.LEFT, Kind.RIGHT, Kind.INFO, Kind.IMU):
             if (vehicle, kind) not in recorded:
                 names = " or ".join(f"/{vehicle}/{name}" for name, known in KINDS.items() if known is kind)
                 held = ", ".join(_with_images(topics_of(self._paths))) or "none"
-                bags = ", ".join(map(str, self._paths))
                 raise BagError(f"{bags}: no {names} for vehicle {vehicle}; vehicles recorded: {held}")
-        infos = sum(info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, Kind.INFO))
-        if 2 * infos < self.frames(vehicle):
+        infos, images = self._count(vehicle, Kind.INFO), self.frames(vehicle)
+        if 2 * infos < images:
             raise BagError(
-                f"{', '.join(map(str, self._paths))}: {infos} messages on /{vehicle}/left/camera_info for "
-                f"{self.frames(vehicle)} left images; the nodes need one with each image, of the same stamp "
-                "(uav-vslam run does not)"
+                f"{bags}: {infos} messages on /{vehicle}/left/camera_info for {images} left images; the nodes need one "
+                "with each image, of the same stamp (uav-vslam run does not)"
             )
 
 
