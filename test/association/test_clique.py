@@ -40,6 +40,14 @@ def test_right_matches_are_found_among_hundreds(wrong: int) -> None:
     assert len(rows) > 0.4 * count
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_nobody_is_left_out_who_agrees_with_all_of_a_large_problem(seed: int) -> None:
+    agree = random_agreement(seed, 80, 0.6)
+    rows = largest_clique(agree)
+    assert is_clique(agree, rows)
+    assert not agree[rows].all(axis=0).any()
+
+
 def test_the_rows_do_not_depend_on_what_the_diagonal_holds_and_nothing_has_no_clique() -> None:
     agree = random_agreement(3, 12, 0.5)
     np.testing.assert_array_equal(largest_clique(agree), largest_clique(agree | np.eye(12, dtype=bool)))

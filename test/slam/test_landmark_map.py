@@ -31,6 +31,15 @@ def test_an_observation_renews_the_look_and_counts() -> None:
     assert marks.observations.tolist() == [2, 1, 2]
 
 
+def test_a_look_that_a_track_carries_on_is_no_other_view() -> None:
+    marks = LandmarkMap()
+    marks.append(looks(1, 2), 0)
+    for frame in range(1, 9):
+        marks.observe(np.array([0, 1]), looks(1, 2 + frame), frame)
+    assert marks.looks.count.tolist() == [1, 9]
+    assert marks.observations.tolist() == [9, 9]
+
+
 def test_what_was_left_behind_is_long_unseen_until_it_is_seen_again() -> None:
     marks = LandmarkMap()
     marks.append(looks(1, 2, 3), 0)

@@ -114,7 +114,7 @@ def test_every_table_has_a_row_for_each_of_its_pairs_and_algorithms() -> None:
 
 
 def made_up(table: str, method: str, **figures: float) -> dict[str, object]:
-    row = {"images": "x visible 1 – 2", "ratio": 0.8, "keypoints_1": 100, "extract_s": 1.0, "match_s": 0.1}
+    row = {"images": "x visible 1 – 2", "camera": "moving", "ratio": 0.8, "keypoints_1": 100, "extract_s": 1.0, "match_s": 0.1}
     row |= {"matches": 50, "matches_ransac": 40, "rate_1": 0.5, "rate_1_ransac": 0.4}
     return {TABLE: table, "method": method, **row, "precision": 0.8, "precision_ransac": 1.0, **figures}
 
@@ -155,6 +155,19 @@ def test_a_bands_rates_are_held_against_the_visible_ones_of_its_own_set() -> Non
     rows[1]["rate_1"] = 0.4
     assert verdict(rows, "thermal images match") == "differs"
     assert verdict(rows, "near infrared images match") == "not tested"
+
+
+def test_what_a_grid_matches_with_itself_decides_nothing() -> None:
+    rows = [made_up(PLACES, "PHOW (RGB)", rate_1_ransac=0.01), made_up(PLACES, "PHOW (RGB)", camera="still")]
+    assert verdict(rows, "colour descriptors are poor") == "agrees"
+    assert verdict(rows[1:], "colour descriptors are poor") == "not tested"
+
+
+def test_images_of_one_name_and_number_are_not_taken_for_each_other() -> None:
+    lab, sets = FeatureLab(), [make_set(), make_set()]
+    sets[1].bands["band 0"][1] = View("made", "band 0", 1, "1", texture(9)[:120, :160])
+    alike, unlike = (lab.match("SIFT", next(usual(images))).row for images in sets)
+    assert alike["matches_ransac"] > 20 > unlike["matches"]
 
 
 def test_every_trend_is_told_even_without_figures() -> None:

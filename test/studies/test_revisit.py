@@ -10,6 +10,7 @@ from uav_vslam.simulation.terrain import relief_of
 from uav_vslam.slam.landmark_map import LONG_FRAMES
 from uav_vslam.studies.flights import true_trajectory
 from uav_vslam.studies.revisit import (
+    FALSE_BEYOND_M,
     FORGETTING,
     LANDMARK,
     RENDERED,
@@ -19,7 +20,7 @@ from uav_vslam.studies.revisit import (
     revisit_jobs,
     revisit_loops,
 )
-from uav_vslam.studies.revisit_rows import FALSE_BEYOND_M, RETURN_M, back_at, revisit_rows, revisit_series
+from uav_vslam.studies.revisit_rows import RETURN_M, back_at, revisit_rows, revisit_series
 from uav_vslam.types import StereoFeatures
 
 
@@ -30,8 +31,8 @@ class Report:
     sightings: np.ndarray
 
 
-def loop(make_run, name, end_m, *, seed, closures=()):
-    return Loop(LANDMARK, make_run(name, end=(end_m, 0.0, 0.0), seed=seed), np.array(closures, float))
+def loop(make_run, name, end_m, *, seed, false=()):
+    return Loop(LANDMARK, make_run(name, end=(end_m, 0.0, 0.0), seed=seed), np.array(false, bool))
 
 
 def test_the_flight_is_back_at_its_start_after_two_kilometres():
@@ -67,26 +68,35 @@ def test_pixels_are_traced_to_the_points_that_they_show():
     np.testing.assert_allclose(ground_points(vehicle, relief_of(scenario), 2, features), near, atol=0.01)
 
 
-def test_the_witness_knows_how_far_off_a_closure_is():
-    ground = [np.zeros((1, 3)), *[np.zeros((0, 3))] * (LONG_FRAMES - 1), np.array([[0.0, 2.0, 0.0], [9.0, 0.0, 0.0]])]
-    witness = Witness(ground)
+@pytest.mark.parametrize(
+    ("first", "then", "false"),
+    [
+        (np.zeros((1, 3)), [[0.0, 2 * FALSE_BEYOND_M, 0.0], [9.0, 0.0, 0.0]], True),
+        (np.zeros((1, 3)), [[0.0, 0.5 * FALSE_BEYOND_M, 0.0], [9.0, 0.0, 0.0]], False),
+        (np.array([3]), [3, 4], False),
+        (np.array([3]), [4, 3], True),
+        (np.array([-1]), [-1, 3], True),
+    ],
+)
+def test_the_witness_knows_which_closures_are_false(first, then, false):
+    witness = Witness([first, *[first[:0]] * (LONG_FRAMES - 1), np.array(then)])
     witness.add(Report(np.array([[7, 0]])))
     for _ in range(LONG_FRAMES - 1):
         witness.add(Report(np.zeros((0, 2), int)))
     witness.add(Report(np.array([[7, 0], [8, 1]])))  # 8 is new
-    assert witness.closures == [2.0]
+    assert witness.false == [false]
 
 
 def test_ends_are_compared_seed_by_seed_and_false_closures_are_counted(make_run):
     loops = [
-        loop(make_run, name, end_m, seed=seed, closures=closures)
+        loop(make_run, name, end_m, seed=seed, false=false)
         for seed in (1, 2, 3)
-        for name, end_m, closures in (("retained", 1.0, [0.0, 2 * FALSE_BEYOND_M]), (FORGETTING, 4.0, []))
+        for name, end_m, false in (("retained", 1.0, [False, seed < 3] if seed > 1 else [True]), (FORGETTING, 4.0, []))
     ]
     kept, without = revisit_rows(loops)
     assert (kept["ratio"], without["ratio"]) == (pytest.approx(0.25), 1.0)
     assert kept["low"] == pytest.approx(0.25)
-    assert (kept["closed"], kept["closures"], kept["false_closures"]) == (3, 2.0, 3)
+    assert (kept["closed"], kept["closures"], kept["false_closures"]) == (2, pytest.approx(5 / 3), 2)
     assert (without["closed"], without["closures"], without["false_closures"]) == (0, 0.0, 0)
     curves = revisit_series(loops)
     assert [curve["ends_m"] for curve in curves] == [[1.0] * 3, [4.0] * 3]

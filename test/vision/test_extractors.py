@@ -14,6 +14,7 @@ from uav_vslam.types import StereoFrame
 from uav_vslam.vision.features import EXTRACTORS, make_extractor
 from uav_vslam.vision.features.dense import grid
 from uav_vslam.vision.features.surf import INSTALL
+from uav_vslam.vision.matching import match_gated
 from uav_vslam.vision.stereo_points import StereoFrontend
 
 CONFIG = FrontendConfig(max_features=200)
@@ -40,7 +41,7 @@ def extractor(name):
 
 
 def size_for(name: str) -> tuple[int, int]:
-    """Return (height, width) [px]: affine SIFT looks at 61 views and so at smaller ones."""
+    """Return (height, width) [px]: affine SIFT looks at 43 views and so at smaller ones."""
     return SMALL if name == "asift" else (240, 321)
 
 
@@ -65,6 +66,16 @@ def test_points_come_strongest_first_and_capped(name, texture_image):
     assert found.descriptors.dtype == np.uint8
     assert len(found.descriptors) == len(found.responses) == len(found)
     assert ((found.pixels >= -0.5) & (found.pixels <= [320.5, 239.5])).all()
+
+
+def test_a_stranger_alone_is_refused_and_a_twin_taken(name, texture_image):
+    found = EXTRACTORS[name](CONFIG).detect(texture_image(*size_for(name)))
+    apart = np.linalg.norm(found.pixels[:, None] - found.pixels[None], axis=2)
+    strangers = np.argmax(apart > 40.0, axis=1)
+    alone = np.eye(len(found), dtype=bool)
+    accepted = match_gated(found.descriptors, found.descriptors[strangers], alone, 0.8, mutual=False)
+    assert len(accepted) <= 0.05 * len(found)
+    assert len(match_gated(found.descriptors, found.descriptors, alone, 0.8, mutual=False)) == len(found)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 3), (1, 500), (17, 17), (64, 64), (64, 64, 3)])

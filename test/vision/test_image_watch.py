@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uav_vslam.vision.image_watch import ImageWatch
+from uav_vslam.vision.image_watch import USUAL_FRAMES, ImageWatch
 
 Grey = NDArray[np.uint8]
 
@@ -56,6 +56,16 @@ def test_a_jump_in_brightness_is_told_once_and_blinds_nobody(images: list[Grey],
     assert "jumped in brightness" in text
     assert not watch.blind
     assert watch.add(changed[1]) == []
+
+
+def test_smoother_ground_becomes_usual(images: list[Grey]) -> None:
+    watch = ImageWatch()
+    for k in range(30):
+        watch.add(images[k % 10])
+    smooth = [cv2.blur(image, (9, 9)) for image in images]
+    told = [watch.add(smooth[k % 10]) != [] for k in range(USUAL_FRAMES)]
+    assert all(told[:60])
+    assert not any(told[-150:])
 
 
 def test_motion_blur_is_told_as_long_as_it_lasts(images: list[Grey]) -> None:

@@ -38,14 +38,17 @@ def largest_clique(agree: Agreement) -> Rows:
 
 
 def _thinned(agree: Agreement) -> Rows:
-    """Take away whatever disagrees with most, one after the other, until all agree."""
+    """Take away whatever disagrees with most, one after the other, until all agree; then give back what may stay."""
     left = np.arange(len(agree))
     while len(left):
         disagreements = (~agree[np.ix_(left, left)]).sum(axis=1)
         if not disagreements.any():
             break
         left = np.delete(left, np.argmax(disagreements))
-    return left
+    chosen = np.isin(np.arange(len(agree)), left)
+    for row in np.flatnonzero(agree[:, chosen].all(axis=1) & ~chosen):  # what went early may agree with all that stayed
+        chosen[row] = agree[row, chosen].all()
+    return np.flatnonzero(chosen)
 
 
 def _core(agree: Agreement, size: int) -> Rows:

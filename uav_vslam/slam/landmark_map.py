@@ -49,9 +49,13 @@ class LandmarkMap:
     def observe(
         self, rows: Rows, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32] | None = None
     ) -> None:
-        """Note that landmarks were seen again; their newest look and track replace the old ones."""
+        """Note that landmarks were seen again; their newest look and track replace the old ones.
+
+        A track that is followed carries the look that it began with: the same numbers again are no other view.
+        """
+        fresh = (self.descriptors[rows] != descriptors).any(axis=1)
+        self.looks.observe(rows[fresh], descriptors[fresh])
         self.descriptors[rows] = descriptors
-        self.looks.observe(rows, descriptors)
         self.seen[rows] = frame
         self.observations[rows] += 1
         if tracks is None:

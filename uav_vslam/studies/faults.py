@@ -19,6 +19,7 @@ from uav_vslam.studies.pool import in_pool, mean, rms
 NONE = "none"
 BEGIN_SHARE = 0.3  # of the flight
 MANY = 20  # associated landmarks, and the vehicle sees again
+NEVER, LASTING = "never", "lasting"
 VARIANTS: dict[str, dict[str, object]] = {
     "klt": {"frontend.method": "klt"},
     "sift": {"frontend.method": "sift"},
@@ -30,7 +31,7 @@ NOTES = {
     "the worst seed's mean",
     "Reports": "alarms: what the diagnostics said, with the frames it was said of, summed over the seeds; coasted: "
     f"frames without a landmark; recovered_frames: from the fault's end to the first with {MANY} landmarks, worst "
-    "seed, – where that never came; restarts: filters that began anew",
+    f"seed, {NEVER!r} where one had none, {LASTING!r} where the fault has no end; restarts: filters that began anew",
 }
 
 
@@ -42,7 +43,7 @@ class Survived:
     fault: str
     track: VehicleTrack
     figures: dict[str, Any]
-    recovered_frames: int | None
+    recovered_frames: int | str
 
 
 Job = tuple[str, VehicleConfig, Scenario, str, int]
@@ -79,17 +80,16 @@ def survive(job: Job) -> Survived:
         scenario.name, {vehicle.name: track}, {}, {vehicle.name: true_trajectory(vehicle)}, {vehicle.name: config}
     )
     figures = build_summary(result, git=None)["vehicles"][vehicle.name]["s_slam"]
-    return Survived(
-        name, fault, track, figures, _recovered_frames(track, vehicle, end_s(source.fault, begin_s, vehicle))
-    )
+    end = end_s(source.fault, begin_s, vehicle)
+    return Survived(name, fault, track, figures, "" if fault == NONE else _recovered_frames(track, vehicle, end))
 
 
-def _recovered_frames(track: VehicleTrack, vehicle: SimulatedVehicle, end: float) -> int | None:
+def _recovered_frames(track: VehicleTrack, vehicle: SimulatedVehicle, end: float) -> int | str:
     """Count the frames from the fault's end to the first with many landmarks; a fault that lasts has no end."""
     if end >= vehicle.scenario.duration_s:
-        return None
+        return LASTING
     later = [out.report for out in track.outputs if vehicle.truth.time_s(out.report.pose.stamp_ns) >= end - 1e-9]
-    return next((k for k, report in enumerate(later) if report.associated >= MANY), None)
+    return next((k for k, report in enumerate(later) if report.associated >= MANY), NEVER)
 
 
 def _row(flown: Sequence[Survived]) -> Row:
@@ -99,14 +99,15 @@ def _row(flown: Sequence[Survived]) -> Row:
         for subject, count in one.track.alarms.items():
             alarms[subject] = alarms.get(subject, 0) + count
     nees = [one.figures["nees_position"] for one in flown if one.figures["nees_position"] is not None]
-    recovered = [one.recovered_frames for one in flown if one.recovered_frames is not None]
+    recovered = [one.recovered_frames for one in flown]
+    words = [value for value in recovered if isinstance(value, str)]
     return {
         "method": flown[0].method,
         "fault": flown[0].fault,
         "frames": len(reports),
         "coasted": sum(report.associated == 0 for report in reports),
         "alarms": ", ".join(f"{subject} {count}" for subject, count in alarms.items()) or "none",
-        "recovered_frames": max(recovered) if len(recovered) == len(flown) else None,
+        "recovered_frames": words[0] if words else max(recovered),
         "restarts": sum(report.recovery != "" for report in reports),
         "ate_rms_m": rms([one.figures["ate_m"] for one in flown]),
         "end_rms_m": rms([one.figures["end_m"] for one in flown]),

@@ -20,9 +20,9 @@ RENDERED_SPACINGS = (1, 2, 5, 10)
 RENDERED_BAND = "rendered"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One image: its set, band, number in the set, and its name and pixels."""
+    """One image: its set, band, number in the set, and its name and pixels; equal to itself alone."""
 
     group: str
     band: str
@@ -43,6 +43,7 @@ class ImageSet:
         bands: images by number, the first being 0, by band.
         spacings, usual, cross: as in `datasets.image_sets.Layout`.
         truth: where every point lies in any other image, of any band; None where it isn't known.
+        still: the camera stood still.
     """
 
     name: str
@@ -51,15 +52,16 @@ class ImageSet:
     usual: int = 1
     cross: int | None = None
     truth: Truth | None = None
+    still: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two images to be matched, and where the points of the first lie in the second, if that is known."""
+    """Two images of a set to be matched."""
 
+    images: ImageSet
     first: View
     second: View
-    truth: Truth | None
 
     @property
     def label(self) -> str:
@@ -73,10 +75,10 @@ class Pair:
         return self.second.number - self.first.number
 
     def errors(self, first: Pixels, second: Pixels) -> Pixels | None:
-        """Return how far (N, 2) pixels of the second image are from where those of the first really lie [px]."""
-        if self.truth is None:
+        """Return how far (N, 2) pixels of the second are from where those of the first lie [px]; None: not known."""
+        if self.images.truth is None:
             return None
-        true = self.truth(self.first, self.second, np.asarray(first, float))
+        true = self.images.truth(self.first, self.second, np.asarray(first, float))
         return np.asarray(np.linalg.norm(np.asarray(second) - true, axis=1))
 
 
@@ -124,7 +126,7 @@ def usual_pairs(images: ImageSet) -> Iterator[Pair]:
     """Yield each band's first image with the one at the usual distance, or the nearest that there is."""
     for views in images.bands.values():
         number = images.usual if images.usual in views else max(views)
-        yield Pair(views[0], views[number], images.truth)
+        yield Pair(images, views[0], views[number])
 
 
 def cross_pairs(images: ImageSet) -> Iterator[Pair]:
@@ -134,10 +136,10 @@ def cross_pairs(images: ImageSet) -> Iterator[Pair]:
     for first in images.bands:
         for second in images.bands:
             if first != second:
-                yield Pair(images.bands[first][0], images.bands[second][images.cross], images.truth)
+                yield Pair(images, images.bands[first][0], images.bands[second][images.cross])
 
 
 def spaced_pairs(images: ImageSet) -> Iterator[Pair]:
     """Yield each band's first image with those at all distances."""
     for views in images.bands.values():
-        yield from (Pair(views[0], views[number], images.truth) for number in images.spacings if number in views)
+        yield from (Pair(images, views[0], views[number]) for number in images.spacings if number in views)

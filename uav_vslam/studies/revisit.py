@@ -29,6 +29,7 @@ FORGETTING = "nothing retained"
 NOISE = LandmarkNoise(missed_share=0.3, lookalike_share=0.05)
 PER_FRAME = 60.0  # landmarks in view, of which some are missed
 TWIN_SHARE = 0.2
+FALSE_BEYOND_M = 0.3  # seven pixels: what lies farther from where the landmark was first seen is another point
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +39,12 @@ class Loop:
     Attributes:
         level: landmark or rendered.
         run: its track.
-        closures: (C,) how far each landmark that was recognised after long was from where it was first seen [m].
+        false: (C,) of the landmarks that were recognised after long, which were another point.
     """
 
     level: str
     run: Run
-    closures: Array
+    false: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,24 +57,40 @@ class Job:
 
 
 class Witness:
-    """Remembers where on the ground each landmark was first seen, and when last."""
+    """Remembers what each landmark was when it was first seen, and when it was seen last.
 
-    def __init__(self, ground: Sequence[Array]) -> None:
-        """Watch a flight, of which the (N, 3) ground points of each frame's features are known [m]."""
-        self._ground, self._frame = ground, 0
+    Attributes:
+        false: of the landmarks that were recognised after long, which were another point.
+    """
+
+    def __init__(self, truth: Sequence[Array]) -> None:
+        """Watch a flight.
+
+        Args:
+            truth: of each frame's features what they show: (N,) identities, -1 for what is no landmark, or (N, 3)
+                points of the ground [m].
+        """
+        self._truth, self._frame = truth, 0
         self._first: dict[int, Array] = {}
         self._last: dict[int, int] = {}
-        self.closures: list[float] = []
+        self.false: list[bool] = []
 
     def add(self, report: FrameReport) -> None:
         """Take note of the next frame."""
-        points = self._ground[self._frame]
+        shown = self._truth[self._frame]
         for landmark, feature in report.sightings.tolist():
-            place = self._first.setdefault(landmark, points[feature])
+            first = self._first.setdefault(landmark, shown[feature])
             if self._frame - self._last.get(landmark, self._frame) >= LONG_FRAMES:
-                self.closures.append(float(np.linalg.norm(points[feature] - place)))
+                self.false.append(_differ(first, shown[feature]))
             self._last[landmark] = self._frame
         self._frame += 1
+
+
+def _differ(first: Array, now: Array) -> bool:
+    """Tell whether two sightings are of different points, by their identities or by their places on the ground."""
+    if np.ndim(first) == 0:
+        return bool(first != now or now < 0)
+    return bool(np.linalg.norm(now - first) > FALSE_BEYOND_M)
 
 
 def revisit_jobs(
@@ -119,13 +136,13 @@ def revisit_loops(jobs: Sequence[Job], *, workers: int, on_frame: Callable[[], N
 
 def fly_loop(job: Job, on_frame: Callable[[], None] = lambda: None) -> list[Loop]:
     """Fly one scenario: look at each frame once, then give what it shows to the back end of each method."""
-    flight, ground = _look(job, on_frame)
+    flight, truth = _look(job, on_frame)
     loops = []
     for name, config in job.configs.items():
-        witness = Witness(ground)
+        witness = Witness(truth)
         track = run_backend(flight, config=config, on_report=witness.add)
         run = Run(name, job.level, job.scenario.seed, flight.vehicle.name, track, flight.truth, flight.ins)
-        loops.append(Loop(job.level, run, np.array(witness.closures)))
+        loops.append(Loop(job.level, run, np.array(witness.false, bool)))
     return loops
 
 
@@ -136,25 +153,29 @@ def ground_points(vehicle: SimulatedVehicle, relief: Relief, frame: int, feature
 
 
 def _look(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
-    """Return a flight, and the ground points of each frame's features."""
-    vehicle, relief = simulate_vehicle(job.scenario, 0), relief_of(job.scenario)
+    """Return a flight, and what each frame's features truly show, as `Witness` takes it."""
+    vehicle = simulate_vehicle(job.scenario, 0)
     landmarks = scatter_landmarks([vehicle], per_frame=PER_FRAME, twin_share=TWIN_SHARE)
-    seen, ground = [], []
-    for frame, features in enumerate(_features(job, vehicle, landmarks)):
+    seen, truth = [], []
+    for features, shown in _features(job, vehicle, landmarks):
         seen.append(features)
-        ground.append(ground_points(vehicle, relief, frame, features))
+        truth.append(shown)
         on_frame()
     stamps = [features.stamp_ns for features in seen]
     increments, ins = reckon(vehicle.initial, job.scenario.imu_config, vehicle.imu.samples(), stamps)
     steps = tuple(zip(seen, increments, strict=True))
-    return Flight(vehicle, landmarks, NOISE, steps, true_trajectory(vehicle), ins), ground
+    return Flight(vehicle, landmarks, NOISE, steps, true_trajectory(vehicle), ins), truth
 
 
-def _features(job: Job, vehicle: SimulatedVehicle, landmarks: LandmarkField) -> Iterator[StereoFeatures]:
-    """Yield what each frame shows; an image is drawn when its turn has come and then forgotten."""
+def _features(
+    job: Job, vehicle: SimulatedVehicle, landmarks: LandmarkField
+) -> Iterator[tuple[StereoFeatures, NDArray[Any]]]:
+    """Yield what each frame shows, and the truth of it; an image is drawn when its turn has come and then forgotten."""
     if job.level == LANDMARK:
-        yield from (features for features, _ in observe(vehicle, landmarks, noise=NOISE))
+        yield from observe(vehicle, landmarks, noise=NOISE)
         return
-    config = next(iter(job.configs.values()))
+    config, relief = next(iter(job.configs.values())), relief_of(job.scenario)
     frontend = make_frontend(vehicle.rig, config.frontend, config.rig)
-    yield from map(frontend.process, RenderedFlight(vehicle))
+    for frame, images in enumerate(RenderedFlight(vehicle)):
+        features = frontend.process(images)
+        yield features, ground_points(vehicle, relief, frame, features)

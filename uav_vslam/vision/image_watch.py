@@ -14,7 +14,8 @@ LEAST_CONTRAST = 6.0  # grey levels between the 2nd and 98th percentile; less is
 EXPOSURE_JUMP = 1.4  # of the mean brightness from one image to the next
 BLURRED = 0.5  # of the usual sharpness
 SHARPNESS_SCALE = 0.25  # of the image: noise is averaged away, motion blur of a few pixels is not
-USUAL_FRAMES = 30  # whose median sharpness is the usual one
+USUAL_FRAMES = 300  # half a minute; smoother ground becomes usual in that time, and a blur that lasts as well
+USUAL_QUANTILE = 0.75  # of their sharpness is the usual one: most of them must be blurred before blur is
 MIN_USUAL_FRAMES = 5
 
 
@@ -46,14 +47,14 @@ class ImageWatch:
         return [*([] if was_blind else _exposure(before, sample)), *self._blur(image)]
 
     def _blur(self, image: Grey) -> list[str]:
-        """Compare the sharpness with the usual one; what is blurred does not become usual."""
+        """Compare the sharpness with the usual one."""
         small = cv2.resize(image, None, fx=SHARPNESS_SCALE, fy=SHARPNESS_SCALE, interpolation=cv2.INTER_AREA)
         sharpness = float(cv2.Laplacian(small, cv2.CV_32F).std() / max(float(small.std()), 1.0))
-        usual = float(np.median(self._sharpness)) if len(self._sharpness) >= MIN_USUAL_FRAMES else 0.0
-        if sharpness < BLURRED * usual:
-            return [f"is blurred: {100.0 * sharpness / usual:.0f} % of its usual sharpness"]
+        enough = len(self._sharpness) >= MIN_USUAL_FRAMES
+        usual = float(np.quantile(self._sharpness, USUAL_QUANTILE)) if enough else 0.0
         self._sharpness.append(sharpness)
-        return []
+        blurred = sharpness < BLURRED * usual
+        return [f"is blurred: {100.0 * sharpness / usual:.0f} % of its usual sharpness"] if blurred else []
 
 
 def _exposure(before: Grey | None, sample: Grey) -> list[str]:

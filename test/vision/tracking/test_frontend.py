@@ -105,7 +105,7 @@ def test_cameras_of_different_gain_and_vignette_keep_their_points(flight: Flown)
     for scenario in (FLIGHT, dataclasses.replace(FLIGHT, right_gain=1.15, right_vignette=0.35)):
         vehicle, frames = flown(dataclasses.replace(scenario, frames=4))
         counts.append(sum(map(len, process(vehicle.rig, frames))))
-    assert counts[1] >= 0.9 * counts[0]
+    assert counts[1] >= 0.95 * counts[0]
 
 
 def test_a_jump_in_brightness_and_a_lost_frame_keep_most_tracks(flight: Flown) -> None:

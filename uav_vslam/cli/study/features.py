@@ -112,7 +112,7 @@ def _loaded(name: str, layout: Layout, files: dict[str, dict[int, Path]], width:
         truth = steady(
             {(b, k): shift_between(view.image, last[b]) for b, vs in bands.items() for k, view in vs.items()}
         )
-    return ImageSet(name, bands, layout.spacings, layout.usual, layout.cross, truth)
+    return ImageSet(name, bands, layout.spacings, layout.usual, layout.cross, truth, layout.still)
 
 
 def _draw_matches(sets: list[ImageSet], lab: FeatureLab, methods: list[str], folder: Path) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Affine SIFT [morel09], section 3.4.2 of [thesis]: SIFT on simulated views, by OpenCV.
 
-As the authors': tilts 1, sqrt 2, ... 4 sqrt 2, and for a tilt t camera longitudes every 72 deg / t; 61 views in all, at
+As the authors': tilts 1, sqrt 2, ... 4 sqrt 2, and for a tilt t camera longitudes every 72 deg / t; 43 views in all, at
 full resolution (their two-resolution shortcut, which only picks the views worth the effort, isn't taken). OpenCV tilts
 a view by leaving columns out, so that the points of tilted views scatter by a quarter of a pixel.
 """

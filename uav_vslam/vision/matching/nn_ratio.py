@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from uav_vslam.vision.features.base import Keypoints
 
-SINGLE_CANDIDATE_DISTANCE = 250.0  # between 8-bit SIFT descriptors, whose length is about 512
+SINGLE_CANDIDATE_DISTANCE = 250.0  # between SIFT descriptors, whose length is about 512
+SINGLE_CANDIDATE_DISTANCES = {128: SINGLE_CANDIDATE_DISTANCE, 65: 53.0, 256: 6.3, 384: 390.0}
+"""The same by how many numbers a descriptor has: SIFT and its kind, SURF, ORB, PHOW. It is 0.7 of the distance within
+which one stranger in a hundred lies, on rendered images; where nothing is known, a candidate alone isn't believed."""
 
 
 def nn(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
@@ -29,7 +32,7 @@ def match_descriptors(
     ratio: float,
     *,
     mutual: bool = True,
-    single_distance: float = SINGLE_CANDIDATE_DISTANCE,
+    single_distance: float | None = None,
 ) -> NDArray[np.intp]:
     """Match each row of `a` to its nearest row of `b`.
 
@@ -37,12 +40,13 @@ def match_descriptors(
         a, b: (Na, D), (Nb, D) uint8 or float descriptors.
         ratio: the nearest must be closer than this times the second nearest.
         mutual: keep a match only where the row of `a` is also the nearest one to the row of `b`.
-        single_distance: where `b` has one row only there is no ratio; the distance must be below this instead.
+        single_distance: where `b` has one row only there is no ratio; the distance must be below this instead. None:
+            that of SINGLE_CANDIDATE_DISTANCES.
 
     Returns:
         (M, 2) indices into `a` and `b`, ascending in `a`.
     """
-    return match_distances(squared_distances(a, b), ratio, mutual=mutual, single_distance=single_distance)
+    return match_distances(squared_distances(a, b), ratio, mutual=mutual, single_distance=_single(a, single_distance))
 
 
 def match_gated(
@@ -52,7 +56,7 @@ def match_gated(
     ratio: float,
     *,
     mutual: bool = True,
-    single_distance: float = SINGLE_CANDIDATE_DISTANCE,
+    single_distance: float | None = None,
 ) -> NDArray[np.intp]:
     """Match as `match_descriptors` does, among allowed pairs only: what the gate excludes is no rival in the ratio.
 
@@ -61,7 +65,8 @@ def match_gated(
         allowed: (Na, Nb) pairs that may match.
         ratio: the nearest allowed must be closer than this times the second nearest allowed.
         mutual: keep a match only where it is the nearest allowed one from both sides.
-        single_distance: largest distance where only one candidate is allowed.
+        single_distance: largest distance where only one candidate is allowed; None: that of
+            SINGLE_CANDIDATE_DISTANCES.
 
     Returns:
         (M, 2) indices into `a` and `b`, ascending in `a`.
@@ -69,7 +74,7 @@ def match_gated(
     if allowed.shape != (len(a), len(b)):
         raise ValueError(f"allowed is {allowed.shape}, but there are {len(a)} x {len(b)} descriptors")
     squared = np.where(allowed, squared_distances(a, b), np.float32(np.inf))
-    return match_distances(squared, ratio, mutual=mutual, single_distance=single_distance)
+    return match_distances(squared, ratio, mutual=mutual, single_distance=_single(a, single_distance))
 
 
 def squared_distances(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray[np.float32]:
@@ -101,6 +106,12 @@ def match_distances(
     if mutual:
         good &= np.argmin(squared, axis=0)[best] == rows
     return np.stack([rows[good], best[good]], axis=1)
+
+
+def _single(descriptors: NDArray[np.generic], single_distance: float | None) -> float:
+    if single_distance is not None:
+        return single_distance
+    return SINGLE_CANDIDATE_DISTANCES.get(descriptors.shape[1], 0.0)
 
 
 def _second_smallest(squared: NDArray[np.float32], best: NDArray[np.intp]) -> NDArray[np.float64]:
