@@ -76,7 +76,7 @@ FRONTEND_METHODS = ("klt", "sift")  # the names in vision.frontends.FRONTENDS
 class FrontendConfig:
     """Stereo features."""
 
-    method: str = "sift"  # klt: points found now and then are followed; sift: each pair is searched and matched anew
+    method: str = "klt"  # points found now and then are followed; sift: each pair is searched and matched anew
     extractor: str = "sift"  # name in vision.features.EXTRACTORS; dsift and phow_* lie on a grid, too coarse for a map
     search_every: int = 3  # klt: frames from one search for new points to the next
     search_scale: float = 0.25  # klt: images are shrunk by this factor for the search (INTER_AREA)

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import FrontendConfig, VehicleConfig
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.flights import Method, run_study, with_backend
 
@@ -54,7 +54,9 @@ def test_rendered_images_are_searched_once_for_both_inertial_grades(monkeypatch)
     detect = StereoFrontend.detect
     monkeypatch.setattr(StereoFrontend, "detect", lambda self, frame: (searched.append(1), detect(self, frame))[1])
     small = {"frames": 3, "vehicles": 1, "scale": 0.25}
-    methods = [Method("ri15", imu, Scenario(imu=imu, **small), rendered=True) for imu in ("adis16480", "consumer")]
+    config = VehicleConfig(frontend=FrontendConfig(method="sift"))
+    grades = ("adis16480", "consumer")
+    methods = [Method("ri15", imu, Scenario(imu=imu, **small), config, rendered=True) for imu in grades]
     rows = run_study(methods, [1], workers=1)
     assert len(searched) == 3
     assert {row["condition"] for row in rows} == {"adis16480", "consumer"}

@@ -12,7 +12,8 @@ from uav_vslam.studies.rig import RIGID, VARIANTS, conditions, run_study
 from uav_vslam.vision.stereo_points import StereoFrontend
 
 TINY = Scenario(frames=3, vehicles=1, scale=0.25)
-CONFIGS = {name: load_vehicle(None, overrides=keys) for name, keys in VARIANTS.items()}
+SIFT = {"frontend.method": "sift"}  # which looks without regard to the rig, so that both methods can share what it saw
+CONFIGS = {name: load_vehicle(None, overrides=keys | SIFT) for name, keys in VARIANTS.items()}
 BELIEVED, ESTIMATED = CONFIGS
 
 

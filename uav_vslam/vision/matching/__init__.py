@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Matchers of two images' keypoints by name, section 3.4.5 and chapter 6 of [thesis].
 
-`gtm` is the thesis's NN + GTM, for GTM cleans up matches that there are; `cds_nn` and `cds_gtm` match a few points of the
-first image that are spread over it. `match_descriptors` and `match_gated` are the array functions underneath, for those that have no images.
+`gtm` is the thesis's NN + GTM, for GTM cleans up matches that there are; `cds_nn` and `cds_gtm` match a few points of
+the first image that are spread over it. `match_descriptors` and `match_gated` are the array functions underneath, for
+those that have no images.
 """
 
 from typing import Protocol
