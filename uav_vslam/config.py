@@ -119,6 +119,9 @@ ASSOCIATIONS = (  # the names in association.ASSOCIATORS
     "ransac",
     "gtm",
     "hgtm",
+    "gated_ransac",
+    "gated_gtm",
+    "gated_hgtm",
     "cds",
     "coarse_fine",
 )

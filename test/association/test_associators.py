@@ -26,7 +26,7 @@ def test_landmarks_seen_again_are_recognised(scene, name):
     marks, seen = scene(80)
     pairs = ASSOCIATORS[name](marks, seen, CONFIG)
     np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
-    least = {"cds": 8, "coarse_fine": FINE_MATCHES, "gtm": 60}.get(name, 80)
+    least = {"cds": 8, "coarse_fine": FINE_MATCHES, "gtm": 60, "gated_gtm": 60}.get(name, 80)
     assert len(pairs) >= least
 
 
@@ -73,7 +73,7 @@ def test_association_repeats_and_changes_nothing(scene, name):
         np.testing.assert_array_equal(array, copy)
 
 
-@pytest.mark.parametrize("strict", ["gated", "gated_classification", "ransac", "gtm", "hgtm"])
+@pytest.mark.parametrize("strict", ["gated", "gated_classification", "ransac", "gtm", "hgtm", "gated_hgtm"])
 def test_a_look_alike_elsewhere_is_seen_through(scene, strict):
     """Ten features exchange their looks with one another, so that each is found where another landmark is expected."""
     marks, seen = scene(80)
