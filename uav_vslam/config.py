@@ -143,6 +143,7 @@ class BackendConfig:
     pnp_px: float = 4.0  # reprojection error of a PnP inlier [px]
     min_pnp_inliers: int = 6  # fewer, and the frame is tried un-gated against the whole map
     min_relocalisation_inliers: int = 12  # fewer, and the vehicle coasts on its INS
+    redetection_px: float = 0.0  # by how much a place that is found again after long lies beside where it was first
     min_revisited: int = 2  # landmarks long unseen, whose gates drift made wide, are believed if so many agree
     pnp_beyond_px: float = 8.0  # PnP checks the matches when the median predicted 1-sigma is wider than this [px]
     iterate_beyond_m: float = 0.05  # PnP and INS differ by more: the update is linearised at the PnP pose
@@ -162,6 +163,7 @@ class BackendConfig:
         _require(self.retention in RETENTION_POLICIES, self, "retention", f"one of {', '.join(RETENTION_POLICIES)}")
         _require(self.sigma_px > 0, self, "sigma_px", "a positive number of pixels")
         _require(self.depth_sigma_ratio >= 0, self, "depth_sigma_ratio", "zero (off) or more")
+        _require(self.redetection_px >= 0, self, "redetection_px", "zero or more pixels")
         _require(0 < self.min_descriptor_ratio <= 1, self, "min_descriptor_ratio", "a number in (0, 1]")
         _require(0 < self.gate_probability < 1, self, "gate_probability", "a probability in (0, 1)")
         for key in ("pnp_px", "iterate_beyond_m"):

@@ -52,3 +52,18 @@ def test_robustness_and_doubt_of_the_rig_are_passed_on(course, name: str) -> Non
         wrong = course.pixels(1, np.arange(12))
         wrong[4] += 100.0
         assert (f.update(np.arange(12), wrong).weighed_down > 0) is robust
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_quarter_of_the_weight_brings_a_quarter_of_the_information(course, name: str) -> None:
+    information = []
+    for weight in (0.0, 0.25, 1.0):
+        f = made(course, name, robust=True)
+        f.add_landmarks(course.pixels(0, np.arange(6)))
+        expected = f.predict_observations(np.arange(6)).expected
+        if weight:
+            f.update(np.arange(6), expected, weights=np.full(6, weight))
+        information.append(np.linalg.inv(f.covariance()))
+    before, quarter, whole = information
+    scale = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
+    np.testing.assert_allclose((quarter - before) / scale, 0.25 * (whole - before) / scale, atol=1e-6)

@@ -65,6 +65,21 @@ def test_a_loop_closes_over_retained_landmarks(vehicle, increments) -> None:
     assert end_error_m(vehicle, kept) < 0.5 * end_error_m(vehicle, without)
 
 
+def test_what_is_found_again_beside_its_place_teaches_less(vehicle, increments) -> None:
+    """Each feature of the second visit lies 1.4 px from where the first one was followed, in both images alike."""
+    frames = look(vehicle, scatter_landmarks([vehicle]))
+    late = len(frames) - 25
+    rng = np.random.default_rng(3)
+    for k, frame in enumerate(frames):
+        shift = rng.normal(0.0, 1.0 if k >= late else 0.0, (len(frame), 2)).astype(np.float32)
+        frames[k] = dataclasses.replace(frame, pixels=frame.pixels + np.tile(shift, 2))
+    trusting, cautious = (fly(vehicle, increments, frames, sigma_px=1.0, redetection_px=px) for px in (0.0, 1.0))
+    assert sum(report.closures for report in cautious[late:]) >= CONFIG.min_revisited
+    first = next(k for k, report in enumerate(trusting) if report.closures)
+    size = [np.trace(reports[first + 2].pose.covariance[:3, :3]) for reports in (trusting, cautious)]
+    assert size[1] > 1.2 * size[0]
+
+
 def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> None:
     field = scatter_landmarks([vehicle])
     rng = np.random.default_rng(1)

@@ -187,6 +187,7 @@ class Filter:
         *,
         linearise_at: Pose | None = None,
         significance: float = 0.0,
+        weights: Array | None = None,
     ) -> Innovation:
         """Correct by stereo observations of landmarks.
 
@@ -197,6 +198,7 @@ class Filter:
                 fits over the belief of so vague a mean, so a regression is made over what the update will leave of it,
                 as in [garcia15].
             significance: the update is refused if right observations were as far off together with less probability.
+            weights: (M,) by which the noise's variance is divided; None for ones.
         """
         before = (self.nav, self.belief)
         prior = np.zeros(self.belief.size)
@@ -208,7 +210,9 @@ class Filter:
                 predicted = self._predicted(landmarks, self.belief)
             nu = pixels - predicted.expected
             nu = nu - Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu).apply(prior)
-            update, weights = self._updated(predicted, nu)
+            update, weights, weighed_down = self._updated(
+                predicted, nu, np.ones(len(nu)) if weights is None else weights
+            )
         dof = STEREO_DOF * len(landmarks)
         log_det_R = float(np.linalg.slogdet(predicted.R)[1].sum() - STEREO_DOF * np.log(weights).sum())
         innovation = Innovation(
@@ -216,7 +220,7 @@ class Filter:
             dof=dof,
             log_likelihood=-0.5 * (update.nis + update.log_det + log_det_R + dof * np.log(2.0 * np.pi)),
             accepted=dof == 0 or bool(chdtrc(dof, update.nis) >= significance),
-            weighed_down=int((weights < 1.0).sum()),
+            weighed_down=weighed_down,
         )
         if innovation.accepted:
             with _stamped(self.nav.stamp_ns):
@@ -313,17 +317,21 @@ class Filter:
             depth_sigma_ratio=self._depth_sigma_ratio,
         )
 
-    def _updated(self, predicted: PredictedObservation, nu: Array) -> tuple[Update, Array]:
-        """Update, and once more with less weight on what fits badly afterwards; return it and the (M,) weights."""
-        weights = np.ones(len(nu))
+    def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> tuple[Update, Array, int]:
+        """Update, and once more with less weight on what fits badly afterwards.
+
+        Return the update, its (M,) weights, and how many fitted badly.
+        """
         observation = _whitened(predicted, nu, weights)
         update = self.belief.updated(observation)
-        if self._robust and len(nu):
-            left = np.linalg.norm(observation.nu - observation.apply(update.delta), axis=1)
-            weights = np.minimum(1.0, np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY)) / np.maximum(left, 1e-12))
-            if (weights < 1.0).any():
-                update = self.belief.updated(_whitened(predicted, nu, weights))
-        return update, weights
+        if not self._robust or not len(nu):
+            return update, weights, 0
+        left = np.linalg.norm(observation.nu - observation.apply(update.delta), axis=1)
+        trust = np.minimum(1.0, np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY)) / np.maximum(left, 1e-12))
+        if (trust < 1.0).any():
+            weights = trust * weights
+            update = self.belief.updated(_whitened(predicted, nu, weights))
+        return update, weights, int((trust < 1.0).sum())
 
     def _with_rig_prior(self, P_nav: Array) -> Array:
         nav_dim = self._model.nav_dim

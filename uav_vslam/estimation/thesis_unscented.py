@@ -19,7 +19,7 @@ from uav_vslam.config import RigConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import Update, landmark_rows
 from uav_vslam.estimation.covariance import CovarianceBelief
-from uav_vslam.estimation.filter import Filter
+from uav_vslam.estimation.filter import STEREO_DOF, Filter
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.estimation.models import POSE
 from uav_vslam.ins.propagation import propagate, transition
@@ -59,7 +59,7 @@ class ThesisUnscentedFilter(Filter):
         P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T
         self.belief = CovarianceBelief(symmetrise(P), self.vehicle)
 
-    def _updated(self, predicted: PredictedObservation, nu: Array) -> tuple[Update, Array]:
+    def _updated(self, predicted: PredictedObservation, nu: Array, trust: Array) -> tuple[Update, Array, int]:
         chi, mean_weights, weights = self._sigma_points()
         P = self.covariance()
         seen = self._project(chi, predicted) / self._sigma_px
@@ -67,12 +67,12 @@ class ThesisUnscentedFilter(Filter):
         D_y, D_x = seen - expected, chi - mean_weights @ chi
         P_yy, P_xy = (D_y.T * weights) @ D_y, (D_x.T * weights) @ D_y
         innovation = (nu + predicted.expected).ravel() / self._sigma_px - expected
-        S = P_yy + np.eye(len(expected))
+        S = P_yy + np.diag(1.0 / np.repeat(trust, STEREO_DOF))
         K = np.linalg.solve(S, P_xy.T).T
         after = P - K @ S @ K.T if self._gamma is None else _bounded(P, P_xy, P_yy)
         nis = float(innovation @ np.linalg.solve(S, innovation))
         belief = CovarianceBelief(symmetrise(after), self.vehicle)
-        return Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1])), np.ones(len(nu))
+        return Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1])), trust, 0
 
     def _sigma_points(self) -> tuple[Array, Array, Array]:
         """Return chi (2n+1, n) and the weights of mean and covariance; Eq. (4.3.2)."""

@@ -32,6 +32,7 @@ from uav_vslam.types import (
 
 SIGNIFICANCE = 1e-6  # matches that right ones would disagree as much as so rarely are not believed together
 RECOVERY_INFLATION = 4.0  # a filter that begins anew takes its covariance so many times as large
+VISIT_FRAMES = 10  # frames over which a landmark that has come back into view is seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +188,7 @@ class SlamBackend:
                 pixels[matches.features],
                 linearise_at=matches.linearise_at,
                 significance=0.0 if matches.relocalised else SIGNIFICANCE,
+                weights=self._weights(matches.landmarks),
             )
             if innovation.accepted:
                 closures = int(self._map.long_unseen(self._frame)[matches.landmarks].sum())
@@ -194,6 +196,12 @@ class SlamBackend:
                 self._map.observe(matches.landmarks, features.descriptors[seen], self._frame, features.tracks[seen])
                 return matches, innovation, closures
         return Matches.none(), None, 0
+
+    def _weights(self, landmarks: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Weigh observations of revisited landmarks: in all frames of a visit the same error of place counts once."""
+        back = self._map.revisited[landmarks] | self._map.long_unseen(self._frame)[landmarks]
+        variance = self._config.sigma_px**2
+        return np.where(back, variance / (variance + VISIT_FRAMES * self._config.redetection_px**2), 1.0)
 
     def _make_room(self) -> None:
         if len(self._map) == 0:

@@ -21,6 +21,7 @@ class LandmarkMap:
         self.born: Rows = np.zeros(0, np.intp)  # frame number of the first observation
         self.seen: Rows = np.zeros(0, np.intp)  # frame number of the last observation
         self.observations: Rows = np.zeros(0, np.intp)  # how many
+        self.revisited: NDArray[np.bool_] = np.zeros(0, bool)  # observed again after it had been left behind
         self.tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)  # of the front end, as last observed; 0 for none
         self._next_id = 1
 
@@ -44,6 +45,7 @@ class LandmarkMap:
         self.born = np.concatenate([self.born, np.full(count, frame)])
         self.seen = np.concatenate([self.seen, np.full(count, frame)])
         self.observations = np.concatenate([self.observations, np.ones(count, np.intp)])
+        self.revisited = np.concatenate([self.revisited, np.zeros(count, bool)])
         self.tracks = np.concatenate([self.tracks, np.zeros(count, np.uint32) if tracks is None else tracks])
 
     def observe(
@@ -56,6 +58,7 @@ class LandmarkMap:
         fresh = (self.descriptors[rows] != descriptors).any(axis=1)
         self.looks.observe(rows[fresh], descriptors[fresh])
         self.descriptors[rows] = descriptors
+        self.revisited[rows] |= self.long_unseen(frame)[rows]
         self.seen[rows] = frame
         self.observations[rows] += 1
         if tracks is None:
@@ -71,4 +74,4 @@ class LandmarkMap:
         self.ids, self.descriptors = self.ids[keep], self.descriptors[keep]
         self.looks = self.looks.chosen(keep)
         self.born, self.seen, self.observations = self.born[keep], self.seen[keep], self.observations[keep]
-        self.tracks = self.tracks[keep]
+        self.revisited, self.tracks = self.revisited[keep], self.tracks[keep]

@@ -47,6 +47,7 @@ def recognise(
     if len(found) < config.min_revisited:
         return none
     nu, S = belief.joint_innovation(rows[found[:, 0]], pixels[found[:, 1]])
+    S = S + config.redetection_px**2 * np.eye(len(S))
     agreeing = found[consensus(nu, S, probability=config.gate_probability)]
     if len(agreeing) < config.min_revisited:
         return none
