@@ -68,12 +68,27 @@ def test_smoother_ground_becomes_usual(images: list[Grey]) -> None:
     assert not any(told[-150:])
 
 
+@pytest.mark.parametrize("angle_deg", [0.0, 45.0, 90.0, 150.0])
+def test_a_smear_is_told_from_smooth_ground_whatever_its_direction(images: list[Grey], angle_deg: float) -> None:
+    """Seven pixels are smeared; ground that is smoother all round is as sharp as it can be."""
+    watch, line = ImageWatch(), np.zeros((9, 9), np.float32)
+    reach = 3.0 * np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
+    for share in np.linspace(-1.0, 1.0, 41):
+        u, v = np.rint(4.0 + share * reach).astype(int)
+        line[v, u] = 1.0
+    for image in images[:6]:
+        assert watch.add(image) == []
+    assert watch.add(cv2.GaussianBlur(images[6], (0, 0), 1.0)) == []
+    (text,) = watch.add(cv2.filter2D(images[7], -1, line / line.sum()))
+    assert "by motion" in text
+
+
 def test_motion_blur_is_told_as_long_as_it_lasts(images: list[Grey]) -> None:
     watch = ImageWatch()
     for image in images[:6]:
         watch.add(image)
-    for image in images[6:9]:
-        (text,) = watch.add(cv2.blur(image, (21, 5)))
+    for image, blurred in zip(images[6:9], ((21, 5), (9, 9), (7, 1)), strict=True):
+        (text,) = watch.add(cv2.blur(image, blurred))
         assert "blurred" in text
         assert not watch.blind
     assert watch.add(images[9]) == []

@@ -13,9 +13,11 @@ STEP_PX = 8  # frozen and dark images are told by every eighth row and column
 LEAST_CONTRAST = 6.0  # grey levels between the 2nd and 98th percentile; less is night, a cap, a white-out
 EXPOSURE_JUMP = 1.4  # of the mean brightness from one image to the next
 BLURRED = 0.5  # of the usual sharpness
-SHARPNESS_SCALE = 0.25  # of the image: noise is averaged away, motion blur of a few pixels is not
+SMEARED = 0.7  # of the usual likeness of crossing directions; 5 px of motion blur leave 0.55
+SHARPNESS_SCALE = 0.25  # of the image: noise is averaged away
+LIKENESS_SCALE = 0.5  # of the image's middle: motion blur of a few pixels is not averaged away
 USUAL_FRAMES = 300  # half a minute; smoother ground becomes usual in that time, and a blur that lasts as well
-USUAL_QUANTILE = 0.75  # of their sharpness is the usual one: most of them must be blurred before blur is
+USUAL_QUANTILE = 0.75  # of theirs is usual: most of them must be blurred before blur is
 MIN_USUAL_FRAMES = 5
 
 
@@ -28,7 +30,7 @@ class ImageWatch:
 
     def __init__(self) -> None:
         self._before: Grey | None = None
-        self._sharpness: deque[float] = deque(maxlen=USUAL_FRAMES)
+        self._sharpness, self._likeness = Usual(), Usual()
         self.blind = False
 
     def add(self, image: Grey) -> list[str]:
@@ -47,14 +49,40 @@ class ImageWatch:
         return [*([] if was_blind else _exposure(before, sample)), *self._blur(image)]
 
     def _blur(self, image: Grey) -> list[str]:
-        """Compare the sharpness with the usual one."""
+        """Compare the sharpness with the usual one, and the fine detail across directions."""
         small = cv2.resize(image, None, fx=SHARPNESS_SCALE, fy=SHARPNESS_SCALE, interpolation=cv2.INTER_AREA)
-        sharpness = float(cv2.Laplacian(small, cv2.CV_32F).std() / max(float(small.std()), 1.0))
-        enough = len(self._sharpness) >= MIN_USUAL_FRAMES
-        usual = float(np.quantile(self._sharpness, USUAL_QUANTILE)) if enough else 0.0
-        self._sharpness.append(sharpness)
-        blurred = sharpness < BLURRED * usual
-        return [f"is blurred: {100.0 * sharpness / usual:.0f} % of its usual sharpness"] if blurred else []
+        sharpness = self._sharpness.share(float(cv2.Laplacian(small, cv2.CV_32F).std() / max(float(small.std()), 1.0)))
+        likeness = self._likeness.share(_likeness(image))
+        if likeness < SMEARED:
+            return [f"is blurred by motion: detail along it is down to {100.0 * likeness:.0f} % of the usual"]
+        return [f"is blurred: {100.0 * sharpness:.0f} % of its usual sharpness"] if sharpness < BLURRED else []
+
+
+class Usual:
+    """What a figure of the images is as a rule."""
+
+    def __init__(self) -> None:
+        self._values: deque[float] = deque(maxlen=USUAL_FRAMES)
+
+    def share(self, value: float) -> float:
+        """Return a new value as a share of the usual one; 1 while too few are known."""
+        usual = float(np.quantile(self._values, USUAL_QUANTILE)) if len(self._values) >= MIN_USUAL_FRAMES else value
+        self._values.append(value)
+        return value / usual if usual > 0.0 else 1.0
+
+
+def _likeness(image: Grey) -> float:
+    """Return how alike fine detail is along crossing directions, 1 for ground however smooth, less where it is smeared.
+
+    Of the second derivatives along 0 and 90 degrees, and along 45 and 135, the smaller to the larger.
+    """
+    height, width = image.shape
+    middle = image[height // 4 : height - height // 4, width // 4 : width - width // 4]
+    small = cv2.resize(middle, None, fx=LIKENESS_SCALE, fy=LIKENESS_SCALE, interpolation=cv2.INTER_AREA)
+    xx, yy, xy = (cv2.Sobel(small, cv2.CV_32F, *orders) for orders in ((2, 0), (0, 2), (1, 1)))
+    mean = 0.5 * (xx + yy)
+    pairs = [(cv2.norm(one), cv2.norm(other)) for one, other in ((xx, yy), (mean + xy, mean - xy))]
+    return min(min(pair) / max(max(pair), 1e-9) for pair in pairs)
 
 
 def _exposure(before: Grey | None, sample: Grey) -> list[str]:
