@@ -16,8 +16,8 @@ BLURRED = 0.5  # of the usual sharpness
 SMEARED = 0.7  # of the usual likeness of crossing directions; 5 px of motion blur leave 0.55
 SHARPNESS_SCALE = 0.25  # of the image: noise is averaged away
 LIKENESS_SCALE = 0.5  # of the image's middle: motion blur of a few pixels is not averaged away
-USUAL_FRAMES = 300  # half a minute; smoother ground becomes usual in that time, and a blur that lasts as well
-USUAL_QUANTILE = 0.75  # of theirs is usual: most of them must be blurred before blur is
+SPREADS = 2.0  # below the median, in widths of the middle half: what varies so much by itself is nothing unusual
+USUAL_FRAMES = 300  # half a minute, in which what is usual is learnt; what is unusual for so long becomes usual
 MIN_USUAL_FRAMES = 5
 
 
@@ -30,7 +30,7 @@ class ImageWatch:
 
     def __init__(self) -> None:
         self._before: Grey | None = None
-        self._sharpness, self._likeness = Usual(), Usual()
+        self._sharpness, self._likeness = Usual(BLURRED), Usual(SMEARED)
         self.blind = False
 
     def add(self, image: Grey) -> list[str]:
@@ -51,24 +51,34 @@ class ImageWatch:
     def _blur(self, image: Grey) -> list[str]:
         """Compare the sharpness with the usual one, and the fine detail across directions."""
         small = cv2.resize(image, None, fx=SHARPNESS_SCALE, fy=SHARPNESS_SCALE, interpolation=cv2.INTER_AREA)
-        sharpness = self._sharpness.share(float(cv2.Laplacian(small, cv2.CV_32F).std() / max(float(small.std()), 1.0)))
-        likeness = self._likeness.share(_likeness(image))
-        if likeness < SMEARED:
+        sharpness = self._sharpness.shortfall(cv2.Laplacian(small, cv2.CV_32F).std() / max(float(small.std()), 1.0))
+        likeness = self._likeness.shortfall(_likeness(image))
+        if likeness is not None:
             return [f"is blurred by motion: detail along it is down to {100.0 * likeness:.0f} % of the usual"]
-        return [f"is blurred: {100.0 * sharpness:.0f} % of its usual sharpness"] if sharpness < BLURRED else []
+        return [] if sharpness is None else [f"is blurred: {100.0 * sharpness:.0f} % of its usual sharpness"]
 
 
 class Usual:
     """What a figure of the images is as a rule."""
 
-    def __init__(self) -> None:
+    def __init__(self, least_share: float) -> None:
+        """Begin; what is below that share of the median is unusual."""
+        self._least_share = least_share
         self._values: deque[float] = deque(maxlen=USUAL_FRAMES)
+        self._unusual_frames = 0
 
-    def share(self, value: float) -> float:
-        """Return a new value as a share of the usual one; 1 while too few are known."""
-        usual = float(np.quantile(self._values, USUAL_QUANTILE)) if len(self._values) >= MIN_USUAL_FRAMES else value
-        self._values.append(value)
-        return value / usual if usual > 0.0 else 1.0
+    def shortfall(self, value: float) -> float | None:
+        """Return the share of the usual that an unusually small value is; learn from any other."""
+        if len(self._values) >= MIN_USUAL_FRAMES:
+            low, usual, high = np.quantile(self._values, (0.25, 0.5, 0.75))
+            if value < usual - max((1.0 - self._least_share) * usual, SPREADS * (high - low)):
+                self._unusual_frames += 1
+                if self._unusual_frames < USUAL_FRAMES:
+                    return float(value / usual)
+                self._values.clear()
+        self._unusual_frames = 0
+        self._values.append(float(value))
+        return None
 
 
 def _likeness(image: Grey) -> float:
