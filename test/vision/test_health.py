@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the points of both images lie to one another."""
+"""How the points of both images lie to one another, and whether all pairs come."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.simulation.rig import kagaru_rig
-from uav_vslam.vision.health import EPIPOLAR_FRAMES, FrontendHealth
+from uav_vslam.vision.health import COUNTED_PAIRS, EPIPOLAR_FRAMES, FrontendHealth
 
 EPIPOLAR_PX = 2.0
 
@@ -64,3 +64,34 @@ def test_points_of_swapped_images_are_told_at_once(rig: StereoRig) -> None:
 @pytest.mark.parametrize("count", [0, 5])
 def test_a_few_points_say_nothing(rig: StereoRig, count: int) -> None:
     assert judged(rig, points_of(turned(rig, 0.5))[:count], EPIPOLAR_FRAMES) == {}
+
+
+def told_of_pairs(rig: StereoRig, stamps_s: np.ndarray) -> list[str]:
+    """Return what was said of missing pairs at each stamp."""
+    health, rng = FrontendHealth(rig, EPIPOLAR_PX), np.random.default_rng(2)
+    told = []
+    for stamp_s in stamps_s:
+        health.look(round(stamp_s * 1e9), *rng.integers(0, 255, (2, 120, 160), np.uint8))
+        told.append(health.alarms.get("pairs", ""))
+    return told
+
+
+def test_missing_pairs_are_counted_until_all_have_come_for_a_while(rig: StereoRig) -> None:
+    numbers = np.delete(np.arange(1, 60), [20, 21, 25])
+    told = told_of_pairs(rig, 0.1 * numbers)
+    assert told[:20] == [""] * 20
+    assert told[20] == "2 of the last 22 image pairs are missing"
+    assert told[23] == "3 of the last 23 image pairs are missing"
+    assert told[23 + COUNTED_PAIRS] == ""
+
+
+def test_a_third_of_the_pairs_missing_for_long_stays_told(rig: StereoRig) -> None:
+    rng = np.random.default_rng(3)
+    numbers = np.concatenate([np.arange(1, 40), 40 + np.flatnonzero(rng.random(400) > 0.3)])
+    assert all(told_of_pairs(rig, 0.1 * numbers)[60:])
+
+
+@pytest.mark.parametrize("jitter", [0.02, 5.0])
+def test_a_jitter_of_the_stamps_and_a_rate_that_is_none_raise_no_alarm(rig: StereoRig, jitter: float) -> None:
+    stamps_s = np.cumsum(0.1 + jitter * np.random.default_rng(4).random(60))
+    assert told_of_pairs(rig, 1.0 + stamps_s) == [""] * 60

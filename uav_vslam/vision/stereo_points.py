@@ -50,7 +50,7 @@ class StereoFrontend(Frontend):
 
     def process(self, frame: StereoFrame) -> StereoFeatures:
         self._check_sizes(frame)
-        if not self._health.look(to_grey8(frame.left), to_grey8(frame.right)):
+        if not self._health.look(frame.stamp_ns, to_grey8(frame.left), to_grey8(frame.right)):
             return StereoFeatures.empty(frame.stamp_ns)
         detected = self.detect(frame)
         self._health.judge(self._matched_by_look(detected))

@@ -52,7 +52,7 @@ class TrackingFrontend(Frontend):
         self._check_sizes(frame)
         grey_left, grey_right = to_grey8(frame.left), to_grey8(frame.right)
         left, right = without_local_mean(grey_left), without_local_mean(grey_right)
-        believed = self._health.look(grey_left, grey_right)
+        believed = self._health.look(frame.stamp_ns, grey_left, grey_right)
         self._follow(frame.stamp_ns, left)
         self._left, self._stamp_ns = left, frame.stamp_ns
         if not believed:
