@@ -71,15 +71,15 @@ def test_pixels_are_traced_to_the_points_that_they_show():
 @pytest.mark.parametrize(
     ("first", "then", "false"),
     [
-        (np.zeros((1, 3)), [[0.0, 2 * FALSE_BEYOND_M, 0.0], [9.0, 0.0, 0.0]], True),
-        (np.zeros((1, 3)), [[0.0, 0.5 * FALSE_BEYOND_M, 0.0], [9.0, 0.0, 0.0]], False),
-        (np.array([3]), [3, 4], False),
-        (np.array([3]), [4, 3], True),
-        (np.array([-1]), [-1, 3], True),
+        (-1, [[-1, 0.0, 2 * FALSE_BEYOND_M, 0.0], [-1, 9.0, 0.0, 0.0]], True),
+        (-1, [[-1, 0.0, 0.5 * FALSE_BEYOND_M, 0.0], [-1, 9.0, 0.0, 0.0]], False),
+        (3, [[3, 0.0, 2 * FALSE_BEYOND_M, 0.0], [4, 0.0, 0.0, 0.0]], False),
+        (3, [[4, 0.0, 0.0, 0.0], [3, 0.0, 0.0, 0.0]], True),
+        (3, [[-1, 0.0, 2 * FALSE_BEYOND_M, 0.0], [3, 0.0, 0.0, 0.0]], True),
     ],
 )
 def test_the_witness_knows_which_closures_are_false(first, then, false):
-    witness = Witness([first, *[first[:0]] * (LONG_FRAMES - 1), np.array(then)])
+    witness = Witness([np.array([[first, 0.0, 0.0, 0.0]]), *[np.zeros((0, 4))] * (LONG_FRAMES - 1), np.array(then)])
     witness.add(Report(np.array([[7, 0]])))
     for _ in range(LONG_FRAMES - 1):
         witness.add(Report(np.zeros((0, 2), int)))

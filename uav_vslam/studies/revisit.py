@@ -67,8 +67,8 @@ class Witness:
         """Watch a flight.
 
         Args:
-            truth: of each frame's features what they show: (N,) identities, -1 for what is no landmark, or (N, 3)
-                points of the ground [m].
+            truth: (N, 4) of each frame's features: identity of the landmark, -1 where there is none, and the point of
+                the ground that it shows [m].
         """
         self._truth, self._frame = truth, 0
         self._first: dict[int, Array] = {}
@@ -87,10 +87,10 @@ class Witness:
 
 
 def _differ(first: Array, now: Array) -> bool:
-    """Tell whether two sightings are of different points, by their identities or by their places on the ground."""
-    if np.ndim(first) == 0:
-        return bool(first != now or now < 0)
-    return bool(np.linalg.norm(now - first) > FALSE_BEYOND_M)
+    """Tell whether two sightings are of different points: by their identities, or else by their places."""
+    if min(first[0], now[0]) >= 0:
+        return bool(first[0] != now[0])
+    return bool(np.linalg.norm(now[1:] - first[1:]) > FALSE_BEYOND_M)
 
 
 def revisit_jobs(
@@ -154,12 +154,12 @@ def ground_points(vehicle: SimulatedVehicle, relief: Relief, frame: int, feature
 
 def _look(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
     """Return a flight, and what each frame's features truly show, as `Witness` takes it."""
-    vehicle = simulate_vehicle(job.scenario, 0)
+    vehicle, relief = simulate_vehicle(job.scenario, 0), relief_of(job.scenario)
     landmarks = scatter_landmarks([vehicle], per_frame=PER_FRAME, twin_share=TWIN_SHARE)
     seen, truth = [], []
-    for features, shown in _features(job, vehicle, landmarks):
+    for frame, (features, identities) in enumerate(_features(job, vehicle, landmarks)):
         seen.append(features)
-        truth.append(shown)
+        truth.append(np.column_stack([identities, ground_points(vehicle, relief, frame, features)]))
         on_frame()
     stamps = [features.stamp_ns for features in seen]
     increments, ins = reckon(vehicle.initial, job.scenario.imu_config, vehicle.imu.samples(), stamps)
@@ -169,13 +169,13 @@ def _look(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
 
 def _features(
     job: Job, vehicle: SimulatedVehicle, landmarks: LandmarkField
-) -> Iterator[tuple[StereoFeatures, NDArray[Any]]]:
-    """Yield what each frame shows, and the truth of it; an image is drawn when its turn has come and then forgotten."""
+) -> Iterator[tuple[StereoFeatures, NDArray[np.int64]]]:
+    """Yield what each frame shows, and its identities; an image is drawn when its turn has come and then forgotten."""
     if job.level == LANDMARK:
         yield from observe(vehicle, landmarks, noise=NOISE)
         return
-    config, relief = next(iter(job.configs.values())), relief_of(job.scenario)
+    config = next(iter(job.configs.values()))
     frontend = make_frontend(vehicle.rig, config.frontend, config.rig)
-    for frame, images in enumerate(RenderedFlight(vehicle)):
+    for images in RenderedFlight(vehicle):
         features = frontend.process(images)
-        yield features, ground_points(vehicle, relief, frame, features)
+        yield features, np.full(len(features), -1)

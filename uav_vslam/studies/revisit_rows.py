@@ -27,8 +27,8 @@ NOTES = {
     "Ratio": f"end error, root mean square over the seeds, over that of the flights with {FORGETTING}; low and high: "
     f"{CONFIDENCE:.0%} of the bootstrap over seeds, from three seeds on",
     "Closures": f"landmarks recognised after {LONG_FRAMES} frames or more without them, a flight; false, of all "
-    f"flights: another landmark or none, where points are drawn, and on the ground more than {FALSE_BEYOND_M} m from "
-    "where the landmark was first seen, where images are; closed: flights with any that is right",
+    f"flights: another landmark, or what has no identity more than {FALSE_BEYOND_M} m from where the landmark was "
+    "first seen; closed: flights with any that is right",
     "Time": "ms_per_frame is that of the back end alone",
     "Failures": FAILURE_RULE,
 }
