@@ -15,10 +15,11 @@ from uav_vslam.processes import worker_pool
 
 PATIENCE_S = 20.0
 PROGRAM = """
-import os, time
+import os, signal, time
 from uav_vslam.processes import worker_pool
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
     with worker_pool(2) as pool:
         first, work = pool.submit(os.getpid), pool.submit(time.sleep, 60.0)
         print(first.result(), flush=True)
