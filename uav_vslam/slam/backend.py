@@ -182,24 +182,24 @@ class SlamBackend:
         A relocalisation is believed against the prediction: it is tried when the prediction has led nowhere.
         """
         pixels = features.pixels.astype(float)
+        left_behind = self._map.long_unseen(self._frame)
         for matches in self._matcher.candidates(self._filter, self._map, features, self._frame):
             innovation = self._filter.update(
                 matches.landmarks,
                 pixels[matches.features],
                 linearise_at=matches.linearise_at,
                 significance=0.0 if matches.relocalised else SIGNIFICANCE,
-                weights=self._weights(matches.landmarks),
+                weights=self._weights((left_behind | self._map.revisited)[matches.landmarks]),
             )
             if innovation.accepted:
-                closures = int(self._map.long_unseen(self._frame)[matches.landmarks].sum())
+                closures = int(left_behind[matches.landmarks].sum())
                 seen = matches.features
                 self._map.observe(matches.landmarks, features.descriptors[seen], self._frame, features.tracks[seen])
                 return matches, innovation, closures
         return Matches.none(), None, 0
 
-    def _weights(self, landmarks: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Weigh observations of revisited landmarks: in all frames of a visit the same error of place counts once."""
-        back = self._map.revisited[landmarks] | self._map.long_unseen(self._frame)[landmarks]
+    def _weights(self, back: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Weigh observations of landmarks that came back: in all frames of a visit one error of place counts once."""
         variance = self._config.sigma_px**2
         return np.where(back, variance / (variance + VISIT_FRAMES * self._config.redetection_px**2), 1.0)
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from uav_vslam.vision.features.base import Keypoints
 
 SINGLE_CANDIDATE_DISTANCE = 250.0  # between SIFT descriptors, whose length is about 512
+# The same by how many numbers a descriptor has: SIFT and its kind, SURF, ORB, PHOW. It is 0.7 of the distance within
+# which one stranger in a hundred lies, on rendered images; where nothing is known, a candidate alone isn't believed.
 SINGLE_CANDIDATE_DISTANCES = {128: SINGLE_CANDIDATE_DISTANCE, 65: 53.0, 256: 6.3, 384: 390.0}
-"""The same by how many numbers a descriptor has: SIFT and its kind, SURF, ORB, PHOW. It is 0.7 of the distance within
-which one stranger in a hundred lies, on rendered images; where nothing is known, a candidate alone isn't believed."""
 
 
 def nn(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
