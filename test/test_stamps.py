@@ -4,16 +4,16 @@
 import pytest
 
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.stamps import IMAGE_LEAP_S, IMU_LEAP_S, LeapGuard
+from uav_vslam.stamps import IMAGE_LEAP_S, IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import NS_PER_S
 
-LEAP_NS = round(IMU_LEAP_S * NS_PER_S)
+LEAP_NS = round(IMU_TIME_JUMP_S * NS_PER_S)
 FAR_NS = 1000 * LEAP_NS
 
 
 def refused(stamps_ns: list[int]) -> list[int]:
     """Return those of the stamps that are refused, fed in order."""
-    guard, out = LeapGuard("IMU", IMU_LEAP_S), []
+    guard, out = TimeJumpGuard("IMU", IMU_TIME_JUMP_S), []
     for stamp_ns in stamps_ns:
         try:
             guard.check(stamp_ns)
@@ -40,13 +40,13 @@ def test_a_leap_ahead_is_believed_once_it_is_confirmed(stamps_ns: list[int], exp
 
 
 def test_the_refusal_names_stream_and_leap() -> None:
-    guard = LeapGuard("IMU", IMU_LEAP_S)
+    guard = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
     guard.check(0)
     with pytest.raises(InvalidMessage, match=r"stamp_leap: IMU stamp 60000000000 ns is 60.0 s after the newest"):
         guard.check(60 * NS_PER_S)
 
 
 def test_a_recording_thinned_of_images_loses_none() -> None:
-    guard = LeapGuard("image", IMAGE_LEAP_S)
+    guard = TimeJumpGuard("image", IMAGE_LEAP_S)
     for seconds in (0, 8, 16, 40):
         guard.check(seconds * NS_PER_S)

@@ -99,18 +99,18 @@ class _Air:
     def send(self, name: str, joint: JointInformation) -> None:
         """Let a vehicle send what it has to say at an epoch, as far as its budget goes."""
         member, stamp_ns = self._fleet[name], joint.stamp_ns
-        if not member.outbox.is_turn(stamp_ns):
+        if not member.outbox.should_send(stamp_ns):
             return
         packet = member.fusion.packet(joint, byte_limit=member.outbox.available(stamp_ns))
         size = payload_bytes(packet)
-        if member.outbox.take(stamp_ns, size):
+        if member.outbox.try_reserve(stamp_ns, size):
             self._on_packet(member.fusion, packet, size)
             for link in self._from(name).values():
                 link.send(stamp_ns, size, Sent(packet))
         if self._configs[name].returns_feedback:
             for peer, link in self._from(name).items():
                 feedback = member.fusion.feedback(peer)
-                if feedback is not None and member.outbox.take(stamp_ns, size := payload_bytes(feedback)):
+                if feedback is not None and member.outbox.try_reserve(stamp_ns, size := payload_bytes(feedback)):
                     link.send(stamp_ns, size, Sent(feedback, returned=True))
 
     def deliver(self, now_ns: int) -> None:
@@ -122,13 +122,13 @@ class _Air:
                     (member.fusion.returned if sent.returned else member.fusion.inbox).add(sent.packet)
                 except InvalidMessage:
                     continue
-                member.outbox.hear(sent.packet.stamp_ns)
+                member.outbox.on_packet(sent.packet.stamp_ns)
                 if self._configs[receiver].relay and not sent.returned:
                     self._relay(sent, receiver, now_ns, but_to={sender, sent.packet.vehicle})
 
     def _relay(self, sent: Sent, name: str, now_ns: int, *, but_to: set[str]) -> None:
         size = payload_bytes(sent.packet)
-        if self._fleet[name].outbox.take(now_ns, size):
+        if self._fleet[name].outbox.try_reserve(now_ns, size):
             for peer, link in self._from(name).items():
                 if peer not in but_to:
                     link.send(now_ns, size, sent)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.propagator import IncrementCutter
+from uav_vslam.ins.preintegrator import ImuPreintegrator
 from uav_vslam.slam.stage import FrameOutput, SlamStage
-from uav_vslam.stamps import IMU_LEAP_S, LeapGuard
+from uav_vslam.stamps import IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 
@@ -46,8 +46,8 @@ class VehiclePipeline:
     ) -> None:
         """Begin at a state, or with `start.method: in_flight` at the one that is found: then it may be None."""
         self._frontend = make_frontend(rig, config.frontend, config.rig)
-        self._cutter = IncrementCutter(config.imu, initial.state if initial else None)
-        self._imu_stamps = LeapGuard("IMU", IMU_LEAP_S)
+        self._preintegrator = ImuPreintegrator(config.imu, initial.state if initial else None)
+        self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
         self._slam = SlamStage(config, vehicle=vehicle, session=session)
         self._slam.rig = rig
         if initial is not None:
@@ -67,21 +67,21 @@ class VehiclePipeline:
                 yield from self.add_imu(event) if isinstance(event, ImuSample) else self.add_frame(event)
             except InvalidMessage as error:  # dropped and counted, as the nodes do
                 self._refused[error.reason] += 1
-        yield from self._complete(self._cutter.increments(flush=True))
+        yield from self._complete(self._preintegrator.increments(flush=True))
 
     def add_imu(self, sample: ImuSample) -> list[FrameOutput]:
         """Take in a reading; it may complete a waiting frame."""
         self._imu_stamps.check(sample.stamp_ns)
-        self._cutter.add_imu(sample)
-        return self._complete(self._cutter.increments())
+        self._preintegrator.add_imu(sample)
+        return self._complete(self._preintegrator.increments())
 
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
         """Take in a frame, or its features where they are simulated; frames before the start state are dropped."""
         self.track.frames_in += 1
         self._slam.add_features(self._look(frame) if isinstance(frame, StereoFrame) else frame)
-        if self._cutter.start_ns is None or frame.stamp_ns > self._cutter.start_ns:
-            self._cutter.add_frame_stamp(frame.stamp_ns)
-        return self._complete(self._cutter.increments())
+        if self._preintegrator.start_ns is None or frame.stamp_ns > self._preintegrator.start_ns:
+            self._preintegrator.add_frame_stamp(frame.stamp_ns)
+        return self._complete(self._preintegrator.increments())
 
     def _look(self, frame: StereoFrame) -> StereoFeatures:
         """Run the front end; what it finds wrong is counted, and told when it happens first.

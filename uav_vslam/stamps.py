@@ -4,11 +4,11 @@
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.types import NS_PER_S
 
-IMU_LEAP_S = 5.0  # no inertial unit that works is silent for so long
+IMU_TIME_JUMP_S = 5.0  # no inertial unit that works is silent for so long
 IMAGE_LEAP_S = 30.0  # recordings thinned by what the cameras show have gaps of many seconds
 
 
-class LeapGuard:
+class TimeJumpGuard:
     """Refuses a stamp far ahead of all before it, unless the next one comes soon after it: then time did go on.
 
     Whether stamps rise at all is left to whoever needs that.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.association import InView
-from uav_vslam.association.looks import Looks
+from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 from uav_vslam.types import StereoFeatures
 
 Scene = Callable[..., tuple[InView, StereoFeatures]]
@@ -25,7 +25,7 @@ def scene() -> Scene:
         descriptors = rng.integers(40, 216, (count, 128)).astype(np.uint8)
         seen = np.clip(descriptors + rng.normal(0.0, noise, descriptors.shape), 0, 255).astype(np.uint8)
         S = np.tile(30.0 * np.eye(4), (count, 1, 1))
-        marks = InView(3 * np.arange(count), pixels + off_px, S, descriptors, Looks.of(descriptors))
-        return marks, StereoFeatures(0, (pixels + rng.normal(0, 0.5, pixels.shape)).astype(np.float32), seen)
+        in_view = InView(3 * np.arange(count), pixels + off_px, S, descriptors, DescriptorStatistics.of(descriptors))
+        return in_view, StereoFeatures(0, (pixels + rng.normal(0, 0.5, pixels.shape)).astype(np.float32), seen)
 
     return make

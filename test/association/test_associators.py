@@ -23,8 +23,8 @@ def test_the_configuration_knows_all_names():
 
 
 def test_landmarks_seen_again_are_recognised(scene, name):
-    marks, seen = scene(80)
-    pairs = ASSOCIATORS[name](marks, seen, CONFIG)
+    in_view, seen = scene(80)
+    pairs = ASSOCIATORS[name](in_view, seen, CONFIG)
     np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
     least = {"cds": 8, "coarse_fine": FINE_MATCHES, "gtm": 60, "gated_gtm": 60}.get(name, 80)
     assert len(pairs) >= least
@@ -32,8 +32,8 @@ def test_landmarks_seen_again_are_recognised(scene, name):
 
 @pytest.mark.parametrize(("landmarks", "features"), [(0, 0), (0, 9), (9, 0)])
 def test_nothing_is_found_where_there_is_nothing(scene, name, landmarks, features):
-    marks, seen = scene(landmarks)[0], scene(features)[1]
-    pairs = ASSOCIATORS[name](marks, seen, CONFIG)
+    in_view, seen = scene(landmarks)[0], scene(features)[1]
+    pairs = ASSOCIATORS[name](in_view, seen, CONFIG)
     assert pairs.shape == (0, 2)
     assert np.issubdtype(pairs.dtype, np.integer)
 
@@ -47,27 +47,34 @@ def test_few_are_no_hindrance(scene, name, landmarks, features):
 
 def test_equal_looks_at_one_place_are_left_out_or_told_apart(scene, name):
     """All features look as landmark 0 does; a thinned frame may hold but one of them."""
-    marks, seen = scene(30)
-    marks = dataclasses.replace(marks, expected=np.tile(marks.expected[:1], (30, 1)))
+    in_view, seen = scene(30)
+    in_view = dataclasses.replace(in_view, expected=np.tile(in_view.expected[:1], (30, 1)))
     same = dataclasses.replace(
         seen, pixels=np.tile(seen.pixels[:1], (30, 1)), descriptors=np.tile(seen.descriptors[:1], (30, 1))
     )
-    assert ASSOCIATORS[name](marks, same, CONFIG)[:, 0].tolist() in ([], [0])
+    assert ASSOCIATORS[name](in_view, same, CONFIG)[:, 0].tolist() in ([], [0])
 
 
 def test_nobody_is_used_twice(scene, name):
     """Many landmarks that look alike: what there is of order comes from the associator."""
-    marks, seen = scene(200, noise=60.0)[0], scene(150, seed=1, noise=60.0)[1]
-    pairs = ASSOCIATORS[name](marks, seen, CONFIG)
+    in_view, seen = scene(200, noise=60.0)[0], scene(150, seed=1, noise=60.0)[1]
+    pairs = ASSOCIATORS[name](in_view, seen, CONFIG)
     assert (np.diff(pairs[:, 0]) > 0).all()
     assert len(np.unique(pairs[:, 1])) == len(pairs)
 
 
 def test_association_repeats_and_changes_nothing(scene, name):
-    marks, seen = scene(60, noise=40.0)
-    kept = [marks.expected, marks.S, marks.descriptors, marks.looks.mean, marks.looks.scatter, seen.pixels]
+    in_view, seen = scene(60, noise=40.0)
+    kept = [
+        in_view.expected,
+        in_view.S,
+        in_view.descriptors,
+        in_view.statistics.mean,
+        in_view.statistics.scatter,
+        seen.pixels,
+    ]
     copies = [array.copy() for array in kept]
-    first, second = (ASSOCIATORS[name](marks, seen, CONFIG) for _ in range(2))
+    first, second = (ASSOCIATORS[name](in_view, seen, CONFIG) for _ in range(2))
     np.testing.assert_array_equal(first, second)
     for array, copy in zip(kept, copies, strict=True):
         np.testing.assert_array_equal(array, copy)
@@ -76,11 +83,11 @@ def test_association_repeats_and_changes_nothing(scene, name):
 @pytest.mark.parametrize("strict", ["gated", "gated_classification", "ransac", "gtm", "hgtm", "gated_hgtm"])
 def test_a_look_alike_elsewhere_is_seen_through(scene, strict):
     """Ten features exchange their looks with one another, so that each is found where another landmark is expected."""
-    marks, seen = scene(80)
+    in_view, seen = scene(80)
     swapped = np.arange(80)
     swapped[:10] = np.roll(swapped[:10], 1)
     misled = dataclasses.replace(seen, descriptors=seen.descriptors[swapped])
-    pairs = ASSOCIATORS[strict](marks, misled, CONFIG)
+    pairs = ASSOCIATORS[strict](in_view, misled, CONFIG)
     assert (pairs[:, 0] == pairs[:, 1]).all()
     assert len(pairs) > 40
-    assert (ASSOCIATORS["nn"](marks, misled, CONFIG)[:10] != ASSOCIATORS["nn"](marks, seen, CONFIG)[:10]).any()
+    assert (ASSOCIATORS["nn"](in_view, misled, CONFIG)[:10] != ASSOCIATORS["nn"](in_view, seen, CONFIG)[:10]).any()

@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 
 from uav_vslam.association.classification import classify, squared_mahalanobis
-from uav_vslam.association.looks import Looks
+from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 from uav_vslam.association.nearest import nn
 from uav_vslam.config import BackendConfig
 
@@ -15,42 +15,42 @@ CONFIG = BackendConfig()
 
 def test_the_distance_is_mahalanobis_by_the_formula():
     rng = np.random.default_rng(1)
-    looks = Looks.of(rng.integers(0, 256, (5, 16)).astype(np.uint8))
-    looks.observe(np.arange(5), rng.integers(0, 256, (5, 16)).astype(np.uint8))
+    statistics = DescriptorStatistics.of(rng.integers(0, 256, (5, 16)).astype(np.uint8))
+    statistics.observe(np.arange(5), rng.integers(0, 256, (5, 16)).astype(np.uint8))
     d = rng.integers(0, 256, (7, 16)).astype(np.uint8)
     expected = [
         [(x - mean) @ np.linalg.inv(np.diag(v)) @ (x - mean) for x in d.astype(float)]
-        for mean, v in zip(looks.mean, looks.variance(), strict=True)
+        for mean, v in zip(statistics.mean, statistics.variance(), strict=True)
     ]
-    np.testing.assert_allclose(squared_mahalanobis(looks, d), expected, rtol=1e-5)
-    assert squared_mahalanobis(looks, d[:0]).shape == (5, 0)
-    assert squared_mahalanobis(Looks.of(d[:0]), d).shape == (0, 7)
+    np.testing.assert_allclose(squared_mahalanobis(statistics, d), expected, rtol=1e-5)
+    assert squared_mahalanobis(statistics, d[:0]).shape == (5, 0)
+    assert squared_mahalanobis(DescriptorStatistics.of(d[:0]), d).shape == (0, 7)
 
 
 def test_one_odd_view_does_not_replace_what_was_learnt(scene):
     """The newest look of a landmark was spoilt; the mean of five good ones still finds it."""
-    marks, seen = scene(40)
+    in_view, seen = scene(40)
     rng = np.random.default_rng(3)
-    good = marks.descriptors
+    good = in_view.descriptors
     for _ in range(4):
-        marks.looks.observe(np.arange(40), np.clip(good + rng.normal(0, 6, good.shape), 0, 255).astype(np.uint8))
+        in_view.statistics.observe(np.arange(40), np.clip(good + rng.normal(0, 6, good.shape), 0, 255).astype(np.uint8))
     spoilt = good.copy()
     spoilt[0] = rng.integers(40, 216, 128)
-    marks.looks.observe(np.arange(40), spoilt)
-    marks = dataclasses.replace(marks, descriptors=spoilt)
-    assert 0 in classify(marks, seen, CONFIG)[:, 0]
-    assert 0 not in nn(marks, seen, CONFIG)[:, 0]
+    in_view.statistics.observe(np.arange(40), spoilt)
+    in_view = dataclasses.replace(in_view, descriptors=spoilt)
+    assert 0 in classify(in_view, seen, CONFIG)[:, 0]
+    assert 0 not in nn(in_view, seen, CONFIG)[:, 0]
 
 
 def test_numbers_that_vary_from_view_to_view_count_little():
     """Half of a descriptor is noise from view to view; the true landmark is farther off there than a stranger."""
     rng = np.random.default_rng(4)
     steady, noisy = rng.integers(100, 156, (30, 32)), 128
-    looks = Looks.of(np.hstack([steady, np.full((30, 32), noisy)]).astype(np.uint8))
+    statistics = DescriptorStatistics.of(np.hstack([steady, np.full((30, 32), noisy)]).astype(np.uint8))
     for _ in range(10):
         view = np.hstack([steady + rng.normal(0, 2, (30, 32)), noisy + rng.normal(0, 40, (30, 32))])
-        looks.observe(np.arange(30), np.clip(np.rint(view), 0, 255).astype(np.uint8))
+        statistics.observe(np.arange(30), np.clip(np.rint(view), 0, 255).astype(np.uint8))
     view = np.hstack([steady[0] + 2, np.clip(noisy + rng.normal(0, 40, 32), 0, 255)]).astype(np.uint8)
-    distance2 = squared_mahalanobis(looks, view[None])[:, 0]
+    distance2 = squared_mahalanobis(statistics, view[None])[:, 0]
     assert np.argmin(distance2) == 0
     assert distance2[0] < 0.7 * np.sort(distance2)[1]

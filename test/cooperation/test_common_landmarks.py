@@ -63,7 +63,7 @@ def test_shared_landmarks_are_found_even_between_maps_that_drifted(scene, shift_
 
 
 @pytest.mark.parametrize("policy", [COMPACT, dataclasses.replace(COMPACT, form=DENSE)], ids=lambda p: p.form)
-def test_compressed_descriptors_are_compared_with_own_ones_compressed_alike(scene, policy: PacketPolicy) -> None:
+def test_compressed_descriptors_are_compared_with_own_ones_compressed_similar(scene, policy: PacketPolicy) -> None:
     assert scene(policy=policy) == scene()
     assert scene(policy=policy, wrong=5) == scene(wrong=5)
 

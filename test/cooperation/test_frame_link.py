@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation import heard_map
+from uav_vslam.cooperation import received_map
 from uav_vslam.cooperation.frame_link import MISFITS, FrameLink
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
@@ -46,7 +46,7 @@ def meet(make_joint, sent_map):
 @pytest.fixture
 def each_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a link judge by the newest packet alone."""
-    monkeypatch.setattr(heard_map, "HEARD_LANDMARKS", 0)
+    monkeypatch.setattr(received_map, "RECEIVED_LANDMARKS", 0)
 
 
 def assert_known(link: FrameLink, T: Pose) -> None:

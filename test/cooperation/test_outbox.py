@@ -19,8 +19,8 @@ def epochs(count: int) -> list[int]:
 def test_packets_as_large_as_the_budget_on_average_all_leave_although_epochs_are_uneven() -> None:
     outbox = Outbox(FusionConfig(mode="wideband"))
     stamps = epochs(100)
-    assert not outbox.take(stamps[0], MODE_BUDGETS["wideband"] + 1)
-    sent = [outbox.take(stamp_ns, MODE_BUDGETS["wideband"]) for stamp_ns in stamps]
+    assert not outbox.try_reserve(stamps[0], MODE_BUDGETS["wideband"] + 1)
+    sent = [outbox.try_reserve(stamp_ns, MODE_BUDGETS["wideband"]) for stamp_ns in stamps]
     assert sent.count(True) >= 98  # the budget begins with one epoch's share, and two are saved at most
     assert outbox.over_budget == sent.count(False) + 1
     assert outbox.sent_bytes_per_s == pytest.approx(MODE_BUDGETS["wideband"], rel=0.02)
@@ -29,27 +29,27 @@ def test_packets_as_large_as_the_budget_on_average_all_leave_although_epochs_are
 def test_narrowband_saves_for_large_packets_and_uses_up_its_budget() -> None:
     outbox, sizes = Outbox(FusionConfig(mode="narrowband")), []
     for stamp_ns in epochs(90):
-        if outbox.is_turn(stamp_ns):
+        if outbox.should_send(stamp_ns):
             sizes.append(min(outbox.available(stamp_ns), NARROWBAND_PACKET_BYTES))
-            assert outbox.take(stamp_ns, sizes[-1])
+            assert outbox.try_reserve(stamp_ns, sizes[-1])
             assert outbox.bytes_sent <= 900 * (stamp_ns / NS_PER_S + 1)  # from the very first epoch on
-        outbox.hear(stamp_ns)
+        outbox.on_packet(stamp_ns)
     assert 55 <= len(sizes) <= 65  # two epochs of three
     assert min(sizes) >= 1125
     assert max(sizes) == NARROWBAND_PACKET_BYTES
     assert outbox.sent_bytes_per_s == pytest.approx(900, rel=0.02)
-    assert not outbox.take(10**15, 1801)  # more than two epochs earn, however long one waits
+    assert not outbox.try_reserve(10**15, 1801)  # more than two epochs earn, however long one waits
 
 
 def test_where_every_peer_costs_a_copy_narrowband_saves_for_all_of_them() -> None:
     outbox, sent = Outbox(FusionConfig(mode="narrowband")), 0
     outbox.configure(FusionConfig(mode="narrowband"), copies=5)
     for stamp_ns in epochs(90):
-        if outbox.is_turn(stamp_ns, copies=5):
+        if outbox.should_send(stamp_ns, copies=5):
             assert outbox.available(stamp_ns) // 5 >= 1125
-            assert outbox.take(stamp_ns, 5 * 1125)
+            assert outbox.try_reserve(stamp_ns, 5 * 1125)
             sent += 1
-        outbox.hear(stamp_ns)
+        outbox.on_packet(stamp_ns)
     assert 13 <= sent <= 15
 
 
@@ -57,9 +57,9 @@ def test_where_every_peer_costs_a_copy_narrowband_saves_for_all_of_them() -> Non
 def test_a_narrowband_of_ones_own_waits_for_its_own_share(rate: int, first: list[bool]) -> None:
     outbox, turns_taken = Outbox(FusionConfig(mode="narrowband", budget_bytes_per_s=rate)), []
     for stamp_ns in (0, NS_PER_S, 2 * NS_PER_S):
-        turns_taken.append(outbox.is_turn(stamp_ns))
+        turns_taken.append(outbox.should_send(stamp_ns))
         if turns_taken[-1]:
-            assert outbox.take(stamp_ns, min(outbox.available(stamp_ns), NARROWBAND_PACKET_BYTES))
+            assert outbox.try_reserve(stamp_ns, min(outbox.available(stamp_ns), NARROWBAND_PACKET_BYTES))
     assert turns_taken == first
 
 
@@ -70,16 +70,16 @@ def test_a_budget_of_ones_own_replaces_the_modes() -> None:
 
 def test_another_mode_brings_its_budget_and_keeps_the_counts() -> None:
     outbox = Outbox(FusionConfig(mode="wideband"))
-    assert outbox.take(0, 80_000)
+    assert outbox.try_reserve(0, 80_000)
     outbox.configure(FusionConfig(mode="narrowband"))
-    assert not outbox.take(NS_PER_S, 80_000)
-    assert outbox.take(NS_PER_S, 900)
+    assert not outbox.try_reserve(NS_PER_S, 80_000)
+    assert outbox.try_reserve(NS_PER_S, 900)
     assert (outbox.packets_sent, outbox.bytes_sent, outbox.over_budget) == (2, 80_900, 1)
 
 
 def test_nothing_leaves_a_vehicle_that_does_not_cooperate() -> None:
     outbox = Outbox(FusionConfig(mode="none"))
-    assert not outbox.take(10**15, 1)
+    assert not outbox.try_reserve(10**15, 1)
 
 
 def test_before_the_first_packet_the_rate_is_zero() -> None:
@@ -87,15 +87,15 @@ def test_before_the_first_packet_the_rate_is_zero() -> None:
 
 
 def turns(outbox: Outbox, seconds: range) -> list[bool]:
-    return [outbox.is_turn(second * NS_PER_S) for second in seconds]
+    return [outbox.should_send(second * NS_PER_S) for second in seconds]
 
 
 def test_while_nobody_is_heard_a_narrow_radio_is_left_to_discovery() -> None:
     outbox = Outbox(FusionConfig(mode="narrowband", silent_after_s=2.0))
     assert turns(outbox, range(100, 101)) == [False]  # nothing saved yet
     assert turns(outbox, range(101, 108)) == [True] * 4 + [False] * 3
-    outbox.hear(107 * NS_PER_S)
-    outbox.hear(99 * NS_PER_S)  # a late packet makes nobody silent
+    outbox.on_packet(107 * NS_PER_S)
+    outbox.on_packet(99 * NS_PER_S)  # a late packet makes nobody silent
     assert turns(outbox, range(108, 119)) == [True] * 7 + [False] * 3 + [True]
 
 
@@ -107,6 +107,6 @@ def test_other_modes_send_at_every_epoch_or_at_none(mode: str, expected: bool) -
 def test_a_stamp_from_the_future_does_not_pass_for_a_peer_that_is_heard_for_ever() -> None:
     outbox = Outbox(FusionConfig(mode="narrowband"))
     turns(outbox, range(100, 101))
-    outbox.hear(10**18)
+    outbox.on_packet(10**18)
     assert turns(outbox, range(101, 104)) == [True, True, True]
     assert turns(outbox, range(120, 126)) == [True] * 5 + [False]

@@ -50,13 +50,13 @@ class Dense:
         whole[: self.vehicle, : self.vehicle], noise[: self.vehicle, : self.vehicle] = F, Q
         return Dense(whole @ self.P @ whole.T + noise, self.vehicle)
 
-    def renewed(self, rows: Array, variance: float) -> "Dense":
+    def reset_rows(self, rows: Array, variance: float) -> "Dense":
         P = self.P.copy()
         P[rows], P[:, rows] = 0.0, 0.0
         P[rows, rows] = variance
         return Dense(P, self.vehicle)
 
-    def loosened(self, B: Array) -> "Dense":
+    def information_removed(self, B: Array) -> "Dense":
         Y = np.linalg.inv(self.P)
         Y[: self.vehicle, : self.vehicle] -= B.T @ B
         return Dense(np.linalg.inv(Y), self.vehicle)
@@ -83,7 +83,7 @@ class Dense:
         gone = landmark_rows(self.vehicle, landmarks)
         return Dense(np.delete(np.delete(self.P, gone, axis=0), gone, axis=1), self.vehicle)
 
-    def sheared(self, B: Array, columns: slice) -> "Dense":
+    def coordinates_changed(self, B: Array, columns: slice) -> "Dense":
         T = np.eye(len(self.P))
         T[:, columns] -= B
         return Dense(T @ self.P @ T.T, self.vehicle)
@@ -215,7 +215,7 @@ def test_renewed_rows_are_independent_of_all_else(form: type[Belief], seed: int,
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     rows = draw.choice(m)
-    assert_holds(belief.renewed(rows, 0.7), dense.renewed(rows, 0.7))
+    assert_holds(belief.reset_rows(rows, 0.7), dense.reset_rows(rows, 0.7))
 
 
 @FEW
@@ -224,7 +224,7 @@ def test_loosening_takes_information_away(form: type[Belief], seed: int, m: int,
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     B = draw.bound(dense)
-    assert_holds(belief.loosened(B), dense.loosened(B))
+    assert_holds(belief.information_removed(B), dense.information_removed(B))
 
 
 @FEW
@@ -259,7 +259,7 @@ def test_shearing_changes_coordinates(form: type[Belief], seed: int, m: int, n: 
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     B, columns = draw.shear(dense)
-    assert_holds(belief.sheared(B, columns), dense.sheared(B, columns))
+    assert_holds(belief.coordinates_changed(B, columns), dense.coordinates_changed(B, columns))
 
 
 @FEW
@@ -361,9 +361,9 @@ def test_operations_modify_neither_the_belief_nor_what_they_are_given(
     for operate in (
         lambda b: b.predicted(F, Q),
         lambda b: b.updated(seen).belief,
-        lambda b: b.sheared(B, columns),
-        lambda b: b.loosened(bound),
-        lambda b: b.renewed(np.arange(2), 1.0),
+        lambda b: b.coordinates_changed(B, columns),
+        lambda b: b.information_removed(bound),
+        lambda b: b.reset_rows(np.arange(2), 1.0),
         lambda b: b.appended(*fresh),
         lambda b: b.marginalised(gone),
     ):
@@ -384,7 +384,7 @@ def test_what_is_not_positive_definite_is_refused(form: type[Belief]) -> None:
     belief = form.from_covariance(np.eye(4))
     too_much = np.array([[0.0, 1.01, 0.0, 0.0]])  # more information than there is
     with pytest.raises(FilterDivergence, match="not positive definite"):
-        belief.loosened(too_much).covariance(NONE)
+        belief.information_removed(too_much).covariance(NONE)
 
 
 def test_normal_equations_are_those_of_the_dense_jacobian() -> None:
@@ -423,18 +423,18 @@ class Sequences(RuleBasedStateMachine):
 
     @rule()
     def renew(self) -> None:
-        self._each("renewed", self.draw.choice(self.dense.vehicle), 0.5)
+        self._each("reset_rows", self.draw.choice(self.dense.vehicle), 0.5)
 
     @rule()
     def loosen(self) -> None:
         """As long as it can be compared: many times in a row it doubles the condition number each time."""
         sigma = np.sqrt(np.diag(self.dense.P))
         if np.linalg.cond(self.dense.P / np.outer(sigma, sigma)) < 1e5:
-            self._each("loosened", self.draw.bound(self.dense))
+            self._each("information_removed", self.draw.bound(self.dense))
 
     @rule()
     def shear(self) -> None:
-        self._each("sheared", *self.draw.shear(self.dense))
+        self._each("coordinates_changed", *self.draw.shear(self.dense))
 
     @rule(count=st.integers(0, 2))
     def append(self, count: int) -> None:

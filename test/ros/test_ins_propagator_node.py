@@ -11,7 +11,7 @@ from geometry_msgs.msg import Vector3  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
 
 from uav_vslam.geometry.pose import Pose  # noqa: E402
-from uav_vslam.ins.early import MAX_APART_S  # noqa: E402
+from uav_vslam.ins.startup_buffer import MAX_APART_S  # noqa: E402
 from uav_vslam.ros.convert import header, navigation_to_msg  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState  # noqa: E402
@@ -98,7 +98,7 @@ def test_rest_is_averaged_for_as_long_as_is_said(make: Make, rest_s: float) -> N
     assert node._live is None
     rest(node, NOW_NS + round((rest_s - 0.005) * NS_PER_S), 0.2)
     assert node._live is not None
-    assert node._cutter.start_ns == NOW_NS + round(rest_s * NS_PER_S)
+    assert node._preintegrator.start_ns == NOW_NS + round(rest_s * NS_PER_S)
     assert node.counts["increments"] > 3
 
 

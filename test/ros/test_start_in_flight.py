@@ -127,7 +127,7 @@ def test_the_start_that_the_back_end_finds_starts_the_ins(graph: Graph, vehicle:
 
 def newest_of(ins: InsPropagatorNode) -> int:
     """Return the stamp of the newest reading that the node has taken in."""
-    samples = ins._cutter._buffer._samples
+    samples = ins._preintegrator._buffer._samples
     return samples[-1].stamp_ns if samples else -1
 
 

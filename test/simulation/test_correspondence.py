@@ -29,7 +29,7 @@ def test_points_lie_on_the_ground_and_are_seen_where_they_were(vehicle: Simulate
     np.testing.assert_allclose(pixels_of(points, camera, T_world_cam), pixels, atol=1e-6)
 
 
-def test_corresponding_pixels_of_rendered_images_look_alike(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
+def test_corresponding_pixels_of_rendered_images_look_similar(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
     relief, camera, flight = ground_of(vehicle.scenario).relief, vehicle.rig.left, RenderedFlight(vehicle)
     poses = [vehicle.truth.pose(float(t)) @ vehicle.rig.T_body_left for t in vehicle.frame_times_s]
     there = pixels_of(ground_points(pixels, camera, poses[0], relief), camera, poses[1])

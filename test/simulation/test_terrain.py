@@ -58,7 +58,7 @@ def test_a_picture_lies_on_the_ground_at_its_own_scale(tmp_path: Path) -> None:
     assert noise.std() < 10.0
 
 
-def test_repeated_pictures_are_not_alike(tmp_path: Path) -> None:
+def test_repeated_pictures_are_not_similar(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "ground.png"), np.full((600, 800), 120, np.uint8))
     texture = texture_from(str(tmp_path / "ground.png"), 0, image_m_per_px=0.05)
     here, there = texture.window(0, 0, 200, 200), texture.window(800, 0, 1000, 200)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.association import ASSOCIATORS, InView
-from uav_vslam.association.looks import Looks
+from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 from uav_vslam.config import BackendConfig
 from uav_vslam.slam.known_tracks import followed, tracks_first
 from uav_vslam.types import StereoFeatures
@@ -18,7 +18,7 @@ PERMUTED = np.array([3, 0, 4, 1, 2])  # feature k shows landmark PERMUTED[k]
 
 
 def landmarks() -> InView:
-    return InView(np.arange(5) + 10, EXPECTED, np.tile(np.eye(4), (5, 1, 1)), LOOKS, Looks.of(LOOKS))
+    return InView(np.arange(5) + 10, EXPECTED, np.tile(np.eye(4), (5, 1, 1)), LOOKS, DescriptorStatistics.of(LOOKS))
 
 
 def features(tracks: list[int], *, offset_px: float = 0.0) -> StereoFeatures:
@@ -51,9 +51,9 @@ def test_a_track_that_has_left_its_landmarks_gate_is_no_pair() -> None:
 def test_what_has_no_track_is_left_to_the_associator() -> None:
     seen_by_it: list[tuple[list[int], int]] = []
 
-    def watched(marks: InView, seen: StereoFeatures, config: BackendConfig) -> np.ndarray:
-        seen_by_it.append((marks.rows.tolist(), len(seen)))
-        return ASSOCIATORS["gated"](marks, seen, config)
+    def watched(landmark_map: InView, seen: StereoFeatures, config: BackendConfig) -> np.ndarray:
+        seen_by_it.append((landmark_map.rows.tolist(), len(seen)))
+        return ASSOCIATORS["gated"](landmark_map, seen, config)
 
     tracks = np.array([21, 22, 0, 0, 0], np.uint32)
     found = tracks_first(watched, landmarks(), tracks, features([31, 21, 32, 22, 33]), CONFIG)

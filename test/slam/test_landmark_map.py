@@ -11,74 +11,74 @@ def looks(*values: int) -> np.ndarray:
 
 
 def test_new_landmarks_get_fresh_identifiers_even_after_a_removal() -> None:
-    marks = LandmarkMap()
-    marks.append(looks(1, 2, 3), 0)
-    marks.remove(np.array([1, 2]))
-    marks.append(looks(4), 5)
-    assert marks.ids.tolist() == [1, 4]
-    assert marks.born.tolist() == [0, 5]
-    assert marks.descriptors[:, 0].tolist() == [1, 4]
-    assert len(marks) == 2
+    landmark_map = LandmarkMap()
+    landmark_map.append(looks(1, 2, 3), 0)
+    landmark_map.remove(np.array([1, 2]))
+    landmark_map.append(looks(4), 5)
+    assert landmark_map.ids.tolist() == [1, 4]
+    assert landmark_map.born.tolist() == [0, 5]
+    assert landmark_map.descriptors[:, 0].tolist() == [1, 4]
+    assert len(landmark_map) == 2
 
 
 def test_an_observation_renews_the_look_and_counts() -> None:
-    marks = LandmarkMap()
-    marks.append(looks(1, 2, 3), 0)
-    marks.observe(np.array([2, 0]), looks(9, 8), 7)
-    assert marks.descriptors[:, 0].tolist() == [8, 2, 9]
-    assert marks.seen.tolist() == [7, 0, 7]
-    assert marks.born.tolist() == [0, 0, 0]
-    assert marks.observations.tolist() == [2, 1, 2]
+    landmark_map = LandmarkMap()
+    landmark_map.append(looks(1, 2, 3), 0)
+    landmark_map.observe(np.array([2, 0]), looks(9, 8), 7)
+    assert landmark_map.descriptors[:, 0].tolist() == [8, 2, 9]
+    assert landmark_map.seen.tolist() == [7, 0, 7]
+    assert landmark_map.born.tolist() == [0, 0, 0]
+    assert landmark_map.observations.tolist() == [2, 1, 2]
 
 
 def test_a_look_that_a_track_carries_on_is_no_other_view() -> None:
-    marks = LandmarkMap()
-    marks.append(looks(1, 2), 0)
+    landmark_map = LandmarkMap()
+    landmark_map.append(looks(1, 2), 0)
     for frame in range(1, 9):
-        marks.observe(np.array([0, 1]), looks(1, 2 + frame), frame)
-    assert marks.looks.count.tolist() == [1, 9]
-    assert marks.observations.tolist() == [9, 9]
+        landmark_map.observe(np.array([0, 1]), looks(1, 2 + frame), frame)
+    assert landmark_map.statistics.count.tolist() == [1, 9]
+    assert landmark_map.observations.tolist() == [9, 9]
 
 
 def test_what_was_left_behind_is_long_unseen_until_it_is_seen_again() -> None:
-    marks = LandmarkMap()
-    marks.append(looks(1, 2, 3), 0)
-    marks.observe(np.array([1]), looks(9), 1)
-    assert marks.long_unseen(LONG_FRAMES - 1).tolist() == [False, False, False]
-    assert marks.long_unseen(LONG_FRAMES).tolist() == [True, False, True]
-    marks.observe(np.array([2]), looks(9), LONG_FRAMES)
-    assert marks.long_unseen(LONG_FRAMES).tolist() == [True, False, False]
+    landmark_map = LandmarkMap()
+    landmark_map.append(looks(1, 2, 3), 0)
+    landmark_map.observe(np.array([1]), looks(9), 1)
+    assert landmark_map.long_unseen(LONG_FRAMES - 1).tolist() == [False, False, False]
+    assert landmark_map.long_unseen(LONG_FRAMES).tolist() == [True, False, True]
+    landmark_map.observe(np.array([2]), looks(9), LONG_FRAMES)
+    assert landmark_map.long_unseen(LONG_FRAMES).tolist() == [True, False, False]
 
 
 def test_nothing_appended_seen_or_removed_changes_nothing() -> None:
-    marks = LandmarkMap()
+    landmark_map = LandmarkMap()
     none = np.zeros(0, np.intp)
     for size in (0, 2):
-        marks.append(looks(*range(size)), 0)
-        marks.append(looks(), 1)
-        marks.observe(none, looks(), 1)
-        marks.remove(none)
-        assert len(marks) == len(marks.descriptors) == len(marks.seen) == size
+        landmark_map.append(looks(*range(size)), 0)
+        landmark_map.append(looks(), 1)
+        landmark_map.observe(none, looks(), 1)
+        landmark_map.remove(none)
+        assert len(landmark_map) == len(landmark_map.descriptors) == len(landmark_map.seen) == size
 
 
 def test_the_first_landmarks_decide_the_descriptors_length() -> None:
-    marks = LandmarkMap()
-    marks.append(np.ones((2, 64), np.uint8), 0)
-    assert marks.descriptors.shape == (2, 64)
+    landmark_map = LandmarkMap()
+    landmark_map.append(np.ones((2, 64), np.uint8), 0)
+    assert landmark_map.descriptors.shape == (2, 64)
 
 
 def test_identifiers_stay_32_bit() -> None:
-    marks = LandmarkMap()
-    marks.append(looks(1, 2), 0)
-    assert marks.ids.dtype == np.uint32
+    landmark_map = LandmarkMap()
+    landmark_map.append(looks(1, 2), 0)
+    assert landmark_map.ids.dtype == np.uint32
 
 
 def test_a_track_shows_one_landmark_only():
-    marks = LandmarkMap()
-    marks.append(np.zeros((3, 128), np.uint8), 0, np.array([5, 6, 7], np.uint32))
-    marks.observe(np.array([0]), np.ones((1, 128), np.uint8), 1, np.array([7], np.uint32))
-    assert marks.tracks.tolist() == [7, 6, 0]
-    marks.remove(np.array([1]))
-    assert marks.tracks.tolist() == [7, 0]
-    marks.observe(np.array([0]), np.ones((1, 128), np.uint8), 2)
-    assert marks.tracks.tolist() == [0, 0]
+    landmark_map = LandmarkMap()
+    landmark_map.append(np.zeros((3, 128), np.uint8), 0, np.array([5, 6, 7], np.uint32))
+    landmark_map.observe(np.array([0]), np.ones((1, 128), np.uint8), 1, np.array([7], np.uint32))
+    assert landmark_map.tracks.tolist() == [7, 6, 0]
+    landmark_map.remove(np.array([1]))
+    assert landmark_map.tracks.tolist() == [7, 0]
+    landmark_map.observe(np.array([0]), np.ones((1, 128), np.uint8), 2)
+    assert landmark_map.tracks.tolist() == [0, 0]

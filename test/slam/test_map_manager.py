@@ -26,13 +26,13 @@ def view_of(
 ) -> MapView:
     given = [g for g in (positions, in_view, observations, born, seen, variance) if g is not None]
     n = len(given[0]) if given else count
-    marks = LandmarkMap()
-    marks.append(np.zeros((n, 128), np.uint8), 0)
-    marks.observations = np.full(n, 10) if observations is None else np.array(observations)
-    marks.born = np.zeros(n, np.intp) if born is None else np.array(born)
-    marks.seen = np.full(n, FRAME) if seen is None else np.array(seen)
+    landmark_map = LandmarkMap()
+    landmark_map.append(np.zeros((n, 128), np.uint8), 0)
+    landmark_map.observations = np.full(n, 10) if observations is None else np.array(observations)
+    landmark_map.born = np.zeros(n, np.intp) if born is None else np.array(born)
+    landmark_map.seen = np.full(n, FRAME) if seen is None else np.array(seen)
     return MapView(
-        marks,
+        landmark_map,
         np.column_stack([np.arange(n) * 100.0, np.zeros((n, 2))]) if positions is None else np.array(positions, float),
         lambda: np.ones(n) if variance is None else np.array(variance),
         np.ones(n, bool) if in_view is None else np.array(in_view, bool),

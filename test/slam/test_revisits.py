@@ -99,14 +99,16 @@ class Meeting:
     """Landmarks as a vehicle of hardly known speed meets them again; names are true identities."""
 
     belief: Filter
-    marks: LandmarkMap
+    landmark_map: LandmarkMap
     names: np.ndarray
     features: StereoFeatures
     feature_names: np.ndarray
 
     def recognise(self, rows: np.ndarray, features: StereoFeatures | None = None, **options) -> np.ndarray:
         config = BackendConfig(**options)
-        return recognise(self.belief, self.marks, self.features if features is None else features, rows, config=config)
+        return recognise(
+            self.belief, self.landmark_map, self.features if features is None else features, rows, config=config
+        )
 
     @property
     def seen_again(self) -> np.ndarray:
@@ -121,9 +123,9 @@ def meeting(vehicle, increments) -> Meeting:
     belief = Filter(start, rig=vehicle.rig, imu=vehicle.scenario.imu_config)
     belief.add_landmarks(first.pixels.astype(float))
     belief.predict(increments[1])
-    marks = LandmarkMap()
-    marks.append(first.descriptors, 0)
-    return Meeting(belief, marks, names, second, feature_names)
+    landmark_map = LandmarkMap()
+    landmark_map.append(first.descriptors, 0)
+    return Meeting(belief, landmark_map, names, second, feature_names)
 
 
 def test_a_group_is_recognised_in_wide_gates(meeting: Meeting) -> None:

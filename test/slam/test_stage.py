@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import StartConfig, VehicleConfig
-from uav_vslam.ins.propagator import advance
+from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 
 IN_FLIGHT = StartConfig(method="in_flight")

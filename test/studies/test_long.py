@@ -18,13 +18,13 @@ def test_late_frames_are_compared_with_early_ones_of_the_same_run(make_run, monk
     slow, fast = (np.r_[np.full(10, 99.0), np.full(10, ms), np.full(10, 99.0), np.full(10, 1.5 * ms)] for ms in (8, 2))
     sizes = {"landmarks": np.full(40, 50), "resident_mb": np.r_[np.full(5, 80.0), np.full(6, 90.0), np.full(29, 93.0)]}
     (row,) = long_rows([make_run("grid", frame_ms=slow, **sizes), make_run("grid", frame_ms=fast, **sizes)])
-    assert (row["ms_early"], row["ms_late"], row["late_to_early"]) == (5.0, 7.5, 1.5)
+    assert (row["ms_startup_buffer"], row["ms_late"], row["late_to_startup_buffer"]) == (5.0, 7.5, 1.5)
     assert (row["landmarks_mean"], row["landmarks_max"], row["growth_mb"]) == (50.0, 50, 3.0)
 
 
 def test_a_flight_too_short_to_compare_has_no_ratio(make_run):
     assert len(make_run().truth) < 3 * SPAN
-    assert long_rows([make_run("grid")])[0]["late_to_early"] is None
+    assert long_rows([make_run("grid")])[0]["late_to_startup_buffer"] is None
 
 
 def test_alignment_forgives_the_yaw_of_the_start(make_run):

@@ -142,7 +142,7 @@ def test_root_sift_has_length_one_and_endures_a_descriptor_of_zeros() -> None:
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), [1, 1, 1, 0], rtol=1e-6)
 
 
-def test_a_lone_candidate_is_judged_alike() -> None:
+def test_a_lone_candidate_is_judged_similar() -> None:
     """What the limit keeps of noisy views and of strangers is the same for codes as for raw descriptors."""
     descriptors = some(200)
     noise = np.random.default_rng(1).normal(0, 8, descriptors.shape)

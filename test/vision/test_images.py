@@ -61,7 +61,7 @@ def test_a_grey_image_in_colour_has_equal_channels():
     np.testing.assert_array_equal(to_bgr8(grey[:, :, None]), colour)
 
 
-def test_the_channels_of_a_16_bit_image_are_stretched_alike():
+def test_the_channels_of_a_16_bit_image_are_stretched_similar():
     ramp = np.tile(np.arange(200, 3000, 10, dtype=np.uint16), (40, 1))
     colour = to_bgr8(np.dstack([ramp, ramp // 2, ramp // 4]))
     assert colour.dtype == np.uint8

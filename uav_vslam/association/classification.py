@@ -8,9 +8,9 @@ varies much from view to view of a landmark counts little, and one odd view does
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 from uav_vslam.association.guided import gate
 from uav_vslam.association.in_view import InView
-from uav_vslam.association.looks import Looks
 from uav_vslam.config import BackendConfig
 from uav_vslam.types import StereoFeatures
 from uav_vslam.vision.matching.nn_ratio import match_distances
@@ -20,25 +20,25 @@ Pairs = NDArray[np.intp]
 ALONE_SIGMAS = 3.0  # per number of a descriptor: 98 % of right pairs are nearer, and 5 % of the nearest strangers
 
 
-def classify(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+def classify(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
     """Match mutual nearest pairs of feature and class that pass the ratio test."""
-    return _nearest(squared_mahalanobis(marks.looks, seen.descriptors), seen, config)
+    return _nearest(squared_mahalanobis(in_view.statistics, seen.descriptors), seen, config)
 
 
-def classify_gated(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+def classify_gated(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
     """Match as `classify` does, among features inside a landmark's gate."""
-    allowed = gate(marks.expected, marks.S, seen.pixels.astype(float), probability=config.gate_probability)
-    distance2 = squared_mahalanobis(marks.looks, seen.descriptors)
+    allowed = gate(in_view.expected, in_view.S, seen.pixels.astype(float), probability=config.gate_probability)
+    distance2 = squared_mahalanobis(in_view.statistics, seen.descriptors)
     return _nearest(np.where(allowed, distance2, np.float32(np.inf)), seen, config)
 
 
-def squared_mahalanobis(looks: Looks, descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+def squared_mahalanobis(statistics: DescriptorStatistics, descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return the (N, M) squared distances of descriptors from classes, by |d - mu|^2 = d.d - 2 d.mu + mu.mu."""
-    if len(looks.count) == 0 or len(descriptors) == 0:
-        return np.zeros((len(looks.count), len(descriptors)), np.float32)
-    weight, d = 1.0 / looks.variance(), descriptors.astype(float)
-    weighted = weight * looks.mean
-    distance2 = weight @ (d * d).T - 2.0 * weighted @ d.T + np.einsum("nd,nd->n", weighted, looks.mean)[:, None]
+    if len(statistics.count) == 0 or len(descriptors) == 0:
+        return np.zeros((len(statistics.count), len(descriptors)), np.float32)
+    weight, d = 1.0 / statistics.variance(), descriptors.astype(float)
+    weighted = weight * statistics.mean
+    distance2 = weight @ (d * d).T - 2.0 * weighted @ d.T + np.einsum("nd,nd->n", weighted, statistics.mean)[:, None]
     return np.maximum(distance2, 0.0).astype(np.float32)
 
 

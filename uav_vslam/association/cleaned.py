@@ -26,8 +26,8 @@ def cleaned(associate: Associator, keep: CleanUp) -> Associator:
         keep: (N, 2) where the landmarks are expected in the left image and (N, 2) where they were found [px] -> rows.
     """
 
-    def associate_and_clean(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
-        pairs = associate(marks, seen, config)
-        return pairs[keep(marks.expected[pairs[:, 0], :2], seen.pixels[pairs[:, 1], :2].astype(float))]
+    def associate_and_clean(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+        pairs = associate(in_view, seen, config)
+        return pairs[keep(in_view.expected[pairs[:, 0], :2], seen.pixels[pairs[:, 1], :2].astype(float))]
 
     return associate_and_clean

@@ -48,10 +48,10 @@ def consensus(nu: Array, S: Array, *, probability: float) -> NDArray[np.intp]:
         if len(agree) > len(best):
             best = agree
     coordinates = (STEREO_DOF * best[:, None] + np.arange(STEREO_DOF)).ravel()
-    return best[_borne_out(nu[best], S[np.ix_(coordinates, coordinates)], limit)]
+    return best[_supported(nu[best], S[np.ix_(coordinates, coordinates)], limit)]
 
 
-def _borne_out(nu: Array, S: Array, limit: float) -> NDArray[np.intp]:
+def _supported(nu: Array, S: Array, limit: float) -> NDArray[np.intp]:
     """Return the rows that remain when the match farthest outside the gate that all others leave goes, again and again.
 
     With A = S^-1, match k lies A_kk^-1 (A nu)_k off what the others predict, with covariance A_kk^-1. Taking it out is

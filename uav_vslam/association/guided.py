@@ -34,12 +34,12 @@ def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> 
     return np.asarray(np.einsum("nmi,nmi->nm", whitened, whitened) <= chdtri(STEREO_DOF, 1.0 - probability))
 
 
-def gated(marks: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:
+def gated(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:
     """Match the nearest descriptors with ratio test and mutual check, among features inside a landmark's gate."""
     return associate(
-        marks.expected,
-        marks.S,
-        marks.descriptors,
+        in_view.expected,
+        in_view.S,
+        in_view.descriptors,
         seen.pixels.astype(float),
         seen.descriptors,
         probability=config.gate_probability,

@@ -38,10 +38,10 @@ def same_shapes(expected: Array, observed: Array, *, neighbours: int = NEIGHBOUR
     left = np.arange(len(observed))
     while True:
         triples = left[hyperedges(observed[left], neighbours)]
-        wrong = ~_alike(expected[triples], observed[triples])
+        wrong = ~_similar(expected[triples], observed[triples])
         if not wrong.any():
             return np.unique(triples)
-        left = np.setdiff1d(left, _spoken_against(triples, wrong))
+        left = np.setdiff1d(left, _contradicted_hyperedges(triples, wrong))
 
 
 def hyperedges(points: Array, neighbours: int) -> NDArray[np.intp]:
@@ -56,7 +56,7 @@ def hyperedges(points: Array, neighbours: int) -> NDArray[np.intp]:
     return np.unique(np.sort(np.vstack(triples), axis=1), axis=0)
 
 
-def _alike(expected: Array, observed: Array) -> NDArray[np.bool_]:
+def _similar(expected: Array, observed: Array) -> NDArray[np.bool_]:
     """Tell which of (E, 3, 2) triangles are similar, by the least-squares similarity o = a e + b of complex numbers."""
     e, o = (side[..., 0] + 1j * side[..., 1] for side in (expected, observed))
     e, o = e - e.mean(axis=1, keepdims=True), o - o.mean(axis=1, keepdims=True)
@@ -67,7 +67,7 @@ def _alike(expected: Array, observed: Array) -> NDArray[np.bool_]:
     return np.asarray(near & (np.abs(scale) >= SCALES[0]) & (np.abs(scale) <= SCALES[1]))
 
 
-def _spoken_against(triples: NDArray[np.intp], wrong: NDArray[np.bool_]) -> list[int]:
+def _contradicted_hyperedges(triples: NDArray[np.intp], wrong: NDArray[np.bool_]) -> list[int]:
     """Return whom to take away until no wrong hyperedge is left, whoever has the largest share of wrong ones first."""
     gone = []
     while wrong.any():

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.association.looks import Looks
+from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 from uav_vslam.config import BackendConfig
 from uav_vslam.types import StereoFeatures
 
@@ -30,7 +30,7 @@ class InView:
     expected: Array
     S: Array
     descriptors: NDArray[np.uint8]
-    looks: Looks
+    statistics: DescriptorStatistics
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -38,13 +38,13 @@ class InView:
     def chosen(self, rows: NDArray[np.intp]) -> "InView":
         """Return some of the landmarks."""
         return InView(
-            self.rows[rows], self.expected[rows], self.S[rows], self.descriptors[rows], self.looks.chosen(rows)
+            self.rows[rows], self.expected[rows], self.S[rows], self.descriptors[rows], self.statistics.chosen(rows)
         )
 
 
 class Associator(Protocol):
     """Tells which feature shows which landmark; the same input gives the same pairs, every time."""
 
-    def __call__(self, marks: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:
-        """Return (K, 2) pairs of row in `marks` and row in `seen`, ascending in `marks`, none used twice."""
+    def __call__(self, in_view: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:
+        """Return (K, 2) pairs of row in `in_view` and row in `seen`, ascending in `in_view`, none used twice."""
         ...

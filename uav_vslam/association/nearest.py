@@ -15,25 +15,25 @@ Pairs = NDArray[np.intp]
 FINE_MATCHES = 50  # "the first certain number of pairs" of section 7.4.2
 
 
-def nn(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+def nn(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
     """Match mutual nearest descriptors that pass the ratio test: the conventional method of section 6.4 of [thesis]."""
-    return match_descriptors(marks.descriptors, seen.descriptors, config.min_descriptor_ratio)
+    return match_descriptors(in_view.descriptors, seen.descriptors, config.min_descriptor_ratio)
 
 
-def cds(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+def cds(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
     """Match as `nn` does, and keep the features of a connected dominating set: few, and spread over the image.
 
     What is left out still is a rival: without it, a landmark whose feature is left out would be found in another one.
     """
-    pairs = nn(marks, seen, config)
+    pairs = nn(in_view, seen, config)
     return pairs[np.isin(pairs[:, 1], dominating_points(seen.pixels[:, :2]))]
 
 
-def coarse_fine(marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+def coarse_fine(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
     """Match mutual nearest descriptors, no matter how near the next is, and take those with the smallest distances.
 
     The two steps of section 7.4.2 of [thesis].
     """
-    pairs = match_descriptors(marks.descriptors, seen.descriptors, 1.0)
-    distance2 = squared_distances(marks.descriptors, seen.descriptors)[pairs[:, 0], pairs[:, 1]]
+    pairs = match_descriptors(in_view.descriptors, seen.descriptors, 1.0)
+    distance2 = squared_distances(in_view.descriptors, seen.descriptors)[pairs[:, 0], pairs[:, 1]]
     return pairs[np.sort(np.argsort(distance2, kind="stable")[:FINE_MATCHES])]

@@ -107,7 +107,7 @@ def sigma_yaw(relative: PointPairs, found: Alignment) -> float:
 def _gathered(pairs: PointPairs, relative: PointPairs, T_own_peer: Pose, rows: Rows) -> Alignment | None:
     """Take out what contradicts all others, fit, and see what else the fit brings inside its gate, until nothing."""
     for _ in range(GATHER_ROUNDS):
-        inliers = rows[_borne_out(pairs.take(rows), T_own_peer)]
+        inliers = rows[_supported(pairs.take(rows), T_own_peer)]
         if len(inliers) < 2:
             return None
         T_own_peer, covariance = fit(pairs.take(inliers), T_own_peer)
@@ -138,7 +138,7 @@ def _weights(pairs: PointPairs, T_own_peer: Pose) -> tuple[Array, Array]:
     return W, frame_jacobian(T_own_peer, pairs.peer)
 
 
-def _borne_out(pairs: PointPairs, T_own_peer: Pose) -> Rows:
+def _supported(pairs: PointPairs, T_own_peer: Pose) -> Rows:
     """Return the rows that remain when the pair farthest from what all others predict goes, until none is outside.
 
     With T unknown the residuals' information is B = W - W A (A^T W A)^-1 A^T W. Pair k lies B_kk^-1 (B r)_k off what

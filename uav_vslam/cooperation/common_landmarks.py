@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.heard_map import Told
+from uav_vslam.cooperation.received_map import Told
 from uav_vslam.numerics import mahalanobis2
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, in_basis, load_basis, single_distance
@@ -43,7 +43,7 @@ def find_common(
     Returns:
         (K, 2) rows of own landmarks and of the packet; none where fewer than `min_common` agree.
     """
-    pairs = look_alikes(descriptors, packet, config.ratio)
+    pairs = descriptor_matches(descriptors, packet, config.ratio)
     peer_positions, peer_covariance = packet.positions, packet.covariance
     pairs = pairs[gated(pairs, positions, covariance, peer_positions, peer_covariance, config)]
     pairs = pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, config)]
@@ -64,7 +64,7 @@ def gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: Fus
     return np.flatnonzero(mahalanobis2(peer[b] - own[a], S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability))
 
 
-def look_alikes(descriptors: NDArray[np.uint8], packet: Told, ratio: float, *, mutual: bool = True) -> Pairs:
+def descriptor_matches(descriptors: NDArray[np.uint8], packet: Told, ratio: float, *, mutual: bool = True) -> Pairs:
     """Match own descriptors (N, D), as extracted, with a packet's; none where they can't be compared."""
     if len(packet) == 0 or not comparable(descriptors, packet):
         return np.zeros((0, 2), np.intp)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.alignment import MIN_INLIERS, Alignment, Refusal, align, follow
-from uav_vslam.cooperation.common_landmarks import comparable, look_alikes
-from uav_vslam.cooperation.heard_map import HeardMap, heard
+from uav_vslam.cooperation.common_landmarks import comparable, descriptor_matches
 from uav_vslam.cooperation.point_pairs import PointPairs
+from uav_vslam.cooperation.received_map import ReceivedMap, heard
 from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class FrameLink:
         self.found = 0
         self._session: int | None = None
         self._newest = (0, 0)  # stamp and sequence of the newest packet
-        self._heard: HeardMap | None = None
+        self._heard: ReceivedMap | None = None
         self._misfits = 0
 
     def find_common(
@@ -59,7 +59,7 @@ class FrameLink:
         if not comparable(descriptors, packet):
             return np.zeros((0, 2), np.intp)
         self._heard = heard(packet, self._heard)
-        pairs = look_alikes(descriptors, self._heard, config.ratio)
+        pairs = descriptor_matches(descriptors, self._heard, config.ratio)
         points = PointPairs.of(positions, covariance, self._heard, pairs, config.floor_sigma_m)
         now = np.flatnonzero(pairs[:, 1] < len(packet))  # the others are of packets before: evidence, not to be fused
         is_new, self._newest = packet.order != self._newest, packet.order

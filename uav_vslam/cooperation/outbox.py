@@ -9,7 +9,7 @@ from uav_vslam.cooperation.budget import ByteBudget
 from uav_vslam.slam.packet import NARROWBAND_PACKET_BYTES
 from uav_vslam.types import NS_PER_S
 
-UNHEARD_EPOCHS = 4  # narrowband: while no peer is heard, one epoch in so many has a packet; after so many that all have
+SILENT_EPOCHS = 4  # narrowband: while no peer is heard, one epoch in so many has a packet; after so many that all have
 SAVED_EPOCHS = 2.0  # of the budget at most: epochs are longer or shorter by a frame, and narrowband saves for a packet
 WORTH_EPOCHS = 1.25  # of the budget that a narrowband packet waits for: of a small one a fifth is not about landmarks
 
@@ -29,9 +29,9 @@ class Outbox:
         self.over_budget = 0
         self._first_ns: int | None = None  # stamp of the first epoch
         self._last_ns = 0
-        self._heard_ns = 0  # stamp of the newest packet of any peer
+        self._last_received_ns = 0  # stamp of the newest packet of any peer
         self.now_ns = 0
-        self._unheard_epochs = 0
+        self._silent_epochs = 0
         self.configure(config)
 
     def configure(self, config: FusionConfig, *, copies: int = 1) -> None:
@@ -53,11 +53,11 @@ class Outbox:
         """Mean payload rate from the first epoch to the one after the last packet [B/s]."""
         return self.bytes_sent / ((self._last_ns - (self._first_ns or 0)) / NS_PER_S + self._epoch_s)
 
-    def hear(self, stamp_ns: int) -> None:
+    def on_packet(self, stamp_ns: int) -> None:
         """Note that a peer's packet of that stamp came; one from the future says that it was heard now, no more."""
-        self._heard_ns = max(self._heard_ns, min(stamp_ns, self.now_ns))
+        self._last_received_ns = max(self._last_received_ns, min(stamp_ns, self.now_ns))
 
-    def is_turn(self, stamp_ns: int, *, copies: int = 1) -> bool:
+    def should_send(self, stamp_ns: int, *, copies: int = 1) -> bool:
         """Tell, once an epoch, whether it has a packet, which crosses the radio so many times.
 
         In narrowband that is where enough is saved for a large one: two of three epochs, which tell more than three
@@ -68,16 +68,16 @@ class Outbox:
         if self._mode != "narrowband":
             return self._mode != "none"
         self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
-        unheard = stamp_ns - self._heard_ns > self._silent_after_s * NS_PER_S
-        self._unheard_epochs = self._unheard_epochs + 1 if unheard else 0
-        to_discovery = self._unheard_epochs > UNHEARD_EPOCHS and self._unheard_epochs % UNHEARD_EPOCHS != 1
+        unheard = stamp_ns - self._last_received_ns > self._silent_after_s * NS_PER_S
+        self._silent_epochs = self._silent_epochs + 1 if unheard else 0
+        to_discovery = self._silent_epochs > SILENT_EPOCHS and self._silent_epochs % SILENT_EPOCHS != 1
         return not to_discovery and self.available(stamp_ns) >= min(self._worth_bytes * copies, self._most_bytes)
 
     def available(self, now_ns: int) -> int:
         """Return how large a packet may be now [byte]."""
         return self._budget.available(now_ns)
 
-    def take(self, stamp_ns: int, size_bytes: int) -> bool:
+    def try_reserve(self, stamp_ns: int, size_bytes: int) -> bool:
         """Tell whether a packet of that stamp and payload may be sent, and count it."""
         if not self._budget.spend(stamp_ns, size_bytes):
             self.over_budget += 1

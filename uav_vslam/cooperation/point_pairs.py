@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.cooperation.common_landmarks import blocks
-from uav_vslam.cooperation.heard_map import Told
+from uav_vslam.cooperation.received_map import Told
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy

@@ -111,10 +111,10 @@ class Belief(Protocol):
     def predicted(self, F: Array, Q: Array) -> Self:
         """Move the vehicle: P <- F P F^T + Q, with F and Q (vehicle, vehicle) and F invertible."""
 
-    def renewed(self, rows: Indices, variance: float) -> Self:
+    def reset_rows(self, rows: Indices, variance: float) -> Self:
         """Forget some of the vehicle's rows: they become independent, each with a variance."""
 
-    def loosened(self, B: Array) -> Self:
+    def information_removed(self, B: Array) -> Self:
         """Take information away from the vehicle: P <- (P^-1 - B^T B)^-1 with B (k, vehicle)."""
 
     def updated(self, observation: Observation) -> Update:
@@ -126,7 +126,7 @@ class Belief(Protocol):
     def marginalised(self, landmarks: Indices) -> Self:
         """Take landmarks out; what they taught about the rest stays."""
 
-    def sheared(self, B: Array, columns: slice) -> Self:
+    def coordinates_changed(self, B: Array, columns: slice) -> Self:
         """Change coordinates to T e with T = I - B E^T: `B` (size, 3) zero in the rows that `columns` picks."""
 
 

@@ -46,14 +46,14 @@ class CovarianceBelief:
         P[:m, :m] = symmetrise(P[:m, :m] + Q)
         return type(self)(P, m)
 
-    def renewed(self, rows: Indices, variance: float) -> Self:
+    def reset_rows(self, rows: Indices, variance: float) -> Self:
         P = self.P.copy()
         P[rows, :] = 0.0
         P[:, rows] = 0.0
         P[rows, rows] = variance
         return type(self)(P, self.vehicle)
 
-    def loosened(self, B: Array) -> Self:
+    def information_removed(self, B: Array) -> Self:
         """P <- P + W^T W, W = L^-1 B P with I - B P B^T = L L^T."""
         BP = B @ self.P[: self.vehicle]
         L = cholesky(np.eye(len(B)) - symmetrise(BP[:, : self.vehicle] @ B.T), "bound")
@@ -93,7 +93,7 @@ class CovarianceBelief:
         rows = np.delete(np.arange(self.size), landmark_rows(self.vehicle, landmarks))
         return type(self)(submatrix(self.P, rows), self.vehicle)
 
-    def sheared(self, B: Array, columns: slice) -> Self:
+    def coordinates_changed(self, B: Array, columns: slice) -> Self:
         P = self.P - B @ self.P[columns]
         P = P - P[:, columns] @ B.T
         return type(self)(P, self.vehicle)

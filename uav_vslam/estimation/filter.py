@@ -151,7 +151,7 @@ class Filter:
             self.belief = self.belief.predicted(F, Q)
             if self._errors.vibration_variance > 0:
                 rows = np.arange(self._errors.vibration.start, self._errors.vibration.stop)
-                self.belief = self.belief.renewed(rows, self._errors.vibration_variance)
+                self.belief = self.belief.reset_rows(rows, self._errors.vibration_variance)
                 self.rig_state = self._errors.renew(self.rig_state)
             if self._gamma is not None:
                 self.belief, self.feasibility = bounded(self.belief, nav_dim, self._gamma)
@@ -345,7 +345,7 @@ class Filter:
         before = self.nav
         self.nav = dataclasses.replace(before, T_map_body=T_map_body)
         B = shear(self.vehicle, T_map_body.t - before.T_map_body.t, np.zeros(3), np.zeros_like(self.landmarks))
-        self.belief = self.belief.sheared(B, ROTATION)
+        self.belief = self.belief.coordinates_changed(B, ROTATION)
         offset = difference(self.nav, self.landmarks, before, self.landmarks)
         nav_dim = self._model.nav_dim
         return np.concatenate([offset[:nav_dim], np.zeros(self._errors.dim), offset[nav_dim:]])
@@ -359,7 +359,7 @@ class Filter:
         if self._model.invariant:
             moved_p = self.nav.T_map_body.t - before.T_map_body.t
             B = shear(self.vehicle, moved_p, self.nav.v_map - before.v_map, self.landmarks - landmarks)
-            belief = belief.sheared(B, ROTATION)
+            belief = belief.coordinates_changed(B, ROTATION)
         self.belief = belief
 
 

@@ -34,4 +34,4 @@ def bounded(belief: Belief, nav_dim: int, gamma: float) -> tuple[Belief, float]:
     gamma2 = max(gamma**2, MARGIN * limit)
     B = np.zeros((len(L), belief.vehicle))
     B[:, :bounded_rows] = L / np.sqrt(gamma2)
-    return belief.loosened(B), gamma2 / limit
+    return belief.information_removed(B), gamma2 / limit

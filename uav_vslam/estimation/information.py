@@ -122,14 +122,14 @@ class InformationBelief:
         P_vehicle = None if self._P_vehicle is None else symmetrise(F @ self._P_vehicle @ F.T + Q)
         return type(self)(Y, m, P_vehicle)
 
-    def renewed(self, rows: Indices, variance: float) -> Self:
+    def reset_rows(self, rows: Indices, variance: float) -> Self:
         keep = np.delete(np.arange(self.size), rows)
         Y = np.zeros_like(self.Y)
         Y[np.ix_(keep, keep)] = marginalise_information(self.Y, keep, rows, "information of renewed rows")
         Y[rows, rows] = 1.0 / variance
         return type(self)(Y, self.vehicle)
 
-    def loosened(self, B: Array) -> Self:
+    def information_removed(self, B: Array) -> Self:
         Y = self.Y.copy()
         Y[: self.vehicle, : self.vehicle] -= B.T @ B
         return type(self)(Y, self.vehicle)
@@ -167,7 +167,7 @@ class InformationBelief:
         Y = marginalise_information(self.Y, keep, gone, "information of leaving landmarks")
         return type(self)(Y, self.vehicle, self._P_vehicle)
 
-    def sheared(self, B: Array, columns: slice) -> Self:
+    def coordinates_changed(self, B: Array, columns: slice) -> Self:
         """Y <- T^-T Y T^-1 with T^-1 = I + B E^T."""
         YB = self.Y @ B
         Y = self.Y.copy()

@@ -45,14 +45,14 @@ class SquareRootBelief:
         noise[: self.vehicle] = square_root(Q)
         return type(self)(_triangle(np.hstack([G, noise])), self.vehicle)
 
-    def renewed(self, rows: Indices, variance: float) -> Self:
+    def reset_rows(self, rows: Indices, variance: float) -> Self:
         fresh = np.zeros((self.size, len(rows)))
         fresh[rows, np.arange(len(rows))] = np.sqrt(variance)
         G = self.G.copy()
         G[rows] = 0.0
         return type(self)(np.hstack([G, fresh]), self.vehicle)
 
-    def loosened(self, B: Array) -> Self:
+    def information_removed(self, B: Array) -> Self:
         BG = B @ self.G[: self.vehicle]
         L = cholesky(np.eye(len(B)) - BG @ BG.T, "bound")
         more = self.G @ solve_triangular(L, BG, lower=True, check_finite=False).T
@@ -85,7 +85,7 @@ class SquareRootBelief:
     def marginalised(self, landmarks: Indices) -> Self:
         return type(self)(np.delete(self.G, landmark_rows(self.vehicle, landmarks), axis=0), self.vehicle)
 
-    def sheared(self, B: Array, columns: slice) -> Self:
+    def coordinates_changed(self, B: Array, columns: slice) -> Self:
         return type(self)(self.G - B @ self.G[columns], self.vehicle)
 
 

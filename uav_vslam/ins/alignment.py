@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start states that gravity levels; their position and heading define the map frame.
 
-At rest the accelerometer shows gravity and the gyroscope its own bias. In flight `slam.in_flight_start` finds gravity.
+At rest the accelerometer shows gravity and the gyroscope its own bias. In flight: `slam.in_flight_initializer`.
 """
 
 import numpy as np

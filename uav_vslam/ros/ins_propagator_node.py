@@ -19,8 +19,8 @@ from tf2_msgs.msg import TFMessage
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
-from uav_vslam.ins.early import MAX_APART_S, EarlyData
-from uav_vslam.ins.propagator import DeadReckoning, IncrementCutter, InsOdometry
+from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator, InsOdometry
+from uav_vslam.ins.startup_buffer import MAX_APART_S, StartupBuffer
 from uav_vslam.ros.convert import (
     imu_from_msg,
     increment_to_msg,
@@ -31,23 +31,23 @@ from uav_vslam.ros.convert import (
 )
 from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
-from uav_vslam.stamps import IMAGE_LEAP_S, IMU_LEAP_S, LeapGuard
+from uav_vslam.stamps import IMAGE_LEAP_S, IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
 
 
 class InsPropagatorNode(VehicleNode):
-    """Feeds `IncrementCutter`, `DeadReckoning` and `InsOdometry`; what needs the start state is held until it comes."""
+    """Feeds `ImuPreintegrator`, `DeadReckoning` and `InsOdometry`; buffers input until the start state arrives."""
 
     def __init__(self) -> None:
         super().__init__("ins_propagator")
         method = self.config.start.method
-        self._cutter = IncrementCutter(self.config.imu) if method == "in_flight" else None
+        self._preintegrator = ImuPreintegrator(self.config.imu) if method == "in_flight" else None
         self._reckoning = DeadReckoning(self.config.imu)
         self._live: InsOdometry | None = None
-        self._early = EarlyData(self.config.start.rest_s if method == "static" else MAX_APART_S)
+        self._startup_buffer = StartupBuffer(self.config.start.rest_s if method == "static" else MAX_APART_S)
         self._given: NavEstimate | None = None  # start state that readings have not confirmed yet
-        imu_stamps, image_stamps = LeapGuard("IMU", IMU_LEAP_S), LeapGuard("image", IMAGE_LEAP_S)
+        imu_stamps, image_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S), TimeJumpGuard("image", IMAGE_LEAP_S)
         self._increments = self.advertise(InsIncrement, "ins/increment", SENSOR)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
@@ -65,7 +65,7 @@ class InsPropagatorNode(VehicleNode):
         if self._live is not None:
             return
         given = navigation_from_msg(message)
-        if self._cutter is not None:  # found in flight by the back end
+        if self._preintegrator is not None:  # found in flight by the back end
             self._start(given)
             return
         self._given = given
@@ -73,7 +73,7 @@ class InsPropagatorNode(VehicleNode):
 
     def _start_where_given(self) -> None:
         """Start as soon as readings come near the stamp; a start from long before them is refused."""
-        if self._given is None or (ahead_s := self._early.ahead_s(self._given.state.stamp_ns)) is None:
+        if self._given is None or (ahead_s := self._startup_buffer.ahead_s(self._given.state.stamp_ns)) is None:
             return
         given = self._given
         self.notes["start"] = f"given {ahead_s:+.1f} s from the newest reading"
@@ -90,35 +90,35 @@ class InsPropagatorNode(VehicleNode):
         self._start(given)
 
     def _start(self, initial: NavEstimate) -> None:
-        early = self._early.take()
+        early = self._startup_buffer.take()
         for reckoned in self._reckoning.start(initial):
             self._publish_dead_reckoning(reckoned)
         self._live = InsOdometry(initial, self.config.imu)
-        cut = self._cutter is not None  # in flight, increments are needed before the start state
-        if self._cutter is None:
-            self._cutter = IncrementCutter(self.config.imu, initial.state)
+        cut = self._preintegrator is not None  # in flight, increments are needed before the start state
+        if self._preintegrator is None:
+            self._preintegrator = ImuPreintegrator(self.config.imu, initial.state)
         for item in early:
             try:
                 if not cut:
-                    self._cut(self._cutter, item)
+                    self._cut(self._preintegrator, item)
                 self._follow(self._live, item)
             except InvalidMessage as error:
                 self.drop(error.reason, str(error))
 
-    def _feed(self, item: ImuSample | int, guard: LeapGuard) -> None:
+    def _feed(self, item: ImuSample | int, guard: TimeJumpGuard) -> None:
         """Take a reading or an image stamp, in arrival order."""
         guard.check(item.stamp_ns if isinstance(item, ImuSample) else item)
-        if self._cutter is not None:
-            self._cut(self._cutter, item)
+        if self._preintegrator is not None:
+            self._cut(self._preintegrator, item)
         if self._live is not None:
             self._follow(self._live, item)
             return
-        self._early.add(item)
+        self._startup_buffer.add(item)
         if self._aligns:
-            self._align(self._early.readings())
+            self._align(self._startup_buffer.readings())
         self._start_where_given()
 
-    def _cut(self, cutter: IncrementCutter, item: ImuSample | int) -> None:
+    def _cut(self, cutter: ImuPreintegrator, item: ImuSample | int) -> None:
         if isinstance(item, ImuSample):
             cutter.add_imu(item)
         elif cutter.start_ns is None or item > cutter.start_ns:

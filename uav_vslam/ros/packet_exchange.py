@@ -56,12 +56,12 @@ class PacketExchange:
     def send(self, joint: JointInformation) -> None:
         """Send an epoch's packet, unless the budget has no room for it: then the next epoch's replaces it."""
         copies = self._radio.copies
-        if not self.outbox.is_turn(joint.stamp_ns, copies=copies):
+        if not self.outbox.should_send(joint.stamp_ns, copies=copies):
             return
         left = self.outbox.available(joint.stamp_ns) // copies
         packet = self._fusion.packet(joint, byte_limit=left)
         data = serialize_message(packet_to_msg(packet))
-        if self.outbox.take(packet.stamp_ns, len(data) * copies):
+        if self.outbox.try_reserve(packet.stamp_ns, len(data) * copies):
             self._radio.send(data)
         else:
             detail = f"packet {packet.sequence} of {len(data)} B is not sent: the budget has {left} B a peer left"
@@ -74,7 +74,7 @@ class PacketExchange:
         for peer in self._peers:
             feedback = self._fusion.feedback(peer)
             data = serialize_message(packet_to_msg(feedback)) if feedback else b""
-            if data and self.outbox.take(stamp_ns, len(data)):
+            if data and self.outbox.try_reserve(stamp_ns, len(data)):
                 self._radio.give_back(peer, data)
 
     def _on_packet(self, peer: str, message: LandmarkInformation, data: bytes) -> None:
@@ -91,9 +91,9 @@ class PacketExchange:
             if message.vehicle == peer:
                 raise
             return  # what is sent on often comes twice, or comes home; the inbox counts it
-        self.outbox.hear(packet.stamp_ns)
+        self.outbox.on_packet(packet.stamp_ns)
         now_ns = self.outbox.now_ns  # a peer's own stamp may be wrong
-        if self.settings.relay and self.outbox.take(now_ns, len(data) * self._radio.copies):
+        if self.settings.relay and self.outbox.try_reserve(now_ns, len(data) * self._radio.copies):
             self._radio.send(data)
 
     def _on_feedback(self, _: str, message: LandmarkInformation, data: bytes) -> None:
@@ -102,4 +102,4 @@ class PacketExchange:
         self.received_bytes[message.vehicle] += len(data)
         packet = packet_from_msg(message)
         self._fusion.returned.add(packet)
-        self.outbox.hear(packet.stamp_ns)
+        self.outbox.on_packet(packet.stamp_ns)

@@ -16,7 +16,7 @@ from uav_vslam.estimation.filters import make_filter
 from uav_vslam.estimation.observation import projectable
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.propagator import advance
+from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.health import FilterHealth
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, leaving

@@ -16,31 +16,31 @@ Tracks = NDArray[np.uint32]
 
 
 def tracks_first(
-    associate: Associator, marks: InView, tracks: Tracks, seen: StereoFeatures, config: BackendConfig
+    associate: Associator, landmark_map: InView, tracks: Tracks, seen: StereoFeatures, config: BackendConfig
 ) -> Rows:
-    """Return (K, 2) pairs of row in `marks` and row in `seen`: those of one track, and what an associator adds.
+    """Return (K, 2) pairs of row in `landmark_map` and row in `seen`: those of one track, and what an associator adds.
 
     Args:
         associate: sees only what has not been known by its track.
-        marks: N landmarks that may be in view.
+        landmark_map: N landmarks that may be in view.
         tracks: (N,) track that each was last seen through, 0 for none.
         seen: features of the frame.
         config: of the back end.
     """
-    known = followed(marks, tracks, seen, probability=config.gate_probability)
+    known = followed(landmark_map, tracks, seen, probability=config.gate_probability)
     if len(known) == 0:
-        return associate(marks, seen, config)
-    other_marks = np.setdiff1d(np.arange(len(marks)), known[:, 0])
+        return associate(landmark_map, seen, config)
+    other_landmarks = np.setdiff1d(np.arange(len(landmark_map)), known[:, 0])
     other_seen = np.setdiff1d(np.arange(len(seen)), known[:, 1])
-    more = associate(marks.chosen(other_marks), seen.chosen(other_seen), config)
-    return np.vstack([known, np.column_stack([other_marks[more[:, 0]], other_seen[more[:, 1]]])])
+    more = associate(landmark_map.chosen(other_landmarks), seen.chosen(other_seen), config)
+    return np.vstack([known, np.column_stack([other_landmarks[more[:, 0]], other_seen[more[:, 1]]])])
 
 
-def followed(marks: InView, tracks: Tracks, seen: StereoFeatures, *, probability: float) -> Rows:
+def followed(landmark_map: InView, tracks: Tracks, seen: StereoFeatures, *, probability: float) -> Rows:
     """Return (K, 2) pairs of one track whose feature lies in the landmark's gate; arguments as for `tracks_first`."""
     _, rows, features = np.intersect1d(tracks, seen.tracks, return_indices=True)
     known = tracks[rows] != 0
     rows, features = rows[known], features[known]
-    nu = seen.pixels[features] - marks.expected[rows]
-    inside = mahalanobis2(nu, marks.S[rows]) <= chdtri(STEREO_DOF, 1.0 - probability)
+    nu = seen.pixels[features] - landmark_map.expected[rows]
+    inside = mahalanobis2(nu, landmark_map.S[rows]) <= chdtri(STEREO_DOF, 1.0 - probability)
     return np.column_stack([rows[inside], features[inside]])

@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.association.looks import Looks
+from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 
 Rows = NDArray[np.intp]
 
@@ -17,7 +17,7 @@ class LandmarkMap:
     def __init__(self, descriptor_size: int = 128) -> None:
         self.ids: NDArray[np.uint32] = np.zeros(0, np.uint32)
         self.descriptors: NDArray[np.uint8] = np.zeros((0, descriptor_size), np.uint8)
-        self.looks = Looks.of(self.descriptors)
+        self.statistics = DescriptorStatistics.of(self.descriptors)
         self.born: Rows = np.zeros(0, np.intp)  # frame number of the first observation
         self.seen: Rows = np.zeros(0, np.intp)  # frame number of the last observation
         self.observations: Rows = np.zeros(0, np.intp)  # how many
@@ -41,7 +41,7 @@ class LandmarkMap:
         if len(self.descriptors) == 0:
             self.descriptors = self.descriptors.reshape(0, descriptors.shape[1])
         self.descriptors = np.vstack([self.descriptors, descriptors])
-        self.looks.append(descriptors)
+        self.statistics.append(descriptors)
         self.born = np.concatenate([self.born, np.full(count, frame)])
         self.seen = np.concatenate([self.seen, np.full(count, frame)])
         self.observations = np.concatenate([self.observations, np.ones(count, np.intp)])
@@ -56,7 +56,7 @@ class LandmarkMap:
         A track that is followed carries the look that it began with: the same numbers again are no other view.
         """
         fresh = (self.descriptors[rows] != descriptors).any(axis=1)
-        self.looks.observe(rows[fresh], descriptors[fresh])
+        self.statistics.observe(rows[fresh], descriptors[fresh])
         self.descriptors[rows] = descriptors
         self.revisited[rows] |= self.long_unseen(frame)[rows]
         self.seen[rows] = frame
@@ -72,6 +72,6 @@ class LandmarkMap:
         keep = np.ones(len(self), bool)
         keep[rows] = False
         self.ids, self.descriptors = self.ids[keep], self.descriptors[keep]
-        self.looks = self.looks.chosen(keep)
+        self.statistics = self.statistics.chosen(keep)
         self.born, self.seen, self.observations = self.born[keep], self.seen[keep], self.observations[keep]
         self.revisited, self.tracks = self.revisited[keep], self.tracks[keep]

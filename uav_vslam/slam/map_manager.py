@@ -117,16 +117,16 @@ def leaving(view: MapView, config: BackendConfig) -> Rows:
     What is out of view never takes the room of what comes into view: without new landmarks the vehicle would soon fly
     blind over ground that it does not know.
     """
-    marks = view.landmarks
-    unseen = view.frame - marks.seen
-    failed = view.in_view & (unseen >= FAILED_AFTER_FRAMES) & (marks.observations < ESTABLISHED_OBSERVATIONS)
+    landmark_map = view.landmarks
+    unseen = view.frame - landmark_map.seen
+    failed = view.in_view & (unseen >= FAILED_AFTER_FRAMES) & (landmark_map.observations < ESTABLISHED_OBSERVATIONS)
     gone = np.union1d(np.flatnonzero(failed), RETENTION[config.retention](view, config))
-    rest = np.setdiff1d(np.arange(len(marks)), gone)
+    rest = np.setdiff1d(np.arange(len(landmark_map)), gone)
     out = rest[~view.in_view[rest]]
-    gone = np.union1d(gone, _longest_unseen(marks, out)[: max(0, len(out) - places_out_of_view(view, config))])
+    gone = np.union1d(gone, _longest_unseen(landmark_map, out)[: max(0, len(out) - places_out_of_view(view, config))])
     rest = np.setdiff1d(rest, gone)
-    mature = rest[view.frame - marks.born[rest] >= config.young_frames]
-    gone = np.union1d(gone, _longest_unseen(marks, mature)[: max(0, len(rest) - config.max_landmarks)])
+    mature = rest[view.frame - landmark_map.born[rest] >= config.young_frames]
+    gone = np.union1d(gone, _longest_unseen(landmark_map, mature)[: max(0, len(rest) - config.max_landmarks)])
     return gone.astype(np.intp)
 
 
@@ -140,5 +140,5 @@ def _new_landmarks(view: MapView, config: BackendConfig) -> int:
     return int(np.clip(config.max_in_view - int(view.in_view.sum()), 0, config.max_new_landmarks))
 
 
-def _longest_unseen(marks: LandmarkMap, rows: Rows) -> Rows:
-    return rows[np.lexsort((marks.observations[rows], marks.seen[rows]))]
+def _longest_unseen(landmark_map: LandmarkMap, rows: Rows) -> Rows:
+    return rows[np.lexsort((landmark_map.observations[rows], landmark_map.seen[rows]))]

@@ -61,31 +61,35 @@ class MapMatcher:
         self._config = config
         self._associate = associate or ASSOCIATORS[config.association]
 
-    def candidates(self, belief: Filter, marks: LandmarkMap, features: StereoFeatures, frame: int) -> Iterator[Matches]:
+    def candidates(
+        self, belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
+    ) -> Iterator[Matches]:
         """Yield sets of matches to try one after the other.
 
         Args:
             belief: predicted to the frame.
-            marks: looks and history of its landmarks.
+            landmark_map: looks and history of its landmarks.
             features: of the frame.
             frame: its number.
         """
-        if len(marks) == 0 or len(features) == 0:
+        if len(landmark_map) == 0 or len(features) == 0:
             return
-        gated, vague = self._guided(belief, marks, features, frame)
+        gated, vague = self._guided(belief, landmark_map, features, frame)
         if not vague and len(gated) >= self._config.min_pnp_inliers:
-            yield self._capped(belief, marks, features, gated)
+            yield self._capped(belief, landmark_map, features, gated)
         attempts = (
             lambda: self._verified(belief, features, gated),
-            lambda: self._agreeing(belief, features, self._capped(belief, marks, features, gated)),
-            lambda: self._searched(belief, marks, features),
+            lambda: self._agreeing(belief, features, self._capped(belief, landmark_map, features, gated)),
+            lambda: self._searched(belief, landmark_map, features),
         )
         for attempt in attempts:  # each only once the one before was refused
             found = attempt()
             if found is not None:
-                yield self._capped(belief, marks, features, found)
+                yield self._capped(belief, landmark_map, features, found)
 
-    def _guided(self, belief: Filter, marks: LandmarkMap, features: StereoFeatures, frame: int) -> tuple[Matches, bool]:
+    def _guided(
+        self, belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
+    ) -> tuple[Matches, bool]:
         """Return the gated matches, and whether the prediction was too vague for the gate to be trusted alone.
 
         Landmarks that come back with a wide gate choose first, and together: what looks like one of them has often
@@ -97,13 +101,17 @@ class MapMatcher:
         predicted = belief.predict_observations(rows)
         sigma_px = np.sqrt(np.trace(predicted.S, axis1=1, axis2=2) / 4.0)
         vague = bool(np.median(sigma_px) > self._config.pnp_beyond_px)
-        back = marks.long_unseen(frame)[rows] & (sigma_px > self._config.pnp_beyond_px)
-        revisited = recognise(belief, marks, features, rows[back], config=self._config)
+        back = landmark_map.long_unseen(frame)[rows] & (sigma_px > self._config.pnp_beyond_px)
+        revisited = recognise(belief, landmark_map, features, rows[back], config=self._config)
         free = np.setdiff1d(np.arange(len(features)), revisited[:, 1])
         others = rows[~back]
-        looks = marks.looks.chosen(others)
-        in_view = InView(others, predicted.expected[~back], predicted.S[~back], marks.descriptors[others], looks)
-        matches = tracks_first(self._associate, in_view, marks.tracks[others], features.chosen(free), self._config)
+        statistics = landmark_map.statistics.chosen(others)
+        in_view = InView(
+            others, predicted.expected[~back], predicted.S[~back], landmark_map.descriptors[others], statistics
+        )
+        matches = tracks_first(
+            self._associate, in_view, landmark_map.tracks[others], features.chosen(free), self._config
+        )
         pairs = np.vstack([revisited, np.column_stack([others[matches[:, 0]], free[matches[:, 1]]])])
         return Matches(pairs[:, 0], pairs[:, 1]), vague
 
@@ -128,10 +136,10 @@ class MapMatcher:
         rows = consensus(nu, S, probability=self._config.gate_probability)
         return pairs.chosen(rows) if len(rows) >= self._config.min_pnp_inliers else None
 
-    def _searched(self, belief: Filter, marks: LandmarkMap, features: StereoFeatures) -> Matches | None:
+    def _searched(self, belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures) -> Matches | None:
         """Match against the whole map without a gate; None where PnP does not confirm enough."""
         found = relocalise(
-            belief.rig, belief.nav.T_map_body, belief.landmarks, marks.descriptors, features, config=self._config
+            belief.rig, belief.nav.T_map_body, belief.landmarks, landmark_map.descriptors, features, config=self._config
         )
         if found is None:
             return None
@@ -142,9 +150,9 @@ class MapMatcher:
         moved = np.linalg.norm(T_map_body.t - belief.nav.T_map_body.t)
         return T_map_body if moved > self._config.iterate_beyond_m else None
 
-    def _capped(self, belief: Filter, marks: LandmarkMap, features: StereoFeatures, pairs: Matches) -> Matches:
+    def _capped(self, belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, pairs: Matches) -> Matches:
         """Cap the number of updates, oldest landmarks first, spread over the image."""
-        order = np.argsort(marks.born[pairs.landmarks], kind="stable")
+        order = np.argsort(landmark_map.born[pairs.landmarks], kind="stable")
         size = (belief.rig.left.width, belief.rig.left.height)
         chosen = order[spread(features.pixels[pairs.features[order], :2], self._config.max_observations, size=size)]
         return pairs.chosen(chosen, pairs.linearise_at)

@@ -20,13 +20,13 @@ Rows = NDArray[np.intp]
 
 
 def recognise(
-    belief: Filter, marks: LandmarkMap, features: StereoFeatures, rows: Rows, *, config: BackendConfig
+    belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, rows: Rows, *, config: BackendConfig
 ) -> Rows:
     """Return (K, 2) pairs (landmark row, feature row) that agree with one another; none where too few do.
 
     Args:
         belief: predicted to the frame.
-        marks: looks of the landmarks.
+        landmark_map: looks of the landmarks.
         features: of the frame.
         rows: projectable landmarks that are to be recognised; each of them may claim any feature.
         config: gate, ratio, and how many must agree.
@@ -38,7 +38,7 @@ def recognise(
     found = associate(
         predicted.expected,
         predicted.S,
-        marks.descriptors[rows],
+        landmark_map.descriptors[rows],
         pixels,
         features.descriptors,
         probability=config.gate_probability,

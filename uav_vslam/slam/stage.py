@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import bridged
-from uav_vslam.ins.propagator import advance
+from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
-from uav_vslam.slam.in_flight_start import Frame, InFlightStart
+from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.start_monitor import StartMonitor
 from uav_vslam.types import ImuIncrement, JointInformation, NavEstimate, StereoFeatures
@@ -48,7 +48,7 @@ class SlamStage:
         self._config, self._vehicle, self._session = config, vehicle, session
         self._in_flight = config.start.method == "in_flight"
         self._queue = FrameQueue()
-        self._search: InFlightStart | None = None
+        self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
         self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
         self._previous_ns: int | None = None
@@ -109,7 +109,7 @@ class SlamStage:
         """Return the frame; without a start state hold it back, and return all of them as soon as there is one."""
         if self.initial is not None:
             return [frame]
-        self._search = self._search or InFlightStart(rig, self._config)
+        self._search = self._search or InFlightInitializer(rig, self._config)
         found = self._search.add(*frame)
         if found is None:
             return []

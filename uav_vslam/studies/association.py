@@ -83,11 +83,11 @@ class Recorder:
         self._associate = associate
         self.found: list[Found] = []
 
-    def __call__(self, marks: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+    def __call__(self, in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
         """Associate as the other one does."""
         started_ns = time.process_time_ns()
-        pairs = self._associate(marks, seen, config)
-        self.found.append(Found(marks.rows, seen, pairs, 1e-6 * (time.process_time_ns() - started_ns)))
+        pairs = self._associate(in_view, seen, config)
+        self.found.append(Found(in_view.rows, seen, pairs, 1e-6 * (time.process_time_ns() - started_ns)))
         return pairs
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.common_landmarks import POINT_DOF, find_common, look_alikes
+from uav_vslam.cooperation.common_landmarks import POINT_DOF, descriptor_matches, find_common
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.evaluation.study import Row
 from uav_vslam.numerics import mahalanobis2
@@ -85,8 +85,8 @@ def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: Fusi
         config: ratio, gate and floor; the last stage believes any number of pairs.
     """
     covariance = joint.covariance[POSE_DIM:, POSE_DIM:]
-    one_way = look_alikes(joint.descriptors, packet, config.ratio, mutual=False)
-    mutual = look_alikes(joint.descriptors, packet, config.ratio)
+    one_way = descriptor_matches(joint.descriptors, packet, config.ratio, mutual=False)
+    mutual = descriptor_matches(joint.descriptors, packet, config.ratio)
     points = PointPairs.of(joint.positions, covariance, packet, mutual, config.floor_sigma_m)
     offset, S = points.own - points.peer, points.pair_covariances(np.eye(3))
     distance2 = mahalanobis2(offset, S)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.alignment import Alignment
-from uav_vslam.cooperation.common_landmarks import look_alikes
+from uav_vslam.cooperation.common_landmarks import descriptor_matches
 from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
@@ -19,7 +19,7 @@ from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.apart import Flown, draw_offset, fly_own_only, identities, mistaken, moved_apart
 from uav_vslam.studies.association_stages import STAGES, UNKNOWN_FRAME, Identities, Score, pairs_by_stage, score
-from uav_vslam.studies.map_yardsticks import alignment_error, map_to_map, weighted_map_to_map
+from uav_vslam.studies.map_baselines import alignment_error, map_to_map, weighted_map_to_map
 from uav_vslam.studies.meetings import Meeting, RecordingFusion, meet
 from uav_vslam.types import NS_PER_S, JointInformation
 
@@ -122,7 +122,7 @@ def _first(
 ) -> FirstAlignment:
     T, maps = alignment.T_own_peer, _whole_maps(meeting, flown)
     error = np.append(T_true.t - T.t, so3_log(T_true.R @ T.R.T)[2])
-    matches = look_alikes(meeting.joint.descriptors, meeting.packet, config.ratio)
+    matches = descriptor_matches(meeting.joint.descriptors, meeting.packet, config.ratio)
     start_ns = flown.tracks[OWN].outputs[0].report.pose.stamp_ns
     centre = map_to_map(*maps, truth)[1]
     return FirstAlignment(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig, VehicleConfig, load_vehicle
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.ins.propagator import InsPropagator
+from uav_vslam.ins.preintegrator import InsPropagator
 from uav_vslam.simulation.landmarks import PER_FRAME, LandmarkField, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.slam.backend import FrameReport, SlamBackend

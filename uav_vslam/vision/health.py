@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import NS_PER_S
-from uav_vslam.vision.image_watch import ImageWatch, Usual
+from uav_vslam.vision.image_watch import ImageWatch, RunningBaseline
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -37,7 +37,7 @@ class FrontendHealth:
         """
         self._rig, self._epipolar_px = rig, epipolar_px
         self._cameras = {"left": ImageWatch(), "right": ImageWatch()}
-        self._rate, self._stamp_ns = Usual(GAP_SHARE), 0
+        self._rate, self._stamp_ns = RunningBaseline(GAP_SHARE), 0
         self._missing: deque[int] = deque(maxlen=COUNTED_PAIRS)
         self._distances: deque[float] = deque(maxlen=EPIPOLAR_FRAMES)
         self.alarms: dict[str, str] = {}

@@ -30,7 +30,7 @@ class ImageWatch:
 
     def __init__(self) -> None:
         self._before: Grey | None = None
-        self._sharpness, self._likeness = Usual(BLURRED), Usual(SMEARED)
+        self._sharpness, self._likeness = RunningBaseline(BLURRED), RunningBaseline(SMEARED)
         self.blind = False
 
     def add(self, image: Grey) -> list[str]:
@@ -58,7 +58,7 @@ class ImageWatch:
         return [] if sharpness is None else [f"is blurred: {100.0 * sharpness:.0f} % of its usual sharpness"]
 
 
-class Usual:
+class RunningBaseline:
     """What a figure of the images is as a rule."""
 
     def __init__(self, least_share: float) -> None:

@@ -53,7 +53,7 @@ class StereoFrontend(Frontend):
         if not self._health.look(frame.stamp_ns, to_grey8(frame.left), to_grey8(frame.right)):
             return StereoFeatures.empty(frame.stamp_ns)
         detected = self.detect(frame)
-        self._health.judge(self._matched_by_look(detected))
+        self._health.judge(self._matched_by_descriptor(detected))
         return self.match(detected)
 
     def detect(self, frame: StereoFrame) -> DetectedPair:
@@ -93,7 +93,7 @@ class StereoFrontend(Frontend):
         pairs = match_gated(detected.left.descriptors, detected.right.descriptors, allowed, self._config.ratio)
         return _without_twins(pairs, detected.pixels_left, detected.pixels_right)
 
-    def _matched_by_look(self, detected: DetectedPair) -> Array:
+    def _matched_by_descriptor(self, detected: DetectedPair) -> Array:
         """Return (M, 4) pixels of the strongest points, matched by descriptors alone: they show where the rig is."""
         left, right = (keypoints.descriptors[:LOOKED_AT] for keypoints in (detected.left, detected.right))
         pairs = match_descriptors(left, right, self._config.ratio)

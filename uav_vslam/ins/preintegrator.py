@@ -20,7 +20,7 @@ MAX_REPLAYED = 5000  # readings kept to be replayed after a correction: 25 s at 
 MAX_EARLY = 1000  # increments kept until the start state is known
 
 
-class IncrementCutter:
+class ImuPreintegrator:
     """Cuts the inertial data at the image stamps.
 
     All increments are linearised at the start's bias, whatever the filter learns later (their Jacobian carries it):
@@ -94,14 +94,14 @@ class DeadReckoning:
 
     def __init__(self, imu: ImuConfig) -> None:
         self._imu = imu
-        self._early: deque[ImuIncrement] = deque(maxlen=MAX_EARLY)
+        self._startup_buffer: deque[ImuIncrement] = deque(maxlen=MAX_EARLY)
         self.estimate: NavEstimate | None = None
 
     def start(self, initial: NavEstimate) -> list[NavEstimate]:
         """Return the start state, and the reckoning at the end of each increment that has come since."""
         self.estimate = initial
-        reckoned, early = [initial], list(self._early)
-        self._early.clear()
+        reckoned, early = [initial], list(self._startup_buffer)
+        self._startup_buffer.clear()
         for increment in early:
             if increment.start_ns >= initial.state.stamp_ns:
                 reckoned += self.add(increment)
@@ -110,7 +110,7 @@ class DeadReckoning:
     def add(self, increment: ImuIncrement) -> list[NavEstimate]:
         """Return the reckoning at the end of an increment; none while the start state is not known."""
         if self.estimate is None:
-            self._early.append(increment)
+            self._startup_buffer.append(increment)
             return []
         self.estimate = advance(self.estimate, increment, self._imu)
         return [self.estimate]
@@ -120,17 +120,17 @@ class InsPropagator:
     """Increments, each with the dead reckoning at its end, where the start state is known beforehand."""
 
     def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
-        self._cutter = IncrementCutter(imu, initial.state)
+        self._preintegrator = ImuPreintegrator(imu, initial.state)
         self._reckoning = DeadReckoning(imu)
         self._reckoning.start(initial)
-        self.add_imu = self._cutter.add_imu
-        self.add_frame_stamp = self._cutter.add_frame_stamp
+        self.add_imu = self._preintegrator.add_imu
+        self.add_frame_stamp = self._preintegrator.add_frame_stamp
 
     def increments(self, *, flush: bool = False) -> list[tuple[ImuIncrement, NavEstimate]]:
-        """Return what has become complete, in order; see `IncrementCutter.increments`."""
+        """Return what has become complete, in order; see `ImuPreintegrator.increments`."""
         return [
             (increment, reckoned)
-            for increment in self._cutter.increments(flush=flush)
+            for increment in self._preintegrator.increments(flush=flush)
             for reckoned in self._reckoning.add(increment)
         ]
 

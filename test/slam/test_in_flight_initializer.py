@@ -10,7 +10,7 @@ from uav_vslam.config import BackendConfig, ImuConfig, StartConfig, VehicleConfi
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rpy_from_rotation, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.slam.in_flight_start import MIN_VIEWS, InFlightStart, Start
+from uav_vslam.slam.in_flight_initializer import MIN_VIEWS, InFlightInitializer, Start
 from uav_vslam.types import StereoFeatures
 
 WINDOW = 9  # frames at 7.14 Hz that span a second
@@ -22,7 +22,7 @@ def config(**sections) -> VehicleConfig:
     return VehicleConfig(**{"start": StartConfig(method="in_flight"), **sections})
 
 
-def feed(search: InFlightStart, frames) -> Start | None:
+def feed(search: InFlightInitializer, frames) -> Start | None:
     """Return the first start that is found."""
     return next((found for frame in frames if (found := search.add(*frame)) is not None), None)
 
@@ -42,7 +42,7 @@ def blind(frame):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_second_of_flight_gives_velocity_and_tilt_at_its_first_frame(flown, seed: int) -> None:
     flight = flown(seed)
-    search = InFlightStart(flight.vehicle.rig, config())
+    search = InFlightInitializer(flight.vehicle.rig, config())
     found = feed(search, flight.frames)
     assert found is not None
     assert len(found.frames) == WINDOW
@@ -64,7 +64,7 @@ def test_the_filter_is_told_the_configured_velocity_and_twice_the_tilt_that_the_
     flight = flown(1, imu=imu)
     unit = flight.vehicle.scenario.imu_config
     settings = config(imu=unit, start=StartConfig(method="in_flight", velocity_sigma=3.0))
-    found = feed(InFlightStart(flight.vehicle.rig, settings), flight.frames)
+    found = feed(InFlightInitializer(flight.vehicle.rig, settings), flight.frames)
     assert found is not None
     sigma = np.sqrt(np.diag(found.initial.covariance))
     assert np.all(sigma[:3] <= 1e-3)
@@ -78,7 +78,7 @@ def test_the_filter_is_told_the_configured_velocity_and_twice_the_tilt_that_the_
 
 def test_frames_that_show_nothing_are_slid_over_and_counted(flown) -> None:
     flight = flown(1)
-    search = InFlightStart(flight.vehicle.rig, config())
+    search = InFlightInitializer(flight.vehicle.rig, config())
     dark = 5
     assert feed(search, map(blind, flight.frames[:dark])) is None
     assert search.waiting == dark
@@ -91,7 +91,7 @@ def test_frames_that_show_nothing_are_slid_over_and_counted(flown) -> None:
 
 def test_the_reason_says_what_is_still_missing(flown) -> None:
     flight = flown(1)
-    search = InFlightStart(flight.vehicle.rig, config())
+    search = InFlightInitializer(flight.vehicle.rig, config())
     assert search.reason == "no frame has come"
     assert feed(search, flight.frames[:3]) is None
     assert search.reason == "3 frames over 0.3 s have come, not yet enough"
@@ -99,7 +99,7 @@ def test_the_reason_says_what_is_still_missing(flown) -> None:
         dataclasses.replace(f, descriptors=np.roll(f.descriptors, 17 * k, axis=1))
         for k, (f, _) in enumerate(flight.frames)
     ]
-    search = InFlightStart(flight.vehicle.rig, config())
+    search = InFlightInitializer(flight.vehicle.rig, config())
     assert feed(search, [(f, i) for f, (_, i) in zip(strange, flight.frames, strict=True)]) is None
     assert search.reason.endswith(f"are found again in later frames; {MIN_VIEWS} frames with 6 are needed")
     assert search.dropped == len(flight.frames) - WINDOW + 1
@@ -110,7 +110,7 @@ def test_a_wrong_calibration_is_told_from_too_little_to_see(flown) -> None:
     rig = flight.vehicle.rig
     turned = Pose(rig.T_body_left.R @ so3_exp([0.0, 0.0, np.pi / 2]), rig.T_body_left.t)
     wrong = StereoRig(rig.left, rig.right, turned, turned @ rig.T_right_left.inverse())
-    search = InFlightStart(wrong, config())
+    search = InFlightInitializer(wrong, config())
     assert feed(search, flight.frames) is None
     assert "fit one motion; check calibration, IMU axes and units" in search.reason
 
@@ -118,7 +118,7 @@ def test_a_wrong_calibration_is_told_from_too_little_to_see(flown) -> None:
 def test_evidence_thinner_than_asked_for_is_refused(flown) -> None:
     flight = flown(1)
     start = StartConfig(method="in_flight", max_tilt_sigma_deg=0.1)
-    search = InFlightStart(flight.vehicle.rig, config(start=start))
+    search = InFlightInitializer(flight.vehicle.rig, config(start=start))
     assert feed(search, flight.frames) is None
     assert "and tilt to 0." in search.reason
     assert "start.max_tilt_sigma_deg" in search.reason
@@ -128,7 +128,7 @@ def test_a_gyro_bias_beyond_the_increments_linearisation_is_refused(flown) -> No
     """A turn-on bias of 0.3 rad/s: what the increments make of it is right to first order only."""
     flight = flown(1)
     biased = [(f, i and with_gyro_bias(i, np.array([0.0, 0.0, 0.3]))) for f, i in flight.frames]
-    search = InFlightStart(flight.vehicle.rig, config(imu=ImuConfig(gyro_bias_sigma=0.5)))
+    search = InFlightInitializer(flight.vehicle.rig, config(imu=ImuConfig(gyro_bias_sigma=0.5)))
     assert feed(search, biased) is None
     assert "the gyro's bias alone turns by 0.3" in search.reason
 
@@ -146,7 +146,7 @@ def with_gyro_bias(increment, bias):
 
 def test_a_motion_that_does_not_join_begins_the_window_anew(flown) -> None:
     flight = flown(1)
-    search = InFlightStart(flight.vehicle.rig, config())
+    search = InFlightInitializer(flight.vehicle.rig, config())
     assert feed(search, flight.frames[:4]) is None
     found = feed(search, flight.frames[6:])  # two frames were lost on the way
     assert found is not None
@@ -157,7 +157,7 @@ def test_a_motion_that_does_not_join_begins_the_window_anew(flown) -> None:
 def test_of_a_longer_window_some_frames_are_used_and_all_kept(flown) -> None:
     flight = flown(1)
     start = StartConfig(method="in_flight", window_s=2.0)
-    found = feed(InFlightStart(flight.vehicle.rig, config(start=start)), flight.frames)
+    found = feed(InFlightInitializer(flight.vehicle.rig, config(start=start)), flight.frames)
     assert found is not None
     assert len(found.frames) == 16
     assert velocity_error(flight.vehicle, found) < VELOCITY_M_S
@@ -166,7 +166,7 @@ def test_of_a_longer_window_some_frames_are_used_and_all_kept(flown) -> None:
 def test_the_same_frames_give_the_same_bytes(flown) -> None:
     flight = flown(2)
     settings = config(backend=BackendConfig(sigma_px=1.0))
-    a, b = (feed(InFlightStart(flight.vehicle.rig, settings), flight.frames) for _ in range(2))
+    a, b = (feed(InFlightInitializer(flight.vehicle.rig, settings), flight.frames) for _ in range(2))
     assert a is not None
     assert b is not None
     assert a.initial.state.v_map.tobytes() == b.initial.state.v_map.tobytes()

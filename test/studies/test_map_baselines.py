@@ -7,7 +7,7 @@ import pytest
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
 from uav_vslam.studies.association_stages import Identities
-from uav_vslam.studies.map_yardsticks import alignment_error, common_rows, map_to_map, weighted_map_to_map
+from uav_vslam.studies.map_baselines import alignment_error, common_rows, map_to_map, weighted_map_to_map
 
 
 def test_the_yardstick_is_the_transform_between_equal_shapes(make_joint) -> None:

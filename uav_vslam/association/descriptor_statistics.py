@@ -12,7 +12,7 @@ PRIOR_SHARE = 0.1  # of the variance between landmarks: what one landmark's is b
 LEAST_VARIANCE = 1.0 / 12.0  # that rounding to whole numbers leaves
 
 
-class Looks:
+class DescriptorStatistics:
     """Statistics of N landmarks' descriptors of D numbers, a row each; section 6.4.1 of [thesis].
 
     Attributes:
@@ -25,17 +25,19 @@ class Looks:
         self.count, self.mean, self.scatter = count, mean, scatter
 
     @staticmethod
-    def of(descriptors: NDArray[np.uint8]) -> "Looks":
+    def of(descriptors: NDArray[np.uint8]) -> "DescriptorStatistics":
         """Return the statistics of landmarks that have been seen once."""
-        return Looks(np.ones(len(descriptors), np.intp), descriptors.astype(float), np.zeros(descriptors.shape))
+        return DescriptorStatistics(
+            np.ones(len(descriptors), np.intp), descriptors.astype(float), np.zeros(descriptors.shape)
+        )
 
-    def chosen(self, rows: Rows | NDArray[np.bool_]) -> "Looks":
+    def chosen(self, rows: Rows | NDArray[np.bool_]) -> "DescriptorStatistics":
         """Return the statistics of some of the landmarks."""
-        return Looks(self.count[rows], self.mean[rows], self.scatter[rows])
+        return DescriptorStatistics(self.count[rows], self.mean[rows], self.scatter[rows])
 
     def append(self, descriptors: NDArray[np.uint8]) -> None:
         """Add landmarks seen for the first time; the first ever decide D."""
-        new = Looks.of(descriptors)
+        new = DescriptorStatistics.of(descriptors)
         self.mean = np.vstack([self.mean, new.mean]) if len(self.count) else new.mean
         self.scatter = np.vstack([self.scatter, new.scatter]) if len(self.count) else new.scatter
         self.count = np.concatenate([self.count, new.count])

@@ -8,7 +8,7 @@ from uav_vslam.types import NS_PER_S, ImuSample
 MAX_APART_S = 30.0  # of a start state and the newest reading; also how long what came before it is held
 
 
-class EarlyData:
+class StartupBuffer:
     """Holds what came last, over a span of time whatever the rates are."""
 
     def __init__(self, held_s: float = MAX_APART_S) -> None:

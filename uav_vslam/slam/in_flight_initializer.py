@@ -31,7 +31,7 @@ TOLD_PER_TILT_SIGMA = 2.0  # told the filter, of what the window leaves; most of
 MAX_BIAS_TURN_RAD = 0.1  # by the gyro bias over the window; increments follow a bias to first order only
 
 
-class ThinEvidence(UavVslamError):
+class InsufficientEvidence(UavVslamError):
     """A window of frames does not tell how the vehicle moves; the text says why not."""
 
 
@@ -48,7 +48,7 @@ class Start:
     frames: list[Frame]
 
 
-class InFlightStart:
+class InFlightInitializer:
     """Slides a window over the frames until one will do.
 
     Attributes:
@@ -77,7 +77,7 @@ class InFlightStart:
         while self._window_is_full():
             try:
                 return Start(self._find(), self._held)
-            except ThinEvidence as error:
+            except InsufficientEvidence as error:
                 self.reason = str(error)
                 self._slide()
         return None
@@ -136,7 +136,7 @@ class InFlightStart:
                 views.append(View(motion, matches[:, 0], features.pixels[matches[:, 1]].astype(float)))
                 motion = None
         if len(views) < MIN_VIEWS:
-            raise ThinEvidence(
+            raise InsufficientEvidence(
                 f"of {len(descriptors)} points only {', '.join(map(str, counts))} are found again in later frames; "
                 f"{MIN_VIEWS} frames with {self._config.backend.min_pnp_inliers} are needed"
             )
@@ -147,21 +147,21 @@ class InFlightStart:
         agreeing, matched = int(found.inliers.sum()), sum(len(view.rows) for view in views)
         enough = (found.inliers >= self._config.backend.min_pnp_inliers).sum() >= MIN_VIEWS
         if not enough or agreeing < MIN_AGREEING * matched:
-            raise ThinEvidence(
+            raise InsufficientEvidence(
                 f"{agreeing} of {matched} matches fit one motion; check calibration, IMU axes and units, "
                 "imu.gyro_bias_sigma and backend.sigma_px"
             )
         span_s = sum(view.motion.dt_s for view in views)
         turn = float(np.linalg.norm(found.gyro_bias)) * span_s
         if turn > MAX_BIAS_TURN_RAD:
-            raise ThinEvidence(
+            raise InsufficientEvidence(
                 f"the gyro's bias alone turns by {turn:.2f} rad within {span_s:.1f} s, more than "
                 f"{MAX_BIAS_TURN_RAD:g}: frames are too far apart, or the gyro needs calibration"
             )
         start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt(found)))
         velocity = float(np.sqrt(np.linalg.eigvalsh(found.covariance[VELOCITY, VELOCITY])[-1]))
         if velocity > start.velocity_sigma or tilt_deg > start.max_tilt_sigma_deg:
-            raise ThinEvidence(
+            raise InsufficientEvidence(
                 f"velocity is known to {velocity:.2f} m/s and tilt to {tilt_deg:.2f} deg only, not to "
                 f"{start.velocity_sigma:g} m/s and {start.max_tilt_sigma_deg:g} deg; raise start.window_s, or "
                 "start.velocity_sigma and start.max_tilt_sigma_deg"

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from uav_vslam.association.looks import PRIOR_VIEWS, Looks
+from uav_vslam.association.descriptor_statistics import PRIOR_VIEWS, DescriptorStatistics
 
 
 def views(count, landmarks=3, seed=1):
@@ -12,43 +12,43 @@ def views(count, landmarks=3, seed=1):
 
 def test_mean_and_scatter_are_those_of_all_views_whatever_their_order():
     seen = views(7)
-    looks = Looks.of(seen[0])
+    statistics = DescriptorStatistics.of(seen[0])
     for view in seen[1:]:
-        looks.observe(np.array([2, 0]), view[[2, 0]])
-    np.testing.assert_array_equal(looks.count, [7, 1, 7])
-    np.testing.assert_allclose(looks.mean[[0, 2]], seen.mean(axis=0)[[0, 2]])
-    np.testing.assert_allclose(looks.scatter[[0, 2]], 7 * seen.var(axis=0)[[0, 2]])
-    np.testing.assert_array_equal(looks.mean[1], seen[0, 1])
+        statistics.observe(np.array([2, 0]), view[[2, 0]])
+    np.testing.assert_array_equal(statistics.count, [7, 1, 7])
+    np.testing.assert_allclose(statistics.mean[[0, 2]], seen.mean(axis=0)[[0, 2]])
+    np.testing.assert_allclose(statistics.scatter[[0, 2]], 7 * seen.var(axis=0)[[0, 2]])
+    np.testing.assert_array_equal(statistics.mean[1], seen[0, 1])
 
 
 def test_rows_stay_in_step_with_the_map():
     first, second = views(2)
-    looks = Looks.of(first[:0])
-    looks.append(first)
-    looks.append(second)
-    assert looks.count.tolist() == [1] * 6
-    left = looks.chosen(np.array([1, 5]))
+    statistics = DescriptorStatistics.of(first[:0])
+    statistics.append(first)
+    statistics.append(second)
+    assert statistics.count.tolist() == [1] * 6
+    left = statistics.chosen(np.array([1, 5]))
     np.testing.assert_array_equal(left.mean, np.vstack([first[1], second[2]]))
 
 
 def test_the_first_landmarks_of_an_empty_map_decide_how_long_a_descriptor_is():
-    looks = Looks.of(np.zeros((0, 128), np.uint8))
-    looks.append(np.zeros((2, 32), np.uint8))
-    assert looks.mean.shape == looks.scatter.shape == (2, 32)
+    statistics = DescriptorStatistics.of(np.zeros((0, 128), np.uint8))
+    statistics.append(np.zeros((2, 32), np.uint8))
+    assert statistics.mean.shape == statistics.scatter.shape == (2, 32)
 
 
 def test_the_variance_goes_from_what_all_share_to_the_landmarks_own():
     rng = np.random.default_rng(2)
     means = rng.integers(80, 180, (40, 16))
     sigma = np.where(np.arange(40) == 7, 20.0, 4.0)[:, None]
-    looks = Looks.of(np.rint(means).astype(np.uint8))
-    before = looks.variance()
+    statistics = DescriptorStatistics.of(np.rint(means).astype(np.uint8))
+    before = statistics.variance()
     np.testing.assert_allclose(before, np.tile(before[:1], (40, 1)))
     for _ in range(200):
-        looks.observe(
+        statistics.observe(
             np.arange(40), np.clip(np.rint(means + sigma * rng.normal(size=means.shape)), 0, 255).astype(np.uint8)
         )
-    learnt = looks.variance().mean(axis=1)
+    learnt = statistics.variance().mean(axis=1)
     assert 300 < learnt[7] < 440  # of 400, with a standard deviation of 10 %/4 and the pull of PRIOR_VIEWS of 200
     assert 14 < np.delete(learnt, 7).mean() < 18
     assert PRIOR_VIEWS < 10
@@ -56,7 +56,7 @@ def test_the_variance_goes_from_what_all_share_to_the_landmarks_own():
 
 def test_a_variance_is_never_zero():
     alike = np.zeros((3, 8), np.uint8)
-    looks = Looks.of(alike)
-    looks.observe(np.arange(3), alike)
-    assert (looks.variance() > 0).all()
-    assert Looks.of(alike[:0]).variance().shape == (0, 8)
+    statistics = DescriptorStatistics.of(alike)
+    statistics.observe(np.arange(3), alike)
+    assert (statistics.variance() > 0).all()
+    assert DescriptorStatistics.of(alike[:0]).variance().shape == (0, 8)

@@ -7,7 +7,7 @@ import pytest
 from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
-from uav_vslam.ins.propagator import DeadReckoning, IncrementCutter, InsOdometry, InsPropagator
+from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator, InsOdometry, InsPropagator
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavState
 
 IMU = ImuConfig()
@@ -90,7 +90,7 @@ def test_dead_reckoning_of_a_hover_stays_and_its_covariance_grows() -> None:
     assert np.all(np.diff(traces) > 0)
 
 
-def cut(cutter: IncrementCutter, samples: list[ImuSample], stamps_ms: list[int]) -> list[ImuIncrement]:
+def cut(cutter: ImuPreintegrator, samples: list[ImuSample], stamps_ms: list[int]) -> list[ImuIncrement]:
     for sample in samples:
         cutter.add_imu(sample)
     for stamp_ms in stamps_ms:
@@ -104,7 +104,7 @@ def restless(count: int) -> list[ImuSample]:
 
 
 def test_without_a_start_state_the_first_image_begins_the_first_increment() -> None:
-    cutter = IncrementCutter(IMU)
+    cutter = ImuPreintegrator(IMU)
     assert cutter.start_ns is None
     increments = cut(cutter, restless(60), [50, 100, 170])
     assert cutter.start_ns == 50 * MS
@@ -116,13 +116,13 @@ def test_without_a_start_state_the_first_image_begins_the_first_increment() -> N
 
 def test_increments_are_linearised_at_the_bias_of_the_start() -> None:
     start = NavState(0, Pose.identity(), np.zeros(3), np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.1, 0.0]))
-    (increment,) = cut(IncrementCutter(IMU, start), restless(30), [100])
+    (increment,) = cut(ImuPreintegrator(IMU, start), restless(30), [100])
     np.testing.assert_array_equal(increment.gyro_bias, start.gyro_bias)
     np.testing.assert_array_equal(increment.accel_bias, start.accel_bias)
 
 
 def test_dead_reckoning_from_a_start_that_is_found_late_is_the_same_as_from_one_known_before() -> None:
-    increments = cut(IncrementCutter(IMU), restless(200), list(range(50, 900, 90)))
+    increments = cut(ImuPreintegrator(IMU), restless(200), list(range(50, 900, 90)))
     start = NavEstimate(NavState(increments[2].start_ns, Pose.identity(), np.ones(3), *np.zeros((2, 3))), np.eye(15))
     early, late = DeadReckoning(IMU), DeadReckoning(IMU)
     expected = [*early.start(start), *(reckoned for increment in increments[2:] for reckoned in early.add(increment))]
@@ -174,7 +174,7 @@ def test_readings_from_before_the_start_change_nothing() -> None:
 def test_a_silence_of_the_unit_is_seen_whatever_the_rate_of_the_images(rate_hz: int) -> None:
     """Every piece of it lies between the same two readings, 2 s apart; the images around it are as certain as ever."""
     samples = [s for s in restless(1001) if not 1000 < s.stamp_ns / MS < 3000]
-    cutter = IncrementCutter(IMU)
+    cutter = ImuPreintegrator(IMU)
     increments = cut(cutter, samples, [round(1000 / rate_hz * k) for k in range(5 * rate_hz)])
     silent = [i for i in increments if i.stamp_ns > 1000 * MS and i.start_ns < 3000 * MS]
     sigmas = [np.sqrt(np.diag(i.covariance)[:6]) / i.dt_s for i in silent]
@@ -188,7 +188,7 @@ def test_a_silence_of_the_unit_is_seen_whatever_the_rate_of_the_images(rate_hz: 
 
 def test_an_interval_without_a_reading_between_near_ones_is_no_gap() -> None:
     """Images may come faster than readings."""
-    cutter = IncrementCutter(IMU)
+    cutter = ImuPreintegrator(IMU)
     increments = cut(cutter, restless(10), [11, 13, 17, 22])
     assert [i.samples for i in increments] == [0, 1, 1]
     assert cutter.gaps == 0

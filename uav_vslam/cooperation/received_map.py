@@ -12,11 +12,11 @@ from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]
 
-HEARD_LANDMARKS = 64  # a wideband packet fills it; of narrowband ones it holds the last few
+RECEIVED_LANDMARKS = 64  # a wideband packet fills it; of narrowband ones it holds the last few
 
 
 @dataclass(frozen=True, slots=True)
-class HeardMap:
+class ReceivedMap:
     """Landmarks of one session's newest packet, then of those before; of one told again the newest counts.
 
     Attributes:
@@ -37,16 +37,16 @@ class HeardMap:
         return len(self.ids)
 
 
-Told = LandmarkPacket | HeardMap  # what a peer's landmarks can be read from
+Told = LandmarkPacket | ReceivedMap  # what a peer's landmarks can be read from
 
 
-def heard(packet: LandmarkPacket, before: HeardMap | None) -> HeardMap:
+def heard(packet: LandmarkPacket, before: ReceivedMap | None) -> ReceivedMap:
     """Put a packet before what was heard already; its rows stay the first ones."""
     if before is None or _kind(before) != _kind(packet):
-        before = HeardMap(packet.ids[:0], np.zeros((0, 3)), np.zeros((0, 0)), packet.descriptors[:0], 0)
-    old = np.flatnonzero(~np.isin(before.ids, packet.ids))[: max(HEARD_LANDMARKS - len(packet), 0)]
+        before = ReceivedMap(packet.ids[:0], np.zeros((0, 3)), np.zeros((0, 0)), packet.descriptors[:0], 0)
+    old = np.flatnonzero(~np.isin(before.ids, packet.ids))[: max(RECEIVED_LANDMARKS - len(packet), 0)]
     coordinates = landmark_rows(0, old)
-    return HeardMap(
+    return ReceivedMap(
         ids=np.concatenate([packet.ids, before.ids[old]]),
         positions=np.vstack([packet.positions, before.positions[old]]),
         covariance=block_diag(packet.covariance, before.covariance[np.ix_(coordinates, coordinates)]),

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from uav_vslam.cooperation.heard_map import HEARD_LANDMARKS, heard
+from uav_vslam.cooperation.received_map import RECEIVED_LANDMARKS, heard
 
 
 def packet_of(sent_map, ids, height: float, *, basis: int = 0, size: int = 128):
@@ -38,7 +38,7 @@ def test_what_was_told_longest_ago_goes_first(sent_map) -> None:
     known = None
     for k in range(5):
         known = heard(packet_of(sent_map, list(range(20 * k, 20 * k + 20)), 1.0), known)
-    assert len(known) == HEARD_LANDMARKS
+    assert len(known) == RECEIVED_LANDMARKS
     np.testing.assert_array_equal(known.ids[:20], np.arange(80, 100))
     np.testing.assert_array_equal(known.ids[-4:], np.arange(20, 24))
     large = heard(packet_of(sent_map, list(range(200, 280)), 1.0), known)

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_vslam.ins.early import EarlyData
+from uav_vslam.ins.startup_buffer import StartupBuffer
 from uav_vslam.types import NS_PER_S, ImuSample
 
 
@@ -15,7 +15,7 @@ def reading(stamp_ns: int) -> ImuSample:
 @pytest.mark.parametrize("rate_hz", [10, 200, 4000])
 @pytest.mark.parametrize("held_s", [0.5, 1.5])
 def test_a_span_is_held_at_any_rate(rate_hz: int, held_s: float) -> None:
-    early = EarlyData(held_s)
+    early = StartupBuffer(held_s)
     for k in range(3 * rate_hz):
         early.add(reading(k * NS_PER_S // rate_hz))
         if k % 5 == 0:
@@ -27,7 +27,7 @@ def test_a_span_is_held_at_any_rate(rate_hz: int, held_s: float) -> None:
 
 def test_nothing_is_forgotten_before_the_span_is_full() -> None:
     """So the first alignment is made of all readings from the very first on."""
-    early = EarlyData(1.0)
+    early = StartupBuffer(1.0)
     items = [reading(0), 1000, *(reading(k * 5_000_000) for k in range(1, 203))]
     for item in items[:-1]:
         early.add(item)
@@ -38,7 +38,7 @@ def test_nothing_is_forgotten_before_the_span_is_full() -> None:
 
 
 def test_what_is_taken_is_held_no_longer() -> None:
-    early = EarlyData()
+    early = StartupBuffer()
     items = [reading(0), 1000, reading(2000)]
     for item in items:
         early.add(item)
@@ -47,7 +47,7 @@ def test_what_is_taken_is_held_no_longer() -> None:
 
 
 def test_a_start_is_measured_from_the_newest_reading() -> None:
-    early = EarlyData()
+    early = StartupBuffer()
     early.add(5 * NS_PER_S)  # an image
     assert early.ahead_s(0) is None
     for seconds in (20, 21, 19):
