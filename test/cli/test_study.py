@@ -8,6 +8,7 @@ import pytest
 
 from uav_vslam.cli import main as command
 from uav_vslam.cli.study import STUDIES
+from uav_vslam.cli.study.common import seeds_of
 from uav_vslam.evaluation.output import LATEST
 
 SMALL = {
@@ -73,6 +74,12 @@ def test_every_study_explains_itself_with_examples(study: str, capsys: pytest.Ca
     text = capsys.readouterr().out
     assert f"\n  uav-vslam study {study}" in text
     assert "--seeds" in text
+
+
+@pytest.mark.parametrize("study", [study for study in STUDIES if study != "live"])
+def test_every_study_draws_the_seeds_that_it_is_given(study: str) -> None:
+    arguments = ["study", study, *["folder"] * (study == "euroc"), "--seeds", "3", "--first-seed", "1001"]
+    assert seeds_of(command.build_parser(arguments).parse_args(arguments)) == [1001, 1002, 1003]
 
 
 def test_a_study_that_is_not_known_is_wrong_input(capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,16 +18,20 @@ if TYPE_CHECKING:
 
 def add_run_arguments(parser: argparse.ArgumentParser, *, seeds: int, workers: int = 2) -> None:
     """Declare seeds, processes and the results folder, with a study's own defaults."""
-    parser.add_argument(
-        "--seeds", type=non_negative, default=seeds, metavar="N", help=f"seeds 1 to N (default {seeds})"
-    )
+    add_seeds(parser, seeds)
     parser.add_argument("--workers", type=positive, default=workers, help=f"processes (default {workers})")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
+def add_seeds(parser: argparse.ArgumentParser, default: int, help: str = "how many seeds") -> None:
+    """Declare how many flights are drawn, and from which seed on."""
+    parser.add_argument("--seeds", type=non_negative, default=default, metavar="N", help=f"{help} (default {default})")
+    parser.add_argument("--first-seed", type=non_negative, default=1, metavar="K", help="the first of them (default 1)")
+
+
 def seeds_of(args: argparse.Namespace) -> list[int]:
     """Return the seeds asked for."""
-    return list(range(1, args.seeds + 1))
+    return list(range(args.first_seed, args.first_seed + args.seeds))
 
 
 def add_variants(parser: argparse.ArgumentParser, default: str) -> None:

@@ -9,9 +9,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import non_negative, results_folder
+from uav_vslam.cli.arguments import results_folder
 from uav_vslam.cli.progress import progress_bar
-from uav_vslam.cli.study.common import publish, seeds_of
+from uav_vslam.cli.study.common import add_seeds, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.datasets.image_sets import Layout
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--algorithms", nargs="+", metavar="NAME", default=[], help="which (default all)")
     parser.add_argument("--width", type=int, default=360, help="wider images are shrunk to this [px] (default 360)")
-    parser.add_argument("--seeds", type=non_negative, default=1, metavar="N", help="rendered flights too (default 1)")
+    add_seeds(parser, 1, "how many rendered flights too")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import non_negative, results_folder
+from uav_vslam.cli.arguments import results_folder
 from uav_vslam.cli.progress import progress_bar
-from uav_vslam.cli.study.common import publish, seeds_of
+from uav_vslam.cli.study.common import add_seeds, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.studies.radio import Run
@@ -32,7 +32,7 @@ LAST_WORDS = 5  # lines of output that are told of a graph that failed
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's arguments."""
-    parser.add_argument("--seeds", type=non_negative, default=5, metavar="N", help="seeds 1 to N (default 5)")
+    add_seeds(parser, 5)
     parser.add_argument("--frames", type=int, default=160, help="frames of each vehicle (default 160)")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 

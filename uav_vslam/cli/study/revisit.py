@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's arguments."""
     add_run_arguments(parser, seeds=10, workers=1)
     parser.add_argument(
-        "--rendered-seeds", type=int, default=3, metavar="N", help="seeds 1 to N are rendered too (default 3)"
+        "--rendered-seeds", type=int, default=3, metavar="N", help="how many are rendered too (default 3)"
     )
     parser.add_argument("--frames", type=int, help="of each flight (default: round once, and 0.1 km on)")
     add_variants(parser, "the default settings")
@@ -36,7 +36,8 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.studies.scores import breakdowns
 
     seeds = seeds_of(args)
-    jobs = revisit_jobs(variants_of(args), seeds, list(range(1, args.rendered_seeds + 1)), frames=args.frames)
+    rendered = list(range(args.first_seed, args.first_seed + args.rendered_seeds))
+    jobs = revisit_jobs(variants_of(args), seeds, rendered, frames=args.frames)
     with progress_bar("study revisit", sum(job.scenario.frames for job in jobs)) as advance:
         loops = revisit_loops(jobs, workers=args.workers, on_frame=advance)
     rows, series, notes = revisit_rows(loops), revisit_series(loops), NOTES | breakdowns([loop.run for loop in loops])
