@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cholesky-based algebra, and what a matrix that is not positive definite gets."""
+"""Cholesky-based algebra, and errors for matrices that are not positive definite."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_inverse_and_solve_agree_with_the_definition(A: Array) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, SMALL_TRIANGLE, SMALL_TRIANGLE + 1, 3 * SMALL_TRIANGLE])
-def test_a_triangle_is_inverted_whole_or_by_halves(n: int) -> None:
+def test_a_triangle_is_inverted_directly_or_by_halves(n: int) -> None:
     L = cholesky(random_spd(n, n), "A")
     before = L.copy()
     inverse = inverse_of_triangle(L)
@@ -64,7 +64,7 @@ def test_a_submatrix_has_the_rows_and_columns_in_the_order_asked_for() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 12), st.data())
-def test_marginal_information_is_the_inverse_of_the_covariances_rows(seed: int, n: int, data: st.DataObject) -> None:
+def test_marginal_information_is_the_inverse_of_the_covariance_block(seed: int, n: int, data: st.DataObject) -> None:
     Y = random_spd(seed, n)
     order = np.array(data.draw(st.permutations(range(n))))
     kept = data.draw(st.integers(1, n))
@@ -74,7 +74,7 @@ def test_marginal_information_is_the_inverse_of_the_covariances_rows(seed: int, 
     np.testing.assert_allclose(marginal, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
-def test_a_lost_definiteness_names_the_place_the_eigenvalue_and_the_size() -> None:
+def test_a_lost_definiteness_names_the_matrix_the_eigenvalue_and_the_size() -> None:
     A = np.diag([4.0, -0.25, 1.0])
     for call in (
         lambda: cholesky(A, "information at 12.300 s"),
@@ -92,7 +92,7 @@ def test_a_lost_definiteness_names_the_place_the_eigenvalue_and_the_size() -> No
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("entry", [(0, 0), (3, 1), (3, 3)])
-def test_a_matrix_that_is_not_finite_is_refused_as_well(value: float, entry: tuple[int, int]) -> None:
+def test_a_matrix_that_is_not_finite_is_rejected(value: float, entry: tuple[int, int]) -> None:
     A = np.eye(4)
     A[entry] = A[entry[::-1]] = value
     for call in (cholesky, inverse_spd, lambda A, what: solve_spd(A, np.ones(4), what)):
@@ -100,7 +100,7 @@ def test_a_matrix_that_is_not_finite_is_refused_as_well(value: float, entry: tup
             call(A, "information")
 
 
-def test_nothing_to_marginalise_returns_a_copy() -> None:
+def test_marginalising_nothing_returns_a_copy() -> None:
     Y = random_spd(1, 3)
     out = marginalise_information(Y, np.arange(3), np.zeros(0, np.int64), "Y")
     np.testing.assert_array_equal(out, Y)
@@ -115,7 +115,7 @@ def test_symmetrise_works_on_stacks() -> None:
 
 
 @pytest.mark.parametrize("shape", [(0,), (7,), (2, 3)])
-def test_squared_distances_are_those_of_each_residual_alone(shape: tuple[int, ...]) -> None:
+def test_batched_mahalanobis_distances_equal_the_single_ones(shape: tuple[int, ...]) -> None:
     count = int(np.prod(shape))
     S = np.array([random_spd(k, 4) for k in range(count)]).reshape(*shape, 4, 4)
     r = np.random.default_rng(1).normal(size=(*shape, 4))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Workers leave with the process that they work for, whatever ends it."""
+"""Workers exit with their parent process, whatever terminates it."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ import os, signal, time
 from uav_vslam.processes import worker_pool
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs inherit SIGINT ignored
     with worker_pool(2) as pool:
         first, work = pool.submit(os.getpid), pool.submit(time.sleep, 60.0)
         print(first.result(), flush=True)
@@ -39,7 +39,7 @@ def gone(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
-def test_workers_end_with_their_process(number: signal.Signals, tmp_path: Path) -> None:
+def test_workers_exit_with_their_parent(number: signal.Signals, tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     with subprocess.Popen([sys.executable, program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as main:
@@ -50,7 +50,7 @@ def test_workers_end_with_their_process(number: signal.Signals, tmp_path: Path) 
         assert gone(worker)
 
 
-def test_an_error_in_the_block_ends_the_work_at_once() -> None:
+def test_an_error_in_the_block_terminates_the_workers_at_once() -> None:
     def work() -> None:
         with worker_pool(2) as pool:
             for done in as_completed([pool.submit(time.sleep, 60.0), pool.submit(divmod, 1, 0)]):
@@ -62,7 +62,7 @@ def test_an_error_in_the_block_ends_the_work_at_once() -> None:
     assert time.monotonic() - begin_s < PATIENCE_S
 
 
-def test_what_each_worker_does_first(capfd: pytest.CaptureFixture[str]) -> None:
+def test_each_worker_calls_the_initializer_first(capfd: pytest.CaptureFixture[str]) -> None:
     with worker_pool(1, print, "begun") as pool:
         assert pool.submit(len, "four").result() == 4
     assert capfd.readouterr().out.strip() == "begun"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lone stamp from the future is refused; time that did leap is believed at the second one."""
+"""A single stamp from the future is rejected; a real time jump is accepted at the second stamp."""
 
 import pytest
 
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.stamps import IMAGE_LEAP_S, IMU_TIME_JUMP_S, TimeJumpGuard
+from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import NS_PER_S
 
 LEAP_NS = round(IMU_TIME_JUMP_S * NS_PER_S)
@@ -27,26 +27,26 @@ def refused(stamps_ns: list[int]) -> list[int]:
     [
         ([1, 2, 3, 2 + LEAP_NS, 2 * LEAP_NS], []),
         ([1, FAR_NS, 2, 3], [FAR_NS]),
-        ([1, FAR_NS, 2, FAR_NS + 1, 3], [FAR_NS, FAR_NS + 1]),  # what came between took the first one's word away
+        ([1, FAR_NS, 2, FAR_NS + 1, 3], [FAR_NS, FAR_NS + 1]),  # the old stamp between discards the candidate
         ([1, FAR_NS, FAR_NS + 1, FAR_NS + 2], [FAR_NS]),
-        ([1, FAR_NS, FAR_NS, FAR_NS + 1], [FAR_NS, FAR_NS]),  # said twice by one message is no confirmation
+        ([1, FAR_NS, FAR_NS, FAR_NS + 1], [FAR_NS, FAR_NS]),  # a duplicate is no confirmation
         ([1, FAR_NS, 2 * FAR_NS, 3 * FAR_NS], [FAR_NS, 2 * FAR_NS, 3 * FAR_NS]),
-        ([0, FAR_NS, FAR_NS + 1], [FAR_NS]),  # a clock that is set after the first reading
-        ([FAR_NS, 1, FAR_NS + 1], []),  # an old one is no leap, nor is what follows
+        ([0, FAR_NS, FAR_NS + 1], [FAR_NS]),  # a clock set after the first reading
+        ([FAR_NS, 1, FAR_NS + 1], []),  # an old stamp is no jump, nor is the next one
     ],
 )
-def test_a_leap_ahead_is_believed_once_it_is_confirmed(stamps_ns: list[int], expected: list[int]) -> None:
+def test_a_jump_ahead_is_accepted_once_confirmed(stamps_ns: list[int], expected: list[int]) -> None:
     assert refused(stamps_ns) == expected
 
 
-def test_the_refusal_names_stream_and_leap() -> None:
+def test_the_error_names_stream_and_jump() -> None:
     guard = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
     guard.check(0)
-    with pytest.raises(InvalidMessage, match=r"stamp_leap: IMU stamp 60000000000 ns is 60.0 s after the newest"):
+    with pytest.raises(InvalidMessage, match=r"stamp_jump: IMU stamp 60000000000 ns is 60.0 s after the newest"):
         guard.check(60 * NS_PER_S)
 
 
-def test_a_recording_thinned_of_images_loses_none() -> None:
-    guard = TimeJumpGuard("image", IMAGE_LEAP_S)
+def test_a_keyframe_recording_loses_no_image() -> None:
+    guard = TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
     for seconds in (0, 8, 16, 40):
         guard.check(seconds * NS_PER_S)

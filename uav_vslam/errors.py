@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one tree of errors that the library raises.
+"""All errors that the library raises, in one hierarchy.
 
 The command line prints a `UavVslamError` as one line and exits with 2; a node logs it, drops the message that
 caused it and counts the drop.
@@ -7,7 +7,7 @@ caused it and counts the drop.
 
 
 class UavVslamError(Exception):
-    """Base of every error raised on purpose; its text says what was met, what is allowed and what to do."""
+    """Base of all deliberate errors; the text gives the value met, the values allowed and the remedy."""
 
 
 class ConfigError(UavVslamError):
@@ -15,11 +15,11 @@ class ConfigError(UavVslamError):
 
 
 class BagError(UavVslamError):
-    """A recording is missing, damaged or lacks what is needed."""
+    """A recording is missing, damaged or incomplete."""
 
 
 class CalibrationError(UavVslamError):
-    """A camera or rig calibration is missing or contradicts itself."""
+    """A camera or rig calibration is missing or inconsistent."""
 
 
 class InvalidMessage(UavVslamError, ValueError):

@@ -11,7 +11,7 @@ from uav_vslam.errors import FilterDivergence
 
 Array = NDArray[np.float64]
 
-SMALL_TRIANGLE = 80  # rows up to which LAPACK inverts a triangle as fast as two halves and their products
+SMALL_TRIANGLE = 80  # rows up to which LAPACK inverts a triangle as fast as the halving does
 
 
 def symmetrise(A: Array) -> Array:
@@ -29,7 +29,7 @@ def cholesky(A: Array, what: str) -> Array:
     Raises:
         FilterDivergence: A is not positive definite or not finite; the text names the smallest eigenvalue.
     """
-    L, failed = dpotrf(A.T, lower=1, clean=1)  # LAPACK wants columns first: A^T is A without a copy
+    L, failed = dpotrf(A.T, lower=1, clean=1)  # LAPACK is column-major: A^T avoids a copy
     if failed or not np.isfinite(np.diagonal(L)).all():  # OpenBLAS lets NaN pass
         smallest = float(np.linalg.eigvalsh(A)[0]) if np.isfinite(A).all() else float("nan")
         raise FilterDivergence(f"{what} is not positive definite: smallest eigenvalue {smallest:.3e} of {len(A)} rows")
@@ -43,16 +43,16 @@ def inverse_spd(A: Array, what: str) -> Array:
 
 def inverse_from_cholesky(L: Array) -> Array:
     """Return (L L^T)^-1 for a lower factor."""
-    lower, _ = dpotri(L, lower=1)  # its upper triangle is still the zeros of L's
+    lower, _ = dpotri(L, lower=1)  # the upper triangle keeps L's zeros
     inverse = lower + lower.T
     inverse.flat[:: len(L) + 1] *= 0.5
     return np.asarray(inverse)
 
 
 def inverse_of_triangle(L: Array) -> Array:
-    """Return the inverse of a lower triangle, by halves.
+    """Return the inverse of a lower triangle, by recursive halving.
 
-    So nearly all of it is products of matrices, and it takes half the time of LAPACK's dtrtri.
+    Nearly all of the work is then matrix products: half the time of LAPACK's dtrtri.
     """
     if len(L) <= SMALL_TRIANGLE:
         return np.asarray(dtrtri(L, lower=1)[0])
@@ -81,7 +81,7 @@ def solve_spd(A: Array, b: Array, what: str) -> Array:
 
 
 def mahalanobis2(residual: Array, S: NDArray[np.floating]) -> Array:
-    """Return r^T S^-1 r of (..., n) small residuals r, each with a covariance (..., n, n); by LU, for all at once."""
+    """Return r^T S^-1 r of (..., n) small residuals r, each with a covariance (..., n, n); by batched LU."""
     return np.asarray(np.einsum("...i,...i->...", residual, np.linalg.solve(S, residual[..., None])[..., 0]))
 
 

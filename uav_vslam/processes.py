@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that work for this one and end with it, however it ends."""
+"""Child processes that never outlive their parent."""
 
 import ctypes
 import multiprocessing
@@ -15,25 +15,27 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
 
 
-def end_with(parent: int) -> None:
-    """Let the kernel kill this process when its parent, of that number, has gone; only Linux can."""
+def exit_with_parent(parent: int) -> None:
+    """Let the kernel kill this process when its parent, with that pid, exits; Linux only."""
     if sys.platform != "linux":
         return
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before the kernel was told
+    if os.getppid() != parent:  # it exited before prctl took effect
         os._exit(1)
 
 
 @contextmanager
-def worker_pool(workers: int, begin: Callable[..., None] | None = None, *given: Any) -> Iterator[ProcessPoolExecutor]:
-    """Give a pool of fresh processes, which leave an interruption to this one: it ends them at once.
+def worker_pool(
+    workers: int, initializer: Callable[..., None] | None = None, *args: Any
+) -> Iterator[ProcessPoolExecutor]:
+    """Provide a pool of new processes that ignore SIGINT; this process handles it and terminates them at once.
 
     Args:
         workers: processes.
-        begin, given: what each does first, and with what.
+        initializer, args: called first in each worker, with these arguments.
     """
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(os.getpid(), begin, given)) as pool:
+    with ProcessPoolExecutor(workers, context, _initialize, (os.getpid(), initializer, args)) as pool:
         try:
             yield pool
         except BaseException:
@@ -43,8 +45,8 @@ def worker_pool(workers: int, begin: Callable[..., None] | None = None, *given: 
             raise
 
 
-def _begin(parent: int, begin: Callable[..., None] | None, given: tuple[Any, ...]) -> None:
-    end_with(parent)
+def _initialize(parent: int, initializer: Callable[..., None] | None, args: tuple[Any, ...]) -> None:
+    exit_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if begin is not None:
-        begin(*given)
+    if initializer is not None:
+        initializer(*args)

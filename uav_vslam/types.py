@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The records that stages exchange; each has a message of the same content in `uav_vslam_msgs` or a standard one.
+"""Records that stages exchange; each has a message of the same content, from `uav_vslam_msgs` or a standard package.
 
 Frames: `map` is the vehicle's local ENU frame (z up, gravity along -z), shared by a fleet that starts from a common
-origin; `body` is FLU at the IMU. Stamps are nanoseconds since the epoch of the recording. Records are never modified.
+origin; `body` is FLU at the IMU. Stamps are nanoseconds since the epoch of the recording. Records are immutable.
 """
 
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """One reading of the inertial unit, in the body frame.
+    """One IMU reading, in the body frame.
 
     Attributes:
         stamp_ns: time of the reading [ns].
@@ -57,8 +57,8 @@ class StereoFeatures:
         stamp_ns: stamp of the pair [ns].
         pixels: (N, 4) float32 undistorted u_left, v_left, u_right, v_right [px].
         descriptors: (N, D) uint8 descriptors of the left points.
-        tracks: (N,) uint32 which point is the same as one of an earlier pair: a number that stays with it, unique
-            within a flight; 0 where that is not known, as it is everywhere if not given.
+        tracks: (N,) uint32 feature track id, the same over all pairs that show the point and unique within a flight;
+            0 for an untracked point, the default.
     """
 
     stamp_ns: int
@@ -72,11 +72,11 @@ class StereoFeatures:
 
     @staticmethod
     def empty(stamp_ns: int) -> "StereoFeatures":
-        """Return a frame that shows nothing."""
+        """Return a frame without points."""
         return StereoFeatures(stamp_ns, np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8))
 
     def chosen(self, rows: NDArray[np.intp]) -> "StereoFeatures":
-        """Return some of the points."""
+        """Return the points in `rows`."""
         return StereoFeatures(self.stamp_ns, self.pixels[rows], self.descriptors[rows], self.tracks[rows])
 
     def __len__(self) -> int:
@@ -89,15 +89,15 @@ class ImuIncrement:
 
     Attributes:
         start_ns, stamp_ns: ends of the interval [ns].
-        samples: number of IMU readings inside; 0 over more than their usual distance means that it was not measured.
+        samples: number of IMU readings inside; 0 over more than an IMU period means that the motion was not measured.
         delta_R: (3, 3) R_start_end.
-        delta_v: (3,) velocity gained without gravity, in the start body frame [m/s].
-        delta_p: (3,) displacement gained without gravity and initial velocity, in the start body frame [m].
-        rate_end: (3,) the gyroscope's reading at the end, its bias included, body frame [rad/s].
+        delta_v: (3,) change of velocity without gravity, in the start body frame [m/s].
+        delta_p: (3,) displacement without gravity and initial velocity, in the start body frame [m].
+        rate_end: (3,) gyroscope reading at the end, bias included, body frame [rad/s].
         gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
-        bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); the rotation perturbs from
-            the right.
-        covariance: (9, 9) of (rotation, velocity, position), from white noise of the readings.
+        bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); the rotation is perturbed
+            on the right.
+        covariance: (9, 9) of (rotation, velocity, position), from the white noise of the readings.
     """
 
     start_ns: int
@@ -172,19 +172,19 @@ class PoseEstimate:
 
 
 def source_of(vehicle: str, session: int) -> str:
-    """Return what packets call the measurements of one start of a vehicle."""
+    """Return the provenance key of the measurements of one session (start) of a vehicle."""
     return f"{vehicle}/{session}"
 
 
-@dataclass(frozen=True)  # no slots: the covariance is kept
+@dataclass(frozen=True)  # no slots: the covariance is cached
 class JointInformation:
-    """The own-only belief over the pose and all landmarks, for the fusion node of the same vehicle.
+    """Joint belief over the pose and all landmarks from own sensors alone, for the vehicle's own fusion node.
 
     Attributes:
         stamp_ns: time of the pose [ns].
-        vehicle, session: who, and which start of it.
+        vehicle, session: name, and number of its start.
         T_map_body: pose.
-        ids: (N,) landmark identifiers, unique within the session.
+        ids: (N,) landmark ids, unique within the session.
         positions: (N, 3) landmarks in the map frame [m].
         information: (6+3N, 6+3N) information matrix, order position, rotation (map frame), landmarks.
         descriptors: (N, D) uint8.
@@ -201,12 +201,12 @@ class JointInformation:
 
     @property
     def source(self) -> str:
-        """What packets call these measurements: "vehicle/session"."""
+        """Provenance key of these measurements: "vehicle/session"."""
         return source_of(self.vehicle, self.session)
 
     @cached_property
     def covariance(self) -> Array:
-        """(6+3N, 6+3N) inverse of the information, worked out once: an epoch needs it several times.
+        """(6+3N, 6+3N) inverse of the information; cached, as an epoch needs it several times.
 
         Raises:
             FilterDivergence: the information is not positive definite.
@@ -218,22 +218,21 @@ class JointInformation:
 
 @dataclass(frozen=True, slots=True)
 class LandmarkPacket:
-    """Self-contained marginal over some landmarks of one vehicle, in the form that crosses the radio.
+    """Self-contained marginal over some landmarks of one vehicle, as sent over the radio.
 
     Attributes:
         stamp_ns: time of the estimate [ns].
-        vehicle, session, sequence: the sender, its start, and the number of the packet since its fusion began.
-        sources: "vehicle/session" of every measurement that is inside, the sender's own among them.
-        prior_id: hash of a loaded map or shared survey; "" for none.
-        ids: (N,) landmark identifiers of the sender.
-        origin: (3,) int32 in the sender's map frame, from which points are measured [m].
-        points: the landmarks and their covariance as they are coded.
-        covariance_scale: factor >= 1 by which the coded covariance has to be multiplied, so that it bounds the exact
-            one.
-        descriptor_basis: what the descriptors are: a number in vision.compact_descriptors, 0 for raw ones.
+        vehicle, session, sequence: sender, number of its start, and packet count since its fusion node started.
+        sources: provenance: "vehicle/session" of all measurements inside, the sender's own included.
+        prior_id: hash of a prior map or shared survey; "" for none.
+        ids: (N,) landmark ids of the sender.
+        origin: (3,) int32 reference point of the offsets, in the sender's map frame [m].
+        points: coded landmarks and covariance.
+        covariance_scale: factor >= 1; the coded covariance times it is an upper bound of the exact one.
+        descriptor_basis: number of the basis in vision.compact_descriptors, 0 for raw descriptors.
         descriptors: (N, D) uint8.
         checksum: CRC-32 over all other fields but the tag, see slam.packet.
-        tag: what proves who sent it, see cooperation.authentication; empty for nothing.
+        tag: authentication tag, see cooperation.authentication; empty for none.
     """
 
     stamp_ns: int
@@ -256,20 +255,20 @@ class LandmarkPacket:
 
     @property
     def order(self) -> tuple[int, int]:
-        """Stamp and sequence: of one session's packets the largest is the newest, and replaces the others whole.
+        """Stamp and sequence: of one session's packets the largest is the newest, and replaces all others.
 
-        The stamp comes first because a fusion node that is started anew counts from the beginning.
+        The stamp comes first because a restarted fusion node counts from zero.
         """
         return self.stamp_ns, self.sequence
 
     @property
     def source(self) -> str:
-        """The sender's own key among `sources`."""
+        """The sender's own provenance key."""
         return source_of(self.vehicle, self.session)
 
     @property
     def other_sources(self) -> tuple[str, ...]:
-        """The sources but the sender's own, which goes without saying."""
+        """The sources without the sender's own, which is implied."""
         return tuple(source for source in self.sources if source != self.source)
 
     @property
@@ -279,5 +278,5 @@ class LandmarkPacket:
 
     @property
     def covariance(self) -> Array:
-        """(3N, 3N) covariance of the landmarks [m^2], which bounds what the sender knows."""
+        """(3N, 3N) covariance of the landmarks [m^2], an upper bound of the sender's."""
         return np.asarray(self.covariance_scale * self.points.covariance)

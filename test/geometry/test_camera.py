@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Projection, its Jacobian, and the lens's distortion there and back."""
+"""Projection, its Jacobian, distortion and undistortion."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ from uav_vslam.geometry.camera import PinholeCamera
 STEP_M = 1e-5  # central differences at some metres' depth
 DIFFERENCE = 1e-5  # [px/m] rounding of pixels of order 1000 divided by the step
 ROUNDING_PX = 1e-9  # pixels of order 1000 in double precision
-UNDISTORTED_PX = 1e-4  # the fixed point's rest after 20 iterations, in the very corner of a wide lens
+UNDISTORTED_PX = 1e-4  # left after 20 fixed-point iterations in the corner of a wide lens
 CAMERA = PinholeCamera(1280, 960, 1642.0, 1640.0, 642.0, 470.0)
 EUROC = PinholeCamera(
     752, 480, 458.654, 457.296, 367.215, 248.375, np.array([-0.28340811, 0.07395907, 0.00019359, 1.76e-05, 0.0])
@@ -32,37 +32,37 @@ def test_projection_jacobian_is_the_numerical_one(point) -> None:
 
 
 @given(POINTS)
-def test_a_bearing_leads_back_to_its_point(point) -> None:
+def test_bearing_and_projection_are_inverse(point) -> None:
     np.testing.assert_allclose(CAMERA.bearings(CAMERA.project(point)) * point[2], point, rtol=0, atol=1e-9)
 
 
 @given(st.floats(0, EUROC.width - 1), st.floats(0, EUROC.height - 1))
-def test_distortion_is_undone_everywhere_in_the_image(u: float, v: float) -> None:
+def test_undistortion_inverts_distortion_over_the_whole_image(u: float, v: float) -> None:
     np.testing.assert_allclose(EUROC.distort(EUROC.undistort([u, v])), [u, v], rtol=0, atol=UNDISTORTED_PX)
 
 
 @pytest.mark.parametrize(("f", "k1", "k2"), [(560.0, -0.30, 0.10), (400.0, -0.25, 0.06)])
-def test_a_wide_lens_is_undone_into_its_corners(f: float, k1: float, k2: float) -> None:
+def test_a_wide_lens_is_undistorted_up_to_its_corners(f: float, k1: float, k2: float) -> None:
     """Where the fixed-point iteration does not converge."""
     camera = PinholeCamera(1280, 960, f, 1.01 * f, 640.0, 480.0, np.array([k1, k2, 1e-3, -5e-4, 0.0]))
     pixels = np.stack(np.meshgrid(np.linspace(0, 1279, 33), np.linspace(0, 959, 25)), axis=-1)
     np.testing.assert_allclose(camera.distort(camera.undistort(pixels)), pixels, rtol=0, atol=1e-3)
 
 
-def test_where_a_lens_images_nothing_there_is_no_ray() -> None:
+def test_pixels_outside_the_lens_range_are_nan() -> None:
     camera = dataclasses.replace(CAMERA, fx=300.0, fy=300.0, distortion=np.array([-0.4, 0.0, 0.0, 0.0, 0.0]))
     assert np.isnan(camera.undistort([0.0, 0.0])).all()
     np.testing.assert_allclose(camera.distort(camera.undistort([600.0, 400.0])), [600.0, 400.0], rtol=0, atol=1e-3)
 
 
-def test_distortion_is_opencvs() -> None:
+def test_distortion_equals_opencv() -> None:
     rays = np.random.default_rng(1).uniform([-0.7, -0.5], [0.7, 0.5], (50, 2))
     points = np.column_stack([rays, np.ones(50)])
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), EUROC.K, EUROC.distortion)
     np.testing.assert_allclose(EUROC.distort(EUROC.project(points)), expected[:, 0], rtol=0, atol=ROUNDING_PX)
 
 
-def test_a_lens_without_distortion_changes_nothing_and_shares_no_memory() -> None:
+def test_zero_distortion_returns_an_equal_copy() -> None:
     pixels = np.array([[3.0, 4.0], [900.0, 800.0]])
     ideal = CAMERA.undistort(pixels)
     np.testing.assert_array_equal(ideal, pixels)
@@ -71,7 +71,7 @@ def test_a_lens_without_distortion_changes_nothing_and_shares_no_memory() -> Non
 
 @pytest.mark.parametrize("method", ["project", "bearings", "distort", "undistort", "project_jacobian"])
 @pytest.mark.parametrize("camera", [CAMERA, EUROC], ids=["plain", "distorted"])
-def test_no_points_in_gives_none_out(camera: PinholeCamera, method: str) -> None:
+def test_no_points_give_no_points(camera: PinholeCamera, method: str) -> None:
     width = 3 if method.startswith("project") else 2
     assert len(getattr(camera, method)(np.zeros((0, width)))) == 0
 
@@ -88,6 +88,6 @@ def test_no_points_in_gives_none_out(camera: PinholeCamera, method: str) -> None
         ((640, 480, 400.0, 400.0, 300.0, 200.0, np.zeros(4)), "distortion needs 5 values"),
     ],
 )
-def test_an_impossible_calibration_is_refused(values, text: str) -> None:
+def test_an_invalid_calibration_is_rejected(values, text: str) -> None:
     with pytest.raises(CalibrationError, match=text):
         PinholeCamera(*values)

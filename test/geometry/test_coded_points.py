@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is coded is read as it was meant."""
+"""Coded points decode to the points and covariances that were encoded."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def lower(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return np.tril(rng.normal(size=shape))
 
 
-def test_dense_points_hold_their_whole_covariance() -> None:
+def test_dense_points_keep_the_full_covariance() -> None:
     rng = np.random.default_rng(0)
     L = lower(rng, 9, 9)
     points = DensePoints(rng.normal(size=(3, 3)).astype(np.float32), pack_lower(L).astype(np.float32))
@@ -36,7 +36,7 @@ def test_dense_points_hold_their_whole_covariance() -> None:
     assert points.offsets_m.dtype == float
 
 
-def test_anchored_points_hold_a_common_rigid_error_and_their_own() -> None:
+def test_anchored_points_keep_common_and_independent_errors() -> None:
     rng = np.random.default_rng(1)
     common, own = lower(rng, 6, 6), rng.integers(-127, 128, (4, 6)).astype(np.int8)
     sizes = np.array([0, 2048, 20480, 30000], np.uint16)
@@ -62,7 +62,7 @@ def test_any_number_of_points_has_a_covariance(n: int) -> None:
     assert dense.offsets_m.shape == anchored.offsets_m.shape == (n, 3)
 
 
-def test_the_rigid_jacobian_is_that_of_a_moved_body() -> None:
+def test_the_rigid_jacobian_is_the_numerical_one() -> None:
     points = np.random.default_rng(2).uniform(-50, 50, (5, 3))
     J, step = rigid_jacobian(points), 1e-6
     for k in range(6):
@@ -72,13 +72,13 @@ def test_the_rigid_jacobian_is_that_of_a_moved_body() -> None:
 
 
 @given(st.floats(0.0, 4e5))
-def test_a_size_is_coded_by_the_next_larger_one(size: float) -> None:
+def test_a_size_is_rounded_up(size: float) -> None:
     coded = float(size_m(size_code(np.array([size])))[0])
     least = max(size, SMALLEST_SIZE_M)
     assert least * (1 - 1e-12) <= coded <= least * CODE_STEP * (1 + 1e-12)
 
 
-def test_sizes_beyond_the_code_get_the_largest_one() -> None:
+def test_sizes_beyond_the_range_saturate() -> None:
     assert size_code(np.array([1e9])).tolist() == [65535]
     assert 4e5 < size_m(np.array([65535], np.uint16))[0] < 5e5
 
@@ -90,7 +90,7 @@ def test_lower_triangles_are_packed_row_by_row(shape: tuple[int, ...]) -> None:
     assert pack_lower(np.arange(9).reshape(3, 3)).tolist() == [0, 3, 4, 6, 7, 8]
 
 
-def test_blocks_on_the_diagonal_come_back() -> None:
+def test_diagonal_blocks_round_trip() -> None:
     blocks = np.random.default_rng(4).normal(size=(3, 2, 2))
     A = block_diagonal(blocks)
     assert np.count_nonzero(A) == 12

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points are chosen evenly over the image, best first."""
+"""Points are selected evenly over the image, best first."""
 
 import numpy as np
 import pytest
@@ -23,23 +23,23 @@ def test_each_cell_gives_its_best_before_any_gives_its_second() -> None:
     assert spread(pixels, 5, size=SIZE).tolist() == [0, 2, 4, 1, 3]
 
 
-def test_points_taken_before_count_against_their_cells() -> None:
+def test_points_selected_before_count_towards_their_cells() -> None:
     pixels = [cell_centre(1, 1), cell_centre(2, 2)]
     assert spread(pixels, 1, size=SIZE, taken=[cell_centre(1, 1)]).tolist() == [1]
     assert spread(pixels, 2, size=SIZE, taken=[cell_centre(1, 1)]).tolist() == [1, 0]
 
 
 @given(PIXELS, st.integers(0, 70), PIXELS)
-def test_the_choice_has_the_size_wanted_and_no_row_twice(pixels, count: int, taken) -> None:
+def test_the_selection_has_the_requested_size_and_no_duplicates(pixels, count: int, taken) -> None:
     chosen = spread(pixels, count, size=SIZE, taken=taken)
     assert len(chosen) == min(count, len(pixels)) == len(set(chosen.tolist()))
 
 
 @given(PIXELS, st.integers(0, 70))
-def test_a_smaller_choice_is_the_beginning_of_a_larger_one(pixels, count: int) -> None:
+def test_a_smaller_selection_is_a_prefix_of_a_larger_one(pixels, count: int) -> None:
     assert spread(pixels, count, size=SIZE).tolist() == spread(pixels, 70, size=SIZE).tolist()[:count]
 
 
 @pytest.mark.parametrize("pixels", [[], np.zeros((0, 2))])
-def test_nothing_to_choose_from_gives_nothing(pixels) -> None:
+def test_no_points_give_no_selection(pixels) -> None:
     assert spread(pixels, 5, size=SIZE).shape == (0,)

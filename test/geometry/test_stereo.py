@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stereo rig in any mutual pose: along x, along the image's vertical, and squinting."""
+"""The stereo rig with any relative pose: baseline along x, along the image's vertical, and converging cameras."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ from uav_vslam.simulation.rig import kagaru_rig
 STEP_M = 1e-5  # central differences at metres' depth
 DIFFERENCE = 1e-4  # [px/m] pixels of order 1000, rounded to 1e-13 of that, over the step; near points bend more
 EPIPOLAR_PX = 1e-8  # a pixel coordinate's rounding after a few products
-UNDONE_SIGMA = 0.05  # standard deviations of a point that two steps may leave to the optimum
+UNDONE_SIGMA = 0.05  # distance from the optimum after two steps, in standard deviations of the point
 T_BODY_LEFT = Pose(so3_exp([0.4, -1.2, 0.9]), np.array([0.05, -0.02, 0.01]))
 SQUINTING = StereoRig(
     PinholeCamera(752, 480, 458.0, 457.0, 367.0, 248.0),
@@ -52,14 +52,14 @@ def test_projection_jacobian_is_the_numerical_one(name: str, u: float, v: float,
     np.testing.assert_allclose(rig.project_jacobian(point), numeric, atol=DIFFERENCE, rtol=1e-6)
 
 
-def test_triangulation_undoes_projection(rig: StereoRig) -> None:
+def test_triangulation_inverts_projection(rig: StereoRig) -> None:
     points = scattered_points(rig, far_m=150.0)
     # One step of the pixels' last digit is about 1e-12 px; over depth^2 / (f b), at most 500 m/px, that is 1e-9 m.
     np.testing.assert_allclose(rig.triangulate(rig.project(points)), points, rtol=0, atol=1e-8)
 
 
 def test_triangulation_is_the_least_squares_point(rig: StereoRig) -> None:
-    """With noisy pixels the residual is normal to the Jacobian's columns, and no neighbour explains them better."""
+    """With noisy pixels the residual is normal to the Jacobian's columns, and no neighbouring point fits better."""
     points = scattered_points(rig, 80, far_m=8.0)  # some pixels of disparity for the short baseline, too
     pixels = rig.project(points) + np.random.default_rng(4).normal(0, 1.0, (len(points), 4))
     found = rig.triangulate(pixels)
@@ -67,7 +67,7 @@ def test_triangulation_is_the_least_squares_point(rig: StereoRig) -> None:
     residual = pixels - rig.project(found)
     gradient = np.einsum("nki,nk->ni", rig.project_jacobian(found), residual)
     step = np.linalg.solve(np.einsum("nki,nkj->nij", *[rig.project_jacobian(found)] * 2), gradient[..., None])[..., 0]
-    # What two Gauss-Newton steps leave undone is far below the noise of one pixel.
+    # The error left after two Gauss-Newton steps is far below one pixel of noise.
     assert np.sqrt(np.einsum("ni,ni->n", step, gradient)).max() < UNDONE_SIGMA
 
 
@@ -80,7 +80,7 @@ def test_the_kagaru_rigs_disparity_runs_along_v() -> None:
 def test_parallel_rays_and_points_behind_triangulate_to_nan() -> None:
     rig = RIGS["squinting"]
     far = rig.project(rig.left.bearings([[300.0, 200.0]]) * 1e12)
-    behind = rig.project(-rig.left.bearings([[300.0, 200.0]]) * 5.0)  # the lines meet behind both cameras
+    behind = rig.project(-rig.left.bearings([[300.0, 200.0]]) * 5.0)  # the rays meet behind both cameras
     good = rig.project(rig.left.bearings([[300.0, 200.0]]) * 5.0)
     found = rig.triangulate(np.vstack([far, good, behind]))
     assert np.isnan(found[[0, 2]]).all()
@@ -119,14 +119,14 @@ def test_right_left_transform_follows_from_the_extrinsics(rig: StereoRig) -> Non
     np.testing.assert_allclose(rig.T_body_right.apply(rig.T_right_left.apply(point)), body, rtol=0, atol=1e-12)
 
 
-def test_cameras_of_different_size_are_refused() -> None:
+def test_cameras_of_different_size_are_rejected() -> None:
     rig = RIGS["kagaru"]
     with pytest.raises(CalibrationError, match="1280x960 px but right ones 640x480"):
         dataclasses.replace(rig, right=RIGS["kagaru_half"].right)
 
 
 @pytest.mark.parametrize("baseline_m", [0.0, 0.5 * MIN_BASELINE_M])
-def test_a_rig_without_baseline_is_refused(baseline_m: float) -> None:
+def test_a_rig_without_baseline_is_rejected(baseline_m: float) -> None:
     rig = RIGS["squinting"]
     T_body_right = Pose(rig.T_body_right.R, rig.T_body_left.t + np.array([baseline_m, 0.0, 0.0]))
     with pytest.raises(CalibrationError, match="baseline"):

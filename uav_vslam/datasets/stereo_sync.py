@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.stamps import IMAGE_LEAP_S, TimeJumpGuard
+from uav_vslam.stamps import IMAGE_TIME_JUMP_S, TimeJumpGuard
 
 T = TypeVar("T")
 
@@ -28,7 +28,7 @@ class StereoPair(Generic[T]):
 class StereoPairer(Generic[T]):
     """Holds images until their partner comes; those that can't have one any more are dropped and counted.
 
-    Each camera's stamps must rise, and not leap, see `TimeJumpGuard`; an image whose stamp doesn't fit is dropped.
+    Each camera's stamps must increase without time jumps, see `TimeJumpGuard`; other images are dropped.
 
     Attributes:
         dropped: images that never found a partner.
@@ -46,7 +46,7 @@ class StereoPairer(Generic[T]):
         self._left: deque[tuple[int, T]] = deque()
         self._right: deque[tuple[int, T]] = deque()
         self._newest = {"left": -1, "right": -1}
-        self._guards = {side: TimeJumpGuard(f"{side} image", IMAGE_LEAP_S) for side in self._newest}
+        self._guards = {side: TimeJumpGuard(f"{side} image", IMAGE_TIME_JUMP_S) for side in self._newest}
         self.dropped = 0
 
     def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:

@@ -10,7 +10,7 @@ from uav_vslam.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
-UNDISTORTED_PX = 1e-3  # largest error of a raw pixel that counts as undistorted
+UNDISTORTED_PX = 1e-3  # largest reprojection error of a converged solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class PinholeCamera:
     def undistort(self, pixels: ArrayLike, iterations: int = 20) -> Array:
         """Map (..., 2) raw pixels to the ideal pinhole's; a row is NaN where nothing is imaged there.
 
-        By fixed-point iteration of `distort`, which wide lenses make diverge towards the corners: there by Newton's.
+        Fixed-point iteration of `distort`; Newton's method where that diverges, in the corners of wide lenses.
         """
         raw = np.asarray(pixels, dtype=float)
         if not np.any(self.distortion):
@@ -100,7 +100,7 @@ class PinholeCamera:
         return ideal
 
     def _undistort_by_newton(self, raw: Array, iterations: int) -> Array:
-        """Return (N, 2) undistorted pixels of raw ones, NaN where there is none, or the lens folds the image over."""
+        """Return (N, 2) undistorted pixels of raw ones; NaN where there is none or the distortion model folds over."""
         ideal = raw.copy()
         for _ in range(iterations):
             a, b, d = self._distortion_jacobian(ideal)
@@ -118,7 +118,7 @@ class PinholeCamera:
         k1, k2, p1, p2, k3 = self.distortion
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))  # twice its derivative by r^2
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))  # 2 d(radial)/d(r^2)
         a = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
         d = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
         return a, slope * x * y + 2.0 * (p1 * x + p2 * y), d

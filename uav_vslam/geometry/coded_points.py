@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points with a joint covariance, rounded for a radio, in two forms; here is how both are read.
+"""Points with a joint covariance, quantised for the radio in two forms, and how both are decoded.
 
 dense     the Cholesky factor of the whole (3N, 3N) covariance
-anchored  J P_T J^T + blkdiag(D_i): an error that all points share as if they were one rigid body, J_i = [I, -[x_i]x]
-          with x_i measured from the origin, and each one's own; a landmark takes 14 bytes
+anchored  J P_T J^T + blkdiag(D_i): a rigid-body error common to all points, J_i = [I, -[x_i]x] with x_i measured
+          from the origin, plus an independent error of each point; a landmark takes 14 bytes
 
-Factors are coded, never covariances: whatever rounding does to them, L L^T stays positive semidefinite.
+Factors are coded, never covariances: L L^T stays positive semidefinite under any rounding.
 """
 
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class DensePoints:
 
 @dataclass(frozen=True, slots=True)
 class AnchoredPoints:
-    """Points with a common rigid error about the origin and one of their own each.
+    """Points with a common rigid-body error about the origin and an independent error each.
 
     Attributes:
         offsets: (N, 3) int16, from the origin [2 cm].
@@ -83,12 +83,12 @@ CodedPoints = DensePoints | AnchoredPoints
 
 
 def size_m(code: NDArray[np.uint16]) -> Array:
-    """Return what a size's code stands for [m]: every code is valid, from 0.1 mm in steps of 0.03 %."""
+    """Decode sizes [m]: every code is valid, from 0.1 mm in steps of 0.03 %."""
     return np.asarray(SMALLEST_SIZE_M * np.exp2(code / SIZES_PER_OCTAVE))
 
 
 def size_code(least_m: Array) -> NDArray[np.uint16]:
-    """Return the codes of the smallest sizes that are not below `least_m`, as far as there are such."""
+    """Encode sizes [m], rounded up to the next step; saturates at the largest code."""
     steps = np.ceil(np.log2(np.maximum(least_m, SMALLEST_SIZE_M) / SMALLEST_SIZE_M) * SIZES_PER_OCTAVE)
     return np.minimum(steps, np.iinfo(np.uint16).max).astype(np.uint16)
 
@@ -105,7 +105,7 @@ def rigid_jacobian(points: Array) -> Array:
 
 
 def pack_lower(L: Array) -> Array:
-    """Return the rows of lower triangles (..., n, n), one after the other: (..., n (n+1) / 2)."""
+    """Return the rows of lower triangles (..., n, n), concatenated: (..., n (n+1) / 2)."""
     rows, columns = np.tril_indices(L.shape[-1])
     return L[..., rows, columns]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choosing points that are spread over the image."""
+"""Selection of points spread over the image."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,13 +8,13 @@ CELLS_PER_AXIS = 8
 
 
 def spread(pixels: ArrayLike, count: int, *, size: tuple[float, float], taken: ArrayLike = ()) -> NDArray[np.intp]:
-    """Choose points cell by cell: each grid cell gives its first one, then each its second one, and so on.
+    """Select points round-robin over grid cells: the first of each cell, then the second of each, and so on.
 
     Args:
         pixels: (N, 2) points in order of preference [px].
-        count: how many are wanted.
-        size: width and height of the area, an image's as a rule [px].
-        taken: (M, 2) points chosen before; they count against their cells.
+        count: number of points wanted.
+        size: width and height of the area, usually of the image [px].
+        taken: (M, 2) points selected before; they count towards their cells.
 
     Returns:
         (min(N, count),) rows, the best of the emptiest cells first.
@@ -31,7 +31,7 @@ def spread(pixels: ArrayLike, count: int, *, size: tuple[float, float], taken: A
 
 
 def spread_on_ground(positions: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """Choose `count` of (N, 3) points [m] likewise, over the ground that they cover; all where there are no more."""
+    """Select `count` of (N, 3) points [m] the same way, over the ground they cover; all if there are no more."""
     if len(positions) <= count:
         return np.arange(len(positions))
     plan, size = ground_plan(positions)
@@ -39,7 +39,7 @@ def spread_on_ground(positions: NDArray[np.float64], count: int) -> NDArray[np.i
 
 
 def ground_plan(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[float, float]]:
-    """Return (N, 2) places of (N, 3) points on the ground that they cover, and its size [m], as `spread` wants them."""
+    """Return (N, 2) ground coordinates of (N, 3) points and the size of their area [m], as `spread` takes them."""
     plan = positions[:, :2] - positions[:, :2].min(axis=0, initial=np.inf)
     extent = np.maximum(plan.max(axis=0, initial=0.0), 1e-3)
     return plan, (float(extent[0]), float(extent[1]))

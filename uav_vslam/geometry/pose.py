@@ -25,7 +25,7 @@ class Pose:
 
     @staticmethod
     def identity() -> "Pose":
-        """Return the transform that changes nothing."""
+        """Return the identity transform."""
         return Pose(np.eye(3), np.zeros(3))
 
     @staticmethod

@@ -97,7 +97,7 @@ def so3_log(R: ArrayLike) -> Array:
 
 
 def quaternion_wxyz_from_rotation(R: ArrayLike) -> Array:
-    """Return the unit quaternion (w >= 0) of a rotation matrix, by the largest of the four components.
+    """Return the unit quaternion (w >= 0) of a rotation matrix, computed from the largest of its four components.
 
     Args:
         R: (..., 3, 3).
@@ -135,12 +135,12 @@ def rotation_from_quaternion_wxyz(quaternion_wxyz: ArrayLike) -> Array:
         (..., 3, 3).
 
     Raises:
-        ValueError: a quaternion has (nearly) no length.
+        ValueError: a quaternion has (nearly) zero norm.
     """
     q = np.asarray(quaternion_wxyz, dtype=float)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(norm > 1e-6):
-        raise ValueError("a quaternion has no length; expected a unit quaternion")
+        raise ValueError("a quaternion has zero norm; expected a unit quaternion")
     q = q / norm
     w, v = q[..., 0], q[..., 1:]
     K = skew(v)

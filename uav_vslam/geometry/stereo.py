@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stereo rig: two pinhole cameras fixed to the body, in any mutual pose (nothing is assumed rectified).
+"""The stereo rig: two pinhole cameras fixed to the body, in any relative pose (no rectification is assumed).
 
 An observation is `z = [u_left, v_left, u_right, v_right]` in undistorted pixels, Eq. (4.6.13) of [thesis].
 """
@@ -71,11 +71,11 @@ class StereoRig:
         return np.concatenate([self.left.project_jacobian(p), self.right.project_jacobian(T.apply(p)) @ T.R], axis=-2)
 
     def triangulate(self, pixels: ArrayLike, *, refinements: int = 2) -> Array:
-        """Return the points that best explain stereo pixels: midpoint of the rays, then Gauss-Newton steps.
+        """Triangulate stereo pixels: midpoint of the rays, then Gauss-Newton refinement.
 
         Args:
             pixels: (N, 4) undistorted stereo pixels.
-            refinements: number of those steps.
+            refinements: number of Gauss-Newton steps.
 
         Returns:
             (N, 3) points in the left camera frame [m]; a row is NaN where the rays are parallel, diverge, or meet
@@ -86,7 +86,7 @@ class StereoRig:
         ray_left = self.left.bearings(z[:, :2])
         ray_right = self.right.bearings(z[:, 2:]) @ T_left_right.R.T
         b = T_left_right.t
-        # Nearest points of the two lines: depth_left * ray_left and b + depth_right * ray_right.
+        # Closest points of the two rays: depth_left * ray_left and b + depth_right * ray_right.
         ll = np.einsum("ni,ni->n", ray_left, ray_left)
         rr = np.einsum("ni,ni->n", ray_right, ray_right)
         lr = np.einsum("ni,ni->n", ray_left, ray_right)

@@ -31,7 +31,7 @@ from uav_vslam.ros.convert import (
 )
 from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
-from uav_vslam.stamps import IMAGE_LEAP_S, IMU_TIME_JUMP_S, TimeJumpGuard
+from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
 
@@ -47,7 +47,7 @@ class InsPropagatorNode(VehicleNode):
         self._live: InsOdometry | None = None
         self._startup_buffer = StartupBuffer(self.config.start.rest_s if method == "static" else MAX_APART_S)
         self._given: NavEstimate | None = None  # start state that readings have not confirmed yet
-        imu_stamps, image_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S), TimeJumpGuard("image", IMAGE_LEAP_S)
+        imu_stamps, image_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S), TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
         self._increments = self.advertise(InsIncrement, "ins/increment", SENSOR)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO
 
 from uav_vslam.errors import ConfigError
-from uav_vslam.processes import end_with
+from uav_vslam.processes import exit_with_parent
 from uav_vslam.ros.fleet_commands import NodeSpec
 
 PACKAGE = "uav_vslam"
@@ -253,7 +253,7 @@ def _die_with(parent: int) -> Callable[[], None]:
     """Return what a child does before it becomes its program: bind its life to ours, and take SIGINT again."""
 
     def prepare() -> None:
-        end_with(parent)
+        exit_with_parent(parent)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
     return prepare
