@@ -17,7 +17,7 @@ from uav_vslam.report.style import STYLES, tracks_of
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.studies.flights import true_trajectory
+from uav_vslam.studies.engine.flights import true_trajectory
 
 SCENARIO = Scenario(seed=2, imu="consumer")
 

@@ -12,7 +12,7 @@ from uav_vslam.offline import flight_result, track_vehicle
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.studies.flights import true_trajectory
+from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.types import StereoFeatures
 
 IN_FLIGHT = StartConfig(method="in_flight")

@@ -19,7 +19,7 @@ from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.studies.flights import true_trajectory
+from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, PoseEstimate, StereoFeatures
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_v
 from uav_vslam.slam.backend import FrameReport, SlamBackend
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.revisits import recognise
-from uav_vslam.studies.own_only import reckon
+from uav_vslam.studies.engine.own_only import reckon
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
 CONFIG = BackendConfig()

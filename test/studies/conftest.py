@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.studies.own_only import Run, Track
+from uav_vslam.studies.engine.own_only import Run, Track
 
 FRAMES = 40
 

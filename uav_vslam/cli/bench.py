@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.progress import Progress
 
     from uav_vslam.evaluation.output import write_study
-    from uav_vslam.studies.speed import QUICK, Effort
+    from uav_vslam.studies.bench.stages import QUICK, Effort
 
     cv2.setNumThreads(1)
     rows: list[dict[str, Any]] = []
@@ -53,7 +53,9 @@ def run(args: argparse.Namespace) -> int:
 def measure(effort: Any) -> Iterator[dict[str, Any]]:
     """Yield a row per stage and condition."""
     from uav_vslam.slam.packet import ANCHOR, PacketPolicy
-    from uav_vslam.studies import back_end_speed, matching_speed, speed
+    from uav_vslam.studies.bench import back_end as back_end_speed
+    from uav_vslam.studies.bench import matching as matching_speed
+    from uav_vslam.studies.bench import stages as speed
     from uav_vslam.vision.compact_descriptors import COMPACT
 
     vehicle, frames = speed.rendered_frames(effort.pairs)
@@ -81,7 +83,7 @@ def bag_reading(vehicle: SimulatedVehicle, frames: list[StereoFrame], *, repeats
 
     from uav_vslam.datasets.bag import open_flight
     from uav_vslam.datasets.flight_writer import FlightRecording, write_flights
-    from uav_vslam.studies.speed import take_turns
+    from uav_vslam.studies.bench.stages import take_turns
 
     imu = [sample for sample in vehicle.imu.samples() if sample.stamp_ns <= frames[-1].stamp_ns]
     recording = FlightRecording(vehicle.name, vehicle.rig, imu, (), frames, vehicle.initial)

@@ -11,7 +11,7 @@ from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.study.common import add_run_arguments, publish, seeds_of
 
 if TYPE_CHECKING:
-    from uav_vslam.studies.association import Association
+    from uav_vslam.studies.association.compute import Association
 
 HELP = "every associator and matcher on rendered images, clear and faint ones, and on a recording (thesis, chapter 6)"
 EXAMPLES = """examples:
@@ -36,11 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them."""
-    from uav_vslam.report.association_plots import draw_association
-    from uav_vslam.studies.association import CONDITIONS, NOTES, Job, map_rows, study_rendered
-    from uav_vslam.studies.image_matching import IMAGE_NOTES, image_rows
-    from uav_vslam.studies.pool import in_pool
-    from uav_vslam.studies.scores import FAILURE_RULE, breakdowns
+    from uav_vslam.studies.association.compute import CONDITIONS, NOTES, Job, map_rows, study_rendered
+    from uav_vslam.studies.association.image_matching import IMAGE_NOTES, image_rows
+    from uav_vslam.studies.association.plot import draw_association
+    from uav_vslam.studies.engine.pool import in_pool
+    from uav_vslam.studies.engine.scores import FAILURE_RULE, breakdowns
 
     seeds = seeds_of(args)
     jobs = [Job(condition, seed, args.frames, tuple(args.methods)) for condition in CONDITIONS for seed in seeds]
@@ -62,8 +62,8 @@ def run(args: argparse.Namespace) -> int:
 def _recording(args: argparse.Namespace) -> list[Association]:
     from uav_vslam.cli.study.euroc import searched_recording
     from uav_vslam.config import find_config, load_vehicle
-    from uav_vslam.studies.association import associate_all
-    from uav_vslam.studies.searched_flights import recorded_flight
+    from uav_vslam.studies.association.compute import associate_all
+    from uav_vslam.studies.engine.searched_flights import recorded_flight
 
     config = load_vehicle(find_config(args.config))
     found = searched_recording(args.recording, None, config)

@@ -15,7 +15,7 @@ from uav_vslam.cli.study.common import add_run_arguments, publish, seeds_of
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
     from uav_vslam.datasets.bag import BagFlight
-    from uav_vslam.studies.starts import RecordedFlight
+    from uav_vslam.studies.euroc.starts import RecordedFlight
 
 HELP = "a recording with truth, such as EuRoC's, by every filter from many starts"
 EXAMPLES = """examples:
@@ -40,9 +40,9 @@ def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them."""
     from uav_vslam.cli.overrides import override
     from uav_vslam.config import find_config, load_vehicle
-    from uav_vslam.report.start_plots import draw_starts
-    from uav_vslam.studies.euroc import NOTES, error_series, run_starts, table_rows
-    from uav_vslam.studies.starts import LATER_SHARES
+    from uav_vslam.studies.euroc.compute import NOTES, error_series, run_starts, table_rows
+    from uav_vslam.studies.euroc.plot import draw_starts
+    from uav_vslam.studies.euroc.starts import LATER_SHARES
 
     seeds = seeds_of(args)
     config = load_vehicle(find_config(args.config), overrides=dict(override(item) for item in args.set))
@@ -57,7 +57,7 @@ def searched_recording(recording: Path, vehicle: str | None, config: VehicleConf
     """Read a recording and search its images."""
     from uav_vslam.datasets.truth import truth_trajectory
     from uav_vslam.errors import BagError
-    from uav_vslam.studies.starts import searched
+    from uav_vslam.studies.euroc.starts import searched
 
     with _opened(recording, vehicle) as flight:
         track, truth = flight.truth(), truth_trajectory(flight)

@@ -26,9 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.report.faults_plot import draw_faults
     from uav_vslam.simulation.scenario import Scenario
-    from uav_vslam.studies.faults import NOTES, VARIANTS, jobs, run_study
+    from uav_vslam.studies.faults.compute import NOTES, VARIANTS, jobs, run_study
+    from uav_vslam.studies.faults.plot import draw_faults
 
     seeds = seeds_of(args)
     work = jobs(Scenario(frames=args.frames, scale=args.scale, vehicles=1), configs_of(args, VARIANTS), seeds)

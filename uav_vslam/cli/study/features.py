@@ -15,8 +15,8 @@ from uav_vslam.cli.study.common import add_seeds, publish, seeds_of
 
 if TYPE_CHECKING:
     from uav_vslam.datasets.image_sets import Layout
-    from uav_vslam.studies.feature_sets import ImageSet
-    from uav_vslam.studies.features import FeatureLab
+    from uav_vslam.studies.features.compute import FeatureLab
+    from uav_vslam.studies.features.sets import ImageSet
 
 HELP = "extractors on image pairs: points, matches with and without RANSAC, time, bands, and spacing of images"
 EXAMPLES = """examples:
@@ -44,11 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them, and draw matches."""
     from uav_vslam.errors import ConfigError
-    from uav_vslam.report.feature_plots import draw_features
-    from uav_vslam.studies.feature_front_end import accepted_rows
-    from uav_vslam.studies.feature_sets import rendered_set
-    from uav_vslam.studies.feature_trends import trend_rows
-    from uav_vslam.studies.features import ALGORITHMS, NOTES, FeatureLab, count_jobs, feature_rows
+    from uav_vslam.studies.features.compute import ALGORITHMS, NOTES, FeatureLab, count_jobs, feature_rows
+    from uav_vslam.studies.features.front_end import accepted_rows
+    from uav_vslam.studies.features.plot import draw_features
+    from uav_vslam.studies.features.sets import rendered_set
+    from uav_vslam.studies.features.trends import trend_rows
 
     methods = args.algorithms or list(ALGORITHMS)
     if unknown := set(methods) - set(ALGORITHMS):
@@ -100,7 +100,7 @@ def _read(text: str, width: int) -> ImageSet:
 def _loaded(name: str, layout: Layout, files: dict[str, dict[int, Path]], width: int) -> ImageSet:
     """Read a set's images and shrink the wide ones."""
     from uav_vslam.datasets.image_sets import read_image, shift_between
-    from uav_vslam.studies.feature_sets import ImageSet, View, narrowed, steady
+    from uav_vslam.studies.features.sets import ImageSet, View, narrowed, steady
 
     bands = {
         band: {k: View(name, band, k, path.stem, narrowed(read_image(path), width)) for k, path in paths.items()}
@@ -117,8 +117,8 @@ def _loaded(name: str, layout: Layout, files: dict[str, dict[int, Path]], width:
 
 def _draw_matches(sets: list[ImageSet], lab: FeatureLab, methods: list[str], folder: Path) -> None:
     """Draw the matches of each set's bands and between them."""
-    from uav_vslam.report.match_picture import match_picture, save_match_picture
-    from uav_vslam.studies.feature_sets import cross_pairs, usual_pairs
+    from uav_vslam.studies.features.match_picture import match_picture, save_match_picture
+    from uav_vslam.studies.features.sets import cross_pairs, usual_pairs
 
     for pair in (pair for images in sets for pair in [*usual_pairs(images), *cross_pairs(images)]):
         for method in methods:

@@ -33,10 +33,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them."""
-    from uav_vslam.report.filter_plots import draw_filters
-    from uav_vslam.studies.filters import MEASURED, NOTES, consistency_rows, consistency_trial, noise_rows, noise_trials
-    from uav_vslam.studies.own_only import run_trials
-    from uav_vslam.studies.scores import breakdowns
+    from uav_vslam.studies.engine.own_only import run_trials
+    from uav_vslam.studies.engine.scores import breakdowns
+    from uav_vslam.studies.filters.compute import (
+        MEASURED,
+        NOTES,
+        consistency_rows,
+        consistency_trial,
+        noise_rows,
+        noise_trials,
+    )
+    from uav_vslam.studies.filters.plot import draw_filters
 
     flights = [consistency_trial(frames=args.frames, vehicles=args.vehicles)]
     options = {"frames": args.steps, "altitude": args.altitude, "speed": args.speed}

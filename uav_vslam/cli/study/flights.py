@@ -10,7 +10,7 @@ from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.study.common import add_run_arguments, publish, seeds_of
 
 if TYPE_CHECKING:
-    from uav_vslam.studies.flights import Method
+    from uav_vslam.studies.engine.flights import Method
 
 HELP = "rendered images through the front end, with two grades of inertial unit"
 EXAMPLES = """examples:
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table and write study.json."""
-    from uav_vslam.studies.flights import run_study
+    from uav_vslam.studies.engine.flights import run_study
 
     seeds = seeds_of(args)
     with progress_bar("study flights", len(seeds)) as advance:
@@ -40,7 +40,7 @@ def methods(frames: int) -> list[Method]:
     """Rendered images through the front end, with both grades of inertial unit."""
     from uav_vslam.config import find_config, load_vehicle
     from uav_vslam.simulation.scenario import Scenario
-    from uav_vslam.studies.flights import Method
+    from uav_vslam.studies.engine.flights import Method
 
     config = load_vehicle(find_config("kagaru"))
     return [

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables and write study.json."""
-    from uav_vslam.studies.frame_rows import NOTES, frame_rows
+    from uav_vslam.studies.frames.rows import NOTES, frame_rows
 
     seeds = seeds_of(args)
     with progress_bar("study frames", len(seeds)) as advance:

@@ -26,9 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.report.front_end_plot import draw_front_ends
     from uav_vslam.simulation.scenario import Scenario
-    from uav_vslam.studies.front_end import NOTES, VARIANTS, methods, run_study
+    from uav_vslam.studies.front_end.compute import NOTES, VARIANTS, methods, run_study
+    from uav_vslam.studies.front_end.plot import draw_front_ends
 
     seeds = seeds_of(args)
     compared = methods(Scenario(frames=args.frames, scale=args.scale), configs_of(args, VARIANTS))

@@ -26,8 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write and draw them."""
-    from uav_vslam.report.fusion_plots import draw_fusion
-    from uav_vslam.studies.fusion import NOTES, PARTS, run_parts
+    from uav_vslam.studies.fusion.compute import NOTES, PARTS, run_parts
+    from uav_vslam.studies.fusion.plot import draw_fusion
 
     parts = [part for name in args.parts for part in PARTS[name](args.frames)]
     seeds = seeds_of(args)

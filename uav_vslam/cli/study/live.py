@@ -17,7 +17,7 @@ from uav_vslam.cli.study.common import publish
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.study import Row
-    from uav_vslam.studies.live import Sample
+    from uav_vslam.studies.live.compute import Sample
 
 HELP = "the whole node graph in real time on this machine: frames kept, and what each process needs of a core"
 EXAMPLES = """examples:
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.cli.simulate import record
     from uav_vslam.datasets.flight_writer import ImageCoding
     from uav_vslam.simulation.scenario import SCENARIOS
-    from uav_vslam.studies.live import NOTES
+    from uav_vslam.studies.live.compute import NOTES
 
     scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=args.seeds, frames=args.frames, scale=args.scale)
     with tempfile.TemporaryDirectory(prefix="uav_vslam_live_") as name:
@@ -83,7 +83,7 @@ def fly(fleet: Path, args: argparse.Namespace, *, frames: int, duration_s: float
     from uav_vslam.datasets.outputs import read_outputs
     from uav_vslam.errors import UavVslamError
     from uav_vslam.ros.supervisor import free_domain_id
-    from uav_vslam.studies.live import frame_rows, processor_rows
+    from uav_vslam.studies.live.compute import frame_rows, processor_rows
 
     estimates, log = fleet.parent / "estimates", fleet.parent / "launch.txt"
     command = [sys.executable, "-m", "uav_vslam.cli.main", "launch", str(fleet), "--rate", str(args.rate)]
@@ -100,7 +100,7 @@ def fly(fleet: Path, args: argparse.Namespace, *, frames: int, duration_s: float
 
 def watch(launcher: subprocess.Popen[bytes]) -> list[Sample]:
     """Look at the launcher's processes until it ends."""
-    from uav_vslam.studies.live import sample_children
+    from uav_vslam.studies.live.compute import sample_children
 
     samples: list[Sample] = []
     while launcher.poll() is None:

@@ -25,10 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.report.long_plot import draw_long
-    from uav_vslam.studies.long import NOTES, POLICIES, long_rows, long_series, long_trial
-    from uav_vslam.studies.own_only import run_trials
-    from uav_vslam.studies.scores import breakdowns
+    from uav_vslam.studies.engine.own_only import run_trials
+    from uav_vslam.studies.engine.scores import breakdowns
+    from uav_vslam.studies.long.compute import NOTES, POLICIES, long_rows, long_series, long_trial
+    from uav_vslam.studies.long.plot import draw_long
 
     trial = long_trial(variants_of(args) or POLICIES, frames=args.frames)
     seeds = seeds_of(args)

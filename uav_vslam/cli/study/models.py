@@ -10,7 +10,7 @@ from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.study.common import add_run_arguments, publish, seeds_of
 
 if TYPE_CHECKING:
-    from uav_vslam.studies.flights import Method
+    from uav_vslam.studies.engine.flights import Method
 
 HELP = "INS, S-SLAM, C-SLAM and the thesis's model, at landmark level"
 EXAMPLES = """examples:
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table and write study.json."""
-    from uav_vslam.studies.flights import run_study
+    from uav_vslam.studies.engine.flights import run_study
 
     seeds = seeds_of(args)
     with progress_bar("study models", len(seeds)) as advance:
@@ -38,7 +38,7 @@ def methods(frames: int) -> list[Method]:
     """Landmark level, 1 px: the default, and what each idea in it is worth."""
     from uav_vslam.config import VehicleConfig
     from uav_vslam.simulation.scenario import Scenario
-    from uav_vslam.studies.flights import Method, with_backend
+    from uav_vslam.studies.engine.flights import Method, with_backend
 
     scenario = Scenario(frames=frames)
     condition = f"landmarks, {frames} frames, 1 px, {scenario.imu}"

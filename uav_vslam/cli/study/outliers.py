@@ -25,10 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.report.outlier_plot import draw_outliers
-    from uav_vslam.studies.outliers import NOTES, ROBUST, outlier_rows, outlier_trials
-    from uav_vslam.studies.own_only import run_trials
-    from uav_vslam.studies.scores import breakdowns
+    from uav_vslam.studies.engine.own_only import run_trials
+    from uav_vslam.studies.engine.scores import breakdowns
+    from uav_vslam.studies.outliers.compute import NOTES, ROBUST, outlier_rows, outlier_trials
+    from uav_vslam.studies.outliers.plot import draw_outliers
 
     trials = outlier_trials(variants_of(args) or ROBUST, frames=args.frames, vehicles=args.vehicles)
     seeds = seeds_of(args)

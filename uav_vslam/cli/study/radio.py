@@ -17,7 +17,7 @@ from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.study.common import add_seeds, publish, seeds_of
 
 if TYPE_CHECKING:
-    from uav_vslam.studies.radio import Run
+    from uav_vslam.studies.radio.compute import Run
 
 HELP = "rendered flights through the whole node graph, wideband and narrowband: error, payload, packets"
 EXAMPLES = """examples:
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables and write study.json."""
-    from uav_vslam.studies.radio import MODES, NOTES, radio_rows
+    from uav_vslam.studies.radio.compute import MODES, NOTES, radio_rows
 
     seeds, runs = seeds_of(args), []
     with progress_bar("study radio", len(seeds) * len(MODES)) as advance:
@@ -56,7 +56,7 @@ def fly_seed(seed: int, frames: int) -> Iterator[list[Run]]:
     from uav_vslam.datasets.flight_writer import ImageCoding
     from uav_vslam.errors import UavVslamError
     from uav_vslam.simulation.scenario import SCENARIOS
-    from uav_vslam.studies.radio import MODES
+    from uav_vslam.studies.radio.compute import MODES
 
     scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames)
     with tempfile.TemporaryDirectory(prefix="uav_vslam_radio_") as name:
@@ -109,7 +109,7 @@ def read_runs(estimates: Path, flight: Path, mode: str, seed: int) -> list[Run]:
     from uav_vslam.datasets.outputs import STATUS, read_outputs
     from uav_vslam.datasets.rosbag import decode, iter_raw
     from uav_vslam.evaluation.summary import build_summary
-    from uav_vslam.studies.radio import Run, packet_sizes
+    from uav_vslam.studies.radio.compute import Run, packet_sizes
 
     outputs, damage = read_outputs([estimates, flight])
     if damage is not None:

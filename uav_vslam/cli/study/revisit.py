@@ -30,10 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.report.revisit_plot import draw_revisit
-    from uav_vslam.studies.revisit import revisit_jobs, revisit_loops
-    from uav_vslam.studies.revisit_rows import NOTES, revisit_rows, revisit_series
-    from uav_vslam.studies.scores import breakdowns
+    from uav_vslam.studies.engine.scores import breakdowns
+    from uav_vslam.studies.revisit.compute import revisit_jobs, revisit_loops
+    from uav_vslam.studies.revisit.plot import draw_revisit
+    from uav_vslam.studies.revisit.rows import NOTES, revisit_rows, revisit_series
 
     seeds = seeds_of(args)
     rendered = list(range(args.first_seed, args.first_seed + args.rendered_seeds))

@@ -27,9 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its table, write and draw it."""
-    from uav_vslam.report.rig_plot import draw_rig
     from uav_vslam.simulation.scenario import Scenario
-    from uav_vslam.studies.rig import NOTES, VARIANTS, conditions, run_study
+    from uav_vslam.studies.rig.compute import NOTES, VARIANTS, conditions, run_study
+    from uav_vslam.studies.rig.plot import draw_rig
 
     scenario, seeds = Scenario(frames=args.frames, vehicles=1), seeds_of(args)
     configs = configs_of(args, VARIANTS)

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables and write study.json."""
-    from uav_vslam.studies.in_flight import NOTES, WRONGS, study_rows
+    from uav_vslam.studies.start.compute import NOTES, WRONGS, study_rows
 
     seeds = seeds_of(args)
     with progress_bar("study start", (len(GRADES) + len(WRONGS)) * len(seeds)) as advance:

@@ -25,12 +25,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the study; print its tables, write them and the figures of the first seed."""
-    from uav_vslam.report.ellipsoid_plot import ellipsoid_plot
     from uav_vslam.report.error_plot import error_plot
-    from uav_vslam.report.fusion_plots import draw_fusion
     from uav_vslam.report.style import save
     from uav_vslam.report.views import view_3d
-    from uav_vslam.studies import fusion, thesis
+    from uav_vslam.studies.fusion import compute as fusion
+    from uav_vslam.studies.fusion.plot import draw_fusion
+    from uav_vslam.studies.thesis import compute as thesis
+    from uav_vslam.studies.thesis.ellipsoid_plot import ellipsoid_plot
 
     parts, seeds = thesis.modes(args.frames), seeds_of(args)
 

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import pytest
+
+from uav_vslam.config import FrontendConfig, VehicleConfig
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.studies.engine.flights import Method, run_study, with_backend
+
+SHORT = Scenario(frames=25)
+FIELDS = {
+    "method",
+    "condition",
+    "end_rms_m",
+    "ate_rms_m",
+    "ratio_to_s_slam",
+    "end_ratio_to_ins",
+    "nees_position",
+    "frames_processed",
+    "failures",
+    "ms_per_frame",
+}
+
+
+@pytest.fixture(scope="module")
+def rows():
+    methods = [
+        Method("ri15", "landmarks", SHORT),
+        Method("euler9", "landmarks", SHORT, with_backend(VehicleConfig(), model="euler9")),
+    ]
+    return run_study(methods, [1, 2], workers=1)
+
+
+def test_each_track_has_a_row_and_the_ins_only_one(rows):
+    assert [row["method"] for row in rows] == ["INS", "S-SLAM ri15", "C-SLAM ri15", "S-SLAM euler9", "C-SLAM euler9"]
+    assert all(set(row) == FIELDS for row in rows)
+
+
+def test_ratios_belong_to_their_own_method(rows):
+    ins, own, fused = rows[:3]
+    assert math.isclose(own["end_ratio_to_ins"], own["end_rms_m"] / ins["end_rms_m"])
+    assert math.isclose(fused["ratio_to_s_slam"], fused["ate_rms_m"] / own["ate_rms_m"])
+    assert rows[3]["ratio_to_s_slam"] == 1.0
+
+
+def test_every_frame_is_processed_and_nothing_fails(rows):
+    assert all(row["frames_processed"] == 1.0 and row["failures"] == 0 for row in rows)
+
+
+def test_rendered_images_are_searched_once_for_both_inertial_grades(monkeypatch):
+    from uav_vslam.vision.stereo_points import StereoFrontend
+
+    searched = []
+    detect = StereoFrontend.detect
+    monkeypatch.setattr(StereoFrontend, "detect", lambda self, frame: (searched.append(1), detect(self, frame))[1])
+    small = {"frames": 3, "vehicles": 1, "scale": 0.25}
+    config = VehicleConfig(frontend=FrontendConfig(method="sift"))
+    grades = ("adis16480", "consumer")
+    methods = [Method("ri15", imu, Scenario(imu=imu, **small), config, rendered=True) for imu in grades]
+    rows = run_study(methods, [1], workers=1)
+    assert len(searched) == 3
+    assert {row["condition"] for row in rows} == {"adis16480", "consumer"}

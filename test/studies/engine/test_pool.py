@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import numpy as np
+import pytest
+
+from uav_vslam.studies.engine.pool import in_pool, mean, median, ratio, ratio_interval, rms
+
+
+def test_one_worker_is_this_process_and_keeps_the_order():
+    seen = []
+    assert list(in_pool(lambda job: seen.append(job) or 2 * job, [3, 1, 2], 1)) == [6, 2, 4]
+    assert seen == [3, 1, 2]
+
+
+def test_several_workers_do_every_job_once():
+    assert sorted(in_pool(abs, [-1, -2, 3], 2)) == [1, 2, 3]
+
+
+def test_pooled_figures():
+    assert rms([3.0, -4.0]) == pytest.approx(math.sqrt(12.5))
+    assert mean([3.0, -4.0]) == -0.5
+    assert median([5.0, 1.0, 2.0]) == 2.0
+    assert ratio(3.0, 2.0) == 1.5
+
+
+def test_nothing_pools_to_nothing():
+    assert [pool([]) for pool in (rms, mean, median)] == [None, None, None]
+    assert [ratio(None, 1.0), ratio(1.0, None), ratio(1.0, 0.0)] == [None, None, None]
+
+
+def test_the_interval_holds_the_ratio_and_three_seeds_are_the_least():
+    own = np.array([1.0, 4.0, 9.0, 2.0, 5.0])
+    interval = ratio_interval(own, 0.25 * own * [0.5, 1.5, 1.0, 2.0, 0.8])
+    assert interval["low"] < 0.5 < interval["high"]
+    assert ratio_interval(own, 0.25 * own) == pytest.approx({"low": 0.5, "high": 0.5})
+    assert ratio_interval(own[:2], own[:2]) == {}

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fusion study's rows: what they say follows from the runs behind them."""
+
+import pytest
+
+from uav_vslam.cooperation.link import LinkConfig
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.studies.engine.cooperation import Setting
+from uav_vslam.studies.fusion.compute import PARTS, Part, run_parts
+
+SETTINGS = (
+    Setting("all"),
+    Setting("narrow", {"mode": "narrowband"}),
+    Setting("nothing arrives", link=LinkConfig(loss=1.0)),
+    Setting("restarts", restarts=2),
+    Setting("written back", write_back="overwrite"),
+)
+
+
+@pytest.fixture(scope="module")
+def rows() -> dict[str, dict]:
+    part = Part("short", Scenario(frames=60), SETTINGS)
+    return {row["setting"]: row for row in run_parts([part], [1], workers=1)}
+
+
+def test_every_setting_has_a_row_over_every_vehicle(rows) -> None:
+    assert list(rows) == [setting.name for setting in SETTINGS]
+    assert {row["runs"] for row in rows.values()} == {2}
+
+
+def test_peers_help_and_nothing_changes_where_nothing_arrives(rows) -> None:
+    assert rows["all"]["ratio"] < 1.0
+    assert rows["nothing arrives"]["ratio"] == pytest.approx(1.0)
+    assert rows["nothing arrives"]["nees"] == pytest.approx(rows["all"]["nees_alone"], rel=0.01)
+    assert rows["restarts"]["ratio"] < 1.0
+
+
+def test_no_packet_told_more_than_was_known_and_the_narrow_one_is_small(rows) -> None:
+    for name in ("all", "narrow", "restarts"):
+        assert rows[name]["lambda_excess"] <= 0.0
+    assert rows["narrow"]["largest_packet"] < 1400
+    assert rows["narrow"]["sent_bytes_per_s"] <= 900
+    assert rows["narrow"]["sent_bytes_per_s"] <= 900
+    assert rows["all"]["sent_bytes_per_s"] <= 100_000
+
+
+def test_runs_that_break_down_are_counted_and_leave_no_error(rows) -> None:
+    assert rows["written back"]["failures"] == 2
+    assert rows["written back"]["ate_m"] is None
+
+
+def test_all_parts_can_be_made_and_their_settings_differ_by_name() -> None:
+    tables = [part for make in PARTS.values() for part in make(20)]
+    assert len({part.table for part in tables}) == len(tables)
+    for part in tables:
+        assert len({setting.name for setting in part.settings}) == len(part.settings)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every way to tell which feature shows which landmark, on the same images: chapter 6 of [thesis].
+
+A landmark shows the point of the feature that it began as, whatever the filter has made of its position since.
+"""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.association import ASSOCIATORS, Associator, InView
+from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.evaluation.study import TABLE, Row
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.slam.backend import FrameReport, SlamBackend
+from uav_vslam.slam.map_matching import MapMatcher
+from uav_vslam.studies.association.image_matching import Judged, judge_images, kept_frames
+from uav_vslam.studies.engine.association_stages import Score
+from uav_vslam.studies.engine.own_only import INS, Run, Track, feed
+from uav_vslam.studies.engine.pool import median
+from uav_vslam.studies.engine.scores import pooled
+from uav_vslam.studies.engine.searched_flights import SearchedFlight, rendered_flight, shown_at
+from uav_vslam.types import StereoFeatures
+
+Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
+
+CONDITIONS = {
+    "clear": Scenario(vehicles=1),
+    "low contrast, blurred": Scenario(vehicles=1, contrast=0.2, blur_px=4.0),
+}
+BORN_PX = 2.0  # a new landmark's projection lies that close to the feature that it began as
+IN_MAP = "Association with the map"
+
+NOTES = {
+    "Flights": "one vehicle over rendered ground, ADIS16480; low contrast: a fifth of it, at the same noise, and "
+    "4 px of motion blur. All associators have the same features, by SIFT at half resolution",
+    "Pairs": "what the associator found before anything else judged it. Right: the feature lies within 4 px of where "
+    "the point that the landmark began as truly is (8 px in a recording, whose points are known by stereo alone). "
+    "Recall: of the landmarks in view that some feature shows",
+    "Errors": "of the whole back end, which tries what the associator found first, and what PnP, consensus or a search "
+    "of the whole map leave of it where the innovations contradict it",
+    "Time": "of this process, median over the frames; ms_association is the associator's share",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One seed under a condition, by the associators named."""
+
+    condition: str
+    seed: int
+    frames: int
+    names: tuple[str, ...]
+
+
+def study_rendered(job: Job) -> tuple[list["Association"], list[Judged]]:
+    """Fly a job with all associators, and try all matchers on its images."""
+    scenario = dataclasses.replace(CONDITIONS[job.condition], seed=job.seed, frames=job.frames)
+    flight = rendered_flight(job.condition, scenario, VehicleConfig(), keep=kept_frames(scenario.frames))
+    return associate_all(flight, job.names), judge_images(flight, ratio=flight.config.frontend.ratio)
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What an associator found in a frame: rows of the map, the features that it was shown, and its pairs."""
+
+    rows: NDArray[np.intp]
+    seen: StereoFeatures
+    pairs: Pairs
+    ms: float
+
+
+class Recorder:
+    """An associator that keeps what another one found."""
+
+    def __init__(self, associate: Associator) -> None:
+        self._associate = associate
+        self.found: list[Found] = []
+
+    def __call__(self, in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
+        """Associate as the other one does."""
+        started_ns = time.process_time_ns()
+        pairs = self._associate(in_view, seen, config)
+        self.found.append(Found(in_view.rows, seen, pairs, 1e-6 * (time.process_time_ns() - started_ns)))
+        return pairs
+
+
+class TruePoints:
+    """The points that a back end's landmarks began as, by identifier."""
+
+    def __init__(self, flight: SearchedFlight) -> None:
+        self._flight = flight
+        self._points: dict[int, Array] = {}
+
+    def of(self, ids: NDArray[np.uint32]) -> Array:
+        """Return (N, 3) points in the world [m]; NaN for a landmark that began as no known feature."""
+        unknown = np.full(3, np.nan)
+        return np.array([self._points.get(k, unknown) for k in ids.tolist()]).reshape(-1, 3)
+
+    def note(self, frame: int, ids: NDArray[np.uint32], landmarks: Array, T_map_body: Pose) -> None:
+        """Remember which feature of a frame each landmark began as that is new after it.
+
+        Args:
+            frame: its number.
+            ids, landmarks: (N,), (N, 3) all landmarks after it.
+            T_map_body: pose that they were placed from.
+        """
+        new = np.flatnonzero([k not in self._points for k in ids.tolist()])
+        features = self._flight.steps[frame][0]
+        if len(new) == 0 or len(features) == 0:
+            return
+        pixels = shown_at(T_map_body @ self._flight.rig.T_body_left, self._flight.rig.left, landmarks[new])
+        distance = np.linalg.norm(pixels[:, None] - features.pixels[:, :2], axis=2)
+        nearest = distance.argmin(axis=1)
+        for row, feature, off in zip(new, nearest, distance[np.arange(len(new)), nearest], strict=True):
+            self._points[int(ids[row])] = self._flight.points[frame][feature] if off <= BORN_PX else np.full(3, np.nan)
+
+
+def judge(found: Found, points: Array, T_world_left: Pose, flight: SearchedFlight) -> Score:
+    """Count an associator's pairs.
+
+    Args:
+        found: what it found.
+        points: (L, 3) true points of all landmarks of the map [m].
+        T_world_left: true pose of the left camera.
+        flight: calibration and tolerance.
+    """
+    shown = shown_at(T_world_left, flight.rig.left, points[found.rows])
+    known = np.asarray(np.isfinite(shown).all(axis=1))
+    off_px = np.linalg.norm(shown[:, None] - found.seen.pixels[:, :2], axis=2)
+    right = np.asarray(off_px <= flight.tolerance_px)  # NaN is not
+    pairs = found.pairs[known[found.pairs[:, 0]]]
+    good = int(right[pairs[:, 0], pairs[:, 1]].sum())
+    return Score(len(pairs), good, good, int(right.any(axis=1).sum()))
+
+
+@dataclass(frozen=True, slots=True)
+class Association:
+    """One associator on one flight: the run, its pairs, and its time in each frame [ms]."""
+
+    run: Run
+    score: Score
+    ms: tuple[float, ...]
+
+
+def associate_all(flight: SearchedFlight, names: Sequence[str] = tuple(ASSOCIATORS)) -> list[Association]:
+    """Fly by the INS alone and with each associator."""
+    ins = Run(INS, flight.condition, flight.seed, "uav1", Track(flight.ins), flight.truth, flight.ins)
+    return [Association(ins, Score(), ()), *(fly(flight, name) for name in names)]
+
+
+def fly(flight: SearchedFlight, name: str) -> Association:
+    """Feed a flight to the back end with one associator."""
+    backend_config = dataclasses.replace(flight.config.backend, association=name)
+    config = dataclasses.replace(flight.config, backend=backend_config)
+    recorder, truth = Recorder(ASSOCIATORS[name]), TruePoints(flight)
+    matcher = MapMatcher(backend_config, recorder)
+    backend = SlamBackend(flight.initial, rig=flight.rig, config=config, vehicle="uav1", matcher=matcher)
+    scores, ms = [], []
+    points = [truth.of(backend.landmarks[0])]  # that the map shows before each frame
+
+    def judge_frame(report: FrameReport) -> None:
+        frame = len(points) - 1
+        for found in recorder.found:
+            scores.append(judge(found, points[frame], flight.T_world_left[frame], flight))
+            ms.append(found.ms)
+        recorder.found.clear()
+        truth.note(frame, *backend.landmarks, report.pose.T_map_body)
+        points.append(truth.of(backend.landmarks[0]))
+
+    track = feed(backend, flight.steps, judge_frame)
+    run = Run(name, flight.condition, flight.seed, "uav1", track, flight.truth, flight.ins)
+    return Association(run, sum(scores, Score()), tuple(ms))
+
+
+def map_rows(found: Sequence[Association]) -> list[Row]:
+    """Return a row per condition and associator."""
+    rows = []
+    for condition, name in dict.fromkeys((a.run.condition, a.run.name) for a in found):
+        chosen = [a for a in found if (a.run.condition, a.run.name) == (condition, name)]
+        score = sum((a.score for a in chosen), Score())
+        frames = sum(len(a.run.truth) for a in chosen)
+        figures = pooled([a.run for a in chosen])
+        rows.append(
+            {
+                TABLE: IN_MAP,
+                "condition": condition,
+                "method": name,
+                "pairs_per_frame": None if name == INS else score.left / frames,
+                **{key: value for key, value in score.row().items() if key != "pairs"},
+                **{key: figures[key] for key in ("end_rms_m", "ate_rms_m", "nees_position", "failures", "runs")},
+                "ms_association": median([ms for a in chosen for ms in a.ms]),
+                "ms_per_frame": figures["ms_per_frame"],
+            }
+        )
+    return rows

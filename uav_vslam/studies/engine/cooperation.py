@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine of the fusion studies: own-only tracks are flown once, then fused again and again in different ways."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.cooperation.link import Link, LinkConfig
+from uav_vslam.errors import UavVslamError
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.evaluation.consistency import nees
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.fleet import PacketLink, cooperate
+from uav_vslam.pipeline import VehicleTrack
+from uav_vslam.simulation.landmarks import LandmarkNoise
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.studies.engine.apart import Flown, fly_own_only
+from uav_vslam.studies.engine.own_only import prepare
+from uav_vslam.studies.engine.write_back import WRITE_BACK, fly_with_write_back
+from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One way to cooperate.
+
+    Attributes:
+        name: label of its rows.
+        fusion: settings of `FusionConfig` that differ from the defaults.
+        link: the radio, the same in every direction but for its draws; a perfect one unless given.
+        out_of_range: vehicles that can't hear each other.
+        restarts: how often the second vehicle is started again, from a checkpoint, spread over the flight.
+        write_back: name in `write_back.WRITE_BACK`, instead of the fusion node's way.
+    """
+
+    name: str
+    fusion: Mapping[str, Any] = field(default_factory=dict)
+    link: LinkConfig = field(default_factory=LinkConfig)
+    out_of_range: tuple[str, ...] = ()
+    restarts: int = 0
+    write_back: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One vehicle of one seed under one setting.
+
+    Attributes:
+        setting, seed, vehicle: which.
+        times_s: (F,) of the frames since the first one.
+        own_error, error: (F,) distance from the truth, alone and with peers [m].
+        own_nees, nees: (F,) of the position.
+        sigma: (F,) root of the trace of the fused position's covariance [m].
+        correction: (F, 3) fused less own position [m].
+        failure: why it broke down; empty if it did not.
+        figures: of the link, and the fusion's time.
+    """
+
+    setting: str
+    seed: int
+    vehicle: str
+    times_s: Array
+    own_error: Array
+    error: Array
+    own_nees: Array
+    nees: Array
+    sigma: Array
+    correction: Array
+    failure: str = ""
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+def run_settings(
+    scenario: Scenario, settings: tuple[Setting, ...], config: VehicleConfig, noise: LandmarkNoise
+) -> list[Outcome]:
+    """Fly a scenario's vehicles alone, then cooperate in every way."""
+    config = dataclasses.replace(config, imu=scenario.imu_config)
+    flown = fly_own_only(scenario, config, noise)
+    outcomes: list[Outcome] = []
+    for setting in settings:
+        if setting.write_back:
+            outcomes += _written_back(scenario, setting, config, noise, flown)
+        else:
+            outcomes += _fused(scenario, setting, config, flown)
+    return outcomes
+
+
+def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: Flown) -> list[Outcome]:
+    tracks = flown.tracks
+    fusion = dataclasses.replace(config.fusion, **setting.fusion)
+    configs = {name: dataclasses.replace(config, fusion=fusion) for name in tracks}
+    watch = _PacketWatch()
+    started = time.process_time()
+    try:
+        fleet = cooperate(_restarted(tracks, setting.restarts), configs, _links(scenario, setting), watch.see)
+    except UavVslamError as error:
+        return [_failed(scenario, setting, name, str(error)) for name in tracks]
+    epochs = sum(output.joint is not None for track in tracks.values() for output in track.outputs)
+    fusing_s = time.process_time() - started - watch.watching_s
+    shared = {"fusion_ms": 1e3 * fusing_s / epochs, "lambda_excess": watch.largest - 1.0}
+    outcomes = []
+    for name, track in tracks.items():
+        member = fleet[name]
+        figures = {
+            **shared,
+            "sent_bytes_per_s": member.outbox.sent_bytes_per_s,
+            "largest_packet": watch.largest_bytes.get(name, 0),
+            "recovery_packets": watch.until_used(member.fusion, setting.link),
+        }
+        estimate = Trajectory.from_estimates(member.poses)
+        outcomes.append(_scored(scenario, setting, name, _own(track), estimate, flown.truths[name], figures))
+    return outcomes
+
+
+def _written_back(
+    scenario: Scenario, setting: Setting, config: VehicleConfig, noise: LandmarkNoise, flown: Flown
+) -> list[Outcome]:
+    found = fly_with_write_back(prepare(scenario, noise), config, WRITE_BACK[setting.write_back])
+    return [
+        _failed(scenario, setting, name, track.failure)
+        if track.failure
+        else _scored(scenario, setting, name, _own(flown.tracks[name]), track.estimate, flown.truths[name], {})
+        for name, track in found.items()
+    ]
+
+
+def _scored(
+    scenario: Scenario,
+    setting: Setting,
+    name: str,
+    own: Trajectory,
+    estimate: Trajectory,
+    truth: Trajectory,
+    figures: Mapping[str, float],
+) -> Outcome:
+    own_error, own_nees = _errors(own, truth)
+    error, fused_nees = _errors(estimate, truth)
+    assert estimate.covariance is not None
+    sigma = np.sqrt(np.trace(estimate.covariance[:, :3, :3], axis1=1, axis2=2))
+    times_s = _seconds(truth, estimate.stamps_ns)
+    failure = "" if np.isfinite(fused_nees).all() else "covariance not positive definite"
+    return Outcome(
+        setting.name,
+        scenario.seed,
+        name,
+        times_s,
+        own_error,
+        error,
+        own_nees,
+        fused_nees,
+        sigma,
+        estimate.positions - own.positions[: len(estimate)],
+        failure,
+        figures,
+    )
+
+
+def _failed(scenario: Scenario, setting: Setting, name: str, failure: str) -> Outcome:
+    none = np.zeros(0)
+    return Outcome(
+        setting.name,
+        scenario.seed,
+        name,
+        times_s=none,
+        own_error=none,
+        error=none,
+        own_nees=none,
+        nees=none,
+        sigma=none,
+        correction=np.zeros((0, 3)),
+        failure=failure,
+    )
+
+
+def _own(track: VehicleTrack) -> Trajectory:
+    return Trajectory.from_estimates([output.report.pose for output in track.outputs])
+
+
+def _errors(estimate: Trajectory, truth: Trajectory) -> tuple[Array, Array]:
+    """Return distances [m] and NEES at every frame; a simulation has the truth at each of them."""
+    found = nees(estimate, truth)
+    assert found is not None
+    at = np.searchsorted(truth.stamps_ns, estimate.stamps_ns)
+    return np.linalg.norm(estimate.positions - truth.positions[at], axis=1), found.position
+
+
+def _seconds(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> Array:
+    return (stamps_ns - truth.stamps_ns[0]) / NS_PER_S
+
+
+def _links(scenario: Scenario, setting: Setting) -> Callable[[str, str], PacketLink]:
+    """Return a maker of links whose draws differ by seed and direction."""
+    names = [scenario.vehicle_name(k) for k in range(scenario.vehicles)]
+
+    def link(sender: str, receiver: str) -> PacketLink:
+        apart = sender in setting.out_of_range and receiver in setting.out_of_range
+        seed = 1000 * scenario.seed + names.index(sender) * len(names) + names.index(receiver)
+        return Link(dataclasses.replace(setting.link, seed=seed, loss=1.0 if apart else setting.link.loss))
+
+    return link
+
+
+def _restarted(tracks: dict[str, VehicleTrack], restarts: int) -> dict[str, VehicleTrack]:
+    """Return the tracks with the second vehicle's sessions counting up, as if it went on from checkpoints."""
+    if restarts == 0:
+        return tracks
+    name = sorted(tracks)[1]
+    outputs = tracks[name].outputs
+    length = len(outputs) // (restarts + 1) + 1
+    changed = [
+        output if output.joint is None else dataclasses.replace(output, joint=_in_session(output.joint, k // length))
+        for k, output in enumerate(outputs)
+    ]
+    return {**tracks, name: dataclasses.replace(tracks[name], outputs=changed)}
+
+
+def _in_session(joint: JointInformation, restarts: int) -> JointInformation:
+    return dataclasses.replace(joint, session=joint.session + restarts)
+
+
+class _PacketWatch:
+    """Compares every packet with what it stands for.
+
+    Attributes:
+        largest: the largest eigenvalue of R^-1 P over all packets; above 1 a packet told more than was known.
+        largest_bytes: of the packets of each vehicle.
+        watching_s: CPU time that the watch took itself [s].
+    """
+
+    def __init__(self) -> None:
+        self.largest = 0.0
+        self.watching_s = 0.0
+        self.largest_bytes: dict[str, int] = {}
+        self._sent_ns: dict[str, dict[tuple[int, int], int]] = {}
+
+    def until_used(self, fusion: Fusion, link: LinkConfig) -> float:
+        """Return how many packets each peer had to send after the last blackout until one was used, at worst."""
+        if not link.blackouts:
+            return 0.0
+        counts = [1]
+        for peer, record in fusion.inbox.peers.items():
+            sent = self._sent_ns[peer]
+            end_ns = min(sent.values()) + round(link.blackouts[-1][1] * NS_PER_S)
+            after = sorted(key for key, stamp_ns in sent.items() if stamp_ns >= end_ns)
+            counts.append(next((k for k, key in enumerate(after, start=1) if key in record.used), len(after)))
+        return float(max(counts))
+
+    def see(self, fusion: Fusion, packet: LandmarkPacket, size_bytes: int) -> None:
+        """Note a packet that is sent."""
+        self._sent_ns.setdefault(packet.vehicle, {})[packet.session, packet.sequence] = packet.stamp_ns
+        self.largest_bytes[packet.vehicle] = max(self.largest_bytes.get(packet.vehicle, 0), size_bytes)
+        if fusion.belief is None or len(packet) == 0:
+            return
+        started = time.process_time()
+        order = np.argsort(fusion.belief.ids)
+        rows = order[np.searchsorted(fusion.belief.ids, packet.ids, sorter=order)]
+        at = landmark_rows(POSE_DIM, rows)
+        P = fusion.belief.covariance[np.ix_(at, at)]
+        L = np.linalg.cholesky(packet.covariance)
+        half = np.linalg.solve(L, P)
+        self.largest = max(self.largest, float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1]))
+        self.watching_s += time.process_time() - started

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of own-only runs: errors, consistency, failures, and the thesis's relative error rate."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.consistency import nees, summarise
+from uav_vslam.evaluation.study import Row
+from uav_vslam.evaluation.trajectory_error import absolute_error
+from uav_vslam.studies.engine.own_only import INS, Run
+from uav_vslam.studies.engine.pool import mean, median, rms
+
+Array = NDArray[np.float64]
+
+FAILURE_RULE = (
+    "a run fails if the filter breaks down, so that the back end gives up or begins anew, if its estimate is not "
+    "finite, or if it ends farther from the truth than the INS does on root mean square over the same runs; errors and "
+    "NEES are over all runs that came to the end of their flight with one filter, however far off"
+)
+
+
+def pooled(runs: Sequence[Run]) -> Row:
+    """Return the figures of one candidate under one condition: root mean squares of errors, means of NEES."""
+    finished = [run for run in runs if is_finished(run)]
+    errors = [error for run in finished if (error := absolute_error(run.track.estimate, run.truth))]
+    consistency = [summarise(found.position) for run in finished if (found := nees(run.track.estimate, run.truth))]
+    frame_ms = [ms for run in runs for ms in run.track.frame_ms]
+    return {
+        "end_rms_m": rms([error.end_m for error in errors]),
+        "ate_rms_m": rms([error.ate_m for error in errors]),
+        "nees_position": mean([summary.mean for summary in consistency]),
+        "nees_position_end": mean([summary.end for summary in consistency]),
+        "failures": failures(runs),
+        "runs": len(runs),
+        "restarts": mean([run.track.restarts for run in runs]),
+        "ms_per_frame": median(frame_ms),
+    }
+
+
+def is_finished(run: Run) -> bool:
+    """Tell whether a run reached the end of its flight with numbers, and with the filter that it began with."""
+    estimate = run.track.estimate
+    return not run.track.failure and len(estimate) == len(run.truth) and bool(np.isfinite(estimate.positions).all())
+
+
+def failures(runs: Sequence[Run]) -> int:
+    """Count the runs that failed, see FAILURE_RULE; the INS itself can't."""
+    ins_end_m = rms([float(np.linalg.norm(run.ins.positions[-1] - run.truth.positions[-1])) for run in runs]) or 0.0
+    return sum(not is_finished(run) or (run.name != INS and end_error_m(run) > ins_end_m) for run in runs)
+
+
+def breakdowns(runs: Sequence[Run]) -> dict[str, str]:
+    """Return a note on why candidates broke down, the first reason of each; no note if none did."""
+    reasons: dict[str, str] = {}
+    for run in runs:
+        if run.track.failure:
+            reasons.setdefault(run.name, f"{run.name} (first in {run.condition}, seed {run.seed}): {run.track.failure}")
+    return {"Breakdowns": "; ".join(reasons.values())} if reasons else {}
+
+
+def end_error_m(run: Run) -> float:
+    """Return how far from the truth a finished run ends [m]."""
+    return float(np.linalg.norm(run.track.estimate.positions[-1] - run.truth.positions[-1]))
+
+
+def relative_error_rate(runs: Sequence[Run]) -> float | None:
+    """Return the RER of section 4.7.1 of [thesis]: errors summed over runs and steps, SLAM over INS, mean of the axes.
+
+    One run gives that run's RER. Runs that were not finished have no place in the sum; None if there are no others.
+    """
+    finished = [run for run in runs if is_finished(run)]
+    if not finished:
+        return None
+    slam = sum(_summed_error(run.track.estimate.positions, run.truth.positions) for run in finished)
+    ins = sum(_summed_error(run.ins.positions, run.truth.positions) for run in finished)
+    return float(np.mean(slam / ins))
+
+
+def _summed_error(estimate: Array, truth: Array) -> Array:
+    """Return the (3,) sums of absolute errors per axis; the number of steps cancels in the ratio."""
+    return np.asarray(np.abs(estimate - truth).sum(axis=0))

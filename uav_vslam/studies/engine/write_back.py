@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The thesis's ways to share a map, which write what a peer says into the own filter; kept to be measured.
+
+Once a peer's numbers are in the filter, the next packet carries them back as if they were news, and nobody can tell
+what has been counted how often. None of these is consistent; they fly in this study only, never in a node.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.cooperation.common_landmarks import find_common
+from uav_vslam.errors import UavVslamError
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.estimation.covariance_intersection import search
+from uav_vslam.estimation.filter import Filter
+from uav_vslam.estimation.information import InformationBelief
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.numerics import cholesky, inverse_spd, symmetrise
+from uav_vslam.slam.backend import SlamBackend, crosses_epoch
+from uav_vslam.slam.packet import POSE_DIM, PacketPolicy, make_packet
+from uav_vslam.studies.engine.own_only import Flight, Track
+from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
+
+Array = NDArray[np.float64]
+Pairs = NDArray[np.int64]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Shared:
+    """Landmarks that two vehicles have in common, as one of them tells of them.
+
+    Attributes:
+        ids: (K,) the sender's.
+        positions: (K, 3) [m].
+        information: (3K, 3K) their marginal.
+    """
+
+    ids: NDArray[np.uint32]
+    positions: Array
+    information: Array
+
+    @classmethod
+    def of(cls, packet: LandmarkPacket, rows: Pairs) -> "Shared":
+        """Return what a packet tells of some of its landmarks."""
+        at = landmark_rows(0, rows)
+        Y = inverse_spd(packet.covariance[np.ix_(at, at)], "covariance of a packet")
+        return cls(packet.ids[rows], packet.positions[rows], Y)
+
+
+WriteBack = Callable[[Filter, Pairs, Shared, Shared | None], None]
+
+
+def intersect_each(own: Filter, rows: Pairs, told: Shared, before: Shared | None) -> None:
+    """Covariance intersection of each landmark alone, Eq. (7.1) and (7.2), its result put in the place of the own."""
+    del before
+    P_told = inverse_spd(told.information, "a peer's landmarks")
+    for k, row in enumerate(rows.tolist()):
+        at = landmark_rows(own.vehicle, np.array([row]))
+        P = own.belief.covariance(np.array([row]))[-3:, -3:]
+        Y = inverse_spd(P, "covariance of a landmark")
+        Y_fused, share = _intersection(Y, _block(P_told, k))
+        _add_information(own, at, Y_fused - Y, share @ (told.positions[k] - own.landmarks[row]))
+
+
+def overwrite(own: Filter, rows: Pairs, told: Shared, before: Shared | None) -> None:
+    """The same, but the block alone is replaced in the covariance, and what it has to do with the rest is left."""
+    del before
+    P_told = inverse_spd(told.information, "a peer's landmarks")
+    P = own.covariance()
+    delta = np.zeros(len(P))
+    for k, row in enumerate(rows.tolist()):
+        at = slice(own.vehicle + 3 * row, own.vehicle + 3 * row + 3)
+        Y_fused, share = _intersection(inverse_spd(P[at, at], "covariance of a landmark"), _block(P_told, k))
+        P[at, at] = np.linalg.inv(Y_fused)
+        delta[at] = P[at, at] @ share @ (told.positions[k] - own.landmarks[row])
+    own.correct(InformationBelief(inverse_spd(P, "overwritten covariance"), own.vehicle), delta)
+
+
+def add_deltas(own: Filter, rows: Pairs, told: Shared, before: Shared | None) -> None:
+    """Add what the peer's information has grown by since its last packet, Eq. (4.5.9) to (4.5.11)."""
+    if before is None:
+        return
+    _, new, old = np.intersect1d(told.ids, before.ids, return_indices=True)
+    if len(new) == 0:
+        return
+    now, then = landmark_rows(0, new), landmark_rows(0, old)
+    at = landmark_rows(own.vehicle, rows[new])
+    x = own.landmarks[rows[new]].ravel()
+    Y_now, Y_then = _marginal(told.information, now), _marginal(before.information, then)
+    gradient = Y_now @ (told.positions[new].ravel() - x) - Y_then @ (before.positions[old].ravel() - x)
+    _add_information(own, at, Y_now - Y_then, gradient)
+
+
+WRITE_BACK: dict[str, WriteBack] = {"landmark_ci": intersect_each, "overwrite": overwrite, "deltas": add_deltas}
+
+
+def fly_with_write_back(flights: Sequence[Flight], config: VehicleConfig, scheme: WriteBack) -> dict[str, Track]:
+    """Fly two or more vehicles that write what they hear into their filters at each epoch, until one breaks down."""
+    backends = {flight.vehicle.name: _backend(flight, config) for flight in flights}
+    names = list(backends)
+    told: dict[tuple[str, str], Shared] = {}
+    poses: dict[str, list[PoseEstimate]] = {name: [] for name in names}
+    failure, previous_ns = "", None
+    for steps in zip(*(flight.steps for flight in flights), strict=True):
+        try:
+            for name, (features, increment) in zip(names, steps, strict=True):
+                report = backends[name].process(features, increment)
+                failure = failure or report.recovery
+            stamp_ns = backends[names[0]].stamp_ns
+            if crosses_epoch(previous_ns, stamp_ns, config.fusion.epoch_s):
+                _exchange(backends, told, config, scheme)
+            previous_ns = stamp_ns
+            for name in names:
+                poses[name].append(backends[name].filter.nav_estimate().pose)
+        except (UavVslamError, np.linalg.LinAlgError) as error:
+            failure = failure or f"{type(error).__name__}: {error}"
+        if failure:
+            break
+    return {name: Track(Trajectory.from_estimates(poses[name][: _shortest(poses)]), failure) for name in names}
+
+
+class _OpenBackend(SlamBackend):
+    """A back end whose filter others may write to."""
+
+    @property
+    def filter(self) -> Filter:
+        return self._filter
+
+
+def _backend(flight: Flight, config: VehicleConfig) -> _OpenBackend:
+    vehicle = flight.vehicle
+    config = dataclasses.replace(config, imu=vehicle.scenario.imu_config)
+    return _OpenBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
+
+
+def _exchange(
+    backends: Mapping[str, _OpenBackend],
+    told: dict[tuple[str, str], Shared],
+    config: VehicleConfig,
+    scheme: WriteBack,
+) -> None:
+    """Let each vehicle tell each other one what it knew at the beginning of the exchange."""
+    joints = {name: backend.joint_information() for name, backend in backends.items()}
+    for receiver, sender in itertools.permutations(backends, 2):
+        packet, own = _everything(joints[sender]), joints[receiver]
+        P = own.covariance[POSE_DIM:, POSE_DIM:]
+        pairs = find_common(own.positions, P, own.descriptors, packet, config=config.fusion)
+        if len(pairs):
+            shared = Shared.of(packet, pairs[:, 1])
+            scheme(backends[receiver].filter, pairs[:, 0], shared, told.get((sender, receiver)))
+            told[sender, receiver] = shared
+
+
+def _everything(joint: JointInformation) -> LandmarkPacket:
+    return make_packet(joint, sequence=1, policy=PacketPolicy(max_landmarks=max(len(joint.ids), 1)))
+
+
+def _block(P: Array, k: int) -> Array:
+    """Return the information of landmark k alone."""
+    return inverse_spd(P[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], "covariance of a peer's landmark")
+
+
+def _intersection(Y: Array, Y_told: Array) -> tuple[Array, Array]:
+    """Return the information w Y + (1 - w) Y_told of the largest determinant, and the peer's share of it."""
+    w = search(lambda w: -float(np.linalg.slogdet(w * Y + (1.0 - w) * Y_told)[1]))
+    return w * Y + (1.0 - w) * Y_told, (1.0 - w) * Y_told
+
+
+def _marginal(Y: Array, rows: NDArray[np.int64]) -> Array:
+    P = inverse_spd(Y, "information")
+    return inverse_spd(P[np.ix_(rows, rows)], "covariance")
+
+
+def _add_information(own: Filter, at: NDArray[np.int64], Y_more: Array, gradient: Array) -> None:
+    """Add information about some rows, which may be negative, and move the mean to where it then is."""
+    Y = own.belief.information(np.arange(own.belief.size))
+    Y[np.ix_(at, at)] += Y_more
+    Y = symmetrise(Y)
+    cholesky(Y, "information with a peer's")
+    g = np.zeros(len(Y))
+    g[at] = gradient
+    own.correct(InformationBelief(Y, own.vehicle), np.asarray(np.linalg.solve(Y, g), dtype=np.float64))
+
+
+def _shortest(poses: Mapping[str, Sequence[PoseEstimate]]) -> int:
+    return min(len(track) for track in poses.values())

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rendered flights whose cameras fail for a while: what the front end says, and what becomes of the estimate."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.evaluation.study import Row
+from uav_vslam.evaluation.summary import build_summary
+from uav_vslam.offline import flight_result, track_vehicle
+from uav_vslam.pipeline import VehicleTrack
+from uav_vslam.simulation.faults import FAULTS, FaultySource, end_s
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
+from uav_vslam.studies.engine.flights import true_trajectory
+from uav_vslam.studies.engine.pool import in_pool, mean, rms
+
+NONE = "none"
+BEGIN_SHARE = 0.3  # of the flight
+MANY = 20  # associated landmarks, and the vehicle sees again
+NEVER, LASTING = "never", "lasting"
+VARIANTS: dict[str, dict[str, object]] = {
+    "klt": {"frontend.method": "klt"},
+    "sift": {"frontend.method": "sift"},
+}
+
+NOTES = {
+    "Faults": f"begin after {100 * BEGIN_SHARE:.0f} % of the flight, the same on every seed; one vehicle alone",
+    "Errors": "root mean squares over the seeds; NEES of the position over 3: mean over the frames after the 20th, and "
+    "the worst seed's mean",
+    "Reports": "alarms: what the diagnostics said, with the frames it was said of, summed over the seeds; coasted: "
+    f"frames without a landmark; recovered_frames: from the fault's end to the first with {MANY} landmarks, worst "
+    f"seed, {NEVER!r} where one had none, {LASTING!r} where the fault has no end; restarts: filters that began anew",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Survived:
+    """What became of one flight."""
+
+    method: str
+    fault: str
+    track: VehicleTrack
+    figures: dict[str, Any]
+    recovered_frames: int | str
+
+
+Job = tuple[str, VehicleConfig, Scenario, str, int]
+
+
+def jobs(scenario: Scenario, configs: Mapping[str, VehicleConfig], seeds: Sequence[int]) -> list[Job]:
+    """Return every flight of the study."""
+    faults = [NONE, *FAULTS]
+    return [
+        (name, config, scenario, fault, seed) for name, config in configs.items() for fault in faults for seed in seeds
+    ]
+
+
+def run_study(work: Sequence[Job], *, workers: int, on_flight: Callable[[], None] = lambda: None) -> list[Row]:
+    """Fly everything and return the rows of `study.json`."""
+    flown: list[Survived] = []
+    for one in in_pool(survive, work, workers):
+        flown.append(one)
+        on_flight()
+    labels = dict.fromkeys((name, fault) for name, _, _, fault, _ in work)
+    return [_row([one for one in flown if (one.method, one.fault) == label]) for label in labels]
+
+
+def survive(job: Job) -> Survived:
+    """Fly one vehicle through a fault."""
+    name, config, scenario, fault, seed = job
+    scenario = dataclasses.replace(scenario, seed=seed)
+    config = dataclasses.replace(config, imu=scenario.imu_config)
+    vehicle = simulate_vehicle(scenario, 0)
+    begin_s = BEGIN_SHARE * scenario.duration_s
+    source = FaultySource(vehicle, fault="" if fault == NONE else fault, begin_s=begin_s)
+    track = track_vehicle(source, config)
+    result = flight_result(
+        scenario.name, {vehicle.name: track}, {}, {vehicle.name: true_trajectory(vehicle)}, {vehicle.name: config}
+    )
+    figures = build_summary(result, git=None)["vehicles"][vehicle.name]["s_slam"]
+    end = end_s(source.fault, begin_s, vehicle)
+    return Survived(name, fault, track, figures, "" if fault == NONE else _recovered_frames(track, vehicle, end))
+
+
+def _recovered_frames(track: VehicleTrack, vehicle: SimulatedVehicle, end: float) -> int | str:
+    """Count the frames from the fault's end to the first with many landmarks; a fault that lasts has no end."""
+    if end >= vehicle.scenario.duration_s:
+        return LASTING
+    later = [out.report for out in track.outputs if vehicle.truth.time_s(out.report.pose.stamp_ns) >= end - 1e-9]
+    return next((k for k, report in enumerate(later) if report.associated >= MANY), NEVER)
+
+
+def _row(flown: Sequence[Survived]) -> Row:
+    reports = [output.report for one in flown for output in one.track.outputs]
+    alarms: dict[str, int] = {}
+    for one in flown:
+        for subject, count in one.track.alarms.items():
+            alarms[subject] = alarms.get(subject, 0) + count
+    nees = [one.figures["nees_position"] for one in flown if one.figures["nees_position"] is not None]
+    recovered = [one.recovered_frames for one in flown]
+    words = [value for value in recovered if isinstance(value, str)]
+    return {
+        "method": flown[0].method,
+        "fault": flown[0].fault,
+        "frames": len(reports),
+        "coasted": sum(report.associated == 0 for report in reports),
+        "alarms": ", ".join(f"{subject} {count}" for subject, count in alarms.items()) or "none",
+        "recovered_frames": words[0] if words else max(recovered),
+        "restarts": sum(report.recovery != "" for report in reports),
+        "ate_rms_m": rms([one.figures["ate_m"] for one in flown]),
+        "end_rms_m": rms([one.figures["end_m"] for one in flown]),
+        "nees_position": mean(nees),
+        "nees_worst": max(nees, default=None),
+    }

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The study of unknown frames: how soon vehicles find where each other's map lies, how well, and what it is worth."""
+
+from collections.abc import Callable, Sequence
+
+from uav_vslam.evaluation.study import TABLE, Row
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.studies.engine.association_stages import Score, stage_rows
+from uav_vslam.studies.engine.pool import in_pool, mean, median, ratio, rms
+from uav_vslam.studies.frames.compute import SHARES, TRACKS, FrameRun, run_seed
+
+FOUND_WITHIN_S = 30.0  # of overlap, which begins with the flight
+MAX_ERROR_M, MAX_ERROR_DEG = 1.5, 1.0
+
+NOTES = {
+    "Flights": "two vehicles in formation at landmark level; the map frame of the second is turned by up to 180 "
+    "degrees and shifted by 1 to 50 m, and a share of the landmarks that both map look like others of them to the "
+    "second for the whole flight: wrong_matches is the wrong ones' share of the matches in the packet that gives the "
+    "frame. Later fewer are wrong, for each vehicle then sends first what has proved to be shared",
+    "Error": "of T_uav1_uav2 when it is found, against the transform that fits the two own-only maps of that moment "
+    "best: least squares, without weights, over all landmarks that both maps hold, identities from the simulation; "
+    "metres at those landmarks' centre. Later: root mean square over all packets until the end of the flight. Each "
+    "map's own drift is inside both transforms. Landmarks just mapped count in full, which makes this yardstick "
+    "rough by up to a metre; weighted: against the fit over the same landmarks by the covariances of both maps",
+    "True": "against the true frames, so with both maps' drift",
+    "Good": f"found within {FOUND_WITHIN_S:g} s, within {MAX_ERROR_M} m and {MAX_ERROR_DEG} degree",
+    "NEES": "frame: of T_uav1_uav2 against the true frames, over 4, when it is found; others: of both vehicles' "
+    "position, over 3, mean over the frames after the 20th",
+    "Trajectories": "alone, and together with the peer's frame unknown or known: the same flights and the same "
+    "mistakes in a common frame. ATE is the root mean square over seeds and vehicles, each in its own frame, ratios "
+    "are to standing alone; better: only the vehicle of each seed that is better alone, which it is by luck too",
+    "Stages": "pairs that uav1 finds in all packets of the flight, in a common frame but for the last row; recall is "
+    "over the landmarks that both have and that look right",
+}
+
+
+def frame_rows(
+    seeds: Sequence[int], *, frames: int, workers: int, on_seed: Callable[[], None] = lambda: None
+) -> list[Row]:
+    """Fly the study and return its tables: pooled by share of mistaken landmarks, by stage, and seed by seed."""
+    runs: list[FrameRun] = []
+    for found in in_pool(run_seed, [Scenario(seed=seed, frames=frames) for seed in seeds], workers):
+        runs += found
+        on_seed()
+    runs.sort(key=lambda run: (run.share, run.seed))
+    by_share = [[run for run in runs if run.share == share] for share in SHARES]
+    scores = stage_rows((run.share, run.stages) for run in runs)
+    return [
+        *({TABLE: "where the peer's map lies", **_pooled(some)} for some in by_share),
+        *({TABLE: "trajectories", **_trajectories(some)} for some in by_share),
+        *({TABLE: "stages of association", **row} for row in scores),
+        *({TABLE: "seed by seed", **_single(run)} for run in runs if run.share > 0),
+    ]
+
+
+def is_good(run: FrameRun) -> bool:
+    """Tell whether the frame was found in time and well."""
+    if run.first is None:
+        return False
+    metres, degrees = run.errors[0]
+    return bool(run.first.after_s <= FOUND_WITHIN_S and metres <= MAX_ERROR_M and degrees <= MAX_ERROR_DEG)
+
+
+def _pooled(runs: Sequence[FrameRun]) -> Row:
+    found = [(run.first, *run.errors[0]) for run in runs if run.first is not None]
+    matches = sum((first.matches for first, _, _ in found), Score())
+    later = [error for run in runs for error in run.errors]
+    return {
+        "mistaken": runs[0].share,
+        "wrong_matches": ratio(matches.wrong, matches.left),
+        "seeds": len(runs),
+        "found": len(found),
+        "good": sum(is_good(run) for run in runs),
+        "median_found_s": median([first.after_s for first, _, _ in found]),
+        "median_error_m": median([metres for _, metres, _ in found]),
+        "worst_error_m": max((metres for _, metres, _ in found), default=None),
+        "worst_error_deg": max((degrees for _, _, degrees in found), default=None),
+        "later_rms_m": rms([metres for metres, _ in later]),
+        "later_rms_deg": rms([degrees for _, degrees in later]),
+        "worst_weighted_m": max((first.to_weighted[0] for first, _, _ in found), default=None),
+        "worst_true_m": max((first.to_true[0] for first, _, _ in found), default=None),
+        "worst_true_deg": max((first.to_true[1] for first, _, _ in found), default=None),
+        "nees_frame": mean([first.nees for first, _, _ in found]),
+    }
+
+
+def _trajectories(runs: Sequence[FrameRun]) -> Row:
+    both = [ate for run in runs for ate in run.ate_m.values()]
+    better = [min(run.ate_m.values(), key=lambda ate: ate["alone"]) for run in runs]
+    pooled, best = ({key: rms([ate[key] for ate in some]) for key in TRACKS} for some in (both, better))
+    return {
+        "mistaken": runs[0].share,
+        **{f"nees_{key}": mean([nees[key] for run in runs for nees in run.pose_nees.values()]) for key in TRACKS},
+        "ate_alone_m": pooled["alone"],
+        **{f"ratio_{key}": ratio(pooled[key], pooled["alone"]) for key in TRACKS[1:]},
+        "better_alone_m": best["alone"],
+        **{f"better_ratio_{key}": ratio(best[key], best["alone"]) for key in TRACKS[1:]},
+    }
+
+
+def _single(run: FrameRun) -> Row:
+    row: Row = {"mistaken": run.share, "seed": run.seed, "good": is_good(run)}
+    if run.first is None:
+        return row
+    first, (metres, degrees) = run.first, run.errors[0]
+    return {
+        **row,
+        "found_s": first.after_s,
+        "matches": first.matches.left,
+        "wrong": first.matches.wrong,
+        "used": first.used.left,
+        "wrong_used": first.used.wrong,
+        "error_m": metres,
+        "error_deg": degrees,
+        "weighted_m": first.to_weighted[0],
+        "true_m": first.to_true[0],
+        "true_deg": first.to_true[1],
+    }

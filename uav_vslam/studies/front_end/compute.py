@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Front ends over rendered flights: how precise their points are, what they cost, and what SLAM makes of them."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.evaluation.study import Row
+from uav_vslam.offline import FlightSource
+from uav_vslam.simulation.camera_render import RenderedFlight, intersect
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
+from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.simulation.terrain import Relief, relief_of
+from uav_vslam.studies.engine.flights import Figures, Method, fly_sources
+from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
+from uav_vslam.types import StereoFeatures
+from uav_vslam.vision.frontends import make_frontend
+
+Array = NDArray[np.float64]
+
+EQUAL = "equal cameras"
+CONDITIONS: dict[str, dict[str, Any]] = {
+    EQUAL: {},
+    "right gain 1.15, vignette 35 %": {"right_gain": 1.15, "right_vignette": 0.35},
+    "motion blur 3 px": {"blur_px": 3.0},
+}
+FLOWN = (EQUAL,)  # the conditions that SLAM flies as well; in the others the points alone are judged
+VARIANTS: dict[str, dict[str, object]] = {
+    "klt": {"frontend.method": "klt"},
+    "sift": {"frontend.method": "sift"},
+}
+BEYOND_PX = 1.0
+
+NOTES = {
+    "Points": "right pixel of every accepted feature against the true image of the ground point that the left pixel "
+    f"shows: standard deviation over both coordinates, and share of those over {BEYOND_PX:.0f} px off; kept_share: "
+    "points a frame over those of the same front end with equal cameras; followed_share: points that have been seen "
+    "in an earlier frame, by their track",
+    "Cost": "ms_per_frame: processor time of the front end alone, all threads, mean over the flight",
+    "Flights": "root mean squares over seeds and vehicles, NEES of the position over 3 as mean over the frames after "
+    "the 20th; c_to_s: fused over own-only ATE, which is 1 where vehicles recognise nothing of one another",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a front end made of one flight.
+
+    Attributes:
+        method: name and condition.
+        errors: (N, 2) right pixels less the truth, of all features [px].
+        frames: number of frames.
+        followed: number of features that an earlier frame had shown.
+        ms_per_frame: processor time.
+        figures: of the flight by track and vehicle; None if it was not flown, or diverged.
+    """
+
+    method: Method
+    errors: Array
+    frames: int
+    followed: int
+    ms_per_frame: float
+    figures: Figures | None
+
+
+Job = tuple[Method, int]
+
+
+def methods(scenario: Scenario, configs: Mapping[str, VehicleConfig]) -> list[Method]:
+    """Return every front end under every condition."""
+    return [
+        Method(name, condition, dataclasses.replace(scenario, **changes), config, rendered=True)
+        for condition, changes in CONDITIONS.items()
+        for name, config in configs.items()
+    ]
+
+
+def run_study(
+    compared: Sequence[Method], seeds: Sequence[int], *, workers: int, on_flight: Callable[[], None] = lambda: None
+) -> list[Row]:
+    """Look at every flight and return the rows of `study.json`."""
+    found: list[Seen] = []
+    for seen in in_pool(_look, [(method, seed) for seed in seeds for method in compared], workers):
+        found.append(seen)
+        on_flight()
+    return [_row([seen for seen in found if seen.method == method], found) for method in compared]
+
+
+def right_errors(vehicle: SimulatedVehicle, frame: int, features: StereoFeatures, relief: Relief) -> Array:
+    """Return (N, 2) right pixel less the true image there of what the left pixel shows [px]."""
+    T_world_body = vehicle.truth.pose(float(vehicle.frame_times_s[frame]))
+    rig = vehicle.true_rig(frame)
+    T_world_left = T_world_body @ rig.T_body_left
+    points = intersect(relief, T_world_left.t, rig.left.bearings(features.pixels[:, :2]) @ T_world_left.R.T)
+    expected = rig.right.project((T_world_body @ rig.T_body_right).inverse().apply(points))
+    return np.asarray(features.pixels[:, 2:] - expected)
+
+
+def _look(job: Job) -> Seen:
+    method, seed = job
+    scenario = dataclasses.replace(method.scenario, seed=seed)
+    vehicles = simulate_fleet(scenario)
+    relief = relief_of(scenario)
+    sources: list[FlightSource] = []
+    errors: list[Array] = []
+    followed, busy_s = 0, 0.0
+    for vehicle in vehicles:
+        frontend = make_frontend(vehicle.rig, method.config.frontend, method.config.rig)
+        flight: list[StereoFeatures] = []
+        known: set[int] = {0}
+        for k, frame in enumerate(RenderedFlight(vehicle)):
+            began = time.process_time()
+            features = frontend.process(frame)
+            busy_s += time.process_time() - began
+            flight.append(features)
+            errors.append(right_errors(vehicle, k, features, relief))
+            tracks = set(features.tracks.tolist())
+            followed += len(tracks & known - {0})
+            known |= tracks
+        sources.append(SimulatedSource(vehicle, features=tuple(flight)))
+    outcome = fly_sources(method, scenario, vehicles, sources) if method.condition in FLOWN else None
+    frames = scenario.frames * scenario.vehicles
+    figures = outcome.figures if outcome else None
+    return Seen(method, np.vstack(errors), frames, followed, 1e3 * busy_s / frames, figures)
+
+
+def _row(seen: Sequence[Seen], everything: Sequence[Seen]) -> Row:
+    method = seen[0].method
+    plain = [other for other in everything if (other.method.name, other.method.condition) == (method.name, EQUAL)]
+    errors = np.vstack([flight.errors for flight in seen])
+    points = _points_a_frame(seen)
+    row: Row = {
+        "method": method.name,
+        "condition": method.condition,
+        "points": points,
+        "kept_share": ratio(points, _points_a_frame(plain)),
+        "followed_share": sum(flight.followed for flight in seen) / max(len(errors), 1),
+        "sigma_px": float(errors.std(axis=0).mean()) if len(errors) else None,
+        "beyond_1px": float(np.mean(np.linalg.norm(errors, axis=1) > BEYOND_PX)) if len(errors) else None,
+        "ms_per_frame": mean([flight.ms_per_frame for flight in seen]),
+    }
+    return row | (_flight_figures(seen) if method.condition in FLOWN else {})
+
+
+def _points_a_frame(seen: Sequence[Seen]) -> float:
+    return sum(len(flight.errors) for flight in seen) / sum(flight.frames for flight in seen)
+
+
+def _flight_figures(seen: Sequence[Seen]) -> Row:
+    flown = [flight.figures for flight in seen if flight.figures]
+
+    def values(track: str, key: str) -> list[float]:
+        found = [report.get(key) for figures in flown for report in figures.get(track, {}).values()]
+        return [float(value) for value in found if value is not None]
+
+    return {
+        "s_ate_m": rms(values("s_slam", "ate_m")),
+        "s_end_m": rms(values("s_slam", "end_m")),
+        "s_nees": mean(values("s_slam", "nees_position")),
+        "c_nees": mean(values("c_slam", "nees_position")),
+        "c_to_s": ratio(rms(values("c_slam", "ate_m")), rms(values("s_slam", "ate_m"))),
+        "failures": len(seen) - len(flown),
+    }

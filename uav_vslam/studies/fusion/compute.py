@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What cooperation gains, and whether it stays consistent: schemes, weights, a shared map, bad radios, large fleets."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FUSION_WEIGHTS, MAX_PACKET_LANDMARKS, VehicleConfig
+from uav_vslam.cooperation.link import LinkConfig
+from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES
+from uav_vslam.evaluation.study import Row
+from uav_vslam.simulation.landmarks import LandmarkNoise
+from uav_vslam.simulation.scenario import SCENARIOS, Scenario
+from uav_vslam.studies.engine.cooperation import Outcome, Setting, run_settings
+from uav_vslam.studies.engine.pool import CONFIDENCE, in_pool, mean, ratio_interval
+
+Array = NDArray[np.float64]
+
+PARTED_S = 65.0  # of the scenario "parting": from then on the vehicles never see the same ground again
+LASTING_S = 60.0  # after that, the gain is looked at again
+PARTING_S = (60.0, 75.0)  # while they part, no correction may leap
+BLACKOUT_S = (25.0, 85.0)
+SHARED_MAP_M = 1.0
+
+NOTES = {
+    "Flights": "landmark level, 1 px, ADIS16480; own-only tracks are flown once a seed and fused in every way, so all "
+    "rows of a table see the same flights",
+    "Ratio": "ATE, root mean square over seeds and vehicles, over that of the same vehicles alone; low and high: "
+    f"{CONFIDENCE:.0%} of the bootstrap over seeds",
+    "NEES": "of the position over 3, mean over keyframes after the 20th, seeds and vehicles; 1 is consistent",
+    "Failures": "runs (a seed and vehicle) whose covariance lost definiteness or whose filter broke down; their errors "
+    "do not count",
+    "lambda_excess": "the largest eigenvalue of R^-1 P over all packets, less 1: above 0 one told more than was known",
+    "lasting_ratio": f"ratio from {LASTING_S:.0f} s after the last common view on; largest_jump: of the correction "
+    "from frame to frame while they part, over the fused sigma",
+    "recovery_packets": "sent after the blackout until one was used, at worst",
+}
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Part:
+    """One table: a flight, and the ways to cooperate on it."""
+
+    table: str
+    scenario: Scenario
+    settings: tuple[Setting, ...]
+    config: VehicleConfig = dataclasses.field(default_factory=VehicleConfig)
+    noise: LandmarkNoise = dataclasses.field(default_factory=LandmarkNoise)
+
+
+def schemes(frames: int) -> list[Part]:
+    """The ways to fuse, the thesis's among them, and the ways to weigh an intersection."""
+    weights = [Setting(f"full_ci, {name}", {"scheme": "full_ci", "weighing": name}) for name in FUSION_WEIGHTS[1:]]
+    everything = {"scheme": "overlay", "max_packet_landmarks": MAX_PACKET_LANDMARKS, "budget_bytes_per_s": 10_000_000}
+    settings = (
+        Setting("split_ci"),
+        Setting("split_ci, without feedback", {"feedback": False}),
+        Setting("split_ci, narrowband", {"mode": "narrowband"}),
+        Setting("full_ci, position_trace", {"scheme": "full_ci"}),
+        *weights,
+        Setting("inverse_ci", {"scheme": "inverse_ci"}),
+        Setting("overlay", {"scheme": "overlay"}),
+        Setting("full sharing", everything),
+        Setting("CI per landmark, written back", write_back="landmark_ci"),
+        Setting("CI per landmark, overwritten", write_back="overwrite"),
+        Setting("information deltas", write_back="deltas"),
+    )
+    shared = (
+        Setting("split_ci, map named", {"prior_id": "map"}),
+        Setting("overlay", {"scheme": "overlay"}),
+    )
+    flight = Scenario(frames=frames)
+    return [
+        Part("schemes", flight, settings),
+        Part(
+            f"both start in one map that is {SHARED_MAP_M:g} m off",
+            dataclasses.replace(flight, sigma_map_m=SHARED_MAP_M),
+            shared,
+        ),
+    ]
+
+
+def network() -> list[Part]:
+    """Long flights that part half-way, over bad radios and with restarts of the sender."""
+    losses = [Setting(f"loss {share:.0%}", link=LinkConfig(loss=share)) for share in (0.0, 0.2, 0.5, 0.7, 0.9)]
+    settings = (
+        *losses,
+        Setting("duplication 40%", link=LinkConfig(duplication=0.4)),
+        Setting("reordering, up to 3 s", link=LinkConfig(jitter_s=3.0)),
+        Setting("delay 1 s", link=LinkConfig(delay_s=1.0)),
+        Setting("blackout of 60 s", link=LinkConfig(blackouts=(BLACKOUT_S,))),
+        Setting(
+            "narrowband, 9.6 kbit/s, loss 20%", {"mode": "narrowband"}, LinkConfig(rate_bytes_per_s=1200, loss=0.2)
+        ),
+        Setting("5 restarts of the sender", restarts=5),
+        Setting("nothing remembered", {"memory_landmarks": 0}),
+    )
+    return [Part("a long flight that parts half-way", SCENARIOS["parting"], settings)]
+
+
+def fleets(frames: int) -> list[Part]:
+    """Fleets of growing size."""
+    sizes = [dataclasses.replace(Scenario(frames=frames), vehicles=count) for count in (2, 4, 8)]
+    ends = ("uav1", "uav3")
+    row = (
+        Setting("all hear all"),
+        Setting("the ends can't hear each other", {"feedback": False}, out_of_range=ends),
+        Setting("the middle returns feedback", out_of_range=ends),
+        Setting("the middle relays", {"feedback": False, "relay": True}, out_of_range=ends),
+    )
+    return [
+        *(Part(f"{size.vehicles} vehicles", size, (Setting("split_ci"),)) for size in sizes),
+        Part("three in a row", dataclasses.replace(Scenario(frames=frames), vehicles=3), row),
+    ]
+
+
+PARTS: dict[str, Callable[[int], list[Part]]] = {
+    "schemes": schemes,
+    "network": lambda frames: network(),
+    "fleets": fleets,
+}
+
+
+def run_parts(
+    parts: Sequence[Part], seeds: Sequence[int], *, workers: int, on_job: Callable[[], None] = lambda: None
+) -> list[Row]:
+    """Fly every part on every seed, a job each; return a row for each part and setting."""
+    jobs = [(part, seed) for part in parts for seed in seeds]
+    outcomes: dict[str, list[Outcome]] = {part.table: [] for part in parts}
+    for table, found in in_pool(_job, jobs, workers):
+        outcomes[table] += found
+        on_job()
+    return [
+        {"table": part.table, "setting": setting.name, **_figures(part, _of(outcomes[part.table], setting))}
+        for part in parts
+        for setting in part.settings
+    ]
+
+
+def _job(job: tuple[Part, int]) -> tuple[str, list[Outcome]]:
+    part, seed = job
+    scenario = dataclasses.replace(part.scenario, seed=seed)
+    return part.table, run_settings(scenario, part.settings, part.config, part.noise)
+
+
+def _of(outcomes: Sequence[Outcome], setting: Setting) -> list[Outcome]:
+    return sorted((o for o in outcomes if o.setting == setting.name), key=lambda o: (o.seed, o.vehicle))
+
+
+def _figures(part: Part, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    good = [o for o in outcomes if not o.failure]
+    own, fused = _squares(good, "own_error"), _squares(good, "error")
+    row: dict[str, Any] = {
+        "ate_alone_m": _root_mean(own),
+        "ate_m": _root_mean(fused),
+        "ratio": _ratio(own, fused),
+        **ratio_interval(own, fused),
+        "nees_alone": _mean_nees([o.own_nees for o in good]),
+        "nees": _mean_nees([o.nees for o in good]),
+        "failures": len(outcomes) - len(good),
+        "runs": len(outcomes),
+    }
+    if part.scenario.pattern == "parting":
+        late = PARTED_S + LASTING_S
+        row["lasting_ratio"] = _ratio(_squares(good, "own_error", late), _squares(good, "error", late))
+        row["largest_jump"] = max((_largest_jump(o) for o in good), default=None)
+        row["recovery_packets"] = max((o.figures["recovery_packets"] for o in good), default=None)
+    for key in ("sent_bytes_per_s", "fusion_ms"):
+        row[key] = mean([o.figures[key] for o in good if key in o.figures])
+    for key in ("largest_packet", "lambda_excess"):
+        row[key] = max((o.figures[key] for o in good if key in o.figures), default=None)
+    return row
+
+
+def _mean_nees(runs: Sequence[Array]) -> float | None:
+    return mean([float(nees[SKIPPED_KEYFRAMES:].mean()) for nees in runs if len(nees) > SKIPPED_KEYFRAMES])
+
+
+def _squares(outcomes: Sequence[Outcome], key: str, from_s: float = 0.0) -> Array:
+    """Return (S,) mean squared errors of each seed, over its vehicles and frames [m^2]."""
+    seeds = sorted({o.seed for o in outcomes})
+    of_runs = [(o.seed, float(np.mean(getattr(o, key)[o.times_s >= from_s] ** 2))) for o in outcomes]
+    return np.array([np.mean([square for seed, square in of_runs if seed == wanted]) for wanted in seeds])
+
+
+def _root_mean(squares: Array) -> float | None:
+    return float(np.sqrt(squares.mean())) if len(squares) else None
+
+
+def _ratio(own: Array, fused: Array) -> float | None:
+    return float(np.sqrt(fused.mean() / own.mean())) if len(own) else None
+
+
+def _largest_jump(outcome: Outcome) -> float:
+    parting = (outcome.times_s >= PARTING_S[0]) & (outcome.times_s <= PARTING_S[1])
+    steps = np.linalg.norm(np.diff(outcome.correction[parting], axis=0), axis=1)
+    return float(np.max(steps / outcome.sigma[parting][1:]))

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrong matches: what they do to a vehicle alone, and what each setting of the back end saves."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from uav_vslam.evaluation.study import Row
+from uav_vslam.simulation.landmarks import LOOKALIKE_PX, LandmarkNoise
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.studies.engine.own_only import Run, Trial, own_only
+from uav_vslam.studies.engine.pool import ratio
+from uav_vslam.studies.engine.scores import FAILURE_RULE, pooled
+
+SHARES = (0.0, 0.05, 0.1, 0.2)
+KINDS = ("swapped", "lookalike")  # as `LandmarkNoise.wrong_share` and `lookalike_share` make them
+CLEAN = "clean"
+ROBUST: dict[str, dict[str, Any]] = {f"backend.robust={on}": {"backend.robust": on} for on in (True, False)}
+
+NOTES = {
+    "Runs": "one vehicle alone on one seed at landmark level, 1 px, ADIS16480; wrong matches are drawn anew for each "
+    "frame, and all settings see the same",
+    "Kinds": "swapped: features exchange their places in the image; lookalike: a feature is a real point "
+    f"{LOOKALIKE_PX[0]:.0f} to {LOOKALIKE_PX[1]:.0f} px beside, in any direction of image and disparity together",
+    "Ratio": "end_to_clean is the end error, root mean square, over that of the same setting without wrong matches",
+    "Failures": FAILURE_RULE,
+}
+
+
+def outlier_trials(variants: Mapping[str, dict[str, Any]], *, frames: int = 160, vehicles: int = 2) -> list[Trial]:
+    """The default flight without wrong matches, then with a growing share of each kind.
+
+    Args:
+        variants: settings to compare, by name.
+        frames: of each vehicle.
+        vehicles: of each seed, each alone.
+    """
+    candidates = tuple(own_only(name, overrides) for name, overrides in variants.items())
+    scenario = Scenario(frames=frames, vehicles=vehicles)
+    return [Trial(condition, scenario, candidates, noise) for condition, noise in _conditions().items()]
+
+
+def outlier_rows(runs: Sequence[Run]) -> list[Row]:
+    """Return a row per setting, kind and share."""
+    rows: list[Row] = []
+    for name in dict.fromkeys(run.name for run in runs):
+        clean = None
+        for condition in dict.fromkeys(run.condition for run in runs):
+            found = pooled([run for run in runs if (run.name, run.condition) == (name, condition)])
+            clean = found["end_rms_m"] if condition == CLEAN else clean
+            kind, _, share = condition.partition(" ")
+            figures = {**found, "end_to_clean": ratio(found["end_rms_m"], clean)}
+            rows.append({"method": name, "kind": kind, "share": float(share or 0.0), **figures})
+    return rows
+
+
+def _conditions() -> dict[str, LandmarkNoise]:
+    found = {CLEAN: LandmarkNoise()}
+    for kind in KINDS:
+        key = "wrong_share" if kind == "swapped" else "lookalike_share"
+        found |= {f"{kind} {share}": LandmarkNoise(**{key: share}) for share in SHARES if share > 0}
+    return found

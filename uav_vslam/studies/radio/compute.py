@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the packet modes cost and bring, from flights of the whole node graph: the figures alone, no processes.
+
+All modes fly the same recordings, so their own-only tracks are the same, and what differs is what the packets carried.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from uav_vslam.evaluation.study import TABLE, Row
+from uav_vslam.studies.engine.pool import mean, ratio, rms
+
+WIDEBAND, NARROWBAND = "wideband", "narrowband"
+MODES = (WIDEBAND, NARROWBAND)
+MAX_BYTES_PER_S = {WIDEBAND: 100_000, NARROWBAND: 900}
+LARGEST_NARROWBAND_PACKET = 1399  # below 1400 bytes
+LEAST_GAIN_KEPT = 0.85
+
+NOTES = {
+    "Flights": "two vehicles over rendered farmland, recorded and replayed in lock-step through the whole node graph: "
+    "one process a node, packets over DDS. The same recordings in each mode; a seed whose graph failed in one of them "
+    "counts in none",
+    "s_ate_m, c_ate_m": "error of the own-only and of the fused track, root mean square over frames, vehicles and "
+    "seeds, in the common frame without alignment",
+    "gain_kept": "(s - c) / (s - c of wideband), in pooled ATE: the share of what wideband brings that a mode keeps",
+    "s_nees, c_nees": "of the position, over 3, mean over the frames after the 20th, vehicles and seeds: 1 is "
+    "consistent",
+    "bytes_per_s": "payload that a vehicle sent: serialised packets without the headers of RTPS, UDP and IP, as its "
+    "fusion node counts them; mean and largest over vehicles and seeds",
+    "packet_bytes_max": "payload of the largest packet of any vehicle, from the steps of the same counter; in wideband "
+    "with the feedback of the same epoch",
+    "packets": "sums over vehicles and seeds; sent ones include feedback. Received ones are as of the receiver's last "
+    "epoch, so the last may be missing; used: entered a fusion; dropped: refused by the receiver, or (budget) held "
+    "back by the sender",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One vehicle's part in one flight.
+
+    Attributes:
+        mode, seed: of the flight.
+        figures: of the vehicle in `summary.json`.
+        packet_bytes: payload of each packet that it sent [B].
+    """
+
+    mode: str
+    seed: int
+    figures: Mapping[str, Any]
+    packet_bytes: tuple[int, ...]
+
+
+def packet_sizes(counters: Iterable[tuple[int, int]]) -> tuple[int, ...]:
+    """Return the payload of each packet [B].
+
+    Args:
+        counters: packets and bytes sent so far, a pair for each epoch. Where one is missing, its packet and the next
+            one's count as one: no packet is ever understated.
+    """
+    sizes, known, total = [], 0, 0
+    for packets, size in counters:
+        if packets > known:
+            sizes.append(size - total)
+            known, total = packets, size
+    return tuple(sizes)
+
+
+def radio_rows(runs: Sequence[Run], flights: int) -> list[Row]:
+    """Return the rows of `study.json`: the modes, whether the targets are met, and each flight.
+
+    Args:
+        runs: of all flights that came to their end.
+        flights: that were begun in each mode.
+    """
+    ended = {mode: {run.seed for run in runs if run.mode == mode} for mode in MODES}
+    counted = [run for run in runs if all(run.seed in seeds for seeds in ended.values())]
+    rows = {mode: _figures([run for run in counted if run.mode == mode]) for mode in MODES}
+    for mode, row in rows.items():
+        row["gain_kept"] = ratio(_gain(row), _gain(rows[WIDEBAND]))
+        row["failures"] = flights - len(ended[mode])
+    by_mode = [{TABLE: "Modes", "mode": mode, **row} for mode, row in rows.items()]
+    return by_mode + _targets(rows) + _flights(runs)
+
+
+def _figures(runs: Sequence[Run]) -> Row:
+    own, fused = rms(_found(runs, "s_slam", "ate_m")), rms(_found(runs, "c_slam", "ate_m"))
+    rates = _found(runs, "link", "sent_bytes_per_s")
+    counts = {key: int(sum(_found(runs, "link", key))) for key in ("packets_sent", "packets_received", "packets_used")}
+    dropped = sum((Counter(run.figures["link"]["dropped"]) for run in runs), Counter())
+    return {
+        "s_ate_m": own,
+        "c_ate_m": fused,
+        "c_over_s": ratio(fused, own),
+        "s_nees": mean(_found(runs, "s_slam", "nees_position")),
+        "c_nees": mean(_found(runs, "c_slam", "nees_position")),
+        "bytes_per_s_mean": mean(rates),
+        "bytes_per_s_max": max(rates, default=None),
+        "packet_bytes_max": max((size for run in runs for size in run.packet_bytes), default=None),
+        **counts,
+        "packets_dropped": ", ".join(f"{count} {reason}" for reason, count in sorted(dropped.items())) or "none",
+    }
+
+
+def _found(runs: Sequence[Run], part: str, key: str) -> list[float]:
+    """Return a figure of every run that has it."""
+    values = [(run.figures[part] or {}).get(key) for run in runs]
+    return [float(value) for value in values if value is not None]
+
+
+def _gain(row: Row) -> float | None:
+    own, fused = row["s_ate_m"], row["c_ate_m"]
+    return None if own is None or fused is None else own - fused
+
+
+def _targets(rows: Mapping[str, Row]) -> list[Row]:
+    """Return what the modes were made to reach, and whether they do."""
+    narrow = rows[NARROWBAND]
+    payloads = [(f"{mode}, payload [B/s]", rows[mode]["bytes_per_s_max"], MAX_BYTES_PER_S[mode]) for mode in MODES]
+    packet = (f"{NARROWBAND}, largest packet [B]", narrow["packet_bytes_max"], LARGEST_NARROWBAND_PACKET)
+    found = [
+        _target(name, value, f"at most {limit}", met=value is not None and value <= limit)
+        for name, value, limit in (*payloads, packet)
+    ]
+    kept = narrow["gain_kept"]
+    met = kept is not None and kept >= LEAST_GAIN_KEPT
+    return [*found, _target(f"{NARROWBAND}, share of the wideband gain", kept, f"at least {LEAST_GAIN_KEPT}", met=met)]
+
+
+def _target(name: str, measured: float | None, limit: str, *, met: bool) -> Row:
+    return {TABLE: "Targets", "target": name, "measured": measured, "limit": limit, "met": "yes" if met else "no"}
+
+
+def _flights(runs: Sequence[Run]) -> list[Row]:
+    flights: dict[tuple[int, str], list[Run]] = {}
+    for run in runs:
+        flights.setdefault((run.seed, run.mode), []).append(run)
+    return [
+        {TABLE: "Flights", "seed": seed, "mode": mode, **_figures(found)} for (seed, mode), found in flights.items()
+    ]

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights that come back over their start after 2 km: with landmarks retained, drift is undone; without, it stays."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig, find_config, load_vehicle
+from uav_vslam.simulation.camera_render import RenderedFlight, intersect
+from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, observe, scatter_landmarks
+from uav_vslam.simulation.scenario import SCENARIOS, Scenario, SimulatedVehicle, simulate_vehicle
+from uav_vslam.simulation.terrain import Relief, relief_of
+from uav_vslam.slam.backend import FrameReport
+from uav_vslam.slam.landmark_map import LONG_FRAMES
+from uav_vslam.studies.engine.flights import true_trajectory
+from uav_vslam.studies.engine.own_only import Flight, Run, reckon, run_backend
+from uav_vslam.studies.engine.pool import in_pool
+from uav_vslam.types import StereoFeatures
+from uav_vslam.vision.frontends import make_frontend
+
+Array = NDArray[np.float64]
+
+LANDMARK, RENDERED = LEVELS = ("landmark", "rendered")
+FORGETTING = "nothing retained"
+NOISE = LandmarkNoise(missed_share=0.3, lookalike_share=0.05)
+PER_FRAME = 60.0  # landmarks in view, of which some are missed
+TWIN_SHARE = 0.2
+FALSE_BEYOND_M = 0.3  # seven pixels: what lies farther from where the landmark was first seen is another point
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """One flight by one method.
+
+    Attributes:
+        level: landmark or rendered.
+        run: its track.
+        false: (C,) of the landmarks that were recognised after long, which were another point.
+    """
+
+    level: str
+    run: Run
+    false: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One flight by all methods, whose configurations go by their names."""
+
+    level: str
+    scenario: Scenario
+    configs: Mapping[str, VehicleConfig]
+
+
+class Witness:
+    """Remembers what each landmark was when it was first seen, and when it was seen last.
+
+    Attributes:
+        false: of the landmarks that were recognised after long, which were another point.
+    """
+
+    def __init__(self, truth: Sequence[Array]) -> None:
+        """Watch a flight.
+
+        Args:
+            truth: (N, 4) of each frame's features: identity of the landmark, -1 where there is none, and the point of
+                the ground that it shows [m].
+        """
+        self._truth, self._frame = truth, 0
+        self._first: dict[int, Array] = {}
+        self._last: dict[int, int] = {}
+        self.false: list[bool] = []
+
+    def add(self, report: FrameReport) -> None:
+        """Take note of the next frame."""
+        shown = self._truth[self._frame]
+        for landmark, feature in report.sightings.tolist():
+            first = self._first.setdefault(landmark, shown[feature])
+            if self._frame - self._last.get(landmark, self._frame) >= LONG_FRAMES:
+                self.false.append(_differ(first, shown[feature]))
+            self._last[landmark] = self._frame
+        self._frame += 1
+
+
+def _differ(first: Array, now: Array) -> bool:
+    """Tell whether two sightings are of different points: by their identities, or else by their places."""
+    if min(first[0], now[0]) >= 0:
+        return bool(first[0] != now[0])
+    return bool(np.linalg.norm(now[1:] - first[1:]) > FALSE_BEYOND_M)
+
+
+def revisit_jobs(
+    variants: Mapping[str, Mapping[str, Any]],
+    seeds: Sequence[int],
+    rendered: Sequence[int],
+    *,
+    frames: int | None = None,
+) -> list[Job]:
+    """Return a job for each seed at landmark level, and for each that is rendered.
+
+    Args:
+        variants: settings to compare, by name; the defaults where there are none. Those that forget come last.
+        seeds: at landmark level.
+        rendered: seeds with images.
+        frames: of each flight, where not the whole one is wanted.
+
+    Raises:
+        ConfigError: a key or value is wrong.
+    """
+    scenario = SCENARIOS["revisit"]
+    scenario = dataclasses.replace(scenario, frames=frames or scenario.frames)
+    methods = {**(variants or {"retained": {}}), FORGETTING: {"backend.retention": "none"}}
+    jobs = []
+    for level, level_seeds in ((LANDMARK, seeds), (RENDERED, rendered)):
+        file = find_config("kagaru") if level == RENDERED else None
+        configs = {name: load_vehicle(file, overrides=dict(keys)) for name, keys in methods.items()}
+        jobs += [Job(level, dataclasses.replace(scenario, seed=seed), configs) for seed in level_seeds]
+    return jobs
+
+
+def revisit_loops(jobs: Sequence[Job], *, workers: int, on_frame: Callable[[], None] = lambda: None) -> list[Loop]:
+    """Fly all jobs; progress is told frame by frame where one process does it all, job by job otherwise."""
+    if workers == 1:
+        return [loop for job in jobs for loop in fly_loop(job, on_frame)]
+    loops: list[Loop] = []
+    for found in in_pool(fly_loop, jobs, workers):
+        loops += found
+        for _ in found[0].run.truth.stamps_ns:
+            on_frame()
+    return sorted(loops, key=lambda loop: (LEVELS.index(loop.level), loop.run.seed))
+
+
+def fly_loop(job: Job, on_frame: Callable[[], None] = lambda: None) -> list[Loop]:
+    """Fly one scenario: look at each frame once, then give what it shows to the back end of each method."""
+    flight, truth = _look(job, on_frame)
+    loops = []
+    for name, config in job.configs.items():
+        witness = Witness(truth)
+        track = run_backend(flight, config=config, on_report=witness.add)
+        run = Run(name, job.level, job.scenario.seed, flight.vehicle.name, track, flight.truth, flight.ins)
+        loops.append(Loop(job.level, run, np.array(witness.false, bool)))
+    return loops
+
+
+def ground_points(vehicle: SimulatedVehicle, relief: Relief, frame: int, features: StereoFeatures) -> Array:
+    """Return the (N, 3) points of the ground that a frame's left pixels truly show [m]."""
+    T_world_left = vehicle.truth.pose(float(vehicle.frame_times_s[frame])) @ vehicle.rig.T_body_left
+    return intersect(relief, T_world_left.t, vehicle.rig.left.bearings(features.pixels[:, :2]) @ T_world_left.R.T)
+
+
+def _look(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
+    """Return a flight, and what each frame's features truly show, as `Witness` takes it."""
+    vehicle, relief = simulate_vehicle(job.scenario, 0), relief_of(job.scenario)
+    landmarks = scatter_landmarks([vehicle], per_frame=PER_FRAME, twin_share=TWIN_SHARE)
+    seen, truth = [], []
+    for frame, (features, identities) in enumerate(_features(job, vehicle, landmarks)):
+        seen.append(features)
+        truth.append(np.column_stack([identities, ground_points(vehicle, relief, frame, features)]))
+        on_frame()
+    stamps = [features.stamp_ns for features in seen]
+    increments, ins = reckon(vehicle.initial, job.scenario.imu_config, vehicle.imu.samples(), stamps)
+    steps = tuple(zip(seen, increments, strict=True))
+    return Flight(vehicle, landmarks, NOISE, steps, true_trajectory(vehicle), ins), truth
+
+
+def _features(
+    job: Job, vehicle: SimulatedVehicle, landmarks: LandmarkField
+) -> Iterator[tuple[StereoFeatures, NDArray[np.int64]]]:
+    """Yield what each frame shows, and its identities; an image is drawn when its turn has come and then forgotten."""
+    if job.level == LANDMARK:
+        yield from observe(vehicle, landmarks, noise=NOISE)
+        return
+    config = next(iter(job.configs.values()))
+    frontend = make_frontend(vehicle.rig, config.frontend, config.rig)
+    for images in RenderedFlight(vehicle):
+        features = frontend.process(images)
+        yield features, np.full(len(features), -1)

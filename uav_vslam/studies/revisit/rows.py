@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of flights that come back over their start."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.study import Row
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.slam.landmark_map import LONG_FRAMES
+from uav_vslam.studies.engine.own_only import Run
+from uav_vslam.studies.engine.pool import CONFIDENCE, mean, ratio, ratio_interval, rms
+from uav_vslam.studies.engine.scores import FAILURE_RULE, end_error_m, is_finished, pooled
+from uav_vslam.studies.revisit.compute import FALSE_BEYOND_M, FORGETTING, NOISE, TWIN_SHARE, Loop
+
+Array = NDArray[np.float64]
+
+RETURN_M = 50.0  # so near to its start, after half the flight, a vehicle is about to see the same ground again
+
+NOTES = {
+    "Flights": "one vehicle alone, ADIS16480, 2.05 km round and 0.1 km on over known ground; all methods get the same "
+    "features. rendered: images drawn one by one and seen by the front end of config kagaru; landmark: points, 1 px, "
+    f"of which {NOISE.missed_share:.0%} are missed in each frame, {NOISE.lookalike_share:.0%} seen some pixels beside, "
+    f"and {TWIN_SHARE:.0%} look like another one a few metres away",
+    "Drift": f"error at the first frame that is within {RETURN_M:.0f} m of the start again, before any loop is closed",
+    "Ratio": f"end error, root mean square over the seeds, over that of the flights with {FORGETTING}; low and high: "
+    f"{CONFIDENCE:.0%} of the bootstrap over seeds, from three seeds on",
+    "Closures": f"landmarks recognised after {LONG_FRAMES} frames or more without them, a flight; false, of all "
+    f"flights: another landmark, or what has no identity more than {FALSE_BEYOND_M} m from where the landmark was "
+    "first seen; closed: flights with any that is right",
+    "Time": "ms_per_frame is that of the back end alone",
+    "Failures": FAILURE_RULE,
+}
+
+
+def revisit_rows(loops: Sequence[Loop]) -> list[Row]:
+    """Return a row per level and method."""
+    rows: list[Row] = []
+    for level in dict.fromkeys(loop.level for loop in loops):
+        of_level = [loop for loop in loops if loop.level == level]
+        forgetting = [loop for loop in of_level if loop.run.name == FORGETTING]
+        for name in dict.fromkeys(loop.run.name for loop in of_level):
+            rows.append(
+                {"level": level, "method": name, **_row([x for x in of_level if x.run.name == name], forgetting)}
+            )
+    return rows
+
+
+def revisit_series(loops: Sequence[Loop]) -> list[Row]:
+    """Return a curve per level and method over the flights that were finished, and each seed's end error."""
+    curves = []
+    for level, name in dict.fromkeys((loop.level, loop.run.name) for loop in loops):
+        runs = [x.run for x in loops if (x.level, x.run.name) == (level, name) and is_finished(x.run)]
+        if runs:
+            steps = np.linalg.norm(np.diff(runs[0].truth.positions, axis=0), axis=1)
+            errors = np.sqrt(np.mean([np.square(_errors(run)) for run in runs], axis=0))
+            curves.append(
+                {
+                    "level": level,
+                    "method": name,
+                    "distance_m": np.round(np.concatenate([[0.0], np.cumsum(steps)]), 2).tolist(),
+                    "error_m": np.round(errors, 4).tolist(),
+                    "seeds": [run.seed for run in runs],
+                    "ends_m": [round(end_error_m(run), 4) for run in runs],
+                }
+            )
+    return curves
+
+
+def _row(loops: Sequence[Loop], forgetting: Sequence[Loop]) -> Row:
+    figures = pooled([loop.run for loop in loops])
+    ends, yardstick = _ends(loops), _ends(forgetting)
+    common = sorted(set(ends) & set(yardstick))
+    squares, squares_without = (np.array([end[seed] ** 2 for seed in common]) for end in (ends, yardstick))
+    return {
+        "drift_before_m": rms([_errors(x.run)[back_at(x.run.truth)] for x in loops if is_finished(x.run)]),
+        "end_rms_m": figures["end_rms_m"],
+        "ratio": ratio(rms([ends[seed] for seed in common]), rms([yardstick[seed] for seed in common])),
+        **(ratio_interval(squares_without, squares) if loops[0].run.name != FORGETTING else {}),
+        "ate_rms_m": figures["ate_rms_m"],
+        "nees_position": figures["nees_position"],
+        "nees_position_end": figures["nees_position_end"],
+        "closed": sum(bool((~loop.false).any()) for loop in loops),
+        "closures": mean([float(len(loop.false)) for loop in loops]),
+        "false_closures": sum(int(loop.false.sum()) for loop in loops),
+        "ms_per_frame": figures["ms_per_frame"],
+        "failures": figures["failures"],
+        "runs": figures["runs"],
+    }
+
+
+def back_at(truth: Trajectory) -> int:
+    """Return the first frame of the second half that is near the start again; the last one if none is."""
+    away = np.linalg.norm(truth.positions[:, :2] - truth.positions[0, :2], axis=1)
+    half = len(truth) // 2
+    near = np.flatnonzero(away[half:] < RETURN_M)
+    return half + int(near[0]) if len(near) else len(truth) - 1
+
+
+def _ends(loops: Sequence[Loop]) -> dict[int, float]:
+    return {loop.run.seed: end_error_m(loop.run) for loop in loops if is_finished(loop.run)}
+
+
+def _errors(run: Run) -> Array:
+    return np.asarray(np.linalg.norm(run.track.estimate.positions - run.truth.positions, axis=1))

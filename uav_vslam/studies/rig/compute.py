@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rendered flights whose right camera vibrates or is turned, with and without the rig's attitude as a state.
+
+A bias about the axis that changes disparity looks like another depth of everything: nothing in the residuals shows it,
+so the filter that believes the calibration is sure of a wrong scale. The state finds it out from the motion.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.evaluation.study import Row
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.studies.engine.flights import LABELS, Method, Outcome, run_seed
+from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
+
+INS, S_SLAM = "ins", "s_slam"  # the tracks of interest
+RIGID = "rigid"
+VARIANTS: dict[str, dict[str, object]] = {
+    "calibration believed": {"rig.flexing": False},
+    "attitude estimated": {"rig.flexing": True},
+}
+VIBRATIONS_DEG = (0.02, 0.05)  # rms about each axis, new in each frame
+BIASES_DEG = (0.02, 0.05)  # constant, about one axis
+# The Kagaru rig's baseline lies along the image's vertical: turning about x changes disparity, about y it moves points
+# off their epipolar lines.
+AXES = ("x (disparity)", "y (epipolar)", "z (optical)")
+
+NOTES = {
+    "Rig": "the right camera's true attitude away from the calibration that the vehicle is given: vibration is drawn "
+    "anew for each frame, rms about each axis; a bias is constant. Axes are the right camera's: about x its points "
+    "move along the disparity, about y off their epipolar lines, z is the optical axis",
+    "Methods": "; ".join(f"{name}: {key} = {value}" for name, keys in VARIANTS.items() for key, value in keys.items()),
+    "Errors": "root mean squares over the seeds at the end and over the flight, in the common frame without alignment; "
+    "end_ratio_to_rigid is over the first method's on the rigid rig",
+    "NEES": "of the position, over 3, mean over the frames after the 20th and over the seeds: 1 is consistent",
+}
+
+Job = tuple[list[Method], int]
+
+
+def conditions(scenario: Scenario) -> dict[str, Scenario]:
+    """Return the flights of the study by name, the rigid rig's first."""
+    found = {RIGID: scenario}
+    for vibration in VIBRATIONS_DEG:
+        found[f"vibration {vibration} deg"] = dataclasses.replace(scenario, vibration_deg=vibration)
+    for bias in BIASES_DEG:
+        for axis, name in enumerate(AXES):
+            x, y, z = (bias * (axis == k) for k in range(3))
+            found[f"bias {bias} deg about {name}"] = dataclasses.replace(scenario, extrinsic_bias_deg=(x, y, z))
+    return found
+
+
+def run_study(
+    scenario: Scenario,
+    configs: Mapping[str, VehicleConfig],
+    seeds: Sequence[int],
+    *,
+    workers: int,
+    on_look: Callable[[], None] = lambda: None,
+) -> list[Row]:
+    """Fly everything on every seed and return the rows of `study.json`: the INS, then all methods by condition.
+
+    Args:
+        scenario: the flight with a rigid rig; its seed is replaced.
+        configs: of the vehicle, by method; on the rigid rig the first one is the yardstick of the others.
+        seeds: of the flights.
+        workers: processes.
+        on_look: called when one condition of one seed has been rendered and flown.
+    """
+    compared = [
+        [Method(name, condition, flight, config, rendered=True) for name, config in configs.items()]
+        for condition, flight in conditions(scenario).items()
+    ]
+    jobs: list[Job] = [(methods, seed) for seed in seeds for methods in compared]
+    outcomes: list[Outcome] = []
+    for found in in_pool(_fly, jobs, workers):
+        outcomes += found
+        on_look()
+    outcomes.sort(key=lambda outcome: outcome.seed)  # sums don't depend on which process was first
+    flown = {
+        method: [outcome for outcome in outcomes if outcome.method == method] for pair in compared for method in pair
+    }
+    return _rows(flown)
+
+
+def _fly(job: Job) -> list[Outcome]:
+    methods, seed = job
+    return run_seed(methods, seed)
+
+
+def _rows(flown: Mapping[Method, Sequence[Outcome]]) -> list[Row]:
+    rows: list[Row] = [{"condition": "any", "method": LABELS[INS], **_figures(next(iter(flown.values())), INS)}]
+    for method, outcomes in flown.items():
+        label = f"{LABELS[S_SLAM]}, {method.name}"
+        rows.append({"condition": method.condition, "method": label, **_figures(outcomes, S_SLAM)})
+    yardstick = rows[1]["end_rms_m"]
+    return [{**row, "end_ratio_to_rigid": ratio(row["end_rms_m"], yardstick)} for row in rows]
+
+
+def _figures(outcomes: Sequence[Outcome], track: str) -> Row:
+    """Pool one track over the seeds; the INS's covariance is not scored, and it leaves no frame out."""
+    good = [outcome for outcome in outcomes if outcome.figures]
+    figures = {"end_rms_m": rms(_values(good, track, "end_m")), "ate_rms_m": rms(_values(good, track, "ate_m"))}
+    if track == INS:
+        return figures
+    return {
+        **figures,
+        "nees_position": mean(_values(good, track, "nees_position")),
+        "nees_position_end": mean(_values(good, track, "nees_position_end")),
+        "frames_processed": mean([outcome.processed for outcome in good]),
+        "failures": len(outcomes) - len(good),
+        "ms_per_frame": mean([outcome.ms_per_frame for outcome in good]),
+    }
+
+
+def _values(outcomes: Sequence[Outcome], track: str, key: str) -> list[float]:
+    found = [report[key] for outcome in outcomes for report in (outcome.figures or {})[track].values()]
+    return [value for value in found if value is not None]
