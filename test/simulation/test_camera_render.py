@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rendered pixels lie where the truth projects the ground."""
+"""Rendered pixels are where the true pose projects the ground."""
 
 import dataclasses
 import itertools
@@ -15,7 +15,7 @@ from uav_vslam.simulation.rig import kagaru_rig
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.terrain import Ground, Relief, ground_of
 
-FEATURE_PX = 0.03  # a spot of the texture is found this close to its projection (0.01 at full resolution)
+FEATURE_PX = 0.03  # distance of a texture spot from its projection (0.01 at full resolution)
 DISPARITY_BIAS_PX = 0.02
 BLOB_SPACING_M = 6.0
 SMALL = dataclasses.replace(SCENARIOS["kagaru"], frames=8, scale=0.5)
@@ -51,7 +51,7 @@ def centroid(image: NDArray[np.float32], pixel: NDArray[np.float64], half: int =
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5, 0.375])
-def test_a_known_ground_point_is_drawn_where_the_rig_projects_it(scale: float) -> None:
+def test_a_known_ground_point_is_rendered_where_the_rig_projects_it(scale: float) -> None:
     vehicle = simulate_vehicle(dataclasses.replace(SCENARIOS["kagaru"], scale=scale), 0)
     relief = Relief(2.0, np.random.default_rng(4))
     rig, T_world_body = vehicle.rig, vehicle.truth.pose(9.0)
@@ -120,7 +120,7 @@ def test_image_motion_is_forward_flight_seen_from_above() -> None:
     np.testing.assert_allclose(motion, [0.0, 1642.3 * 0.02 / 70.0], atol=1e-3)  # the ground moves down the image
 
 
-def test_frames_do_not_depend_on_the_order_in_which_they_are_drawn() -> None:
+def test_frames_do_not_depend_on_the_rendering_order() -> None:
     vehicle = simulate_vehicle(SMALL, 0)
     in_order = [f.left.tobytes() + f.right.tobytes() for f in RenderedFlight(vehicle)]
     backwards = RenderedFlight(vehicle)
@@ -141,7 +141,7 @@ def test_gain_and_vignette_darken_the_right_image_only() -> None:
     assert dim[2] < 0.55 * plain[2]
 
 
-def test_lost_contrast_draws_all_greys_towards_the_middle() -> None:
+def test_reduced_contrast_moves_all_greys_towards_the_mean() -> None:
     clear, faded = (
         RenderedFlight(simulate_vehicle(dataclasses.replace(SMALL, noise_sigma=0.0, contrast=contrast), 0)).frame(2)
         for contrast in (1.0, 0.25)

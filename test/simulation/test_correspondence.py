@@ -21,7 +21,7 @@ def pixels() -> np.ndarray:
     return np.random.default_rng(1).uniform([20, 60], [300, 220], (200, 2))
 
 
-def test_points_lie_on_the_ground_and_are_seen_where_they_were(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
+def test_points_are_on_the_ground_and_project_back(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
     relief, camera = ground_of(vehicle.scenario).relief, vehicle.rig.left
     T_world_cam = vehicle.truth.pose(0.0) @ vehicle.rig.T_body_left
     points = ground_points(pixels, camera, T_world_cam, relief)
@@ -29,7 +29,7 @@ def test_points_lie_on_the_ground_and_are_seen_where_they_were(vehicle: Simulate
     np.testing.assert_allclose(pixels_of(points, camera, T_world_cam), pixels, atol=1e-6)
 
 
-def test_corresponding_pixels_of_rendered_images_look_similar(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
+def test_corresponding_pixels_of_rendered_images_correlate(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
     relief, camera, flight = ground_of(vehicle.scenario).relief, vehicle.rig.left, RenderedFlight(vehicle)
     poses = [vehicle.truth.pose(float(t)) @ vehicle.rig.T_body_left for t in vehicle.frame_times_s]
     there = pixels_of(ground_points(pixels, camera, poses[0], relief), camera, poses[1])

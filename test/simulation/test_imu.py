@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inertial errors have the size that their configuration states."""
+"""IMU errors have the configured size."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ def test_biases_start_with_their_sigma_and_walk() -> None:
     assert walked.std() == pytest.approx(config.accel_bias_walk * np.sqrt(399 * 0.005), rel=0.1)
 
 
-def test_records_hold_the_same_numbers_as_the_arrays() -> None:
+def test_samples_equal_the_arrays() -> None:
     imu = simulate_imu(TRUTH, STAMPS[:5], IMU_GRADES["adis16480"], rng=np.random.default_rng(0))
     samples = imu.samples()
     assert [s.stamp_ns for s in samples] == STAMPS[:5].tolist()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image-free features are what the true rig would see, and can be matched as real ones are."""
+"""Image-free features are true projections with noise, and can be matched as real ones."""
 
 import dataclasses
 import time
@@ -52,7 +52,7 @@ def test_the_ratio_test_matches_views_of_two_vehicles() -> None:
     assert accepted.sum() == len(np.intersect1d(ids_a, ids_b)) > 10
 
 
-def test_twins_look_alike_and_lie_a_few_metres_apart() -> None:
+def test_twins_share_a_descriptor_and_are_a_few_metres_apart() -> None:
     field = scatter_landmarks(FLEET, twin_share=0.2)
     _, first, counts = np.unique(field.descriptors, axis=0, return_index=True, return_counts=True)
     assert counts.max() == 2
@@ -64,12 +64,12 @@ def test_twins_look_alike_and_lie_a_few_metres_apart() -> None:
         assert TWIN_M[0] <= apart <= TWIN_M[1]
 
 
-def test_missed_landmarks_are_drawn_anew_for_each_frame() -> None:
+def test_missed_landmarks_are_drawn_independently_per_frame() -> None:
     full, some = (list(observe(FLEET[0], FIELD, noise=LandmarkNoise(missed_share=share))) for share in (0.0, 0.3))
     assert all(set(ids) <= set(all_ids) for (_, all_ids), (_, ids) in zip(full, some, strict=True))
     assert np.mean([len(f) for f, _ in some]) == pytest.approx(0.7 * np.mean([len(f) for f, _ in full]), rel=0.05)
     missed = [set(all_ids) - set(ids) for (_, all_ids), (_, ids) in zip(full, some, strict=True)]
-    assert missed[0] & set(some[1][1])  # what one frame misses the next one may see
+    assert missed[0] & set(some[1][1])  # missed in one frame, detected in the next
     for frame in (0, 5):
         features, ids = some[frame]
         assert np.abs(features.pixels - expected_pixels(FLEET[0], frame, ids)).max() < 6.0
@@ -96,25 +96,25 @@ LOOKALIKES = LandmarkNoise(sigma_px=1e-6, lookalike_share=0.2)
 
 
 def lookalike_shifts() -> np.ndarray:
-    """Return (N, 4) how far beside their own landmark the look-alikes of a flight are seen [px]."""
+    """Return the (N, 4) offsets of a flight's look-alikes from their own landmarks [px]."""
     plain = observe(FLEET[0], FIELD, noise=LandmarkNoise(sigma_px=1e-6))
     shifts = []
-    for (clean, _), (misled, ids) in zip(plain, observe(FLEET[0], FIELD, noise=LOOKALIKES), strict=True):
-        shifts.append((misled.pixels - clean.pixels)[ids == -1])
-        np.testing.assert_allclose(misled.pixels[ids >= 0], clean.pixels[ids >= 0], atol=1e-3)
+    for (clean, _), (shifted, ids) in zip(plain, observe(FLEET[0], FIELD, noise=LOOKALIKES), strict=True):
+        shifts.append((shifted.pixels - clean.pixels)[ids == -1])
+        np.testing.assert_allclose(shifted.pixels[ids >= 0], clean.pixels[ids >= 0], atol=1e-3)
     return np.concatenate(shifts)
 
 
-def test_lookalikes_are_marked_and_as_many_as_asked_but_for_some_at_the_border() -> None:
+def test_lookalikes_are_marked_and_as_many_as_asked_except_at_the_border() -> None:
     shares = [np.mean(ids == -1) for _, ids in observe(FLEET[0], FIELD, noise=LOOKALIKES)]
     assert 0.18 < np.mean(shares) < 0.21
 
 
-def test_a_lookalike_lies_a_few_pixels_beside_in_any_direction_and_depth() -> None:
+def test_a_lookalike_is_a_few_pixels_off_in_any_direction_and_depth() -> None:
     shift = lookalike_shifts()
-    disparity = shift[:, 3] - shift[:, 1]  # the rig's baseline lies along v
+    disparity = shift[:, 3] - shift[:, 1]  # the rig's baseline is along v
     size = np.linalg.norm(np.column_stack([shift[:, :2], disparity]), axis=1)
-    assert size.max() < 16.0  # 15 px, but for the rig's mutual attitude
+    assert size.max() < 16.0  # 15 px, except for the cameras' relative attitude
     assert np.quantile(size, 0.1) > 3.0
     assert np.abs(shift[:, :2].mean(axis=0)).max() < 1.0
     assert np.percentile(disparity, 20) < -3.0
@@ -123,18 +123,18 @@ def test_a_lookalike_lies_a_few_pixels_beside_in_any_direction_and_depth() -> No
 
 def test_a_lookalike_is_a_real_point() -> None:
     for features, ids in list(observe(FLEET[0], FIELD, noise=LOOKALIKES))[::40]:
-        misled = features.pixels[ids == -1].astype(float)
-        assert FLEET[0].rig.epipolar_distance(misled).max() < 0.1
-        depth = FLEET[0].rig.triangulate(misled)[:, 2]
+        shifted = features.pixels[ids == -1].astype(float)
+        assert FLEET[0].rig.epipolar_distance(shifted).max() < 0.1
+        depth = FLEET[0].rig.triangulate(shifted)[:, 2]
         assert 20.0 < depth.min() < depth.max() < 160.0  # from 70 m above ground
 
 
-def test_a_turned_right_camera_moves_only_right_pixels() -> None:
+def test_a_rotated_right_camera_moves_only_right_pixels() -> None:
     biased = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], extrinsic_bias_deg=(0.02, 0.0, 0.0)))[0]
     noise = LandmarkNoise(sigma_px=1e-6)
-    plain, bent = next(observe(FLEET[0], FIELD, noise=noise))[0], next(observe(biased, FIELD, noise=noise))[0]
-    np.testing.assert_allclose(plain.pixels[:, :2], bent.pixels[:, :2], atol=1e-3)
-    shift = bent.pixels[:, 3] - plain.pixels[:, 3]
+    plain, rotated = next(observe(FLEET[0], FIELD, noise=noise))[0], next(observe(biased, FIELD, noise=noise))[0]
+    np.testing.assert_allclose(plain.pixels[:, :2], rotated.pixels[:, :2], atol=1e-3)
+    shift = rotated.pixels[:, 3] - plain.pixels[:, 3]
     assert np.abs(shift).mean() == pytest.approx(1645.0 * np.deg2rad(0.02), rel=0.05)
 
 

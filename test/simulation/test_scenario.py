@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One scenario is one flight: deterministic, with independent streams, and a start as uncertain as it says."""
+"""One scenario is one flight: deterministic, with independent streams, and a start with the stated uncertainty."""
 
 import dataclasses
 
@@ -75,14 +75,14 @@ def test_readings_enclose_all_frames() -> None:
         assert set(np.diff(v.imu.stamps_ns)) == {5_000_000}
 
 
-def test_the_rig_looks_down_with_its_baseline_along_the_image_vertical() -> None:
+def test_the_rig_points_down_with_its_baseline_along_the_image_vertical() -> None:
     rig = kagaru_rig()
     np.testing.assert_allclose(rig.T_body_left.R @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
     np.testing.assert_allclose(rig.T_body_left.R @ [0.0, -1.0, 0.0], [1.0, 0.0, 0.0])  # image up is forward
     z = rig.project(np.array([0.0, 0.0, 70.0]))
     ideal_v = rig.right.cy + rig.right.fy * (-0.776 / 70.0)
     assert rig.baseline_m == pytest.approx(0.776, abs=1e-3)
-    assert z[3] - ideal_v == pytest.approx(rig.right.fy * 0.01112, abs=1.0)  # what is left is the convergence angle
+    assert z[3] - ideal_v == pytest.approx(rig.right.fy * 0.01112, abs=1.0)  # the rest is the convergence angle
 
 
 def test_a_scaled_rig_sees_the_same_rays() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ground is the same from wherever it is looked at, and nowhere twice the same."""
+"""The ground is the same in every window, and never repeats."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def test_relief_has_the_stated_height_and_precision() -> None:
     np.testing.assert_allclose(single, height, atol=2e-3)
 
 
-def test_windows_agree_wherever_they_are_cut() -> None:
+def test_overlapping_windows_agree() -> None:
     texture = GrassTexture(3)
     wide = texture.window(-300, -700, 900, 200)
     np.testing.assert_array_equal(wide[650:720, 250:340], GrassTexture(3).window(-50, -50, 40, 20))
@@ -45,7 +45,7 @@ def test_grass_does_not_repeat() -> None:
     assert score.max() < 0.7
 
 
-def test_a_picture_lies_on_the_ground_at_its_own_scale(tmp_path: Path) -> None:
+def test_a_picture_is_laid_on_the_ground_at_its_scale(tmp_path: Path) -> None:
     picture = np.random.default_rng(0).integers(60, 200, (30, 40), dtype=np.uint8)
     picture = cv2.resize(picture, (800, 600), interpolation=cv2.INTER_CUBIC)
     cv2.imwrite(str(tmp_path / "ground.png"), picture)
@@ -65,7 +65,7 @@ def test_repeated_pictures_are_not_similar(tmp_path: Path) -> None:
     assert abs(np.corrcoef(here.ravel(), there.ravel())[0, 1]) < 0.2
 
 
-def test_the_ground_is_the_seeds() -> None:
+def test_the_ground_depends_on_the_seed_only() -> None:
     one, two = ground_of(Scenario(seed=1)), ground_of(Scenario(seed=2))
     again = ground_of(Scenario(seed=1))
     cut = (0, 0, 50, 50)
@@ -81,6 +81,6 @@ def test_a_missing_texture_is_named(tmp_path: Path) -> None:
         texture_from(str(tmp_path / "text.png"), 0, image_m_per_px=0.05)
 
 
-def test_a_look_at_the_horizon_is_refused() -> None:
+def test_a_view_of_the_horizon_is_refused() -> None:
     with pytest.raises(ConfigError, match="horizon"):
         GrassTexture(0).window(0, 0, 20_000, 20_000)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The true motion and the instruments that measure it are one and the same."""
+"""True motion and ideal IMU readings are consistent."""
 
 import numpy as np
 import pytest
@@ -81,14 +81,14 @@ def test_turns_are_coordinated_and_bank_into_the_turn(pattern: str) -> None:
 
 
 @pytest.mark.parametrize("pattern", sorted(PATTERNS))
-def test_speed_and_height_are_the_scenarios(pattern: str) -> None:
+def test_speed_and_height_are_as_configured(pattern: str) -> None:
     truth = smooth_flight(pattern)
     t = np.linspace(0.0, 60.0, 301)
     np.testing.assert_allclose(np.linalg.norm(truth.velocity(t), axis=1), 20.0, atol=0.05)
     np.testing.assert_allclose(truth.position(t)[:, 2], 70.0, atol=1e-6)
 
 
-def test_lawnmower_legs_lie_one_spacing_apart() -> None:
+def test_lawnmower_legs_are_one_spacing_apart() -> None:
     truth = smooth_flight("lawnmower", 60.0)
     t = np.linspace(0.0, 60.0, 3001)
     west = t[np.cos(np.unwrap(np.arctan2(*truth.velocity(t).T[1::-1]))) < -0.9999]

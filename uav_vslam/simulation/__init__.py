@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated flights with exact truth: vehicle motion, inertial readings, landmarks and camera images."""
+"""Simulated flights with ground truth: vehicle motion, IMU readings, landmarks and camera images."""

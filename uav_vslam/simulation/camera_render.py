@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera images of the ground: rays on a coarse grid, interpolated in between, one linear look-up of the texture.
+"""Camera images of the ground: rays on a coarse grid, interpolated in between, and one linear texture look-up.
 
 A grid ray meets the height field z = h(x, y) by fixed-point steps, t <- (h(p(t)) - z_camera) / d_z, which shrink the
 error by slope times tangent of the view angle each; four steps leave less than a millimetre.
@@ -25,7 +25,7 @@ GRID_PX = 8
 HEIGHT_STEPS = 4
 STEEPEST_RAY = -0.1  # least downward component of a ray; flatter ones are bent down to it
 BLUR_SAMPLES = 33
-MEAN_GREY = np.float32(128.0)  # that lost contrast fades to
+MEAN_GREY = np.float32(128.0)  # towards which reduced contrast fades
 MOTION_STEP_S = 1e-3
 
 
@@ -48,15 +48,15 @@ def intersect(relief: Relief, origin: Array, rays: Array) -> Array:
 
 
 class CameraRenderer:
-    """Draws what one camera sees of the ground."""
+    """Renders one camera's view of the ground."""
 
     def __init__(self, camera: PinholeCamera, ground: Ground, *, supersample: int = 1) -> None:
         """Prepare the grid of rays.
 
         Args:
             camera: intrinsics; lens distortion is rendered too.
-            ground: what there is to see.
-            supersample: images are drawn this many times larger and averaged down, against aliasing.
+            ground: relief and texture.
+            supersample: images are rendered this many times larger and averaged down, against aliasing.
         """
         self._camera, self._supersample = camera, supersample
         self._drawn = scaled(camera, float(supersample))
@@ -83,7 +83,7 @@ class CameraRenderer:
         return np.asarray(cv2.filter2D(image, cv2.CV_32F, motion_kernel(*blur), borderType=cv2.BORDER_REFLECT_101))
 
     def image_motion(self, T_world_cam: Pose, T_world_cam_later: Pose) -> Array:
-        """Return (2,) the way [px] by which the ground in the image's centre moves between two poses."""
+        """Return the (2,) image motion [px] of the ground at the image's centre between two poses."""
         centre = np.array([0.5 * self._camera.width, 0.5 * self._camera.height])
         ray = T_world_cam.R @ self._camera.bearings(centre)
         point = intersect(self._ground.relief, T_world_cam.t, ray)
@@ -91,7 +91,7 @@ class CameraRenderer:
         return np.asarray(later - centre)
 
     def _enlarge(self, grid: Array) -> NDArray[np.float32]:
-        """Interpolate grid values to every pixel of the drawn image."""
+        """Interpolate grid values to every pixel of the rendered image."""
         rows, columns = grid.shape
         size = columns * GRID_PX, rows * GRID_PX
         fine = cv2.resize(grid.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
@@ -99,10 +99,10 @@ class CameraRenderer:
 
 
 class RenderedFlight:
-    """The images of one simulated flight, drawn when asked for; frame k is the same in whatever order."""
+    """The images of one simulated flight, rendered on demand; frame k is the same in any order."""
 
     def __init__(self, vehicle: SimulatedVehicle, ground: Ground | None = None) -> None:
-        """Prepare to draw.
+        """Prepare to render.
 
         Args:
             vehicle: the flight.
@@ -123,7 +123,7 @@ class RenderedFlight:
             yield self.frame(k)
 
     def frame(self, k: int) -> StereoFrame:
-        """Draw the stereo pair number `k`."""
+        """Render stereo pair `k`."""
         rig = self._vehicle.true_rig(k)
         left = self._expose(self._left, rig.T_body_left, k)
         right = self._expose(self._right, rig.T_body_right, k)

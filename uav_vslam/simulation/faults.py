@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with cameras: made into the frames of a flight, between two times."""
+"""Camera faults, injected into the frames of a flight over a time interval."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -13,53 +13,53 @@ from uav_vslam.simulation.scenario import SimulatedVehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.types import NS_PER_S, StereoFrame
 
-Spoiler = Callable[["Spoiling", StereoFrame], StereoFrame | None]
+FaultEffect = Callable[["FaultState", StereoFrame], StereoFrame | None]
 
-BLUR_PX = 5.0  # along the image's vertical, which is where the ground goes; five times the usual
+BLUR_PX = 5.0  # along the image's vertical, the direction of image motion; five times the normal blur
 FADE = 0.5  # of the brightness
 DROP_SHARE = 0.3
 
 
 @dataclass(slots=True)
-class Spoiling:
-    """What a fault remembers.
+class FaultState:
+    """State of a fault during a flight.
 
     Attributes:
         last: the last frame before the fault.
-        rng: for what is random.
+        rng: for random faults.
     """
 
     last: StereoFrame | None
     rng: np.random.Generator
 
 
-def _dropped(state: Spoiling, frame: StereoFrame) -> StereoFrame | None:
+def _dropped(state: FaultState, frame: StereoFrame) -> StereoFrame | None:
     return None if state.rng.random() < DROP_SHARE else frame
 
 
-def _silent(_: Spoiling, __: StereoFrame) -> None:
-    """Without one camera's images there are no pairs."""
+def _silent(_: FaultState, __: StereoFrame) -> None:
+    """With one camera missing there are no pairs."""
     return
 
 
-def _swapped(_: Spoiling, frame: StereoFrame) -> StereoFrame:
+def _swapped(_: FaultState, frame: StereoFrame) -> StereoFrame:
     return StereoFrame(frame.stamp_ns, frame.right, frame.left)
 
 
-def _black(_: Spoiling, frame: StereoFrame) -> StereoFrame:
+def _black(_: FaultState, frame: StereoFrame) -> StereoFrame:
     return StereoFrame(frame.stamp_ns, np.zeros_like(frame.left), np.zeros_like(frame.right))
 
 
-def _blurred(_: Spoiling, frame: StereoFrame) -> StereoFrame:
+def _blurred(_: FaultState, frame: StereoFrame) -> StereoFrame:
     kernel = motion_kernel(0.0, BLUR_PX)
     return StereoFrame(frame.stamp_ns, *(cv2.filter2D(image, -1, kernel) for image in (frame.left, frame.right)))
 
 
-def _faded(_: Spoiling, frame: StereoFrame) -> StereoFrame:
+def _faded(_: FaultState, frame: StereoFrame) -> StereoFrame:
     return StereoFrame(frame.stamp_ns, *(_scaled(image, FADE) for image in (frame.left, frame.right)))
 
 
-def _frozen(state: Spoiling, frame: StereoFrame) -> StereoFrame:
+def _frozen(state: FaultState, frame: StereoFrame) -> StereoFrame:
     return StereoFrame(frame.stamp_ns, frame.left, state.last.right if state.last else frame.right)
 
 
@@ -68,11 +68,11 @@ class Fault:
     """A fault of the cameras.
 
     Attributes:
-        spoil: makes a bad frame, or none, of a good one.
-        duration_s: from its beginning [s]; infinity for the rest of the flight.
+        effect: turns a good frame into a corrupted one, or None if it is lost.
+        duration_s: duration [s]; infinity for the rest of the flight.
     """
 
-    spoil: Spoiler
+    effect: FaultEffect
     duration_s: float
 
 
@@ -87,14 +87,14 @@ FAULTS = {
 }
 
 
-def spoiled(
+def corrupted(
     frames: Iterable[StereoFrame], fault: Fault, *, begin_ns: int, rng: np.random.Generator
 ) -> Iterator[StereoFrame]:
-    """Yield frames as they come through a fault that begins at a stamp."""
-    state = Spoiling(None, rng)
+    """Yield frames with a fault applied that begins at a stamp."""
+    state = FaultState(None, rng)
     for frame in frames:
         if 0 <= frame.stamp_ns - begin_ns < fault.duration_s * NS_PER_S:
-            bad = fault.spoil(state, frame)
+            bad = fault.effect(state, frame)
             if bad is not None:
                 yield bad
         else:
@@ -108,24 +108,24 @@ class FaultySource(SimulatedSource):
 
     Attributes:
         fault: name in FAULTS, or "" for none.
-        begin_s: when it begins, after the first frame [s].
+        begin_s: when it begins, relative to the first frame [s].
     """
 
     fault: str = ""
     begin_s: float = 0.0
 
     def frames(self) -> Iterable[StereoFrame]:
-        """Yield what the cameras give."""
+        """Yield the cameras' frames."""
         rendered = RenderedFlight(self.simulated)
         if not self.fault:
             return rendered
         begin_ns = int(self.simulated.frame_stamps_ns[0]) + round(self.begin_s * NS_PER_S)
         rng = np.random.default_rng([self.simulated.scenario.seed, self.simulated.index])
-        return spoiled(rendered, FAULTS[self.fault], begin_ns=begin_ns, rng=rng)
+        return corrupted(rendered, FAULTS[self.fault], begin_ns=begin_ns, rng=rng)
 
 
 def end_s(fault: str, begin_s: float, vehicle: SimulatedVehicle) -> float:
-    """Return when a fault ends, after the first frame [s]; the end of the flight for those that last."""
+    """Return when a fault ends, relative to the first frame [s]; at the latest when the flight ends."""
     if not fault:
         return begin_s
     return min(begin_s + FAULTS[fault].duration_s, vehicle.scenario.duration_s)

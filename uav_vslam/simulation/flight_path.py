@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flight patterns and disturbances: from "legs and turns" to a smooth `Trajectory`.
+"""Flight patterns and disturbances: from legs and turns to a smooth `Trajectory`.
 
 A pattern is a list of segments, each flown for a time while the heading turns by an angle. Turns are coordinated: the
-bank follows from the yaw rate. Gusts and airframe vibration are seeded sums of sines, so they have all derivatives.
+bank follows from the yaw rate. Gusts and airframe vibration are seeded sums of sines, so all their derivatives exist.
 """
 
 from collections.abc import Callable
@@ -62,7 +62,7 @@ def leg_pattern(duration_s: float, speed: float, *, turn_deg: float = 15.0) -> l
 def lawnmower_pattern(
     duration_s: float, speed: float, *, leg_m: float = 300.0, spacing_m: float = 25.0, bank_deg: float = 25.0
 ) -> list[Segment]:
-    """Parallel legs `spacing_m` apart, so that neighbours overlap and places are seen again.
+    """Parallel legs `spacing_m` apart, so that neighbours overlap and places are revisited.
 
     A plain half turn would put the next leg two turn radii away; the bulb turn (away by alpha, back by pi + 2 alpha,
     away by alpha, with cos alpha = (r + d/2) / 2r) puts it at any smaller distance d.
@@ -83,20 +83,20 @@ def lawnmower_pattern(
 def racetrack_pattern(
     duration_s: float, speed: float, *, leg_m: float = 300.0, bank_deg: float = 25.0
 ) -> list[Segment]:
-    """Two legs joined by left half turns, flown round and round over the same ground."""
+    """Two legs joined by left half turns, flown repeatedly over the same ground."""
     radius = speed**2 / (GRAVITY * np.tan(np.deg2rad(bank_deg)))
     return _repeat([Segment(leg_m / speed, 0.0), Segment(np.pi * radius / speed, np.pi)], duration_s)
 
 
 def circuit_pattern(duration_s: float, speed: float) -> list[Segment]:
-    """A racetrack of 2 km: it comes back over its start after that, and by then over nothing else."""
+    """A racetrack of 2 km: it revisits its start after one lap, and no other place before."""
     return racetrack_pattern(duration_s, speed, leg_m=CIRCUIT_LEG_M)
 
 
 def parting_pattern(
     duration_s: float, speed: float, *, together_s: float = 60.0, bank_deg: float = 25.0
 ) -> list[Segment]:
-    """One straight leg, then a quarter turn to the left and away; see `MIRRORED`."""
+    """One straight leg, then a quarter turn to the left, apart from the others; see `MIRRORED`."""
     radius = speed**2 / (GRAVITY * np.tan(np.deg2rad(bank_deg)))
     turn = Segment(0.5 * np.pi * radius / speed, 0.5 * np.pi)
     away_s = max(duration_s - together_s - turn.duration_s, 0.0) + 2.0 * MARGIN_S
@@ -149,9 +149,9 @@ def fly(
         duration_s: time for which the motion is needed, beside the margins [s].
         speed: mean ground speed [m/s].
         altitude: mean height over the mean ground [m].
-        offset_world: horizontal shift of the whole path: the vehicle's place in the formation [m].
+        offset_world: horizontal shift of the whole path: the vehicle's position in the formation [m].
         rng: draws the disturbances.
-        roughness: how rough the flight is.
+        roughness: the disturbances' strength.
     """
     rough = roughness or Roughness()
     t = np.arange(-MARGIN_S, duration_s + MARGIN_S + 1.0 / KNOT_RATE_HZ, 1.0 / KNOT_RATE_HZ)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inertial readings of a true motion: turn-on bias, bias random walk and white noise."""
+"""IMU readings of a true motion: turn-on bias, bias random walk and white noise."""
 
 from dataclasses import dataclass
 
@@ -15,13 +15,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ImuReadings:
-    """The inertial record of one flight.
+    """The IMU readings of one flight.
 
     Attributes:
         stamps_ns: (N,) int64 [ns].
         gyro: (N, 3) angular rates, body frame [rad/s].
         accel: (N, 3) specific forces, body frame [m/s^2].
-        gyro_bias, accel_bias: (N, 3) the true biases that are inside the readings.
+        gyro_bias, accel_bias: (N, 3) the true biases contained in the readings.
     """
 
     stamps_ns: NDArray[np.int64]

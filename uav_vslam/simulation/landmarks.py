@@ -20,10 +20,10 @@ Array = NDArray[np.float64]
 
 DESCRIPTOR_LENGTH = 128
 PER_FRAME = 44.0  # landmarks in view of both cameras on average
-LOOKALIKE_PX = (3.0, 15.0)  # how far beside a look-alike lies, in the image and in disparity together
-TWIN_M = (1.0, 6.0)  # how far apart two landmarks of one look lie: not to be taken for each other while well tracked
-LEAST_DISPARITY = 0.5  # share of the disparity that a look-alike keeps at least: it stays on this side of the horizon
-REACH_PER_ALTITUDE = 2.0  # ground farther than this from below the camera is never looked at
+LOOKALIKE_PX = (3.0, 15.0)  # offset of a look-alike, in image and disparity together
+TWIN_M = (1.0, 6.0)  # distance of two landmarks with equal descriptors: not confused while well tracked
+LEAST_DISPARITY = 0.5  # minimum share of the disparity that a look-alike keeps: its depth stays finite
+REACH_PER_ALTITUDE = 2.0  # ground farther than this from the nadir is never in view
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +47,9 @@ class LandmarkNoise:
         sigma_px: standard deviation of each stereo pixel coordinate [px].
         descriptor_sigma: standard deviation of each descriptor entry between views.
         wrong_share: share of the features that carry another feature's descriptor.
-        lookalike_share: share of the features that are a similar point a few pixels beside: such wrong matches get
-            through a gate.
-        missed_share: share of the landmarks in view that are not found, drawn anew for each frame.
+        lookalike_share: share of the features moved to a similar point a few pixels away: such wrong matches pass a
+            gate.
+        missed_share: share of the landmarks in view that are not detected, drawn independently per frame.
     """
 
     sigma_px: float = 1.0
@@ -62,12 +62,12 @@ class LandmarkNoise:
 def scatter_landmarks(
     vehicles: list[SimulatedVehicle], *, per_frame: float = PER_FRAME, twin_share: float = 0.0
 ) -> LandmarkField:
-    """Strew landmarks over all ground that a fleet sees.
+    """Scatter landmarks over all ground that a fleet sees.
 
     Args:
         vehicles: the whole fleet of one scenario.
         per_frame: landmarks in view of both cameras on average, in level flight.
-        twin_share: share of the landmarks that look like another one a few metres away.
+        twin_share: share of the landmarks with the same descriptor as another one a few metres away.
     """
     scenario = vehicles[0].scenario
     rng = scenario.rng(FLEET, Purpose.LANDMARKS)
@@ -88,11 +88,11 @@ def scatter_landmarks(
 def observe(
     vehicle: SimulatedVehicle, landmarks: LandmarkField, *, noise: LandmarkNoise | None = None
 ) -> Iterator[tuple[StereoFeatures, NDArray[np.int64]]]:
-    """Yield each frame's features and the true identity of each of them, -1 for a wrong match.
+    """Yield each frame's features and their true identities, -1 for a wrong match.
 
     Args:
-        vehicle: who looks.
-        landmarks: what there is to see.
+        vehicle: the observer.
+        landmarks: all landmarks.
         noise: quality of the features.
     """
     noise = noise or LandmarkNoise()
@@ -108,8 +108,8 @@ def observe(
             pixels, seen[seen] = pixels[found], found
         pixels = pixels + rng.normal(0.0, noise.sigma_px, pixels.shape)
         ids = near[seen]
-        pixels, ids = _spoil(pixels, ids, noise.wrong_share, rng)
-        pixels, ids = _mislead(pixels, ids, noise.lookalike_share, vehicle.rig, rng)
+        pixels, ids = _swap_pixels(pixels, ids, noise.wrong_share, rng)
+        pixels, ids = _add_lookalikes(pixels, ids, noise.lookalike_share, vehicle.rig, rng)
         descriptors = _view(landmarks.descriptors[near[seen]], noise.descriptor_sigma, rng)
         yield StereoFeatures(int(stamp_ns), pixels.astype(np.float32), descriptors), ids
 
@@ -125,7 +125,7 @@ def _footprint_m2(scenario: Scenario, rig: StereoRig) -> float:
 
 
 def _draw_descriptors(count: int, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Draw (N, 128) descriptors that look like SIFT's: sparse, non-negative, of length about 512."""
+    """Draw (N, 128) descriptors distributed like SIFT's: sparse, non-negative, of norm about 512."""
     raw = rng.gamma(0.6, 1.0, (count, DESCRIPTOR_LENGTH))
     raw *= 512.0 / np.linalg.norm(raw, axis=1, keepdims=True)
     return np.minimum(raw, 255.0).astype(np.uint8)
@@ -150,10 +150,10 @@ def _inside(rig: StereoRig, pixels: Array) -> NDArray[np.bool_]:
     return np.asarray(np.all((pixels >= 0) & (pixels <= limit), axis=-1))
 
 
-def _spoil(
+def _swap_pixels(
     pixels: Array, ids: NDArray[np.int64], share: float, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Move the pixels of a random share of the features round among themselves; their identity becomes -1."""
+    """Permute the pixels of a random share of the features among themselves; their identity becomes -1."""
     count = round(share * len(ids))
     if count < 2:
         return pixels, ids
@@ -164,11 +164,11 @@ def _spoil(
     return pixels, ids
 
 
-def _mislead(
+def _add_lookalikes(
     pixels: Array, ids: NDArray[np.int64], share: float, rig: StereoRig, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.int64]]:
     """Move a random share of the features to a point nearby, in any direction of image and depth; their identity
-    becomes -1. What would leave an image stays.
+    becomes -1. Those that would leave an image are not moved.
     """
     count = round(share * len(ids))
     if count == 0:

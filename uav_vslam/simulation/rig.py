@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stereo rig of the Kagaru aircraft, tables 7.4.1 and 7.4.2 of [thesis]: two cameras that look straight down."""
+"""The stereo rig of the Kagaru aircraft, tables 7.4.1 and 7.4.2 of [thesis]: two cameras pointing straight down."""
 
 import dataclasses
 
@@ -46,6 +46,6 @@ def scaled(camera: PinholeCamera, scale: float) -> PinholeCamera:
 
 
 def rotated_right(rig: StereoRig, rotation_vector: np.ndarray) -> StereoRig:
-    """Return the rig with its right camera turned by a (3,) rotation vector [rad] in its own optical frame."""
+    """Return the rig with its right camera rotated by a (3,) rotation vector [rad] in its own optical frame."""
     T_body_right = rig.T_body_right @ Pose(so3_exp(rotation_vector), np.zeros(3))
     return dataclasses.replace(rig, T_body_right=T_body_right)

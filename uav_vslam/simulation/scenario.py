@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated flight of a fleet, described whole by one record; the same record and seed give the same bytes."""
+"""A simulated flight of a fleet, fully described by one record; equal records give equal bytes."""
 
 import enum
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ IMU_MARGIN_NS = 100_000_000  # readings begin this long before the first and end
 
 
 class Purpose(enum.IntEnum):
-    """What a random stream is for: each vehicle has one stream per purpose, so that none disturbs another."""
+    """What a random stream is for: each vehicle has one stream per purpose, so they are independent."""
 
     MOTION = 0
     IMU = 1
@@ -38,7 +38,7 @@ class Purpose(enum.IntEnum):
     TEXTURE = 9
 
 
-FLEET = 1000  # the vehicle number of streams that all vehicles share
+FLEET = 1000  # vehicle number of the streams that all vehicles share
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Scenario:
     vehicles: int = 2
     frames: int = 160
     frame_rate_hz: float = 7.14
-    frame_offset_s: float = 0.03  # each vehicle's cameras fire this much later than the previous vehicle's [s]
+    frame_offset_s: float = 0.03  # each vehicle's cameras trigger this much later than the previous vehicle's [s]
     pattern: str = "leg"  # name in flight_path.PATTERNS
     speed: float = 20.0  # [m/s]
     altitude: float = 70.0  # over the mean ground [m]
@@ -58,20 +58,20 @@ class Scenario:
     relief_m: float = 2.0  # root mean square height of the ground
     imu: str = "adis16480"  # name in config.IMU_GRADES
     scale: float = 1.0  # image size as a multiple of 1280 x 960
-    texture: str = "grass"  # procedural, or the path of an image or a folder of images
+    texture: str = "grass"  # "grass" (procedural), or the path of an image or a folder of images
     texture_m_per_px: float = 0.05  # size of a texture image's pixel on the ground [m]
     contrast: float = 1.0  # of the ground in the images, before their noise
     blur_px: float = 1.0  # motion blur along the image motion, at full resolution [px]
     noise_sigma: float = 2.0  # of the image noise [grey levels]
     right_gain: float = 1.0  # brightness of the right camera relative to the left one
     right_vignette: float = 0.0  # share of its brightness that the right camera loses in the corners
-    vibration_deg: float = 0.0  # rms of each axis of the right camera's attitude, new for each frame
+    vibration_deg: float = 0.0  # rms of each axis of the right camera's attitude, independent per frame
     extrinsic_bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # constant error of the right camera's attitude
     sigma_position_m: float = 0.05  # of the initial state, per axis
     sigma_velocity: float = 0.1  # of the initial state, per axis [m/s]
     sigma_tilt_deg: float = 0.2  # of the initial state, about east and north
     sigma_yaw_deg: float = 0.5  # of the initial state, about the vertical
-    sigma_map_m: float = 0.0  # of the map that all start states were found in, so that they share this error, per axis
+    sigma_map_m: float = 0.0  # of the map that all start states were measured in: an error they share, per axis
 
     def __post_init__(self) -> None:
         if self.pattern not in PATTERNS:
@@ -88,7 +88,7 @@ class Scenario:
 
     @property
     def imu_config(self) -> ImuConfig:
-        """Noise of the inertial unit."""
+        """Noise of the IMU."""
         return IMU_GRADES[self.imu]
 
     @property
@@ -101,7 +101,7 @@ class Scenario:
         return f"uav{index + 1}"
 
     def rng(self, vehicle: int, purpose: Purpose) -> np.random.Generator:
-        """Return the random stream of one vehicle for one purpose, from its beginning."""
+        """Return the random stream of one vehicle for one purpose, from its start."""
         return np.random.default_rng(np.random.SeedSequence([self.seed, vehicle, int(purpose)]))
 
 
@@ -116,7 +116,7 @@ SCENARIOS = {
 
 @dataclass(frozen=True, slots=True)
 class SimulatedVehicle:
-    """One vehicle's flight: the truth and what its instruments and its start know of it.
+    """One vehicle's flight: ground truth, IMU readings, frame stamps and initial estimate.
 
     Attributes:
         name: ROS namespace.
@@ -125,8 +125,8 @@ class SimulatedVehicle:
         truth: the motion; its t = 0 is the first frame.
         imu: readings from just before the first to just after the last frame.
         frame_stamps_ns: (F,) int64 exposure times [ns].
-        initial: the state at the first frame as the vehicle believes it; true biases are in `imu`.
-        rig: the calibration that the vehicle is given.
+        initial: estimated state at the first frame; true biases are in `imu`.
+        rig: the calibration that the vehicle uses.
         right_rotations: (F, 3) true rotation of the right camera away from `rig`, in its own frame [rad].
     """
 
@@ -146,11 +146,11 @@ class SimulatedVehicle:
         return self.truth.time_s(self.frame_stamps_ns)
 
     def true_rig(self, frame: int) -> StereoRig:
-        """Return the rig as it really was when frame `frame` was taken."""
+        """Return the true rig at frame `frame`."""
         return rotated_right(self.rig, self.right_rotations[frame])
 
     def true_state(self, stamp_ns: int) -> NavState:
-        """Return the true state, biases of the nearest reading included."""
+        """Return the true state, with the biases of the nearest reading."""
         t = float(self.truth.time_s(stamp_ns))
         k = int(np.argmin(np.abs(self.imu.stamps_ns - stamp_ns)))
         return NavState(
@@ -184,10 +184,10 @@ def simulate_fleet(scenario: Scenario) -> list[SimulatedVehicle]:
 
 
 def initial_estimate(scenario: Scenario, truth: Trajectory, *, rng: np.random.Generator) -> NavEstimate:
-    """Return the first frame's state with errors drawn from the scenario's sigmas; biases are believed zero.
+    """Return the first frame's state with errors drawn from the scenario's sigmas; biases are estimated as zero.
 
     Errors follow `NavEstimate`: R_true = Exp(xi) R, differences of position and velocity in the map frame, which
-    coincides with the world.
+    coincides with the world frame.
     """
     tilt, yaw = np.deg2rad([scenario.sigma_tilt_deg, scenario.sigma_yaw_deg])
     imu = scenario.imu_config

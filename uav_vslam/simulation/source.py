@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated vehicles as the offline graph wants them, without a bag in between."""
+"""Simulated vehicles as sources for the offline graph, without a bag in between."""
 
 import heapq
 from collections.abc import Iterable, Iterator
@@ -14,13 +14,13 @@ from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures, StereoFrame
 
 @dataclass(frozen=True, slots=True)
 class SimulatedSource:
-    """A simulated vehicle whose cameras see rendered images, or points where landmarks or features are given.
+    """A simulated vehicle: rendered images, or stereo features from landmarks or precomputed.
 
     Attributes:
         simulated: the flight.
         field: landmarks for the image-free path, None for rendered images.
         noise: quality of the image-free features.
-        features: what a front end has found in the images already, in stamp order.
+        features: precomputed front-end output, in stamp order; None for none.
     """
 
     simulated: SimulatedVehicle
@@ -35,7 +35,7 @@ class SimulatedSource:
 
     @property
     def rig(self) -> StereoRig:
-        """The calibration that the vehicle is given."""
+        """The calibration that the vehicle uses."""
         return self.simulated.rig
 
     @property
@@ -44,7 +44,7 @@ class SimulatedSource:
         return self.simulated.initial
 
     def frames(self) -> Iterable[StereoFrame | StereoFeatures]:
-        """Yield what the cameras give."""
+        """Yield stereo frames or features."""
         if self.features is not None:
             return self.features
         if self.field is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ground's height: an analytic field, so that truth, landmarks and images agree exactly."""
+"""The ground's height: an analytic field, so that ground truth, landmarks and images agree exactly."""
 
 from dataclasses import dataclass
 
@@ -32,7 +32,7 @@ class Relief:
         self._amplitude = rms_m * np.sqrt(2.0) * amplitude
 
     def height(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Return heights [m] at world positions x, y [m] of any one shape, in their precision."""
+        """Return heights [m] at world positions x, y [m] of equal shape, in their precision."""
         height = np.zeros_like(x)
         for kx, ky, phase, amplitude in zip(self._kx, self._ky, self._phase, self._amplitude, strict=True):
             height += x.dtype.type(amplitude) * np.sin(
@@ -48,7 +48,7 @@ def relief_of(scenario: Scenario) -> Relief:
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """What there is to photograph: a height field and its looks."""
+    """The ground as the cameras see it: a height field and its texture."""
 
     relief: Relief
     texture: Texture

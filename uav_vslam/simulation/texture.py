@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the ground looks like from above: grey tiles, made when first looked at, that never repeat.
+"""Ground texture: grey tiles, generated on first use, that never repeat.
 
-Texel (row i, column j) of the endless picture has its centre at world x = j * m_per_px, y = i * m_per_px. Noise comes
-from a hash of lattice coordinates, so tiles fit together without a seam and in whatever order they are made.
+Texel (row i, column j) of the unbounded texture has its centre at world x = j * m_per_px, y = i * m_per_px. Noise comes
+from a hash of lattice coordinates, so tiles fit together without a seam, in any order of generation.
 """
 
 import functools
@@ -22,11 +22,11 @@ MAX_WINDOW_TEXELS = 100_000_000
 
 # Finest lattice first: spacing in texels (a power of two, at most TILE) and amplitude in grey levels.
 GRASS_OCTAVES = ((2, 15.0), (4, 13.0), (8, 11.0), (16, 8.0), (32, 6.0), (64, 5.0), (256, 5.0), (512, 6.0))
-DETAIL_OCTAVES = ((2, 7.0), (4, 7.0), (8, 5.0))  # laid over pictures, so that repeated ones are not alike
+DETAIL_OCTAVES = ((2, 7.0), (4, 7.0), (8, 5.0))  # added to pictures, so that repeated ones differ
 FIELD_SIZE_M = 90.0
 HEDGE_WIDTH_M = 1.5
 TRACK_SPACING_M = 150.0
-FIELD_STEP = 8  # fields and tracks are drawn at this many texels and enlarged
+FIELD_STEP = 8  # fields and tracks are drawn on a grid of this many texels and interpolated
 IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"}
 
 Grey = NDArray[np.uint8]
@@ -44,7 +44,7 @@ class Texture(Protocol):
 
 
 class _Tiled:
-    """Cuts windows from tiles that are kept while there is room."""
+    """Cuts windows from a cache of tiles."""
 
     def __init__(self) -> None:
         self._tiles: OrderedDict[tuple[int, int], Grey] = OrderedDict()
@@ -56,7 +56,7 @@ class _Tiled:
         """Return the (y1 - y0, x1 - x0) texels of columns x0..x1-1 and rows y0..y1-1."""
         if (x1 - x0) * (y1 - y0) > MAX_WINDOW_TEXELS:
             raise ConfigError(
-                f"a camera sees {x1 - x0} x {y1 - y0} texels of ground: it looks (almost) at the horizon; "
+                f"a camera sees {x1 - x0} x {y1 - y0} texels of ground: it sees (almost) the horizon; "
                 "fly lower, bank less or use a coarser texture"
             )
         out = np.empty((y1 - y0, x1 - x0), np.uint8)
@@ -76,7 +76,7 @@ class _Tiled:
 
 
 class GrassTexture(_Tiled):
-    """Farmland: grass of many sizes, all much alike, in fields of slightly different grey with hedges between."""
+    """Farmland: self-similar grass of many sizes, in fields of slightly different grey with hedges between."""
 
     def __init__(self, seed: int, *, m_per_px: float = 0.05) -> None:
         super().__init__()
@@ -118,14 +118,14 @@ class GrassTexture(_Tiled):
 
 
 class ImageTexture(_Tiled):
-    """Photographs of ground laid side by side; beyond one of each they come again, so fine noise tells them apart."""
+    """Photographs of ground tiled side by side; they repeat, so fine noise makes the copies differ."""
 
     def __init__(self, paths: list[Path], seed: int, *, image_m_per_px: float, m_per_px: float = 0.05) -> None:
         """Read the pictures.
 
         Args:
             paths: image files; they are cut to the size of the smallest one.
-            seed: of the noise on top.
+            seed: of the added noise.
             image_m_per_px: size of a picture's pixel on the ground [m].
             m_per_px: size of a texel [m].
 
@@ -165,7 +165,7 @@ def texture_from(source: str, seed: int, *, image_m_per_px: float) -> Texture:
 
 
 def _paste(out: Grey, tile: Grey, x: int, y: int) -> None:
-    """Copy `tile` into `out` with its corner at column x, row y; what lies outside is cut off."""
+    """Copy `tile` into `out` with its corner at column x, row y; parts outside are clipped."""
     left, top = max(x, 0), max(y, 0)
     right, bottom = min(x + tile.shape[1], out.shape[1]), min(y + tile.shape[0], out.shape[0])
     if left < right and top < bottom:
@@ -191,7 +191,7 @@ def _octave(spacing: int, column: int, row: int, seed: int) -> Noise:
 
 
 def _nodes(spacing: int) -> NDArray[np.int64]:
-    """Return the numbers of the lattice nodes, `spacing` texels apart, that a tile's texels depend on."""
+    """Return the indices of the lattice nodes, `spacing` texels apart, that a tile depends on."""
     return np.arange(-1, TILE // spacing + 2)
 
 
@@ -238,7 +238,7 @@ def _nearest_field(
 
 def _hash(x: NDArray[np.integer], y: NDArray[np.integer], seed: int) -> NDArray[np.float64]:
     """Return uniform numbers in [0, 1) that depend only on the integers x, y (broadcast) and seed."""
-    with np.errstate(over="ignore"):  # wrapping round is what mixes
+    with np.errstate(over="ignore"):  # overflow is the mixing step
         h = x.astype(np.uint32) * np.uint32(0x8DA6B343) ^ y.astype(np.uint32) * np.uint32(0xD8163841)
         h = h ^ np.uint32((seed * 0x9E3779B1) & 0xFFFFFFFF)
         h = (h ^ (h >> np.uint32(16))) * np.uint32(0x7FEB352D)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The true motion of one vehicle, smooth enough that its inertial readings follow exactly from its poses.
+"""The true motion of one vehicle, smooth enough that IMU readings follow exactly from its poses.
 
 Position and roll, pitch, yaw are quintic splines of time, so velocity, acceleration and body rates are analytic
-derivatives of the very poses that the cameras see. World is ENU with z = 0 at the mean ground; body is FLU.
+derivatives of the same poses that the cameras use. World is ENU with z = 0 at the mean ground; body is FLU.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ SPLINE_DEGREE = 5
 
 
 class Trajectory:
-    """Truth as functions of the time `t_s` since `start_ns`; every query is vectorised over `t_s`.
+    """Ground truth as functions of the time `t_s` since `start_ns`; every query is vectorised over `t_s`.
 
     Attributes:
         start_ns: stamp of t_s = 0 [ns].
