@@ -50,7 +50,7 @@ class FlightSource(Protocol):
 def track_vehicle(
     source: FlightSource, config: VehicleConfig, on_frame: Callable[[], None] = lambda: None
 ) -> VehicleTrack:
-    """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the break.
+    """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the damage.
 
     Raises:
         UavVslamError: the source has no start state and the configuration does not say how to find one, or it could

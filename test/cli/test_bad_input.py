@@ -89,7 +89,7 @@ BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {
     "no extrinsics": (without("/tf_static"), ["lacks /tf_static", "record or remap"]),
     "extrinsics of another frame": (
         changed("/uav1/left/camera_info", header=None),
-        ["/tf_static does not lead from uav1/base_link to nowhere", "publish the camera's extrinsics"],
+        ["/tf_static does not connect uav1/base_link and nowhere", "publish the camera's extrinsics"],
     ),
     "uncalibrated camera": (
         changed("/uav1/left/camera_info", k=np.zeros(9)),
@@ -140,7 +140,7 @@ def test_a_start_state_that_nobody_gave_is_told_with_both_remedies(
 
 @pytest.mark.parametrize(
     ("name", "content", "said"),
-    [("nowhere", None, "does not exist"), ("text.mcap", "hello", "is damaged"), ("notes.txt", "hello", "is no bag")],
+    [("nowhere", None, "does not exist"), ("text.mcap", "hello", "is damaged"), ("notes.txt", "hello", "is not a bag")],
 )
 def test_what_is_no_bag_is_named(
     name: str, content: str | None, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -243,16 +243,16 @@ def test_a_wrong_override_is_told(setting: str, said: str, good: Path, capsys: p
     assert said in refused(capsys, "run", good, "--set", setting)
 
 
-def test_a_truncated_bag_is_run_up_to_the_break(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_truncated_bag_is_run_up_to_the_damage(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, "run", cut, "--results", tmp_path, "--no-plots")
     assert f"bag {cut / 'flight.mcap'} is damaged" in line
-    assert "read up to the break after stamp" in line
+    assert "read up to the damage after stamp" in line
     poses = (tmp_path / LATEST / "uav1_s_slam.tum").read_text().splitlines()
     assert 1 < len(poses) < FRAMES
 
 
 @pytest.mark.ros
-def test_a_truncated_bag_is_replayed_up_to_the_break(
+def test_a_truncated_bag_is_replayed_up_to_the_damage(
     cut: Path,
     launched: Callable[..., AbstractContextManager[Any]],
     tmp_path: Path,
@@ -264,7 +264,7 @@ def test_a_truncated_bag_is_replayed_up_to_the_break(
         output, _ = graph.process.communicate(timeout=100.0)
         assert graph.process.returncode == 2, output
         assert graph.running() == []
-    assert f"bag {cut / 'flight.mcap'} is damaged: read up to the break" in output
+    assert f"bag {cut / 'flight.mcap'} is damaged: read up to the damage" in output
     assert "Traceback" not in output
     outputs, _ = read_outputs([tmp_path / "estimates"])
     poses = (tmp_path / "twin" / LATEST / "uav1_s_slam.tum").read_text().splitlines()

@@ -130,7 +130,7 @@ def test_a_recording_without_estimates_says_what_it_holds(pair):
         read_outputs([pair / "inputs"])
 
 
-def test_a_cut_recording_is_evaluated_up_to_the_break_and_reported(pair, tmp_path, capsys):
+def test_a_truncated_recording_is_evaluated_up_to_the_damage_and_reported(pair, tmp_path, capsys):
     whole = next((pair / "estimates").glob("*.mcap")).read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 5 // 8])  # uav1 was written first

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded flight reads back as it was simulated, and a recording that lacks something says what."""
+"""A recorded flight reads back as simulated, and an incomplete recording is refused by name."""
 
 import dataclasses
 from collections.abc import Callable
@@ -72,7 +72,7 @@ def test_events_come_in_stamp_order_with_every_bit(tiny: Scenario, tiny_bag: Pat
         np.testing.assert_array_equal(frame.right, expected.right)
 
 
-def test_truth_is_there_at_every_frame(tiny: Scenario, tiny_bag: Path) -> None:
+def test_every_frame_has_ground_truth(tiny: Scenario, tiny_bag: Path) -> None:
     vehicle = simulate_vehicle(tiny, 1)
     truth = open_flight(tiny_bag, "uav2").truth()
     assert truth is not None
@@ -135,7 +135,7 @@ def test_colour_and_deep_images_keep_their_pixels(tiny_bag: Path, tmp_path: Path
     np.testing.assert_array_equal(frame.right, pictures["right"])
 
 
-def test_extrinsics_may_lead_through_several_frames(tiny_bag: Path, tmp_path: Path) -> None:
+def test_extrinsics_may_span_several_frames(tiny_bag: Path, tmp_path: Path) -> None:
     T_base_mount = Pose(so3_exp([0.0, 0.1, 0.0]), np.array([0.1, 0.0, 0.0]))
     T_mount_left = Pose(so3_exp([np.pi, 0.0, 0.0]), np.array([0.0, 0.2, 0.0]))
 
@@ -165,19 +165,19 @@ def test_extrinsics_may_lead_through_several_frames(tiny_bag: Path, tmp_path: Pa
         "/tf_static",
     ],
 )
-def test_a_lacking_topic_is_named_with_what_is_there(tiny_bag: Path, tmp_path: Path, topic: str) -> None:
+def test_a_missing_topic_is_named_with_those_present(tiny_bag: Path, tmp_path: Path, topic: str) -> None:
     bag = rewrite(tiny_bag, tmp_path / "bag", drop(topic))
-    with pytest.raises(BagError, match=f"lacks {topic}.*it holds .*/uav1/ground_truth/odometry") as lacking:
+    with pytest.raises(BagError, match=f"lacks {topic}.*it holds .*/uav1/ground_truth/odometry") as missing:
         open_flight(bag, "uav1")
-    assert "\n" not in str(lacking.value)
+    assert "\n" not in str(missing.value)
 
 
-def test_a_vehicle_that_is_not_there_is_told_who_is(tiny_bag: Path) -> None:
+def test_an_unknown_vehicle_is_refused_with_the_topics_present(tiny_bag: Path) -> None:
     with pytest.raises(BagError, match=r"lacks /uav9/left/image_raw .*it holds .*/uav1/imu/data_raw"):
         open_flight(tiny_bag, "uav9")
 
 
-def test_lacking_extrinsics_are_named(tiny_bag: Path, tmp_path: Path) -> None:
+def test_missing_extrinsics_are_named(tiny_bag: Path, tmp_path: Path) -> None:
     def change(raw: RawMessage) -> RawMessage:
         if raw.topic != "/tf_static":
             return raw
@@ -186,12 +186,12 @@ def test_lacking_extrinsics_are_named(tiny_bag: Path, tmp_path: Path) -> None:
 
     bag = rewrite(tiny_bag, tmp_path / "bag", change)
     with pytest.raises(
-        BagError, match="does not lead from uav1/base_link to uav1/left_optical; it holds uav2/base_link"
+        BagError, match="does not connect uav1/base_link and uav1/left_optical; it holds uav2/base_link"
     ):
         open_flight(bag, "uav1")
 
 
-def test_a_flight_without_start_state_or_truth_still_opens(tiny_bag: Path, tmp_path: Path) -> None:
+def test_a_flight_without_start_state_or_ground_truth_opens(tiny_bag: Path, tmp_path: Path) -> None:
     bag = rewrite(tiny_bag, tmp_path / "bag", drop("/uav1/initial_state"))
     bag = rewrite(bag, tmp_path / "bag2", drop("/uav1/ground_truth/odometry"))
     flight = open_flight(bag, "uav1")
@@ -239,7 +239,7 @@ def test_a_lost_image_costs_only_its_pair(tiny_bag: Path, tmp_path: Path) -> Non
     assert stamps == [raw.stamp_ns for raw in images if raw != images[2]]
 
 
-def test_a_picture_that_can_not_be_read_is_one_of_no_size(tiny_bag: Path, tmp_path: Path) -> None:
+def test_an_undecodable_image_becomes_an_empty_one(tiny_bag: Path, tmp_path: Path) -> None:
     images = list(iter_raw([tiny_bag], ["/uav1/right/image_raw"]))
 
     def change(raw: RawMessage) -> RawMessage:
@@ -256,7 +256,7 @@ def test_a_picture_that_can_not_be_read_is_one_of_no_size(tiny_bag: Path, tmp_pa
     assert (track.frames_in, track.dropped) == (len(images), {"image": 1})
 
 
-def test_a_cut_bag_opens_and_replays_up_to_the_break(tiny_bag: Path, tmp_path: Path) -> None:
+def test_a_truncated_bag_opens_and_replays_up_to_the_damage(tiny_bag: Path, tmp_path: Path) -> None:
     data = (tiny_bag / "tiny.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) - 2000])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An ASL folder becomes a flight whose truth, readings and images belong together."""
+"""An ASL folder becomes a flight with consistent ground truth, IMU readings and images."""
 
 import argparse
 import itertools
@@ -54,7 +54,7 @@ def write_sequence(
     return mav0
 
 
-def test_a_sequence_starts_at_the_first_image_with_truth(tmp_path: Path) -> None:
+def test_a_sequence_starts_at_the_first_image_with_ground_truth(tmp_path: Path) -> None:
     flight = read_euroc(write_sequence(tmp_path / "mav0"), vehicle="uav3")
     frames = list(flight.frames)
     assert [f.stamp_ns for f in frames] == [200_000_000, 300_000_000]
@@ -92,7 +92,7 @@ def test_only_images_with_equal_stamps_pair(tmp_path: Path) -> None:
     assert [f.stamp_ns for f in read_euroc(mav0).frames] == [300_000_000]
 
 
-def test_what_is_wrong_with_a_folder_is_said(tmp_path: Path) -> None:
+def test_errors_name_what_is_wrong_with_a_folder(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"cam0.*data.csv|sensor.yaml: can't be read"):
         read_euroc(tmp_path / "nowhere")
     with pytest.raises(CalibrationError, match="equidistant"):
@@ -120,7 +120,7 @@ def imported(euroc_mav0: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @pytest.mark.data
-def test_a_real_sequence_is_imported_whole(imported: Path, euroc_mav0: Path) -> None:
+def test_a_real_sequence_is_imported_completely(imported: Path, euroc_mav0: Path) -> None:
     flight = open_flight(imported, "uav1")
     events = list(flight.iter_events())
     frames = [e for e in events if isinstance(e, StereoFrame)]
@@ -137,8 +137,8 @@ def test_a_real_sequence_is_imported_whole(imported: Path, euroc_mav0: Path) -> 
 
 
 @pytest.mark.data
-def test_real_readings_carry_the_start_state_along_the_truth(imported: Path) -> None:
-    """The axes of truth, gravity and readings agree: dead reckoning stays on the truth for a second of flight."""
+def test_dead_reckoning_on_real_readings_follows_the_ground_truth(imported: Path) -> None:
+    """Axes of ground truth, gravity and IMU agree: dead reckoning holds for a second of flight."""
     flight = open_flight(imported, "uav1")
     truth = flight.truth()
     assert truth is not None

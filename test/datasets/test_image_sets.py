@@ -33,7 +33,7 @@ def test_an_image_keeps_its_channels_and_bits(tmp_path: Path, shape: tuple[int, 
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), image)
 
 
-def test_a_file_that_is_no_image_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_an_image_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_text("no image")
     with pytest.raises(ConfigError, match=r"a\.png can't be read as an image"):
         read_image(tmp_path / "a.png")
@@ -41,12 +41,12 @@ def test_a_file_that_is_no_image_is_refused(tmp_path: Path) -> None:
 
 def test_the_shift_of_an_image_is_found() -> None:
     noise = cv2.GaussianBlur(np.random.default_rng(2).normal(128, 60, (150, 200)).astype(np.float32), (0, 0), 0.8)
-    first, second = noise[20:120, 20:160], noise[17:117, 25:165]  # what was at u, v is now at u - 5, v + 3
+    first, second = noise[20:120, 20:160], noise[17:117, 25:165]  # the point at u, v moves to u - 5, v + 3
     np.testing.assert_allclose(shift_between(first, second), [-5.0, 3.0], atol=0.1)
 
 
 @pytest.mark.data
-def test_the_first_visible_image_of_the_camp_lies_two_pixels_beside_the_others(data_root: Path) -> None:
+def test_the_first_visible_image_of_the_camp_is_shifted_by_two_pixels(data_root: Path) -> None:
     files = files_of(LAYOUTS["tno_nato_camp"], data_root / "tno_nato_camp")
     assert {band: len(found) for band, found in files.items()} == {"visible": 10, "thermal": 10}
     images = {band: [read_image(path) for path in found.values()] for band, found in files.items()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Raw recording and replay keep every byte, and say plainly what is wrong with a bag."""
+"""Raw recording and replay keep every byte, and report what is wrong with a bag."""
 
 import dataclasses
 from pathlib import Path
@@ -60,7 +60,7 @@ def test_every_message_of_ours_has_a_known_type() -> None:
         assert f"uav_vslam_msgs/msg/{path.stem}" in typestore().types
 
 
-def test_latched_topics_are_offered_to_latecomers(tiny_bag: Path) -> None:
+def test_latched_topics_are_offered_as_transient_local(tiny_bag: Path) -> None:
     metadata = yaml.safe_load((tiny_bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     durability = {
         entry["topic_metadata"]["name"]: entry["topic_metadata"]["offered_qos_profiles"][0]["durability"]
@@ -72,29 +72,29 @@ def test_latched_topics_are_offered_to_latecomers(tiny_bag: Path) -> None:
     assert {topic for topic, info in topics_of([tiny_bag]).items() if info.latched} == latched
 
 
-def read_to_the_break(path: Path) -> tuple[list[RawMessage], str]:
+def read_to_the_damage(path: Path) -> tuple[list[RawMessage], str]:
     read: list[RawMessage] = []
     try:
         read.extend(iter_raw([path]))  # extend keeps what came before the error
     except BagError as error:
         return read, str(error)
-    raise AssertionError("the break was not reported")
+    raise AssertionError("the damage was not reported")
 
 
 @pytest.mark.parametrize("share", [0.3, 0.8, 0.999])
-def test_a_cut_recording_is_read_up_to_the_break(tiny_bag: Path, tmp_path: Path, share: float) -> None:
+def test_a_truncated_recording_is_read_up_to_the_damage(tiny_bag: Path, tmp_path: Path, share: float) -> None:
     whole = (tiny_bag / "tiny.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: int(share * len(whole))])
-    read, error = read_to_the_break(tmp_path)
+    read, error = read_to_the_damage(tmp_path)
     original = list(iter_raw([tiny_bag]))
     assert read == original[: len(read)]
     assert len(read) > 0.8 * share * len(original)
-    assert f"is damaged: read up to the break after stamp {read[-1].stamp_ns} ns" in error
+    assert f"is damaged: read up to the damage after stamp {read[-1].stamp_ns} ns" in error
     assert "\n" not in error
     assert topics_of([tmp_path])["/uav1/imu/data_raw"].msgtype == "sensor_msgs/msg/Imu"
 
 
-def test_a_cut_file_beside_its_metadata_is_noticed(tiny_bag: Path, tmp_path: Path) -> None:
+def test_a_truncated_file_beside_its_metadata_is_detected(tiny_bag: Path, tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").write_bytes((tiny_bag / "metadata.yaml").read_bytes())
     data = (tiny_bag / "tiny.mcap").read_bytes()
     (tmp_path / "tiny.mcap").write_bytes(data[: len(data) // 2])
@@ -102,7 +102,7 @@ def test_a_cut_file_beside_its_metadata_is_noticed(tiny_bag: Path, tmp_path: Pat
         list(iter_raw([tmp_path]))
 
 
-def test_a_cut_sqlite_bag_is_named(tiny_bag: Path, tmp_path: Path) -> None:
+def test_a_truncated_sqlite_bag_is_named(tiny_bag: Path, tmp_path: Path) -> None:
     with RawRecorder(tmp_path / "whole", storage="sqlite3") as recorder:
         for raw in iter_raw([tiny_bag]):
             recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns)
@@ -112,15 +112,15 @@ def test_a_cut_sqlite_bag_is_named(tiny_bag: Path, tmp_path: Path) -> None:
         list(iter_raw([tmp_path / "whole"]))
 
 
-def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_bag_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "note.txt").write_text("hello")
     (tmp_path / "fake.mcap").write_text("hello")
     (tmp_path / "fake.db3").write_text("hello")
     for name, text in {
         "nowhere": "does not exist",
-        "empty": "no bag",
-        "note.txt": "no bag",
+        "empty": "not a bag",
+        "note.txt": "not a bag",
         "fake.mcap": "damaged",
         "fake.db3": "damaged",
     }.items():
@@ -135,7 +135,7 @@ def test_a_recording_overwrites_nothing(tiny_bag: Path) -> None:
         RawRecorder(tiny_bag)
 
 
-def test_a_recording_that_fails_leaves_nothing_that_looks_whole(tiny_bag: Path, tmp_path: Path) -> None:
+def test_a_failed_recording_leaves_no_bag(tiny_bag: Path, tmp_path: Path) -> None:
     first = next(iter_raw([tiny_bag]))
 
     def record() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recording that comes with the repository is small, whole, and good enough to fly by."""
+"""The repository's sample recording is small, complete, and good enough for stereo matching."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def test_it_is_small() -> None:
 
 
 @pytest.mark.parametrize("vehicle", ["uav1", "uav2"])
-def test_it_holds_all_that_a_vehicle_needs(vehicle: str) -> None:
+def test_it_has_all_topics_that_a_vehicle_needs(vehicle: str) -> None:
     flight = open_flight(SAMPLE, vehicle)
     events = list(flight.iter_events())
     frames = [e for e in events if isinstance(e, StereoFrame)]

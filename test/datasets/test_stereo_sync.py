@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images pair up by stamp, whatever the order in which they come, and nothing waits for ever."""
+"""Images pair up by stamp in any order of arrival, and nothing waits for ever."""
 
 import itertools
 
@@ -21,7 +21,7 @@ def test_equal_stamps_pair_in_either_order() -> None:
     assert pairer.dropped == 0
 
 
-def test_the_pair_bears_the_left_stamp() -> None:
+def test_the_pair_has_the_left_stamp() -> None:
     pairer: StereoPairer[str] = StereoPairer(tolerance_ns=2 * MS)
     pairer.add_right(10 * MS, "r")
     assert pairer.add_left(11 * MS, "l") == StereoPair(11 * MS, "l", "r")
@@ -50,7 +50,7 @@ def test_an_image_without_partner_is_dropped_and_counted() -> None:
     assert pairer.dropped == 2  # left 1 and right 3
 
 
-def test_a_stamp_that_does_not_rise_is_dropped() -> None:
+def test_a_stamp_that_does_not_increase_is_dropped() -> None:
     pairer: StereoPairer[str] = StereoPairer()
     pairer.add_left(10 * MS, "l")
     assert pairer.add_left(10 * MS, "again") is None
@@ -103,7 +103,7 @@ def test_a_lone_stamp_from_the_future_costs_one_image() -> None:
     assert pairer.dropped == 2  # both of the pair
 
 
-def test_cameras_that_were_silent_for_long_go_on() -> None:
+def test_pairing_resumes_after_a_long_silence() -> None:
     pairer: StereoPairer[int] = StereoPairer()
     stamps_ns = [0, 100 * MS, 60_000 * MS, 60_100 * MS, 60_200 * MS]
     found = [pair for s in stamps_ns for pair in (pairer.add_left(s, s), pairer.add_right(s, s)) if pair]

@@ -256,7 +256,7 @@ def test_in_real_time_nobody_is_waited_for(fleet: Fleet, bags: list[Path]) -> No
     assert all(len(vehicle.frames) == FRAMES for vehicle in fleet.vehicles.values())
 
 
-def test_a_cut_bag_is_replayed_up_to_the_break_and_is_a_failure(fleet: Fleet, bags: list[Path], tmp_path: Path) -> None:
+def test_a_truncated_bag_is_replayed_up_to_the_damage_and_fails(fleet: Fleet, bags: list[Path], tmp_path: Path) -> None:
     cut = tmp_path / "cut"
     cut.mkdir()
     (source,) = bags[0].glob("*.mcap")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads one vehicle's flight from bags: calibration, start state, truth, and its sensor events in stamp order."""
+"""Reads one vehicle's flight from bags: calibration, start state, ground truth, sensor events in stamp order."""
 
 import heapq
 from collections.abc import Iterator, Sequence
@@ -34,7 +34,7 @@ __all__ = ["BagFlight", "RawMessage", "RawRecorder", "TruthTrack", "iter_raw", "
 Array = NDArray[np.float64]
 
 IMAGE_TOPICS = ("image_raw", "image_raw/compressed")
-REORDER_NS = 500_000_000  # a message may have been recorded this much later than it is stamped
+REORDER_NS = 500_000_000  # a message may be recorded this much later than its stamp
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +84,14 @@ class BagFlight:
         return self.rig.left.width, self.rig.left.height
 
     def iter_events(self, *, tolerance_ns: int = 2_000_000) -> Iterator[ImuSample | StereoFrame]:
-        """Yield readings and image pairs in stamp order; at one stamp the reading comes first.
+        """Yield IMU samples and image pairs in stamp order; at equal stamps the sample comes first.
 
         Args:
             tolerance_ns: largest stamp difference of a pair [ns].
 
         Raises:
-            BagError: the recording is damaged (after all that can be read), or a message can't be decoded. A picture
-                that can't is one of no size instead: its frame goes on without points.
+            BagError: the recording is damaged (raised after all readable events), or a message can't be decoded. An
+                undecodable image becomes an empty one: its frame has no points.
         """
         return _in_stamp_order(self._recorded_events(tolerance_ns))
 
@@ -99,7 +99,7 @@ class BagFlight:
         """Return the true motion, or None if none was recorded.
 
         Raises:
-            BagError: a message can't be decoded, or its quaternion is none.
+            BagError: a message can't be decoded, or its quaternion is invalid.
         """
         topic = f"/{self.vehicle}/ground_truth/odometry"
         try:
@@ -119,13 +119,13 @@ class BagFlight:
             add = pairer.add_left if raw.topic == self.left_topic else pairer.add_right
             pair = add(stamp_ns_of(built), built)
             if pair is not None:
-                yield StereoFrame(pair.stamp_ns, _picture(pair.left), _picture(pair.right))
+                yield StereoFrame(pair.stamp_ns, _pixels_or_empty(pair.left), _pixels_or_empty(pair.right))
 
     def check_images(self) -> None:
-        """Decode the first image of each side, for whoever wants to know beforehand what `iter_events` would meet.
+        """Decode the first image of each side, to fail early where `iter_events` would fail.
 
         Raises:
-            BagError: there is none, or it can't be decoded.
+            BagError: it is missing or can't be decoded.
             CalibrationError: it is not of the size that camera_info states.
         """
         for topic in (self.left_topic, self.right_topic):
@@ -140,7 +140,7 @@ class BagFlight:
                 )
 
 
-def _picture(built: Any) -> NDArray[Any]:
+def _pixels_or_empty(built: Any) -> NDArray[Any]:
     try:
         return image_of(built)
     except BagError:
@@ -148,21 +148,21 @@ def _picture(built: Any) -> NDArray[Any]:
 
 
 def vehicles(paths: Sequence[Path]) -> list[str]:
-    """Return the namespaces in which bags hold left images, sorted."""
+    """Return the namespaces that have left images, sorted."""
     endings = [f"/left/{name}" for name in IMAGE_TOPICS]
     topics = topics_of(paths)
     return sorted({topic.removesuffix(end).strip("/") for topic in topics for end in endings if topic.endswith(end)})
 
 
 def open_flight(paths: Path | Sequence[Path], vehicle: str) -> BagFlight:
-    """Read what stays the same through a flight: calibration, start state and the names of its topics.
+    """Read what is constant during a flight: calibration, start state and topic names.
 
     Args:
         paths: bags that together hold the vehicle's topics.
         vehicle: its ROS namespace.
 
     Raises:
-        BagError: a bag is missing or none, or a topic or the extrinsics are lacking.
+        BagError: a path is missing or not a bag, or a topic or the extrinsics are missing.
         CalibrationError: the cameras' calibrations contradict each other.
     """
     bags = (paths,) if isinstance(paths, Path) else tuple(paths)
@@ -171,7 +171,7 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str) -> BagFlight:
     left_topic, right_topic = (_image_topic(bags, topics, name, side) for side in ("left", "right"))
     for topic in (f"/{name}/left/camera_info", f"/{name}/right/camera_info", f"/{name}/imu/data_raw", TF_STATIC):
         if topic not in topics:
-            raise _lacks(bags, topics, name, topic)
+            raise _missing_topic(bags, topics, name, topic)
     rig, initial = _calibration(bags, name, has_initial=f"/{name}/initial_state" in topics)
     return BagFlight(bags, name, rig, initial, topics[left_topic].count, left_topic, right_topic)
 
@@ -180,17 +180,17 @@ def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str, 
     for ending in IMAGE_TOPICS:
         if f"/{name}/{side}/{ending}" in topics:
             return f"/{name}/{side}/{ending}"
-    raise _lacks(bags, topics, name, f"/{name}/{side}/image_raw (or .../compressed)")
+    raise _missing_topic(bags, topics, name, f"/{name}/{side}/image_raw (or .../compressed)")
 
 
-def _lacks(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str, topic: str) -> BagError:
+def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str, topic: str) -> BagError:
     own = sorted(t for t in topics if t.startswith(f"/{name}/"))
     there = ", ".join(own or sorted(topics)) or "nothing"
     return BagError(f"bag {_names(bags)} lacks {topic}; it holds {there}; record or remap that topic")
 
 
 def _calibration(bags: Sequence[Path], name: str, *, has_initial: bool) -> tuple[StereoRig, NavEstimate | None]:
-    """Read the first camera infos, the static transforms and the start state; stop as soon as all are there."""
+    """Read the first camera infos, the static transforms and the start state; stop as soon as all are found."""
     left_topic, right_topic = f"/{name}/left/camera_info", f"/{name}/right/camera_info"
     initial_topic = f"/{name}/initial_state"
     found: dict[str, Any] = {}
@@ -201,7 +201,7 @@ def _calibration(bags: Sequence[Path], name: str, *, has_initial: bool) -> tuple
         found.setdefault(raw.topic, built)
         if raw.topic == TF_STATIC:
             edges.update({child: (parent, pose) for parent, child, pose in transforms_of(built)})
-        if len(found) == len(wanted) and _reaches(edges, found, name, (left_topic, right_topic)):
+        if len(found) == len(wanted) and _has_extrinsics(edges, found, name, (left_topic, right_topic)):
             break
     for topic in (left_topic, right_topic):
         if topic not in found:
@@ -227,7 +227,7 @@ def _names(bags: Sequence[Path]) -> str:
     return ", ".join(map(str, bags))
 
 
-def _reaches(edges: dict[str, tuple[str, Pose]], found: dict[str, Any], name: str, infos: Sequence[str]) -> bool:
+def _has_extrinsics(edges: dict[str, tuple[str, Pose]], found: dict[str, Any], name: str, infos: Sequence[str]) -> bool:
     return all(walk(edges, found[t].header.frame_id, f"{name}/base_link") is not None for t in infos)
 
 
@@ -236,14 +236,14 @@ def _extrinsics(edges: dict[str, tuple[str, Pose]], frame_id: str, name: str) ->
     if pose is None:
         there = ", ".join(f"{parent} -> {child}" for child, (parent, _) in sorted(edges.items())) or "nothing"
         raise BagError(
-            f"/tf_static does not lead from {name}/base_link to {frame_id}; it holds {there}; "
+            f"/tf_static does not connect {name}/base_link and {frame_id}; it holds {there}; "
             "publish the camera's extrinsics"
         )
     return pose
 
 
 def walk(edges: dict[str, tuple[str, Pose]], frame_id: str, base: str) -> Pose | None:
-    """Return T_base_frame along a tree of child -> (parent, T_parent_child), or None if it does not lead there."""
+    """Return T_base_frame along a tree of child -> (parent, T_parent_child), or None if they are not connected."""
     frame, pose = frame_id.lstrip("/"), Pose.identity()
     for _ in range(len(edges) + 1):
         if frame == base:
@@ -256,7 +256,7 @@ def walk(edges: dict[str, tuple[str, Pose]], frame_id: str, base: str) -> Pose |
 
 
 def _readable(messages: Iterator[RawMessage]) -> Iterator[RawMessage]:
-    """Yield what can be read of a damaged bag; whoever replays it is told of the break, not who looks something up."""
+    """Yield the readable messages; damage is ignored here, because replay reports it."""
     try:
         yield from messages
     except BagError:
@@ -264,7 +264,7 @@ def _readable(messages: Iterator[RawMessage]) -> Iterator[RawMessage]:
 
 
 def _in_stamp_order(events: Iterator[ImuSample | StereoFrame]) -> Iterator[ImuSample | StereoFrame]:
-    """Sort events that were recorded late, within a window; a damaged recording's events all come before its error."""
+    """Sort late events within a window; a damaged recording's readable events precede its error."""
     waiting: list[tuple[int, bool, int, ImuSample | StereoFrame]] = []
     newest = 0
     error: BagError | None = None

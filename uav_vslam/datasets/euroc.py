@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """EuRoC's ASL folder layout as a flight recording; body is the IMU's frame, whose axes are not FLU on that sensor.
 
-Layout: `mav0/{cam0,cam1,imu0,state_groundtruth_estimate0}/{data.csv,sensor.yaml}`, cam0 is left. Images stay as they
-are, lens distortion included, byte for byte. The world's z is up; gravity there is 9.81 m/s^2.
+Layout: `mav0/{cam0,cam1,imu0,state_groundtruth_estimate0}/{data.csv,sensor.yaml}`, cam0 is left. Images are copied
+byte for byte, lens distortion included. The world's z is up; gravity there is 9.81 m/s^2.
 """
 
 from collections.abc import Iterator
@@ -27,12 +27,12 @@ Array = NDArray[np.float64]
 
 TRUTH_FOLDER = "state_groundtruth_estimate0"
 FORMATS = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
-TRUTH_GAP_NS = 50_000_000  # the start state is interpolated between truth rows no farther apart than this
+TRUTH_GAP_NS = 50_000_000  # largest gap between truth rows across which the start state is interpolated
 
 
 @dataclass(frozen=True, slots=True)
 class InitialSigma:
-    """How uncertain the start state, which is the truth, is said to be."""
+    """Stated uncertainty of the start state, which is the ground truth."""
 
     position_m: float = 0.01
     velocity: float = 0.02  # [m/s]
@@ -62,15 +62,15 @@ class _Table:
 
 
 def read_euroc(mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None = None) -> FlightRecording:
-    """Read a sequence; it starts at the first image pair for which there is truth.
+    """Read a sequence; it starts at the first image pair with ground truth.
 
     Args:
         mav0: the folder that holds cam0, cam1, imu0 and the ground truth.
-        vehicle: ROS namespace to give it.
+        vehicle: its ROS namespace.
         sigma: stated uncertainty of the start state.
 
     Raises:
-        BagError: a file is missing or malformed, no images pair up, or none of them has truth.
+        BagError: a file is missing or malformed, no images pair up, or none has ground truth.
         CalibrationError: the cameras' calibrations contradict each other.
     """
     left, T_body_left = _camera(mav0 / "cam0")
@@ -78,7 +78,7 @@ def read_euroc(mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None 
     imu, truth = _table(mav0 / "imu0", 6), _table(mav0 / TRUTH_FOLDER, 16)
     pairs = _pairs(mav0, truth)
     if not pairs:
-        raise BagError(f"{mav0}: no pair of images with the same stamp lies within the ground truth; check data.csv")
+        raise BagError(f"{mav0}: no pair of images with equal stamps is covered by ground truth; check data.csv")
     initial = NavEstimate(_state(truth, pairs[0][0], mav0), (sigma or InitialSigma()).covariance())
     return FlightRecording(
         vehicle=vehicle,
@@ -91,7 +91,7 @@ def read_euroc(mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None 
 
 
 def frame_count(mav0: Path) -> int:
-    """Return the number of image pairs that `read_euroc` gives."""
+    """Return the number of image pairs that `read_euroc` yields."""
     return len(_pairs(mav0, _table(mav0 / TRUTH_FOLDER, 16)))
 
 
@@ -111,11 +111,11 @@ def _frames(pairs: list[tuple[int, Path, Path]]) -> Iterator[EncodedStereoFrame]
         try:
             yield EncodedStereoFrame(stamp, left.read_bytes(), right.read_bytes(), FORMATS[left.suffix.lower()])
         except (OSError, KeyError) as error:
-            raise BagError(f"the images at {stamp} ns can't be imported ({error}); jpg and png images are") from None
+            raise BagError(f"the images at {stamp} ns can't be imported ({error}); use jpg or png") from None
 
 
 def _state(truth: _Table, stamp_ns: int, mav0: Path) -> NavState:
-    """Return the true state, between neighbouring rows if the stamp is not one of theirs."""
+    """Return the true state, interpolated between rows."""
     after = int(np.searchsorted(truth.stamps_ns, stamp_ns))
     before = max(after - 1, 0)
     if truth.stamps_ns[after] - truth.stamps_ns[before] > 2 * TRUTH_GAP_NS:
@@ -126,7 +126,7 @@ def _state(truth: _Table, stamp_ns: int, mav0: Path) -> NavState:
 
 
 def _pairs(mav0: Path, truth: _Table) -> list[tuple[int, Path, Path]]:
-    """Return (stamp, left file, right file) of all images whose stamps are equal and for which there is truth."""
+    """Return (stamp, left file, right file) of all image pairs with equal stamps and ground truth."""
     left, right = _image_names(mav0 / "cam0"), _image_names(mav0 / "cam1")
     stamps = [at for at in sorted(left.keys() & right.keys()) if truth.stamps_ns[0] <= at <= truth.stamps_ns[-1]]
     return [(stamp, left[stamp], right[stamp]) for stamp in stamps]
@@ -180,7 +180,7 @@ def _table(folder: Path, columns: int) -> _Table:
     except ValueError as error:
         raise BagError(f"{path}: rows must hold a stamp and {columns} numbers ({error})") from None
     if not len(stamps) or np.any(np.diff(stamps) <= 0):
-        raise BagError(f"{path}: {len(stamps)} rows whose stamps must rise; sort or fill the file")
+        raise BagError(f"{path}: {len(stamps)} rows whose stamps must increase; sort or fill the file")
     return _Table(stamps, values)
 
 

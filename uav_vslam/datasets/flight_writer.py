@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes flights as bags that the node graph, `ros2 bag play` and `open_flight` take."""
+"""Writes flights as bags for the node graph, `ros2 bag play` and `open_flight`."""
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator
@@ -30,15 +30,15 @@ from uav_vslam.types import ImuSample, NavEstimate, StereoFrame
 TF_STATIC = "/tf_static"
 LATCHED_TOPICS = (TF_STATIC, "initial_state")
 
-# What goes first among messages of one stamp: whoever needs the start state must have it before the image.
+# Order of messages with equal stamps: subscribers need the start state before the image.
 INITIAL, TRUTH, IMU, CAMERAS = range(4)
 
-Event = tuple[int, int, Callable[[], Iterator[tuple[str, Any]]]]  # stamp, rank, and what makes (topic, message)
+Event = tuple[int, int, Callable[[], Iterator[tuple[str, Any]]]]  # stamp, rank, and a factory of (topic, message)
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedStereoFrame:
-    """An image pair that is compressed already and is recorded byte for byte.
+    """An already compressed image pair, recorded byte for byte.
 
     Attributes:
         stamp_ns: exposure time [ns].
@@ -71,7 +71,7 @@ class ImageCoding:
 
 @dataclass(frozen=True, slots=True)
 class FlightRecording:
-    """All that is recorded of one vehicle; each stream rises in stamp and is walked once.
+    """One vehicle's recording; each stream is in stamp order and is iterated once.
 
     Attributes:
         vehicle: ROS namespace.
@@ -102,7 +102,7 @@ def write_flights(
     Args:
         path: bag folder to make.
         flights: the vehicles.
-        coding: how images are stored; frames that are encoded already stay as they are.
+        coding: how images are stored; already encoded frames are kept.
         storage: "mcap" or "sqlite3".
         zstd: compress the chunks of an mcap file.
         on_frame: called after each image pair, for a progress bar.

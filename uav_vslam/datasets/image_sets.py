@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of images, in one band or several, as the study of features wants them."""
+"""Folders of images in one or several bands, for the feature study."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +16,14 @@ SUFFIXES = {".bmp", ".jpg", ".jpeg", ".pgm", ".png", ".tif", ".tiff"}
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where a set's images are, and which of them are worth comparing.
+    """Where a set's images are, and which of them are compared.
 
     Attributes:
         bands: pattern of the files of each band, in the order of their names.
         spacings: distances from the first image, in images.
-        usual: the distance at which methods are compared.
+        usual: the default distance at which methods are compared.
         cross: the distance at which bands are compared, None for a set of one band.
-        still: the camera stands still and the bands are aligned, so that points stay where they are but for a shift.
+        still: the camera is stationary and the bands are aligned, up to a shift.
     """
 
     bands: dict[str, str]
@@ -34,7 +34,7 @@ class Layout:
 
 
 LAYOUTS = {
-    # The first visible image lies two pixels beside all the others.
+    # The first visible image is shifted by two pixels against all others.
     "tno_nato_camp": Layout(
         {"visible": "visual/*.bmp", "thermal": "thermal/*.bmp"}, tuple(range(1, 10)), usual=4, cross=4, still=True
     ),
@@ -44,7 +44,7 @@ LAYOUTS = {
 
 
 def files_of(layout: Layout, folder: Path) -> dict[str, dict[int, Path]]:
-    """Return each band's first image, and those at the layout's distances as far as there are any, by number.
+    """Return, per band, the first image and those at the layout's distances that exist, by number.
 
     Raises:
         ConfigError: a band has fewer than two images.
@@ -60,7 +60,7 @@ def files_of(layout: Layout, folder: Path) -> dict[str, dict[int, Path]]:
 
 
 def read_image(path: Path) -> Image:
-    """Return a file's image, (H, W) or (H, W, 3) BGR, of as many bits as it has.
+    """Return a file's image, (H, W) or (H, W, 3) BGR, at its own bit depth.
 
     Raises:
         ConfigError: it can't be read.
@@ -72,14 +72,14 @@ def read_image(path: Path) -> Image:
 
 
 def shift_between(first: Image, second: Image) -> NDArray[np.float64]:
-    """Return the (2,) way [px] that one image of a still camera must be moved to lie on another: phase correlation."""
+    """Return the (2,) shift [px] that aligns one image of a still camera with another, by phase correlation."""
     size = first.shape[1], first.shape[0]
-    shift, _ = cv2.phaseCorrelate(_about_zero(first), _about_zero(second), cv2.createHanningWindow(size, cv2.CV_32F))
+    shift, _ = cv2.phaseCorrelate(_zero_mean(first), _zero_mean(second), cv2.createHanningWindow(size, cv2.CV_32F))
     return np.array(shift)
 
 
-def _about_zero(image: Image) -> NDArray[np.float32]:
-    """Return an image in grey without its mean, by which a window would correlate with itself."""
+def _zero_mean(image: Image) -> NDArray[np.float32]:
+    """Return a grey image minus its mean, which would correlate through the window alone."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     plain = np.asarray(grey, np.float32)
     return plain - np.float32(plain.mean())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records to recorded messages and back. Only here do the bags' stamps, xyzw quaternions and flat arrays appear."""
+"""Converts records to bag messages and back: stamps, xyzw quaternions and flat arrays appear only here."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ CHANNELS = {"mono8": (np.uint8, 1), "mono16": (np.uint16, 1), "bgr8": (np.uint8,
 
 @dataclass(frozen=True, slots=True)
 class TruthSample:
-    """The true motion at one stamp, as `nav_msgs/Odometry` carries it.
+    """The true motion at one stamp, as in `nav_msgs/Odometry`.
 
     Attributes:
         stamp_ns: time [ns].
@@ -69,7 +69,7 @@ def image_of(built: Any) -> NDArray[Any]:
     """Return the (H, W) or (H, W, 3) BGR pixels of an Image or CompressedImage.
 
     Raises:
-        BagError: the picture can't be decoded.
+        BagError: the image can't be decoded.
     """
     if hasattr(built, "format"):
         decoded = _decoded(np.asarray(built.data))
@@ -92,7 +92,7 @@ def image_of(built: Any) -> NDArray[Any]:
 
 
 def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
-    """Return an encoded picture's pixels, or None. OpenCV raises for no bytes, and for a size beyond its limits."""
+    """Return an encoded image's pixels, or None. OpenCV raises for empty data and for sizes beyond its limits."""
     try:
         return cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except cv2.error:
@@ -100,7 +100,7 @@ def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
 
 
 def camera_info_message(stamp_ns: int, frame_id: str, camera: PinholeCamera) -> Any:
-    """Build sensor_msgs/CameraInfo; K and D are the calibration, P repeats K because the rig is not rectified."""
+    """Build sensor_msgs/CameraInfo; K and D are the calibration; P repeats K, because the rig is not rectified."""
     return message(
         "sensor_msgs/msg/CameraInfo",
         header=_header(stamp_ns, frame_id),
@@ -133,7 +133,7 @@ def camera_of(info: Any) -> PinholeCamera:
 
 
 def imu_message(sample: ImuSample, frame_id: str) -> Any:
-    """Build sensor_msgs/Imu; orientation is marked as not given."""
+    """Build sensor_msgs/Imu; orientation is marked as unavailable."""
     unknown = np.zeros(9)
     unknown[0] = -1.0
     return message(
@@ -154,7 +154,7 @@ def imu_of(built: Any) -> ImuSample:
 
 
 def truth_message(sample: TruthSample, *, frame_id: str, child_frame_id: str) -> Any:
-    """Build nav_msgs/Odometry; the twist is in the body frame, as the standard has it."""
+    """Build nav_msgs/Odometry; the twist is in the body frame, as the message defines it."""
     twist = message(
         "geometry_msgs/msg/Twist",
         linear=_vector(sample.T_world_body.R.T @ sample.v_world),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads what a fleet estimated from the bags that recorded it, and the truth from the bags that were replayed."""
+"""Reads a fleet's recorded estimates, and the ground truth from the replayed bags."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -32,8 +32,8 @@ class LinkRecord:
         packets_sent: since the start.
         sent_bytes_per_s: mean rate since the first packet [B/s].
         packets_received, packets_used: over all peers.
-        dropped: packets dropped, by reason, over all peers; "budget" are own ones that were not sent.
-        peers: names of the peers that were heard.
+        dropped: packets dropped, by reason, over all peers; "budget" counts own ones that were not sent.
+        peers: names of the peers that packets came from.
     """
 
     mode: str
@@ -50,9 +50,9 @@ class RecordedOutputs:
     """What the bags hold of one vehicle.
 
     Attributes:
-        own_only, fused, dead_reckoning, truth: pose estimates in the order of recording.
+        own_only, fused, dead_reckoning, truth: pose estimates in recording order.
         link: the last fusion status, or None.
-        frames_in: image pairs that were replayed, or None where the bags hold none.
+        frames_in: image pairs replayed, or None if the bags have none.
     """
 
     own_only: list[PoseEstimate] = field(default_factory=list)
@@ -67,14 +67,14 @@ def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], Bag
     """Read every vehicle that has an own-only track.
 
     Args:
-        paths: bags that together hold the estimates and, if there is one, the truth.
+        paths: bags with the estimates and, if available, the ground truth.
 
     Returns:
-        The outputs by vehicle, in the order of names; and, where a bag is damaged, what was wrong: the outputs then
-        reach up to the break.
+        The outputs by vehicle, sorted by name; and the error if a bag is damaged: the outputs then end at the
+        damage.
 
     Raises:
-        BagError: a bag is missing or is none, a message can't be decoded, or no bag holds an own-only track.
+        BagError: a path is missing or not a bag, a message can't be decoded, or no bag has an own-only track.
     """
     topics = topics_of(paths)
     names = sorted({topic.split("/")[1] for topic in topics if topic.count("/") == 2 and topic.endswith("/odometry")})
@@ -91,12 +91,12 @@ def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], Bag
     messages = _Readable(iter_raw(paths, wanted))
     for raw in messages:
         _, name, ending = raw.topic.split("/", 2)
-        _take(outputs[name], ending, raw)
+        _store(outputs[name], ending, raw)
     return outputs, messages.error
 
 
 class _Readable:
-    """The messages before a break, and then the error that the break raised."""
+    """The messages before the damage, and the error that it raised."""
 
     def __init__(self, messages: Iterator[RawMessage]) -> None:
         self._messages = messages
@@ -109,7 +109,7 @@ class _Readable:
             self.error = error
 
 
-def _take(outputs: RecordedOutputs, ending: str, raw: RawMessage) -> None:
+def _store(outputs: RecordedOutputs, ending: str, raw: RawMessage) -> None:
     built = decode(raw)
     if ending == STATUS:
         outputs.link = _link(built)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags as files: topics, raw messages and message types. The only home of `rosbags`.
+"""Bags as files: topics, raw messages and message types. The only module that imports `rosbags`.
 
-A damaged recording (its writer was killed, or the file was cut) is read up to the break; then `BagError` says so.
+A damaged recording (its writer was killed, or the file is truncated) is read up to the damage; then `BagError` follows.
 """
 
 import heapq
@@ -30,7 +30,7 @@ from rosbags.rosbag2.errors import WriterError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from uav_vslam.datasets.cut_mcap import cut_messages, is_cut
+from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
 from uav_vslam.errors import BagError
 
 MESSAGE_PACKAGE = "uav_vslam_msgs"
@@ -46,7 +46,7 @@ class TopicInfo:
     Attributes:
         msgtype: "sensor_msgs/msg/Imu".
         count: messages recorded.
-        latched: offered as transient local: said once, for whoever comes later.
+        latched: offered with transient-local durability, for late subscribers.
     """
 
     msgtype: str
@@ -59,7 +59,7 @@ class RawMessage:
     """A message as it was recorded.
 
     Attributes:
-        topic, msgtype: where and what.
+        topic, msgtype: name and type.
         stamp_ns: when it was recorded [ns].
         data: CDR bytes.
     """
@@ -72,7 +72,7 @@ class RawMessage:
 
 @cache
 def typestore() -> Typestore:
-    """Return Jazzy's message types and our own, as far as their definitions are found."""
+    """Return Jazzy's message types and our own, if their definitions are found."""
     store = get_typestore(Stores.ROS2_JAZZY)
     types: dict[str, Any] = {}
     for path in sorted(_message_folder().glob("*.msg")):
@@ -110,10 +110,10 @@ def decode(raw: RawMessage) -> Any:
 
 
 def topics_of(paths: Sequence[Path]) -> dict[str, TopicInfo]:
-    """Return what one or more bags, taken together, hold.
+    """Return the topics of one or more bags together.
 
     Raises:
-        BagError: a bag is missing or is none.
+        BagError: a path is missing or not a bag.
     """
     topics: dict[str, TopicInfo] = {}
     for file in _files(paths):
@@ -131,7 +131,7 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
         topics: only these; None for all.
 
     Raises:
-        BagError: a bag is missing, is none, or (after all that can be read of it) is damaged.
+        BagError: a path is missing or not a bag, or a bag is damaged (raised after all readable messages).
     """
     wanted = None if topics is None else frozenset(topics)
     streams = [_messages_of_file(file, wanted) for file in _files(paths)]
@@ -141,7 +141,7 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
 class RawRecorder:
     """Writes a bag from CDR bytes. A topic is declared by its first message.
 
-    A context manager; one that is left by an error leaves no bag.
+    A context manager; on an error it removes the bag.
     """
 
     def __init__(self, path: Path, *, storage: str = "mcap", zstd: bool = False) -> None:
@@ -150,14 +150,14 @@ class RawRecorder:
         Args:
             path: folder to make; it must not exist.
             storage: "mcap" or "sqlite3".
-            zstd: compress the chunks of an mcap file, as `ros2 bag` can, too.
+            zstd: compress the chunks of an mcap file, as `ros2 bag` can.
 
         Raises:
             BagError: the folder exists or can't be made.
         """
         if storage not in STORAGE or (zstd and storage != "mcap"):
             raise BagError(
-                f"bag storage {storage!r} can't be used; use mcap (which alone may be compressed) or sqlite3"
+                f"bag storage {storage!r} can't be used; use mcap (compressed or not) or sqlite3 (uncompressed)"
             )
         self.path = path
         self._connections: dict[str, Connection] = {}
@@ -177,10 +177,10 @@ class RawRecorder:
             msgtype: "sensor_msgs/msg/Imu".
             data: CDR bytes.
             stamp_ns: recording stamp [ns].
-            latched: at a topic's first message: offer it as transient local.
+            latched: offer the topic as transient local; counts at its first message only.
 
         Raises:
-            BagError: the type is not known, or the topic was recorded with another one.
+            BagError: the type is not known, or the topic already has another one.
         """
         if topic not in self._connections:
             self._connections[topic] = self._connect(topic, msgtype, latched=latched)
@@ -200,7 +200,7 @@ class RawRecorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-        if error is not None:  # half a bag would look like a short one
+        if error is not None:  # an incomplete bag would pass for a short one
             shutil.rmtree(self.path)
 
     def _connect(self, topic: str, msgtype: str, *, latched: bool) -> Connection:
@@ -211,7 +211,7 @@ class RawRecorder:
 
 
 def _qos(*, latched: bool) -> Qos:
-    """Return what `ros2 bag play` shall offer: reliable, and kept for latecomers if latched."""
+    """Return the QoS that `ros2 bag play` offers: reliable, and transient local if latched."""
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=1 if latched else 10,
@@ -226,7 +226,7 @@ def _qos(*, latched: bool) -> Qos:
 
 
 def _message_folder() -> Path:
-    """Return where our .msg files lie: beside the sources, or where colcon or pip installed them."""
+    """Return the folder of our .msg files: beside the sources, or where colcon or pip installed them."""
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     candidates = [Path(__file__).resolve().parents[2] / MESSAGE_PACKAGE / "msg"]
     candidates += [prefix / "share" / MESSAGE_PACKAGE / "msg" for prefix in [*prefixes, Path(sys.prefix)]]
@@ -236,26 +236,26 @@ def _message_folder() -> Path:
 def _require_type(msgtype: str) -> None:
     if msgtype not in typestore().types:
         hint = "build it and source its workspace" if msgtype.startswith(MESSAGE_PACKAGE) else "use a Jazzy type"
-        raise BagError(f"message type {msgtype} is not known; {hint} (looked in {_message_folder()})")
+        raise BagError(f"message type {msgtype} is not known; {hint} (searched {_message_folder()})")
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """Return what to open: a bag folder with its metadata, or the storage files of one that has none."""
+    """Return the paths to open: bag folders with metadata, or the storage files of those without."""
     files: list[Path] = []
     for path in map(Path, paths):
         if not path.exists():
             raise BagError(f"bag {path} does not exist; give a bag folder or an .mcap or .db3 file")
-        stored = sorted(p for p in path.iterdir() if p.suffix in STORAGE_FILES) if path.is_dir() else [path]
-        if not stored or (path.is_file() and path.suffix not in STORAGE_FILES):
-            raise BagError(f"{path} is no bag: no .mcap or .db3 file; give a bag folder or such a file")
-        whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(is_cut, stored))
-        files += [path] if whole else stored
+        files_inside = sorted(p for p in path.iterdir() if p.suffix in STORAGE_FILES) if path.is_dir() else [path]
+        if not files_inside or (path.is_file() and path.suffix not in STORAGE_FILES):
+            raise BagError(f"{path} is not a bag: no .mcap or .db3 file; give a bag folder or such a file")
+        whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(is_truncated, files_inside))
+        files += [path] if whole else files_inside
     return files
 
 
 def _topics_of_file(file: Path) -> dict[str, TopicInfo]:
-    if is_cut(file):
-        return _topics_of_cut_file(file)
+    if is_truncated(file):
+        return _topics_of_truncated_file(file)
     with ExitStack() as stack:
         reader = _open(file, stack)
         topics: dict[str, TopicInfo] = {}
@@ -269,21 +269,21 @@ def _topics_of_file(file: Path) -> dict[str, TopicInfo]:
 
 def _messages_of_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
     last_ns: int | None = None
-    read = _messages_of_cut_file if is_cut(file) else _messages_of_whole_file
+    read = _messages_of_truncated_file if is_truncated(file) else _messages_of_whole_file
     try:
         for raw in read(file, topics):
             last_ns = raw.stamp_ns
             yield raw
     except BagError:
         raise
-    except Exception as error:  # struct, sqlite, zstd, index errors, by where the break is
+    except Exception as error:  # struct, sqlite, zstd, index errors, depending on the damage
         raise _damage(file, last_ns, error) from None
 
 
 def _damage(file: Path, last_ns: int | None, error: Exception) -> BagError:
-    reached = "nothing could be read" if last_ns is None else f"read up to the break after stamp {last_ns} ns"
+    reached = "nothing could be read" if last_ns is None else f"read up to the damage after stamp {last_ns} ns"
     detail = " ".join(str(error).split()) or type(error).__name__
-    return BagError(f"bag {file} is damaged: {reached} ({detail}); record it again or go on with what there is")
+    return BagError(f"bag {file} is damaged: {reached} ({detail}); record it again or use the readable part")
 
 
 def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
@@ -298,23 +298,23 @@ def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterat
 def _open(file: Path, stack: ExitStack) -> Reader:
     try:
         return stack.enter_context(Reader(file))
-    except Exception as error:  # yaml, sqlite and struct errors, by what is wrong with the file
+    except Exception as error:  # yaml, sqlite and struct errors, depending on the damage
         raise _damage(file, None, error) from None
 
 
-def _messages_of_cut_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
-    for cut in cut_messages(file):
-        if topics is None or cut.topic in topics:
-            yield RawMessage(cut.topic, cut.msgtype, cut.stamp_ns, cut.data)
+def _messages_of_truncated_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
+    for found in readable_messages(file):
+        if topics is None or found.topic in topics:
+            yield RawMessage(found.topic, found.msgtype, found.stamp_ns, found.data)
 
 
-def _topics_of_cut_file(file: Path) -> dict[str, TopicInfo]:
+def _topics_of_truncated_file(file: Path) -> dict[str, TopicInfo]:
     topics: dict[str, TopicInfo] = {}
     try:
-        for raw in _messages_of_cut_file(file, None):
+        for raw in _messages_of_truncated_file(file, None):
             count = topics[raw.topic].count if raw.topic in topics else 0
             topics[raw.topic] = TopicInfo(raw.msgtype, count + 1, raw.topic.endswith(("tf_static", "initial_state")))
-    except Exception as error:  # a cut file always ends in one
+    except Exception as error:  # a truncated file always ends in one
         if not topics:
             raise _damage(file, None, error) from None
     return topics

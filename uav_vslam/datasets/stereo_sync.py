@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs left and right images by their stamps; used by the bag reader and by the ROS node alike."""
+"""Pairs left and right images by stamp, for the bag reader and the ROS node."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class StereoPair(Generic[T]):
 
     Attributes:
         stamp_ns: the left image's stamp [ns].
-        left, right: whatever was added.
+        left, right: the items added.
     """
 
     stamp_ns: int
@@ -26,12 +26,12 @@ class StereoPair(Generic[T]):
 
 
 class StereoPairer(Generic[T]):
-    """Holds images until their partner comes; those that can't have one any more are dropped and counted.
+    """Holds images until their partner arrives; those that can have none are dropped and counted.
 
     Each camera's stamps must increase without time jumps, see `TimeJumpGuard`; other images are dropped.
 
     Attributes:
-        dropped: images that never found a partner.
+        dropped: images without a partner.
     """
 
     def __init__(self, *, tolerance_ns: int = 2_000_000, waiting: int = 10) -> None:
@@ -39,7 +39,7 @@ class StereoPairer(Generic[T]):
 
         Args:
             tolerance_ns: largest difference between the stamps of a pair [ns].
-            waiting: images of one camera that may wait; beyond it the oldest is dropped.
+            waiting: images of one camera that may wait; then the oldest is dropped.
         """
         self._tolerance_ns = tolerance_ns
         self._capacity = waiting
@@ -50,7 +50,7 @@ class StereoPairer(Generic[T]):
         self.dropped = 0
 
     def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
-        """Add a left image; return the pair that it completes, if any."""
+        """Add a left image; return the completed pair, if any."""
         if not self._is_next("left", stamp_ns):
             return None
         partner = self._take_partner(self._right, stamp_ns)
@@ -61,7 +61,7 @@ class StereoPairer(Generic[T]):
         return StereoPair(stamp_ns, item, partner[1])
 
     def add_right(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
-        """Add a right image; return the pair that it completes, if any."""
+        """Add a right image; return the completed pair, if any."""
         if not self._is_next("right", stamp_ns):
             return None
         partner = self._take_partner(self._left, stamp_ns)

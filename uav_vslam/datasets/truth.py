@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorded truth as evaluation wants it."""
+"""The recorded ground truth as a trajectory for evaluation."""
 
 from uav_vslam.datasets.bag import BagFlight
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -7,7 +7,7 @@ from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
 
 
 def truth_trajectory(flight: BagFlight) -> Trajectory | None:
-    """Return the recorded truth as a trajectory, None where there is none."""
+    """Return the recorded ground truth as a trajectory, or None."""
     truth = flight.truth()
     if truth is None:
         return None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads an mcap file that lost its end, and with it the index that ordinary readers need.
+"""Reads a truncated mcap file, which lacks the index that ordinary readers need.
 
-Format: https://mcap.dev/spec. A file is a magic and records; a record is an opcode (1 byte), a length (8 bytes) and a
-payload. Messages, and the schemas and channels they refer to, lie in chunks, which may be compressed.
+Format: https://mcap.dev/spec. A file is magic bytes and records; a record is an opcode (1 byte), a length (8 bytes) and
+a payload. Messages, and the schemas and channels they refer to, are in chunks, which may be compressed.
 """
 
 import struct
@@ -23,7 +23,7 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, recording stamp, pub
 
 
 @dataclass(frozen=True, slots=True)
-class CutMessage:
+class McapMessage:
     """One message: topic, type, recording stamp [ns] and CDR bytes."""
 
     topic: str
@@ -32,8 +32,8 @@ class CutMessage:
     data: bytes
 
 
-def is_cut(file: Path) -> bool:
-    """Tell whether an mcap file lacks its end."""
+def is_truncated(file: Path) -> bool:
+    """Return whether a file is an mcap file without its end."""
     if file.suffix != ".mcap" or not file.is_file():
         return False
     with file.open("rb") as stream:
@@ -41,12 +41,12 @@ def is_cut(file: Path) -> bool:
         return stream.read() != MAGIC
 
 
-def cut_messages(file: Path) -> Iterator[CutMessage]:
-    """Yield every whole message in file order, then raise.
+def readable_messages(file: Path) -> Iterator[McapMessage]:
+    """Yield every complete message in file order, then raise.
 
     Raises:
-        EOFError: always, at the break.
-        ValueError: the file is no mcap.
+        EOFError: always, where the file ends.
+        ValueError: not an mcap file.
     """
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
@@ -57,11 +57,11 @@ def cut_messages(file: Path) -> Iterator[CutMessage]:
             channels[_number(payload, 0)] = _string(payload, 4), schemas[_number(payload, 2)]
         elif opcode == MESSAGE:
             channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(payload)
-            yield CutMessage(*channels[channel], stamp_ns, payload[MESSAGE_HEAD.size :])
+            yield McapMessage(*channels[channel], stamp_ns, payload[MESSAGE_HEAD.size :])
 
 
 def _records(file: Path) -> Iterator[tuple[int, bytes]]:
-    """Yield (opcode, payload) of every whole record, those inside chunks in place of their chunk."""
+    """Yield (opcode, payload) of every complete record; chunks are replaced by the records inside."""
     with file.open("rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             raise ValueError("not an mcap file")
@@ -85,7 +85,7 @@ def _chunk_records(payload: bytes, *, whole: bool) -> Iterator[tuple[int, bytes]
         stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(payload))))
         data = stream.read(length)
     elif len(payload) < CHUNK_HEAD.size + 12 or _string(payload, CHUNK_HEAD.size):
-        return  # the beginning of compressed data can't be read
+        return  # incomplete compressed data can't be read
     else:
         data = payload[CHUNK_HEAD.size + 12 :]
     at = 0
