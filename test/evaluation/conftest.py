@@ -24,7 +24,7 @@ def make_truth(count: int = 120, period_ns: int = 100_000_000) -> Trajectory:
 
 
 def perturb(truth: Trajectory, rng: np.random.Generator, sigma_m: float, sigma_rad: float) -> Trajectory:
-    """Return an estimate with independent errors of the covariance that it carries."""
+    """Return an estimate with independent errors drawn from its covariance."""
     covariance = np.diag([sigma_m**2] * 3 + [sigma_rad**2] * 3)
     positions = truth.positions + rng.normal(0, sigma_m, truth.positions.shape)
     R = so3_exp(rng.normal(0, sigma_rad, truth.positions.shape)).transpose(0, 2, 1) @ truth.rotations
@@ -68,14 +68,14 @@ def perturbed() -> Callable[..., Trajectory]:
 
 @pytest.fixture
 def flight() -> FlightResult:
-    """Two vehicles that help each other."""
+    """Two cooperating vehicles."""
     rng = np.random.default_rng(1)
     vehicles = {name: make_vehicle(name, rng) for name in ("uav1", "uav2")}
     return FlightResult("pair flight", 3, "wideband", 12.0, 24.0, vehicles, {"uav1": {"backend": {"sigma_px": 1.0}}})
 
 
 @pytest.fixture
-def lonely_flight() -> FlightResult:
-    """One vehicle without peer or truth."""
+def single_flight() -> FlightResult:
+    """One vehicle without peer or ground truth."""
     vehicle = make_vehicle("uav1", np.random.default_rng(2), peer=False, truth_known=False)
     return FlightResult("alone", None, "none", 12.0, 0.0, {"uav1": vehicle})

@@ -25,7 +25,7 @@ def test_no_other_rotation_of_the_kind_is_better(align, axes):
     np.testing.assert_allclose(T.apply(ESTIMATE).mean(axis=0), TRUTH.mean(axis=0), atol=1e-9)
 
 
-def test_yaw_alignment_turns_about_z_only():
+def test_yaw_alignment_rotates_about_z_only():
     roll, pitch, _ = rpy_from_rotation(align_yaw(ESTIMATE, TRUTH).R)
     assert abs(roll) < 1e-12
     assert abs(pitch) < 1e-12

@@ -23,7 +23,7 @@ def test_a_results_folder_holds_everything(flight, tmp_path):
     assert yaml.safe_load((folder / "config.yaml").read_text()) == flight.config
 
 
-def test_latest_leads_to_the_newest_and_names_never_collide(flight, tmp_path):
+def test_latest_links_to_the_newest_and_names_never_collide(flight, tmp_path):
     first, second = write_results(flight, tmp_path), write_results(flight, tmp_path)
     assert first != second
     assert (tmp_path / "latest").is_symlink()
@@ -55,8 +55,8 @@ def test_plots_are_drawn_into_the_folder(flight, tmp_path):
     assert drawn == [("pair flight", folder)]
 
 
-def test_a_missing_track_has_no_file(lonely_flight, tmp_path):
-    names = {path.name for path in write_results(lonely_flight, tmp_path).glob("*.tum")}
+def test_a_missing_track_has_no_file(single_flight, tmp_path):
+    names = {path.name for path in write_results(single_flight, tmp_path).glob("*.tum")}
     assert names == {"uav1_ins.tum", "uav1_s_slam.tum"}
 
 
@@ -85,7 +85,7 @@ def git(folder, *arguments):
     subprocess.run(("git", *identity, *arguments), cwd=folder, check=True, capture_output=True)
 
 
-def test_the_revision_says_when_the_tree_differs_from_it(tmp_path):
+def test_the_revision_is_marked_dirty_when_the_tree_differs(tmp_path):
     assert git_revision(tmp_path) is None
     git(tmp_path, "init")
     (tmp_path / "file").write_text("one")

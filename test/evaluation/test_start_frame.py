@@ -15,14 +15,14 @@ def circling(count: int = 30) -> Trajectory:
     return Trajectory(k * STEP_NS, positions, quaternion_wxyz_from_rotation(rotation_from_rpy(*rpy)))
 
 
-def test_the_start_is_the_origin_and_faces_yaw_zero_with_its_tilt() -> None:
+def test_the_start_is_the_origin_with_zero_yaw_and_its_own_tilt() -> None:
     moved = in_start_frame(circling(), 7 * STEP_NS)
     assert moved is not None
     np.testing.assert_allclose(moved.positions[7], np.zeros(3), atol=1e-12)
     np.testing.assert_allclose(rpy_from_rotation(moved.rotations[7]), [0.17, -0.2, 0.0], atol=1e-12)
 
 
-def test_heights_and_motions_seen_from_the_vehicle_stay_what_they_are() -> None:
+def test_heights_and_body_frame_motions_are_preserved() -> None:
     truth = circling()
     moved = in_start_frame(truth, 7 * STEP_NS)
     assert moved is not None
@@ -37,5 +37,5 @@ def test_a_start_between_two_truths_is_interpolated() -> None:
     np.testing.assert_allclose(moved.positions[7] + moved.positions[8], np.zeros(3), atol=1e-12)
 
 
-def test_without_a_truth_at_the_start_there_is_none_to_compare_with() -> None:
+def test_without_ground_truth_at_the_start_there_is_no_reference() -> None:
     assert in_start_frame(circling(), 1000 * STEP_NS) is None

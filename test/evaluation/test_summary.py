@@ -8,7 +8,7 @@ import pytest
 from uav_vslam.evaluation.summary import build_summary
 
 
-def test_the_summary_has_exactly_the_agreed_keys(flight):
+def test_the_summary_has_exactly_the_documented_keys(flight):
     summary = build_summary(flight, git="abc1234")
     assert {"name", "seed", "mode", "git", "duration_s", "realtime_factor", "vehicles", "pooled"} <= set(summary)
     vehicle = summary["vehicles"]["uav2"]
@@ -50,8 +50,8 @@ def test_pooling_takes_the_rms_of_errors_and_the_mean_of_nees(flight):
     assert "nees_position" not in summary["pooled"]["ins"]
 
 
-def test_without_truth_or_peer_there_are_nulls(lonely_flight):
-    summary = build_summary(lonely_flight, git=None)
+def test_without_truth_or_peer_there_are_nulls(single_flight):
+    summary = build_summary(single_flight, git=None)
     figures = summary["vehicles"]["uav1"]
     assert figures["c_slam"] is None
     assert summary["pooled"]["c_slam"] is None

@@ -38,7 +38,7 @@ def test_a_quaternion_of_the_other_sign_changes_nothing():
     )
 
 
-def test_nothing_is_given_outside_or_within_a_gap():
+def test_no_pose_is_returned_outside_or_within_a_gap():
     known = turning().select(np.array([0, 1, 3, 4]))
     wanted = np.array([-1, 500_000_000, 1_000_000_000, 2_000_000_000, 3_000_000_000, 4_000_000_001])
     _, rows = interpolate(known, wanted, max_gap_s=1.5)

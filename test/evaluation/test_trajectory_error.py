@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`evo` is the judge: an independent implementation of the same definitions."""
+"""Reference: `evo`, an independent implementation of the same definitions."""
 
 import dataclasses
 
@@ -81,7 +81,7 @@ def test_end_error_is_the_last_pair_with_a_truth(truth, estimate):
     assert error.end_m == pytest.approx(np.linalg.norm(estimate.positions[99] - truth.positions[99]))
 
 
-def test_yaw_alignment_forgives_yaw_and_translation_but_no_tilt(truth):
+def test_yaw_alignment_removes_yaw_and_translation_but_no_tilt(truth):
     turned = moved(truth, rotation_from_rpy(0.0, 0.0, 0.7), [5.0, -9.0, 2.0])
     assert absolute_error(turned, truth, alignment="yaw").ate_m < 1e-9
     tilted = moved(turned, so3_exp([0.05, 0.0, 0.0]), [0.0, 0.0, 0.0])

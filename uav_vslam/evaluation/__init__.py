@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good a flight was: errors against the truth, consistency, and the folder that keeps them."""
+"""Evaluation of flights: errors against ground truth, consistency, and the results folder."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigid alignment of an estimate to the truth, for comparisons where the frames aren't the same.
+"""Rigid alignment of an estimate to the ground truth, for estimates in another frame.
 
 Source of `se3`: Umeyama, "Least-squares estimation of transformation parameters between two point patterns" (1991),
 without scale. `yaw` is its restriction to the four directions that a visual-inertial system can't observe.
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def align_none(estimate: Array, truth: Array) -> Pose:
-    """Return the identity: both are in one frame already."""
+    """Return the identity, for an estimate in the frame of the ground truth."""
     return Pose.identity()
 
 

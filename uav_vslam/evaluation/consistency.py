@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is an estimate as good as it says? Normalised estimation error squared (Bar-Shalom, Li, Kirubarajan 2001, ch. 5.4).
+"""Consistency: normalised estimation error squared, NEES (Bar-Shalom, Li, Kirubarajan 2001, ch. 5.4).
 
-All NEES here are divided by their 3 degrees of freedom: 1 is consistent, more is over-confident, less is cautious.
+All NEES here are divided by their 3 degrees of freedom: 1 is consistent, more is over-confident, less is conservative.
 """
 
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ from uav_vslam.geometry.rotation import so3_log
 Array = NDArray[np.float64]
 
 DOF = 3
-SKIPPED_KEYFRAMES = 20  # the start covariance is an assumption of the scenario, not the filter's work
+SKIPPED_KEYFRAMES = 20  # their covariance reflects the assumed start state more than the filter
 
 
 @dataclass(frozen=True, slots=True)
 class Nees:
-    """Normalised errors at every keyframe that has a truth.
+    """NEES at every keyframe with ground truth.
 
     Attributes:
         position: (N,) e^T P^-1 e / 3 of the position; NaN where P is not positive definite.
-        rotation: (N,) the same of the map-frame rotation vector xi, R_true = Exp(xi) R.
+        rotation: (N,) the same for the map-frame rotation vector xi, R_true = Exp(xi) R.
     """
 
     position: Array
@@ -35,7 +35,7 @@ class Nees:
 
 @dataclass(frozen=True, slots=True)
 class NeesSummary:
-    """One run's figures.
+    """NEES of one run.
 
     Attributes:
         mean: over the keyframes after the 20th; NaN where there are none.
@@ -49,7 +49,7 @@ class NeesSummary:
 
 
 def nees(estimate: Trajectory, truth: Trajectory) -> Nees | None:
-    """Return the NEES of position and rotation, or None where the estimate carries no covariance or has no truth."""
+    """Return the NEES of position and rotation, or None without a covariance or ground truth."""
     paired, reference = pair_with_truth(estimate, truth)
     if paired.covariance is None or len(paired) == 0:
         return None
@@ -73,7 +73,7 @@ def normalised(error: Array, covariance: Array) -> Array:
 
 
 def summarise(values: Array, *, skip: int = SKIPPED_KEYFRAMES) -> NeesSummary:
-    """Return the mean of (N,) NEES after the first `skip`, and the last one beside it."""
+    """Return the mean of (N,) NEES after the first `skip`, and the last value."""
     counted = values[skip:]
     mean = float(np.mean(counted)) if len(counted) else float("nan")
     end = float(values[-1]) if len(values) else float("nan")

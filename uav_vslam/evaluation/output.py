@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The results folder: `results/<date>_<name>/`, and `results/latest`, which always leads to a complete one."""
+"""The results folder: `results/<date>_<name>/`, and the link `results/latest` to the newest complete one."""
 
 import json
 import os
@@ -29,13 +29,13 @@ LATEST = "latest"
 def write_results(
     result: FlightResult, root: Path = DEFAULT_ROOT, *, plot: Plotter | None = None, alignment: str = "none"
 ) -> Path:
-    """Write summary, trajectories, configuration and plots of a flight into a folder of its own.
+    """Write summary, trajectories, configuration and plots of a flight into a new folder.
 
     Args:
         result: the flight.
         root: folder of all results.
         plot: draws into the folder, `report.plots.write_plots`; None draws nothing.
-        alignment: of the estimates to the truth, see `evaluation.alignment`.
+        alignment: of the estimates to the ground truth, see `evaluation.alignment`.
 
     Returns:
         The new folder.
@@ -60,12 +60,12 @@ def write_study(
     series: list[Row] | None = None,
     plot: StudyPlotter | None = None,
 ) -> Path:
-    """Write `study.json`, the tables `study.md` and the plots of a comparison of methods into a folder of its own.
+    """Write `study.json`, the tables `study.md` and the plots of a comparison of methods into a new folder.
 
     Args:
         name: of the study.
         rows: one dict per method and condition: {"method", "condition", "end_rms_m", "ate_rms_m", ...}; those with
-            different values of "table" stand in different tables.
+            different values of "table" go into different tables.
         seeds: of the runs behind each row.
         root: folder of all results.
         notes, series: see `study_tree`.
@@ -84,10 +84,10 @@ def write_study(
 
 
 def latest_link(root: Path) -> Path:
-    """Return where the link to the newest results is, or will be.
+    """Return the path of the link to the newest results.
 
     Raises:
-        UavVslamError: something else is there.
+        UavVslamError: the path exists and is not a link.
     """
     latest = root / LATEST
     if latest.exists() and not latest.is_symlink():
@@ -97,11 +97,11 @@ def latest_link(root: Path) -> Path:
 
 @contextmanager
 def _new_folder(root: Path, name: str) -> Iterator[Path]:
-    """Give a new dated folder; when it has been filled without an error, `latest` leads to it."""
+    """Yield a new dated folder; if filled without an error, `latest` is linked to it."""
     latest = latest_link(root)
     folder = _make_unique(root, f"{datetime.now():%Y-%m-%d_%H%M%S}_{_file_name(name)}")
     yield folder
-    # A link is replaced in one step only by renaming another one over it.
+    # Only renaming another link over it replaces a link atomically.
     fresh = root / f".{LATEST}_{os.getpid()}"
     fresh.unlink(missing_ok=True)
     fresh.symlink_to(folder.name)

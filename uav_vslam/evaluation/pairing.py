@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds the truth that belongs to each estimate, by interpolation or as the nearest one."""
+"""Pairs each estimate with ground truth, interpolated or nearest."""
 
 import numpy as np
 
 from uav_vslam.evaluation.trajectory import Trajectory, interpolate
 
 ASSOCIATIONS = ("interpolate", "nearest")
-MAX_GAP_S = 0.5  # truth isn't interpolated across a longer gap
+MAX_GAP_S = 0.5  # ground truth isn't interpolated across a longer gap
 MAX_DIFFERENCE_S = 0.01  # of nearest stamps
 
 
@@ -18,12 +18,12 @@ def pair_with_truth(
     max_gap_s: float = MAX_GAP_S,
     max_difference_s: float = MAX_DIFFERENCE_S,
 ) -> tuple[Trajectory, Trajectory]:
-    """Return the estimates that have a truth, and the truth of each.
+    """Return the estimates that have ground truth, and the ground truth of each.
 
     Args:
         estimate, truth: trajectories.
         association: "interpolate" takes the truth at the estimate's stamp, linearly and by slerp; "nearest" takes the
-            nearest truth as it is.
+            nearest true pose.
         max_gap_s: "interpolate" leaves out estimates within longer gaps of the truth [s].
         max_difference_s: "nearest" leaves out estimates farther from any truth [s].
     """

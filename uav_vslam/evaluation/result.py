@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a flight leaves to be evaluated, whether it was made in one process, by the node graph, or read from bags."""
+"""A flight's data for evaluation, from the offline graph, the node graph or bags."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,7 +9,7 @@ from uav_vslam.evaluation.trajectory import Trajectory
 
 @dataclass(frozen=True, slots=True)
 class LinkCounters:
-    """What one vehicle's radio did.
+    """Statistics of one vehicle's radio link.
 
     Attributes:
         sent_bytes_per_s: payload sent, averaged over the flight [B/s].
@@ -31,13 +31,13 @@ class VehicleResult:
 
     Attributes:
         name: the vehicle's namespace.
-        truth: true poses, or None where nobody knows them.
+        truth: true poses, or None if unknown.
         ins: dead reckoning from the start state, never corrected.
-        s_slam: own-only SLAM; its stamps are the ones at which everything is scored.
+        s_slam: own-only SLAM; all tracks are scored at its stamps.
         c_slam: fused with peers; None for a vehicle without peers.
-        frames_in: stereo pairs offered, or None where nobody counted them.
+        frames_in: stereo pairs offered, or None if not counted.
         frames_processed: stereo pairs that became an estimate.
-        closures: landmarks recognised after a long absence, or None where nobody counted them.
+        closures: landmarks recognised after a long absence, or None if not counted.
         link: radio counters.
     """
 
@@ -61,7 +61,7 @@ class FlightResult:
         seed: of the simulation, or None.
         mode: communication mode.
         duration_s: flight time [s].
-        wall_s: time that processing took [s].
+        wall_s: processing time [s].
         vehicles: by name.
         config: the resolved configuration as plain data.
     """

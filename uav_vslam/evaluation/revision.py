@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which code made a result."""
+"""The code revision of a result."""
 
 import subprocess
 from pathlib import Path

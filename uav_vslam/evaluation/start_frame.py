@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The truth in the frame of a vehicle that defined its map by where it started.
+"""Ground truth in the frame of a vehicle whose start pose defines its map.
 
-Nothing is fitted: origin and heading are those of the start, exactly, so errors and their covariances stay comparable.
+Nothing is fitted: origin and heading are exactly those of the start, so errors and covariances stay comparable.
 """
 
 import numpy as np
@@ -12,14 +12,14 @@ from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_
 
 
 def in_start_frame(truth: Trajectory, start_ns: int) -> Trajectory | None:
-    """Return the truth with its position at the start as the origin and its yaw there as zero.
+    """Return the ground truth with the start position as origin and zero yaw there.
 
     Args:
-        truth: in any frame whose z axis points up.
+        truth: in any frame with z up.
         start_ns: stamp of the start [ns].
 
     Returns:
-        None where nobody knows the truth at the start.
+        None without ground truth at the start.
     """
     start, _ = interpolate(truth, np.array([start_ns], np.int64), max_gap_s=MAX_GAP_S)
     if len(start) == 0:

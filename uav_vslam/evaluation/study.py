@@ -7,7 +7,7 @@ from typing import Any
 
 Row = dict[str, Any]
 
-TABLE = "table"  # a row's key that says under which heading it stands
+TABLE = "table"  # a row's key that holds its table's heading
 
 
 def study_tree(
@@ -19,15 +19,15 @@ def study_tree(
     notes: Mapping[str, str] | None = None,
     series: list[Row] | None = None,
 ) -> dict[str, Any]:
-    """Return the content of `study.json`; figures that are not finite become null.
+    """Return the content of `study.json`; non-finite numbers become null.
 
     Args:
         name: of the study.
         rows: see `output.write_study`.
         seeds: of the runs.
         git: revision of the code, None where it isn't known.
-        notes: what the figures mean, by subject.
-        series: curves, one dict each, with lists of equal length; for plots, no table shows them.
+        notes: explanation of the columns, by subject.
+        series: curves, one dict each, with lists of equal length; for plots only.
     """
     tree = {"study": name, "seeds": [int(seed) for seed in seeds], "git": git, "rows": _plain(rows)}
     if notes:
@@ -38,7 +38,7 @@ def study_tree(
 
 
 def tables_of(tree: dict[str, Any]) -> dict[str, list[Row]]:
-    """Return the rows by their heading, in order; rows without one stand under the empty heading."""
+    """Return the rows by their heading, in order; rows without one get the empty heading."""
     tables: dict[str, list[Row]] = {}
     for row in tree["rows"]:
         tables.setdefault(row.get(TABLE, ""), []).append({key: row[key] for key in row if key != TABLE})
@@ -76,7 +76,7 @@ def _cell(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return numpy scalars as Python numbers, and None for what JSON can't say, in nested lists and dicts too."""
+    """Return numpy scalars as Python numbers, and None for what JSON can't represent, recursively."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boils a flight down to the figures of `summary.json`; null where there is no truth or no peer.
+"""Computes the content of `summary.json`; null without ground truth or peer.
 
-Everything is scored at the stamps of the own-only track, so that the three estimates are compared over the same
-moments: the INS is interpolated to them, the fused track has them.
+Everything is scored at the stamps of the own-only track, so that the three estimates are compared at equal
+times: the INS is interpolated to them, the fused track has them.
 """
 
 import math
@@ -29,7 +29,7 @@ def build_summary(result: FlightResult, *, git: str | None, alignment: str = "no
     Args:
         result: the flight.
         git: revision of the code, or None where it isn't known.
-        alignment: "none", "se3" or "yaw", of the estimates to the truth; there are NEES without one only.
+        alignment: "none", "se3" or "yaw", of the estimates to the ground truth; NEES only with "none".
     """
     vehicles = {name: _vehicle(vehicle, alignment) for name, vehicle in result.vehicles.items()}
     return _null_if_not_finite(
@@ -62,7 +62,7 @@ def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
 
 
 def _distance(vehicle: VehicleResult) -> float:
-    """Return the distance flown while the own-only track lasted, by the truth if there is one [m]."""
+    """Return the distance flown during the own-only track, by ground truth if available [m]."""
     if len(vehicle.s_slam) == 0:
         return 0.0
     path = vehicle.s_slam if vehicle.truth is None else vehicle.truth
@@ -89,7 +89,7 @@ def _errors(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figu
 
 
 def _errors_and_nees(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figures:
-    values = nees(track, truth) if truth is not None and alignment == "none" else None  # aligned, P would not fit
+    values = nees(track, truth) if truth is not None and alignment == "none" else None  # P does not fit aligned errors
     position = summarise(values.position) if values else None
     rotation = summarise(values.rotation) if values else None
     return {

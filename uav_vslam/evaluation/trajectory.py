@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trajectory as arrays, and its value between its stamps."""
+"""A trajectory as arrays, and its interpolation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Trajectory:
         stamps_ns: (N,) int64, strictly increasing [ns].
         positions: (N, 3) in the map frame [m].
         quaternions_wxyz: (N, 4) unit quaternions of R_map_body.
-        covariance: (N, 6, 6), order position, rotation (map-frame rotation vector), or None where it isn't known.
+        covariance: (N, 6, 6), order position, rotation (map-frame rotation vector), or None if unknown.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -48,7 +48,7 @@ class Trajectory:
 
     @staticmethod
     def from_estimates(estimates: Sequence[PoseEstimate]) -> "Trajectory":
-        """Build from pose estimates in any order; of those with one stamp, the last counts."""
+        """Build from pose estimates in any order; of those with equal stamps, the last counts."""
         by_stamp = {estimate.stamp_ns: estimate for estimate in estimates}
         ordered = [by_stamp[stamp_ns] for stamp_ns in sorted(by_stamp)]
         return Trajectory(
@@ -109,7 +109,7 @@ def interpolate(
 
 
 def _slerp(start_wxyz: Array, end_wxyz: Array, fraction: Array) -> Array:
-    """Return (N, 4) quaternions on the shortest way from start to end; fraction is (N, 1)."""
+    """Return (N, 4) quaternions on the shortest path from start to end; fraction is (N, 1)."""
     if len(start_wxyz) == 0:
         return np.zeros((0, 4))
     R_start, R_end = rotation_from_quaternion_wxyz(start_wxyz), rotation_from_quaternion_wxyz(end_wxyz)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Absolute and relative trajectory errors (Sturm et al. 2012; the definitions of `evo`, which judges our tests)."""
+"""Absolute and relative trajectory errors (Sturm et al. 2012; definitions as in `evo`, the tests' reference)."""
 
 from dataclasses import dataclass
 
@@ -28,8 +28,8 @@ class AbsoluteError:
         end_m: distance at the last pair [m].
         max_m: largest distance [m].
         rotation_rms_rad: root mean square of the angles [rad].
-        pairs: number of estimates that have a truth.
-        alignment, association: how frames and stamps were brought together.
+        pairs: number of estimates with ground truth.
+        alignment, association: how frames and stamps were matched.
     """
 
     ate_m: float
@@ -66,11 +66,11 @@ def absolute_error(
 
     Args:
         estimate, truth: trajectories; in one frame unless aligned.
-        alignment: "none", "se3" or "yaw": which transform of the whole estimate is forgiven.
+        alignment: "none", "se3" or "yaw": transform of the whole estimate that is removed.
         association: see `pair_with_truth`.
 
     Returns:
-        The errors, or None where no estimate has a truth.
+        The errors, or None if no estimate has ground truth.
     """
     if alignment not in ALIGNMENTS:
         raise ValueError(f"alignment {alignment!r} is not known; use one of {', '.join(ALIGNMENTS)}")
@@ -94,16 +94,16 @@ def absolute_error(
 def relative_error(
     estimate: Trajectory, truth: Trajectory, *, delta: float, unit: str = "seconds", association: str = "interpolate"
 ) -> RelativeError | None:
-    """Compare the motion over a delta, from every pose on, with the true one: E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
+    """Compare the motion over a delta, from every pose, with the true one: E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
 
     Args:
         estimate, truth: trajectories; alignment doesn't matter.
-        delta: distance of the two poses: a count of frames, or seconds, of which the nearest pose is taken.
+        delta: distance of the two poses: a number of frames, or seconds (to the nearest pose).
         unit: "frames" or "seconds".
         association: see `pair_with_truth`.
 
     Returns:
-        The errors, or None where no pair of poses is so far apart.
+        The errors, or None if no two poses are that far apart.
     """
     if not delta > 0:
         raise ValueError(f"delta = {delta} {unit} must be positive")

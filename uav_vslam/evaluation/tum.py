@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories as TUM text: `stamp x y z qx qy qz qw`, which evo and most tools read."""
+"""Trajectories as TUM text: `stamp x y z qx qy qz qw`, as read by evo and most tools."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from uav_vslam.evaluation.trajectory import Trajectory
 
 
 def write_tum(trajectory: Trajectory, path: Path) -> Path:
-    """Write a trajectory; stamps in seconds are printed from the integer nanoseconds, so that none is lost."""
+    """Write a trajectory; stamps in seconds are printed from integer nanoseconds, without rounding."""
     w, x, y, z = trajectory.quaternions_wxyz.T
     rows = zip(trajectory.stamps_ns.tolist(), trajectory.positions.tolist(), x, y, z, w, strict=True)
     lines = [f"{_seconds(stamp)} {_decimals(p, 9)} {_decimals(q, 12)}\n" for stamp, p, *q in rows]
