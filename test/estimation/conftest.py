@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A short flight over known landmarks, seen by an ideal front end: what a filter needs, frame by frame."""
+"""A short flight over known landmarks with an ideal front end: a filter's inputs, frame by frame."""
 
 import dataclasses
 import itertools
@@ -36,7 +36,7 @@ class Course:
     """Frames over one patch of ground; every landmark is seen in each of them."""
 
     vehicle: SimulatedVehicle
-    increments: list[ImuIncrement]  # number k leads from frame k to k + 1
+    increments: list[ImuIncrement]  # number k spans frames k to k + 1
     landmarks: Array
 
     @property
@@ -49,20 +49,20 @@ class Course:
 
     @property
     def initial(self) -> NavEstimate:
-        """The start with its drawn errors, biases among them."""
+        """The start state with its random errors, biases included."""
         return self.vehicle.initial
 
     def true_state(self, frame: int) -> NavState:
         return self.vehicle.true_state(int(self.vehicle.frame_stamps_ns[frame]))
 
     def pixels(self, frame: int, rows: list[int] | Array, rng: np.random.Generator | None = None) -> Array:
-        """Return (M, 4) pixels of some landmarks as the true camera sees them, with 1 px of noise from `rng`."""
+        """Return (M, 4) true pixels of some landmarks, with 1 px of noise from `rng`."""
         T_left_map = (self.true_state(frame).T_map_body @ self.rig.T_body_left).inverse()
         z = self.rig.project(T_left_map.apply(self.landmarks[np.asarray(rows, int)]))
         return z if rng is None else z + rng.normal(0.0, 1.0, z.shape)
 
     def filter(self, model: str = "ri15", name: str = "eif", **options: Any) -> Filter:
-        """Return a filter of `FILTERS` at its start."""
+        """Return a filter of `FILTERS` at the start state."""
         if name in BOUNDED:
             options.setdefault("gamma", BackendConfig().gamma)
         return FILTERS[name](self.initial, rig=self.rig, imu=self.imu, model=model, **options)
@@ -80,7 +80,7 @@ class Course:
 
     @staticmethod
     def set_covariance(f: Filter, P: Array) -> None:
-        """Give a filter another covariance, in the form that it keeps."""
+        """Replace a filter's covariance, in the form of its belief."""
         kept = {CovarianceBelief: lambda: P, SquareRootBelief: lambda: np.linalg.cholesky(P)}
         kept[InformationBelief] = lambda: np.linalg.inv(P)
         f.belief = type(f.belief)(kept[type(f.belief)](), f.vehicle)
@@ -108,9 +108,9 @@ class Outcome:
     """The end of a flight.
 
     Attributes:
-        filter: as it is then.
-        position_nees: over 3.
-        nis_per_dof: mean of all frames.
+        filter: final state.
+        position_nees: divided by 3.
+        nis_per_dof: mean over all frames.
     """
 
     filter: Filter
@@ -127,11 +127,11 @@ def _fly(
     sigma_px: float = 1.0,
     offset_s: float = 0.0,
 ) -> Outcome:
-    """Fly over known points; a frame's estimate is asked for as the back end does.
+    """Fly over known points, querying the estimate at each frame as the back end does.
 
     Args:
         vehicle: its true rig sees the points, `offset_s` after the stamp, with a noise of `sigma_px`.
-        rig: how far it is trusted.
+        rig: uncertainty of the calibration.
         name, model: of the filter.
         sigma_px: of each pixel coordinate.
         offset_s: true time offset.
@@ -165,7 +165,7 @@ def _fly(
         nis, dof = nis + innovation.nis, dof + innovation.dof
         f.marginalise(np.flatnonzero(~np.isin(known, seen)))
         fresh = ~np.isin(seen, known) & np.isfinite(f.rig.triangulate(z)).all(axis=1)
-        fresh &= f.places_landmarks
+        fresh &= f.can_add_landmarks
         f.add_landmarks(z[fresh])
         known = np.append(known[np.isin(known, seen)], seen[fresh])
         estimate = f.nav_estimate()
@@ -176,5 +176,5 @@ def _fly(
 
 @pytest.fixture(scope="session")
 def fly() -> Callable[..., Outcome]:
-    """What flies a simulated vehicle to its last frame: `fly(vehicle, rig)`."""
+    """Function that flies a simulated vehicle to its last frame: `fly(vehicle, rig)`."""
     return _fly

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One Gaussian in three forms: each operation, alone and in sequences, against a dense textbook Kalman filter.
+"""One Gaussian in three forms: single operations and sequences against a dense textbook Kalman filter.
 
-EKF = EIF = KF is proved here, in correction, covariance, NIS and log-determinant. All is compared in scaled units:
+EKF = EIF = KF in correction, covariance, NIS and log-determinant. Comparisons are in scaled units:
 covariances as correlations, corrections in sigmas of the prior, information in units of the inverse sigmas.
 """
 
@@ -30,13 +30,13 @@ from uav_vslam.estimation.square_root import SquareRootBelief
 Array = NDArray[np.float64]
 
 FORMS = (InformationBelief, CovarianceBelief, SquareRootBelief)
-SCALED = 1e-9  # rounding of 1e-16 times condition numbers of up to 1e5, and a margin
+SCALED = 1e-9  # rounding of 1e-16 times condition numbers up to 1e5, with a margin
 NONE = np.zeros(0, np.int64)
 
 
 @dataclasses.dataclass(frozen=True)
 class Dense:
-    """The textbook: one full covariance, each operation by its definition; inverses are welcome."""
+    """The textbook form: one full covariance, each operation by its definition, with explicit inverses."""
 
     P: Array
     vehicle: int
@@ -99,7 +99,7 @@ def dense_jacobian(observation: Observation, size: int) -> Array:
 
 
 def assert_holds(belief: Belief, dense: Dense) -> None:
-    """Compare whole covariances, and the vehicle's alone; what the belief keeps beside itself is left as it is."""
+    """Compare the full covariance and the vehicle's, without changing what the belief caches."""
     sigma, m = np.sqrt(np.diag(dense.P)), dense.vehicle
     error = copy.copy(belief).covariance(np.arange(dense.landmarks)) - dense.P
     np.testing.assert_allclose(error / np.outer(sigma, sigma), 0.0, rtol=0, atol=SCALED)
@@ -109,7 +109,7 @@ def assert_holds(belief: Belief, dense: Dense) -> None:
 
 
 def updated_like(belief: Belief, dense: Dense, observation: Observation) -> tuple[Belief, Dense]:
-    """Update both, compare all four outcomes."""
+    """Update both and compare all four outputs."""
     update, (after, delta, nis, log_det) = belief.updated(observation), dense.updated(observation)
     np.testing.assert_allclose((update.delta - delta) / np.sqrt(np.diag(dense.P)), 0.0, rtol=0, atol=SCALED)
     assert update.nis == pytest.approx(nis, rel=SCALED, abs=SCALED)
@@ -119,7 +119,7 @@ def updated_like(belief: Belief, dense: Dense, observation: Observation) -> tupl
 
 
 class Draw:
-    """Random problems of moderate condition; every size is the caller's."""
+    """Well-conditioned random problems of given sizes."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -128,7 +128,7 @@ class Draw:
         return np.linalg.qr(self.rng.normal(size=(n, n)))[0]
 
     def matrix(self, n: int, low: float, high: float) -> Array:
-        """Return (n, n) with singular values in a range."""
+        """Return (n, n) with singular values within a range."""
         return (self.rotation(n) * self.rng.uniform(low, high, n)) @ self.rotation(n)
 
     def covariance(self, n: int, rank: int) -> Array:
@@ -155,12 +155,12 @@ class Draw:
         return self.matrix(m, 0.9, 1.1), self.covariance(m, int(self.rng.integers(0, m + 1)))
 
     def bound(self, dense: Dense) -> Array:
-        """Return B (k, vehicle) with B P B^T at half of what would be infeasible."""
+        """Return B (k, vehicle) with B P B^T at half its feasibility limit."""
         B = self.rng.normal(size=(int(self.rng.integers(1, dense.vehicle + 1)), dense.vehicle))
         P = dense.P[: dense.vehicle, : dense.vehicle]
         return B * np.sqrt(0.5 / np.linalg.eigvalsh(B @ P @ B.T)[-1])
 
-    def shear(self, dense: Dense) -> tuple[Array, slice]:
+    def chart_transport(self, dense: Dense) -> tuple[Array, slice]:
         start = int(self.rng.integers(0, dense.vehicle - 2))
         B = self.rng.normal(0.0, 0.3, (len(dense.P), 3))
         B[start : start + 3] = 0.0
@@ -171,7 +171,7 @@ class Draw:
         return self.rng.normal(size=(count, 3, dense.vehicle)), H_landmark
 
     def belief(self, form: type[Belief], m: int, landmarks: int) -> tuple[Belief, Dense]:
-        """Return a vehicle and landmarks, all correlated, in a form and densely."""
+        """Return a correlated vehicle and landmarks, in the given form and dense."""
         P = self.covariance(m, m)
         fresh = self.fresh(Dense(P, m), landmarks)
         return form.from_covariance(P).appended(*fresh), Dense(P, m).appended(*fresh)
@@ -180,7 +180,7 @@ class Draw:
 SEEDS = st.integers(0, 2**32 - 1)
 VEHICLE = st.integers(3, 9)
 LANDMARKS = st.integers(0, 6)
-FEW = settings(max_examples=30)  # each is a random problem, and the sequences below draw many more
+FEW = settings(max_examples=30)  # each is a random problem; the sequences below add many more
 
 
 @pytest.fixture(scope="module", params=FORMS, ids=lambda form: form.__name__)
@@ -190,18 +190,18 @@ def form(request: pytest.FixtureRequest) -> type[Belief]:
 
 @FEW
 @given(SEEDS, VEHICLE)
-def test_a_start_holds_the_covariance_it_is_given(form: type[Belief], seed: int, m: int) -> None:
+def test_the_initial_covariance_is_the_given_one(form: type[Belief], seed: int, m: int) -> None:
     P = Draw(seed).covariance(m, m)
     dense = Dense(P.copy(), m)
     belief = form.from_covariance(P)
     np.testing.assert_array_equal(P, dense.P)
-    P[:] = np.nan  # the caller's own
+    P[:] = np.nan  # the belief must own a copy
     assert_holds(belief, dense)
 
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
-def test_prediction_is_F_P_Ft_plus_Q_however_singular_Q_is(form: type[Belief], seed: int, m: int, n: int) -> None:
+def test_prediction_is_F_P_Ft_plus_Q_even_for_singular_Q(form: type[Belief], seed: int, m: int, n: int) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     F, Q = draw.process(m)
@@ -211,7 +211,7 @@ def test_prediction_is_F_P_Ft_plus_Q_however_singular_Q_is(form: type[Belief], s
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
-def test_renewed_rows_are_independent_of_all_else(form: type[Belief], seed: int, m: int, n: int) -> None:
+def test_reset_rows_are_independent_of_all_others(form: type[Belief], seed: int, m: int, n: int) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     rows = draw.choice(m)
@@ -220,7 +220,7 @@ def test_renewed_rows_are_independent_of_all_else(form: type[Belief], seed: int,
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
-def test_loosening_takes_information_away(form: type[Belief], seed: int, m: int, n: int) -> None:
+def test_information_is_removed(form: type[Belief], seed: int, m: int, n: int) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     B = draw.bound(dense)
@@ -237,7 +237,9 @@ def test_update_is_the_kalman_update_in_every_output(form: type[Belief], seed: i
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS, st.integers(0, 3))
-def test_new_landmarks_know_what_the_vehicle_knows(form: type[Belief], seed: int, m: int, n: int, new: int) -> None:
+def test_new_landmarks_inherit_the_vehicles_uncertainty(
+    form: type[Belief], seed: int, m: int, n: int, new: int
+) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     fresh = draw.fresh(dense, new)
@@ -255,18 +257,16 @@ def test_marginalising_drops_rows_of_the_covariance(form: type[Belief], seed: in
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
-def test_shearing_changes_coordinates(form: type[Belief], seed: int, m: int, n: int) -> None:
+def test_coordinates_are_changed(form: type[Belief], seed: int, m: int, n: int) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
-    B, columns = draw.shear(dense)
+    B, columns = draw.chart_transport(dense)
     assert_holds(belief.coordinates_changed(B, columns), dense.coordinates_changed(B, columns))
 
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
-def test_covariance_of_a_choice_has_its_rows_in_the_order_asked_for(
-    form: type[Belief], seed: int, m: int, n: int
-) -> None:
+def test_covariance_has_its_rows_in_the_requested_order(form: type[Belief], seed: int, m: int, n: int) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     for _ in range(3):
@@ -277,12 +277,12 @@ def test_covariance_of_a_choice_has_its_rows_in_the_order_asked_for(
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
-def test_marginals_are_the_blocks_of_the_covariance_in_the_order_asked_for(
+def test_marginals_are_the_blocks_of_the_covariance_in_the_requested_order(
     form: type[Belief], seed: int, m: int, n: int
 ) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
-    for _ in range(3):  # the information form keeps the first choice's, and serves a smaller one from it
+    for _ in range(3):  # the information form caches the first and serves subsets from it
         chosen = draw.choice(n)
         found = belief.marginals(chosen)
         assert (found.cross.shape, found.landmarks.shape) == ((len(chosen), m, 3), (len(chosen), 3, 3))
@@ -295,7 +295,7 @@ def test_marginals_are_the_blocks_of_the_covariance_in_the_order_asked_for(
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
-def test_information_over_some_rows_is_that_of_their_covariance(form: type[Belief], seed: int, m: int, n: int) -> None:
+def test_information_is_the_inverse_of_the_covariance_block(form: type[Belief], seed: int, m: int, n: int) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     rows = np.append(draw.choice(dense.P.shape[0] - 1), len(dense.P) - 1)
@@ -307,7 +307,7 @@ def test_information_over_some_rows_is_that_of_their_covariance(form: type[Belie
 @FEW
 @given(SEEDS, VEHICLE, st.integers(1, 6))
 def test_the_order_of_observations_does_not_matter(form: type[Belief], seed: int, m: int, n: int) -> None:
-    """In one batch, and in batches one after the other, whose corrections add up."""
+    """In one batch, and in consecutive batches, whose corrections add up."""
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     seen = draw.observation(dense, draw.rng.permutation(n))
@@ -349,12 +349,12 @@ def test_information_adds(seed: int, m: int, n: int) -> None:
 
 @FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
-def test_operations_modify_neither_the_belief_nor_what_they_are_given(
+def test_operations_modify_neither_the_belief_nor_their_arguments(
     form: type[Belief], seed: int, m: int, n: int
 ) -> None:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
-    (F, Q), (B, columns), bound = draw.process(m), draw.shear(dense), draw.bound(dense)
+    (F, Q), (B, columns), bound = draw.process(m), draw.chart_transport(dense), draw.bound(dense)
     seen, fresh, gone = draw.observation(dense, draw.choice(n)), draw.fresh(dense, 2), draw.choice(n)
     arrays = [F, Q, B, bound, *fresh, gone, seen.landmarks, seen.H_vehicle, seen.H_landmark, seen.nu]
     before = [a.copy() for a in arrays]
@@ -378,11 +378,11 @@ def test_operations_modify_neither_the_belief_nor_what_they_are_given(
         np.testing.assert_array_equal(now, then)
 
 
-def test_what_is_not_positive_definite_is_refused(form: type[Belief]) -> None:
+def test_an_indefinite_matrix_is_rejected(form: type[Belief]) -> None:
     with pytest.raises(FilterDivergence, match="smallest eigenvalue -1"):
         form.from_covariance(np.diag([1.0, -1.0, 1.0]))
     belief = form.from_covariance(np.eye(4))
-    too_much = np.array([[0.0, 1.01, 0.0, 0.0]])  # more information than there is
+    too_much = np.array([[0.0, 1.01, 0.0, 0.0]])  # more information than the belief has
     with pytest.raises(FilterDivergence, match="not positive definite"):
         belief.information_removed(too_much).covariance(NONE)
 
@@ -399,13 +399,13 @@ def test_normal_equations_are_those_of_the_dense_jacobian() -> None:
 
 
 def scribble(A: Array) -> None:
-    """Spoil what was handed out, where it may be written to at all."""
+    """Corrupt the returned arrays where they are writeable."""
     if A.flags.writeable:
         A[:] = np.nan
 
 
 class Sequences(RuleBasedStateMachine):
-    """Any operations in a row on all three forms; `look` and updates fill what the information form keeps."""
+    """Random sequences of operations on all three forms; `query` and updates fill the information form's caches."""
 
     @initialize(seed=SEEDS, m=VEHICLE, n=LANDMARKS)
     def begin(self, seed: int, m: int, n: int) -> None:
@@ -422,19 +422,19 @@ class Sequences(RuleBasedStateMachine):
         self._each("predicted", *self.draw.process(self.dense.vehicle))
 
     @rule()
-    def renew(self) -> None:
+    def reset_rows(self) -> None:
         self._each("reset_rows", self.draw.choice(self.dense.vehicle), 0.5)
 
     @rule()
-    def loosen(self) -> None:
-        """As long as it can be compared: many times in a row it doubles the condition number each time."""
+    def remove_information(self) -> None:
+        """Skipped if ill-conditioned: each call doubles the condition number."""
         sigma = np.sqrt(np.diag(self.dense.P))
         if np.linalg.cond(self.dense.P / np.outer(sigma, sigma)) < 1e5:
             self._each("information_removed", self.draw.bound(self.dense))
 
     @rule()
-    def shear(self) -> None:
-        self._each("coordinates_changed", *self.draw.shear(self.dense))
+    def chart_transport(self) -> None:
+        self._each("coordinates_changed", *self.draw.chart_transport(self.dense))
 
     @rule(count=st.integers(0, 2))
     def append(self, count: int) -> None:
@@ -446,8 +446,8 @@ class Sequences(RuleBasedStateMachine):
         self._each("marginalised", self.draw.choice(self.dense.landmarks)[:2])
 
     @rule()
-    def look(self) -> None:
-        """Ask for the covariance of some landmarks, and for what a gate needs; the next update may concern others."""
+    def query(self) -> None:
+        """Query the covariance and marginals of some landmarks; the next update may concern others."""
         chosen = self.draw.choice(self.dense.landmarks)
         rows = state_rows(self.dense.vehicle, chosen)
         sigma = np.sqrt(np.diag(self.dense.P)[rows])
@@ -473,5 +473,5 @@ class Sequences(RuleBasedStateMachine):
 
 
 def test_sequences_of_operations_agree_with_the_textbook() -> None:
-    """The textbook starts again from its own covariance, so errors must not build up either."""
+    """The textbook continues from its own covariance, so errors must not accumulate either."""
     run_state_machine_as_test(Sequences, settings=settings(max_examples=60, stateful_step_count=25))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever the correlation of the dependent shares, the fused covariance bounds the true error; a plain sum doesn't."""
+"""The fused covariance bounds the true error for any correlation of the dependent shares; a plain sum does not."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ from uav_vslam.estimation.covariance_intersection import (
     WEIGHT_BOUNDS,
     WEIGHT_SKIP,
     WEIGHTS,
-    Encounter,
+    EstimatePair,
     Fused,
     Split,
     inverse_covariance_intersection,
@@ -38,7 +38,7 @@ def spd(rng: np.random.Generator, n: int) -> Array:
 
 
 def joint(rng: np.random.Generator, own: Split, peer: Split) -> Array:
-    """Return the true joint covariance of both errors: dependent shares correlated as strongly as may be."""
+    """Return the true joint covariance of both errors: dependent shares maximally correlated."""
     L1, L2 = np.linalg.cholesky(own.dependent), np.linalg.cholesky(peer.dependent)
     U, _ = np.linalg.qr(rng.normal(size=(len(L1), len(L1))))
     C = (U * rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], len(L1)))[:, : len(L2)]  # singular values at most one
@@ -50,14 +50,14 @@ def joint(rng: np.random.Generator, own: Split, peer: Split) -> Array:
 
 
 def true_covariance(fused: Fused, own: Split, peer: Split, J: Array) -> Array:
-    """Return the covariance of the fused error, (I - K E) e1 + K e2, for the gain that was really used."""
+    """Return the covariance of the fused error, (I - K E) e1 + K e2, for the gain actually used."""
     K = gain(own, peer)
     A = np.hstack([np.eye(OWN) - K @ E, K])
     return np.asarray(A @ J @ A.T)
 
 
 def gain(own: Split, peer: Split, **options) -> Array:
-    """Return the gain column by column, from the correction of unit innovations."""
+    """Return the gain, column by column from the correction of unit innovations."""
     columns = [split_covariance_intersection(own, E, e, peer, **options).delta for e in np.eye(PEER)]
     return np.column_stack(columns)
 
@@ -68,7 +68,7 @@ def overconfidence(claimed: Array, true: Array) -> float:
 
 
 @given(st.integers(0, 2**32 - 1), st.booleans())
-def test_fusion_is_never_overconfident_whatever_the_correlation(seed: int, independent_share: bool) -> None:
+def test_fusion_is_consistent_for_any_correlation(seed: int, independent_share: bool) -> None:
     rng = np.random.default_rng(seed)
     scale = 1.0 if independent_share else 0.0
     own = Split(scale * spd(rng, OWN), spd(rng, OWN))
@@ -101,7 +101,7 @@ def test_summing_the_same_estimate_twice_halves_its_covariance_and_intersection_
     np.testing.assert_allclose(ours.P.total, P)
 
 
-def test_nothing_dependent_is_the_kalman_update() -> None:
+def test_independent_estimates_give_the_kalman_update() -> None:
     rng = np.random.default_rng(0)
     P, R, innovation = spd(rng, OWN), spd(rng, PEER), rng.normal(size=PEER)
     fused = split_covariance_intersection(Split(P, np.zeros_like(P)), E, innovation, Split(R, np.zeros_like(R)))
@@ -113,7 +113,7 @@ def test_nothing_dependent_is_the_kalman_update() -> None:
 
 
 @pytest.mark.parametrize("weight", [0.3, 0.5, 0.9])
-def test_all_dependent_is_covariance_intersection(weight: float) -> None:
+def test_fully_dependent_estimates_give_covariance_intersection(weight: float) -> None:
     """Eq. (7.1) of [thesis]: Y = w Y_own + (1 - w) E^T Y_peer E."""
     rng = np.random.default_rng(1)
     P, R, innovation = spd(rng, OWN), spd(rng, PEER), rng.normal(size=PEER)
@@ -148,16 +148,16 @@ def test_the_weight_minimises_its_cost_within_its_bounds(criterion: str, seed: i
     fused = split_covariance_intersection(own, E, np.zeros(PEER), peer, weigh=WEIGHTS[criterion])
     assert fused.weight == 1.0 or WEIGHT_BOUNDS[0] <= fused.weight <= WEIGHT_SKIP
     best = min(cost_at(w) for w in np.linspace(WEIGHT_BOUNDS[0], WEIGHT_SKIP - 1e-4, 40))
-    # The search stops 1e-3 from the minimum, and skips a fusion that gains next to nothing.
+    # The search tolerance is 1e-3, and fusions of negligible gain are skipped.
     assert cost(fused.P.total) <= min(best, cost(own.total)) * 1.01
 
 
 @pytest.mark.parametrize("name", WEIGHTS)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_fusion_is_consistent_with_every_way_to_weigh(name: str, seed: int) -> None:
+def test_fusion_is_consistent_with_every_weight_criterion(name: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     own, peer = Split(spd(rng, OWN), spd(rng, OWN)), Split(spd(rng, PEER), spd(rng, PEER))
-    weight = WEIGHTS[name](Encounter(own, E, peer))
+    weight = WEIGHTS[name](EstimatePair(own, E, peer))
     fused = split_covariance_intersection(own, E, np.zeros(PEER), peer, weigh=lambda _: weight)
     if fused.weight < 1.0:
         A = np.eye(OWN) - (K := gain(own, peer, weigh=lambda _: weight)) @ E
@@ -166,18 +166,18 @@ def test_fusion_is_consistent_with_every_way_to_weigh(name: str, seed: int) -> N
         assert overconfidence(fused.P.total, true) >= -ROUNDING
 
 
-def test_closed_form_weights_trust_equals_equally_and_the_better_one_more() -> None:
+def test_closed_form_weights_are_equal_for_equal_estimates_and_favour_the_better_one() -> None:
     zero = np.zeros((PEER, PEER))
     for name in ("niehsen", "franken_hupper"):
-        equal = Encounter(Split(zero, np.eye(PEER)), np.eye(PEER), Split(zero, np.eye(PEER)))
-        better = Encounter(Split(zero, np.eye(PEER)), np.eye(PEER), Split(zero, 3.0 * np.eye(PEER)))
+        equal = EstimatePair(Split(zero, np.eye(PEER)), np.eye(PEER), Split(zero, np.eye(PEER)))
+        better = EstimatePair(Split(zero, np.eye(PEER)), np.eye(PEER), Split(zero, 3.0 * np.eye(PEER)))
         assert WEIGHTS[name](equal) == pytest.approx(0.5)
         assert WEIGHTS[name](better) > 0.6
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_inverse_intersection_is_consistent_for_common_information_and_tighter(seed: int) -> None:
-    """Both estimates are a prior that they share and a measurement of their own [noack17]."""
+    """Each estimate is a shared prior plus an own measurement [noack17]."""
     rng = np.random.default_rng(seed)
     prior, mine, theirs = (np.linalg.inv(spd(rng, PEER)) for _ in range(3))
     A, B = np.linalg.inv(prior + mine), np.linalg.inv(prior + theirs)
@@ -192,7 +192,7 @@ def test_inverse_intersection_is_consistent_for_common_information_and_tighter(s
     assert trace(fused.P.total) <= trace(plain.P.total) * 1.01
 
 
-def test_a_useless_peer_is_skipped_and_changes_nothing() -> None:
+def test_an_uninformative_peer_is_skipped() -> None:
     own = Split(np.zeros((OWN, OWN)), np.eye(OWN))
     peer = Split(np.zeros((PEER, PEER)), 1e6 * np.eye(PEER))
     fused = split_covariance_intersection(own, E, np.ones(PEER), peer)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every filter with every state model: each step is the Kalman filter's, with that filter's own linearisation."""
+"""Every filter with every state model: each step equals the Kalman filter's with that filter's linearisation."""
 
 import copy
 import dataclasses
@@ -28,11 +28,11 @@ Array = NDArray[np.float64]
 
 SIGMA_PX = 0.7
 CORRELATION = 1e-9  # P is compared after scaling to unit variances
-MEAN = 1e-9  # [m], [rad] of corrections of a metre
+MEAN = 1e-9  # [m], [rad] for corrections of about a metre
 
 ALL = np.arange(12)
 SOME = np.array([5, 1, 8, 11, 0])
-NAMES = [name for name in FILTERS if not name.startswith("thesis")]  # those of the thesis need not hold what ours do
+NAMES = [name for name in FILTERS if not name.startswith("thesis")]  # the thesis's own need not satisfy these laws
 LINEAR = {"eif": Jacobians(), "ekf": Jacobians(), "ukf": Cubature(), "uhf": Cubature()}
 
 
@@ -60,7 +60,7 @@ def assert_same_mean(f: Filter, nav, landmarks: Array, tolerance: float = MEAN) 
 
 
 def content(f: Filter) -> list[Array]:
-    """Return copies of all that a filter knows."""
+    """Return copies of a filter's whole state."""
     nav = [f.nav.T_map_body.matrix, f.nav.v_map, f.nav.gyro_bias, f.nav.accel_bias]
     rig = [f.rig_state.attitude, f.rig_state.vibration, np.array(f.rig_state.time_offset_s)]
     return [a.copy() for a in [*nav, *rig, f.landmarks, copy.copy(f.belief).covariance(np.arange(len(f.landmarks)))]]
@@ -87,13 +87,13 @@ def kalman(f: Filter, model: str, rows: Array, pixels: Array, weights: Array | N
     I_KH = np.eye(len(P)) - K @ H
     P = I_KH @ P @ I_KH.T + K @ R.reshape(len(H), len(H)) @ K.T
     if MODELS[model].invariant:
-        T = shear(f.nav, f.landmarks, nav, landmarks)
+        T = chart_transport(f.nav, f.landmarks, nav, landmarks)
         P = T @ P @ T.T
     nis = float(nu @ np.linalg.solve(S, nu))
     return nav, landmarks, symmetrise(P), nis, float(multivariate_normal.logpdf(nu, cov=symmetrise(S)))
 
 
-def shear(before, landmarks_before: Array, after, landmarks_after: Array) -> Array:
+def chart_transport(before, landmarks_before: Array, after, landmarks_after: Array) -> Array:
     """Return T with dx+ = T dx = dx - [x+ - x]x xi for position, velocity and landmarks."""
     T = np.eye(NAV_DIM + 3 * len(landmarks_after))
     T[POSITION, ROTATION] = -skew(after.T_map_body.t - before.T_map_body.t)
@@ -102,7 +102,7 @@ def shear(before, landmarks_before: Array, after, landmarks_after: Array) -> Arr
     return T
 
 
-def test_the_start_is_what_it_is_told(course, name: str, model: str) -> None:
+def test_the_start_state_is_the_given_one(course, name: str, model: str) -> None:
     f = course.filter(model, name)
     back = f.nav_estimate().covariance
     known = 9 if model == "euler9" else 15
@@ -111,13 +111,15 @@ def test_the_start_is_what_it_is_told(course, name: str, model: str) -> None:
     assert f.landmarks.shape == (0, 3)
 
 
-def test_a_start_without_uncertainty_is_refused_with_the_block_named(course, name: str) -> None:
-    bad = dataclasses.replace(course, vehicle=dataclasses.replace(course.vehicle, initial=no_doubt(course.initial)))
+def test_a_singular_start_covariance_is_rejected_with_its_name(course, name: str) -> None:
+    bad = dataclasses.replace(
+        course, vehicle=dataclasses.replace(course.vehicle, initial=without_uncertainty(course.initial))
+    )
     with pytest.raises(FilterDivergence, match="initial covariance is not positive definite"):
         bad.filter("ri15", name)
 
 
-def no_doubt(initial: NavEstimate) -> NavEstimate:
+def without_uncertainty(initial: NavEstimate) -> NavEstimate:
     return NavEstimate(initial.state, np.zeros((15, 15)))
 
 
@@ -155,7 +157,7 @@ def test_prediction_of_the_extended_filters_is_the_strapdown_model(course, name:
     np.testing.assert_array_equal(f.nav.T_map_body.matrix, moved.T_map_body.matrix)
 
 
-def test_prediction_lets_the_rig_walk_and_draws_its_vibration_anew(course, name: str, model: str) -> None:
+def test_prediction_adds_the_rigs_random_walk_and_resets_its_vibration(course, name: str, model: str) -> None:
     rig = RigConfig(flexing=True, attitude_walk_deg=0.1, vibration_sigma_deg=0.02, time_offset_sigma_s=0.01)
     f, m = course.flown(model, name, rig_config=rig), MODELS[model].nav_dim
     f.update(ALL, course.pixels(3, ALL))
@@ -164,7 +166,7 @@ def test_prediction_lets_the_rig_walk_and_draws_its_vibration_anew(course, name:
     f.predict(increment)
     P, walked = f.covariance()[m : m + 7, m : m + 7], np.deg2rad(0.1) ** 2 * increment.dt_s
     vibration, rest = slice(3, 6), [0, 1, 2, 6]
-    loose = 1.0 + (1e-4 if name in BOUNDED else 1e-9)  # the bound lets go of a little of everything
+    loose = 1.0 + (1e-4 if name in BOUNDED else 1e-9)  # the bound inflates everything slightly
     grown = np.diag(P)[rest] - np.diag(before)[m : m + 7][rest] - walked * np.array([1, 1, 1, 0])
     np.testing.assert_allclose(grown / np.diag(P)[rest], 0.0, rtol=0, atol=loose - 1.0)
     np.testing.assert_allclose(P[vibration, vibration], np.deg2rad(0.02) ** 2 * np.eye(3), rtol=1e-6, atol=1e-15)
@@ -172,8 +174,8 @@ def test_prediction_lets_the_rig_walk_and_draws_its_vibration_anew(course, name:
     assert (f.rig_state.attitude is state.attitude, f.rig_state.time_offset_s) == (True, state.time_offset_s)
 
 
-def test_a_time_offset_shows_in_the_picture_as_the_turn_and_the_flight_at_its_stamp(course, model: str) -> None:
-    """The turn that the gyroscope reads at the increment's very end, less its bias."""
+def test_a_time_offset_moves_the_pixels_by_rotation_and_velocity_at_the_stamp(course, model: str) -> None:
+    """The rotation rate is the gyroscope's at the end of the increment, bias-corrected."""
     f = course.flown(model, rig_config=RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=0.01))
     turning = dataclasses.replace(course.increments[3], rate_end=np.array([0.3, -0.2, 0.5]) + f.nav.gyro_bias)
     f.predict(turning)
@@ -185,13 +187,13 @@ def test_a_time_offset_shows_in_the_picture_as_the_turn_and_the_flight_at_its_st
     np.testing.assert_allclose((f.predict_observations(ALL).expected - before) / later, columns, rtol=0, atol=1e-2)
 
 
-def test_landmarks_wait_for_the_first_increment_where_the_time_offset_is_a_state(course) -> None:
+def test_landmarks_are_added_only_after_the_first_increment_if_the_time_offset_is_a_state(course) -> None:
     rig = RigConfig(time_offset_sigma_s=0.01)
     f = course.filter(rig_config=rig)
-    assert not f.places_landmarks
+    assert not f.can_add_landmarks
     f.predict(course.increments[0])
-    assert f.places_landmarks
-    assert course.filter().places_landmarks
+    assert f.can_add_landmarks
+    assert course.filter().can_add_landmarks
 
 
 def test_update_is_the_kalman_update_in_every_output(course, name: str, model: str) -> None:
@@ -200,12 +202,12 @@ def test_update_is_the_kalman_update_in_every_output(course, name: str, model: s
     nav, landmarks, P, nis, log_likelihood = kalman(f, model, SOME, pixels)
     moved_before = f.nav
     innovation = f.update(SOME, pixels)
-    assert np.linalg.norm(f.nav.T_map_body.t - moved_before.T_map_body.t) > 1e-3  # there was something to correct
+    assert np.linalg.norm(f.nav.T_map_body.t - moved_before.T_map_body.t) > 1e-3  # the correction is not trivial
     assert_same_mean(f, nav, landmarks)
     assert_same_covariance(f.covariance(), P)
     assert innovation.nis == pytest.approx(nis, rel=1e-6)
     assert innovation.log_likelihood == pytest.approx(log_likelihood, abs=1e-6)
-    assert (innovation.dof, innovation.accepted, innovation.weighed_down) == (20, True, 0)
+    assert (innovation.dof, innovation.accepted, innovation.downweighted) == (20, True, 0)
 
 
 def test_log_likelihood_is_that_of_the_joint_innovation(course, name: str, model: str) -> None:
@@ -236,7 +238,7 @@ def test_the_order_of_a_batch_does_not_matter(course, name: str, model: str) -> 
 
 @pytest.mark.parametrize("name", ["eif", "ekf"])
 def test_information_of_two_batches_adds_at_one_linearisation(course, name: str) -> None:
-    """With observations that fit the prediction exactly the mean stays, so two updates equal one."""
+    """Observations equal to the prediction leave the mean unchanged, so two updates equal one."""
     Y = []
     for parts in ([ALL], [ALL[:5], ALL[5:]]):
         f = course.flown("ri15", name)
@@ -248,8 +250,8 @@ def test_information_of_two_batches_adds_at_one_linearisation(course, name: str)
     np.testing.assert_allclose(Y[1] / scale, Y[0] / scale, rtol=0, atol=1e-8)
 
 
-def test_a_refused_update_changes_nothing(course, name: str, model: str) -> None:
-    """Nor does one that was to be linearised elsewhere."""
+def test_a_rejected_update_changes_nothing(course, name: str, model: str) -> None:
+    """Also with another linearisation point."""
     f = course.flown(model, name)
     before = content(f)
     wrong = course.pixels(3, ALL) + np.random.default_rng(1).normal(0, 30.0, (12, 4))
@@ -278,7 +280,7 @@ def test_adding_no_landmark_changes_nothing(course, name: str, model: str) -> No
     assert_unchanged(f, before)
 
 
-def test_no_landmarks_are_predicted_and_added_as_none(course, name: str, model: str) -> None:
+def test_no_landmarks_give_empty_predictions_and_additions(course, name: str, model: str) -> None:
     f = course.filter(model, name)
     f.add_landmarks(np.zeros((0, 4)))
     f.predict(course.increments[0])
@@ -290,7 +292,7 @@ def test_no_landmarks_are_predicted_and_added_as_none(course, name: str, model: 
     assert len(f.covariance()) == f.vehicle
 
 
-def test_steps_modify_nothing_that_they_are_given(course, name: str, model: str) -> None:
+def test_steps_do_not_modify_their_arguments(course, name: str, model: str) -> None:
     f = course.flown(model, name)
     rows, pixels = SOME.copy(), course.pixels(3, SOME)
     new, gone = course.pixels(3, [2, 6]), np.array([1, 4])
@@ -308,7 +310,7 @@ def test_steps_modify_nothing_that_they_are_given(course, name: str, model: str)
         np.testing.assert_array_equal(now, then)
 
 
-def test_looking_changes_nothing(course, name: str, model: str) -> None:
+def test_queries_change_nothing(course, name: str, model: str) -> None:
     f = course.flown(model, name)
     before, pixels = content(f), course.pixels(3, SOME)
     f.predict_observations(SOME)
@@ -317,7 +319,7 @@ def test_looking_changes_nothing(course, name: str, model: str) -> None:
     f.nav_estimate()
     f.pose_landmark_information()
     f.rig_evidence()
-    f.covariance()[:] = np.nan  # what is handed out is the caller's
+    f.covariance()[:] = np.nan  # callers get a copy
     f.nav_estimate().covariance[:] = np.nan
     assert_unchanged(f, before)
 
@@ -337,9 +339,7 @@ def test_marginalising_drops_rows_of_the_covariance(course, name: str, model: st
     np.testing.assert_array_equal(f.landmarks, landmarks)
 
 
-def test_a_new_landmark_lies_where_it_is_triangulated_and_knows_what_the_pose_knows(
-    course, name: str, model: str
-) -> None:
+def test_a_new_landmark_is_triangulated_and_inherits_the_pose_uncertainty(course, name: str, model: str) -> None:
     f = course.flown(model, name, sigma_px=SIGMA_PX)
     pixels = course.pixels(3, [2, 6], np.random.default_rng(4))
     P, nav, landmarks = f.covariance(), f.nav, f.landmarks.copy()
@@ -349,7 +349,7 @@ def test_a_new_landmark_lies_where_it_is_triangulated_and_knows_what_the_pose_kn
     np.testing.assert_array_equal(f.landmarks[:12], landmarks)
     np.testing.assert_allclose(f.landmarks[12:], T_map_left.apply(points_left), rtol=0, atol=1e-12)
     G = np.zeros((6, len(P)))
-    for k in range(f.vehicle):  # how the triangulated points move with the pose
+    for k in range(f.vehicle):  # derivative of the triangulated points by the pose
         step = np.zeros(f.vehicle)
         step[k] = 1e-6
         ends = []
@@ -367,27 +367,27 @@ def test_a_new_landmark_lies_where_it_is_triangulated_and_knows_what_the_pose_kn
 @pytest.mark.parametrize("name", ["eif", "ekf"])
 def test_linearising_at_the_mean_is_a_plain_update(course, name: str, model: str) -> None:
     pixels = course.pixels(3, ALL, np.random.default_rng(1))
-    plain, told = course.flown(model, name), course.flown(model, name)
-    a, b = plain.update(ALL, pixels), told.update(ALL, pixels, linearise_at=told.nav.T_map_body)
-    assert_same_mean(told, plain.nav, plain.landmarks)
-    assert_same_covariance(told.covariance(), plain.covariance())
+    plain, relinearised = course.flown(model, name), course.flown(model, name)
+    a, b = plain.update(ALL, pixels), relinearised.update(ALL, pixels, linearise_at=relinearised.nav.T_map_body)
+    assert_same_mean(relinearised, plain.nav, plain.landmarks)
+    assert_same_covariance(relinearised.covariance(), plain.covariance())
     assert b.nis == pytest.approx(a.nis, rel=1e-6)
 
 
 def test_linearising_near_the_mean_hardly_changes_the_update(course, name: str) -> None:
-    """The prior stays where it was: another linearisation point 2 cm and 0.3 mrad off moves the result by a tenth."""
+    """The prior is unchanged: a linearisation point 2 cm and 0.3 mrad off changes the correction by a tenth."""
     pixels = course.pixels(3, ALL, np.random.default_rng(1))
-    plain, told = course.flown("ri15", name), course.flown("ri15", name)
-    mean = told.nav.T_map_body
+    plain, relinearised = course.flown("ri15", name), course.flown("ri15", name)
+    mean = relinearised.nav.T_map_body
     near = Pose(so3_exp([2e-4, -1e-4, 2e-4]) @ mean.R, mean.t + np.array([0.02, -0.01, 0.01]))
-    a, b = plain.update(ALL, pixels), told.update(ALL, pixels, linearise_at=near)
-    assert np.linalg.norm(told.nav.T_map_body.t - plain.nav.T_map_body.t) < 2e-3
-    assert np.abs(told.landmarks - plain.landmarks).max() < 5e-3
+    a, b = plain.update(ALL, pixels), relinearised.update(ALL, pixels, linearise_at=near)
+    assert np.linalg.norm(relinearised.nav.T_map_body.t - plain.nav.T_map_body.t) < 2e-3
+    assert np.abs(relinearised.landmarks - plain.landmarks).max() < 5e-3
     assert b.nis == pytest.approx(a.nis, rel=0.05)
 
 
 def test_linearising_at_the_true_pose_helps_a_mean_that_is_far_off(course, name: str) -> None:
-    """A prior of the right size 3 m and 2 degrees off: one step from there is worse than one from the true pose."""
+    """A consistent prior 3 m and 2 degrees off: an update linearised there is worse than one at the true pose."""
     truth = course.true_state(3)
     errors = {}
     for linearise_at in (None, truth.T_map_body):
@@ -401,16 +401,16 @@ def test_linearising_at_the_true_pose_helps_a_mean_that_is_far_off(course, name:
 
 
 @pytest.mark.parametrize("name", ["ukf", "uhf"])
-def test_a_regression_where_the_mean_is_far_off_loses_nothing_to_the_width_of_the_belief(course, name: str) -> None:
-    """After a long gap the pose is vague by 20 m at 70 m of height, and 12 landmarks tell it to centimetres again.
+def test_regression_at_another_linearisation_point_uses_the_posterior_belief(course, name: str) -> None:
+    """After a long gap the pose uncertainty is 20 m at 70 m height, and 12 landmarks reduce it to centimetres.
 
-    A regression over these 20 m leaves several times the uncertainty that Jacobians at the right place do.
+    Regression over these 20 m would leave several times the uncertainty of Jacobians at the true pose.
     """
     sigma_m = {}
     for which, linearise_at in (("eif", True), (name, True), (name, False)):
         f = course.flown("ri15", which)
-        vague = np.concatenate([np.full(3, 20.0), np.zeros(f.belief.size - 3)])
-        course.set_covariance(f, f.covariance() + np.diag(vague**2))
+        sigma = np.concatenate([np.full(3, 20.0), np.zeros(f.belief.size - 3)])
+        course.set_covariance(f, f.covariance() + np.diag(sigma**2))
         f.update(ALL, course.pixels(3, ALL), linearise_at=course.true_state(3).T_map_body if linearise_at else None)
         sigma_m[which, linearise_at] = np.sqrt(np.trace(f.nav_estimate().covariance[:3, :3]))
     assert sigma_m[name, True] == pytest.approx(sigma_m["eif", True], rel=0.05)
@@ -418,7 +418,7 @@ def test_a_regression_where_the_mean_is_far_off_loses_nothing_to_the_width_of_th
 
 
 def test_difference_gives_the_prior_offset_of_another_linearisation(course) -> None:
-    """`difference` is what the relinearised update stands on: retracting by it returns to the mean."""
+    """The relinearised update relies on `difference`: retracting by it returns to the mean."""
     f = course.flown("ri15")
     there = course.true_state(3)
     delta = difference(there, f.landmarks, f.nav, f.landmarks)
@@ -446,14 +446,14 @@ def test_pose_landmark_information_is_the_inverse_of_the_marginal_covariance(cou
     assert_same_covariance(np.linalg.inv(f.pose_landmark_information()), J @ f.covariance() @ J.T, 1e-5)
 
 
-def test_a_divergence_is_never_handed_on_and_names_the_time(course, name: str, model: str) -> None:
+def test_a_divergence_is_raised_and_names_the_time(course, name: str, model: str) -> None:
     f = course.flown(model, name)
     f.belief = type(f.belief)(np.full_like(f.covariance(), np.nan), f.vehicle)
     named = rf"^at {f.nav.stamp_ns / 1e9:.3f} s: (?!at ).*smallest eigenvalue nan"
-    for look in (f.nav_estimate, f.pose_landmark_information):
+    for query in (f.nav_estimate, f.pose_landmark_information):
         with pytest.raises(FilterDivergence, match=named):
-            look()
-    if name == "eif":  # the others find it when the frame's estimate is asked for
+            query()
+    if name == "eif":  # the others detect it when the estimate is queried
         steps = (lambda: f.update(ALL, course.pixels(3, ALL)), lambda: f.predict_observations(ALL))
         for step in (*steps, lambda: f.marginalise(SOME)):
             with pytest.raises(FilterDivergence, match=named):
@@ -471,7 +471,7 @@ def test_a_matrix_that_numpy_cannot_factor_is_a_divergence_that_names_the_time(c
         f.predict(course.increments[0])
 
 
-def test_pixels_that_are_not_numbers_are_refused(course, name: str, model: str) -> None:
+def test_nan_pixels_are_rejected(course, name: str, model: str) -> None:
     f = course.flown(model, name)
     before, pixels = content(f), course.pixels(3, SOME)
     pixels[2, 1] = np.nan
@@ -480,17 +480,17 @@ def test_pixels_that_are_not_numbers_are_refused(course, name: str, model: str) 
 
 
 def test_robust_update_is_the_kalman_update_with_huber_weights(course, name: str, model: str) -> None:
-    """Weights are taken from what an update with all trusted leaves of each landmark's residual."""
+    """Weights follow from each landmark's posterior residual after an unweighted update."""
     pixels = course.pixels(3, ALL, np.random.default_rng(1))
     pixels[4] += [25.0, -10.0, 20.0, -10.0]
-    f, trusting = course.flown(model, name, robust=True), course.flown(model, name)
-    predicted, before = trusting.predict_observations(ALL), trusting.nav
-    after, after_landmarks, *_ = kalman(trusting, model, ALL, pixels)
-    delta = np.append(MODELS[model]().local(before, after), (after_landmarks - trusting.landmarks).ravel())
+    f, plain_filter = course.flown(model, name, robust=True), course.flown(model, name)
+    predicted, before = plain_filter.predict_observations(ALL), plain_filter.nav
+    after, after_landmarks, *_ = kalman(plain_filter, model, ALL, pixels)
+    delta = np.append(MODELS[model]().local(before, after), (after_landmarks - plain_filter.landmarks).ravel())
     if MODELS[model].invariant:
-        delta = difference(before, trusting.landmarks, after, after_landmarks)
-    own = delta[trusting.vehicle :].reshape(-1, 3)
-    left = pixels - predicted.expected - predicted.H_vehicle @ delta[: trusting.vehicle]
+        delta = difference(before, plain_filter.landmarks, after, after_landmarks)
+    own = delta[plain_filter.vehicle :].reshape(-1, 3)
+    left = pixels - predicted.expected - predicted.H_vehicle @ delta[: plain_filter.vehicle]
     left -= np.einsum("nki,ni->nk", predicted.H_landmark, own)
     squares = np.einsum("ni,nij,nj->n", left, np.linalg.inv(predicted.R), left)
     weights = np.minimum(1.0, np.sqrt(chi2.ppf(HUBER_PROBABILITY, STEREO_DOF) / squares))
@@ -501,27 +501,27 @@ def test_robust_update_is_the_kalman_update_with_huber_weights(course, name: str
     assert_same_covariance(f.covariance(), P)
     assert innovation.nis == pytest.approx(nis, rel=1e-6)
     assert innovation.log_likelihood == pytest.approx(log_likelihood, rel=1e-6)
-    assert innovation.weighed_down == int((weights < 1).sum()) >= 1
+    assert innovation.downweighted == int((weights < 1).sum()) >= 1
 
 
-def test_one_gross_error_moves_a_robust_filter_far_less(course, name: str, model: str) -> None:
-    """Against each filter's own result without the error, which has no use for the kernel."""
+def test_one_outlier_moves_a_robust_filter_far_less(course, name: str, model: str) -> None:
+    """Compared with each filter's own result without the outlier."""
     right = course.pixels(3, ALL, np.random.default_rng(1))
     wrong = right.copy()
     wrong[4] += [120.0, -80.0, 120.0, -80.0]
     moved = []
     for robust in (True, False):
-        clean, spoilt = (course.flown(model, name, robust=robust) for _ in range(2))
-        assert clean.update(ALL, right).weighed_down <= 1
-        clean_innovation = spoilt.update(ALL, wrong)
-        assert clean_innovation.weighed_down >= robust
-        moved.append(np.linalg.norm(spoilt.nav.T_map_body.t - clean.nav.T_map_body.t))
+        clean, corrupted = (course.flown(model, name, robust=robust) for _ in range(2))
+        assert clean.update(ALL, right).downweighted <= 1
+        clean_innovation = corrupted.update(ALL, wrong)
+        assert clean_innovation.downweighted >= robust
+        moved.append(np.linalg.norm(corrupted.nav.T_map_body.t - clean.nav.T_map_body.t))
     assert moved[0] < 0.3 * moved[1]
 
 
 @pytest.mark.parametrize("model", sorted(MODELS))
 def test_the_information_filter_is_the_extended_kalman_filter_over_a_whole_flight(course, model: str) -> None:
-    """EIF = EKF in mean, covariance, NIS and log-likelihood of each frame, landmarks coming and going."""
+    """EIF = EKF in mean, covariance, NIS and log-likelihood of each frame, with landmarks added and marginalised."""
     eif, ekf = (course.filter(model, name) for name in ("eif", "ekf"))
     rng = np.random.default_rng(5)
     pixels, in_state = [course.pixels(frame, ALL, rng) for frame in range(8)], ALL[:8]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filters by name: as the configuration spells them, made as it says."""
+"""The filters by name, built as configured."""
 
 import dataclasses
 
@@ -13,13 +13,13 @@ from uav_vslam.estimation.filters import BOUNDED, FILTERS, make_filter
 OWN = [name for name in FILTERS if not name.startswith("thesis")]
 
 
-def test_the_configuration_knows_the_same_names() -> None:
+def test_the_configuration_has_the_same_names() -> None:
     assert set(config.FILTERS) == set(FILTERS)
     assert set(BOUNDED) < set(FILTERS)
 
 
 def made(course, name: str, **backend):
-    rig = RigConfig(rigid_sigma_deg=0.0)  # as `Filter` believes when it is not told
+    rig = RigConfig(rigid_sigma_deg=0.0)  # the default of `Filter`
     settings = VehicleConfig(imu=course.imu, rig=rig, backend=BackendConfig(filter=name, **backend))
     return make_filter(course.initial, rig=course.rig, config=settings)
 
@@ -41,7 +41,7 @@ def test_a_configured_filter_is_the_one_of_that_name(course, name: str, model: s
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_robustness_and_doubt_of_the_rig_are_passed_on(course, name: str) -> None:
+def test_robust_kernel_and_rig_uncertainty_are_passed_on(course, name: str) -> None:
     settings = VehicleConfig(imu=course.imu, rig=RigConfig(flexing=True, time_offset_sigma_s=0.01))
     for robust in (True, False):
         backend = BackendConfig(filter=name, robust=robust)
@@ -51,11 +51,11 @@ def test_robustness_and_doubt_of_the_rig_are_passed_on(course, name: str) -> Non
         f.predict(course.increments[0])
         wrong = course.pixels(1, np.arange(12))
         wrong[4] += 100.0
-        assert (f.update(np.arange(12), wrong).weighed_down > 0) is robust
+        assert (f.update(np.arange(12), wrong).downweighted > 0) is robust
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_a_quarter_of_the_weight_brings_a_quarter_of_the_information(course, name: str) -> None:
+def test_a_quarter_of_the_weight_adds_a_quarter_of_the_information(course, name: str) -> None:
     information = []
     for weight in (0.0, 0.25, 1.0):
         f = made(course, name, robust=True)

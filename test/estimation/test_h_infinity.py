@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The H-infinity bound: its formula, what it tends to without a bound, and that it never asks for the impossible."""
+"""The H-infinity bound: its formula, its limit for infinite gamma, and its feasibility."""
 
 import numpy as np
 import pytest
@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 
 FORMS = (InformationBelief, CovarianceBelief, SquareRootBelief)
 ALL = np.arange(12)
-ROUNDING = 1e-7  # 1e-16 times condition numbers of up to 1e8, and a margin
+ROUNDING = 1e-7  # 1e-16 times condition numbers of up to 1e8, with a margin
 SCALE = np.repeat(ERROR_SCALE, 3)
 
 
 def some_covariance(seed: int, n: int) -> Array:
-    """Return correlated errors of about the scale; none is nearly known from the others."""
+    """Return a well-conditioned covariance of correlated errors of about that scale."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n)) + 2.0 * np.eye(n)
     sigma = np.concatenate([SCALE, np.full(n - 9, 1e-3)])
@@ -35,7 +35,7 @@ def feasibility_limit(P: Array) -> float:
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.__name__)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([9, 15]), st.integers(0, 4), st.floats(0.0, 4.0))
-def test_bound_takes_the_scaled_navigation_block_off_the_information(
+def test_bound_subtracts_the_scaled_navigation_block_from_the_information(
     form: type[Belief], seed: int, nav_dim: int, rig_rows: int, decades: float
 ) -> None:
     """P <- (P^-1 - gamma^-2 L^T L)^-1; the rows of the biases and of the rig are not bounded, but correlated."""
@@ -51,8 +51,8 @@ def test_bound_takes_the_scaled_navigation_block_off_the_information(
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(1e-9, 1e9))
-def test_bound_is_feasible_whatever_gamma(seed: int, gamma: float) -> None:
-    """P grows by 1 / (1 - 1/MARGIN) at most, and never shrinks."""
+def test_bound_is_feasible_for_any_gamma(seed: int, gamma: float) -> None:
+    """P grows by at most 1 / (1 - 1/MARGIN), and never shrinks."""
     P = some_covariance(seed, 15)
     belief, feasibility = bounded(SquareRootBelief.from_covariance(P), 15, gamma)
     assert feasibility >= MARGIN * (1 - 1e-9)
@@ -64,7 +64,7 @@ def test_bound_is_feasible_whatever_gamma(seed: int, gamma: float) -> None:
 
 
 def flown(course, model: str, gamma: float | None) -> tuple[Array, Array, float]:
-    """Return where a filter is after three frames, its covariance, and its least feasibility on the way."""
+    """Return a filter's position after three frames, its covariance, and its least feasibility."""
     name, options = ("ukf", {}) if gamma is None else ("uhf", {"gamma": gamma})
     f = course.filter(model, name, **options)
     rng, least = np.random.default_rng(4), np.inf
@@ -86,7 +86,7 @@ def test_the_bounded_filter_tends_to_the_unscented_as_gamma_squared(course, mode
         bounded_mean, bounded_P, _ = flown(course, model, gamma)
         away.append((np.abs(bounded_mean - mean).max(), np.abs((bounded_P - P) / np.outer(sigma, sigma)).max()))
     for near, far in zip(away[1], away[0], strict=True):
-        assert far > 1e-6  # there is a difference to speak of
+        assert far > 1e-6  # the difference is not trivial
         assert near / far == pytest.approx(1e-2, rel=0.02)
 
 
@@ -101,7 +101,7 @@ def test_the_bounded_filter_stays_feasible_and_definite(course, model: str, gamm
 
 
 def test_a_smaller_gamma_is_more_cautious(course) -> None:
-    """The bound inflates what the filter says of itself, the more the smaller gamma, until the margin holds it."""
+    """The bound inflates the covariance, more for smaller gamma, until limited by the margin."""
     volumes = [np.linalg.slogdet(flown(course, "ri15", gamma)[1])[1] for gamma in (1e-6, 1.5, 10.0, 30.0, 100.0, None)]
     assert volumes[0] == pytest.approx(volumes[1])
     assert (np.diff(volumes[1:]) < 0).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jacobians against numerical ones, rig errors included; cubature against linear functions, quadratics and draws."""
+"""Jacobians against numerical ones, rig errors included; cubature against exact moments and Monte Carlo."""
 
 import dataclasses
 
@@ -45,7 +45,7 @@ def model(request: pytest.FixtureRequest):
     return MODELS[request.param]()
 
 
-def look(course, model, config: RigConfig, state: RigState, frame: int = 3) -> Camera:
+def camera_at(course, model, config: RigConfig, state: RigState, frame: int = 3) -> Camera:
     """Return the camera of a frame as `Filter` makes it."""
     errors = RigErrors(course.rig, config, model.nav_dim)
     nav, rate = course.true_state(frame), np.array([0.05, -0.2, 0.1])
@@ -53,7 +53,7 @@ def look(course, model, config: RigConfig, state: RigState, frame: int = 3) -> C
 
 
 def pixels_under(course, camera: Camera, state: RigState, frame: int, vehicle: Array, landmarks: Array) -> Array:
-    """Return the pixels (M, 4) when the vehicle's error is `vehicle`: the long way, through the means."""
+    """Return the pixels (M, 4) under the vehicle error `vehicle`, by retracting the means."""
     errors, n = camera.errors, camera.model.nav_dim
     nav, _ = camera.model.retract(course.true_state(frame), np.zeros((0, 3)), vehicle[:n])
     rig = errors.retract(state, vehicle)
@@ -82,9 +82,11 @@ def assert_close(found: Array, expected: Array, tolerance: float) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("config", [RIGID, FLEXING, RigConfig(rigid_sigma_deg=0.01)], ids=["rigid", "flexing", "told"])
+@pytest.mark.parametrize(
+    "config", [RIGID, FLEXING, RigConfig(rigid_sigma_deg=0.01)], ids=["rigid", "flexing", "precise"]
+)
 def test_pixel_jacobians_are_the_numerical_ones_at_the_calibration(course, model, config: RigConfig) -> None:
-    camera, landmarks = look(course, model, config, CALIBRATED), course.landmarks[[4, 0, 7]]
+    camera, landmarks = camera_at(course, model, config, CALIBRATED), course.landmarks[[4, 0, 7]]
     points, J_vehicle, J_landmark = camera_points(camera, landmarks)
     H = pixel_jacobians(camera, points, points, J_vehicle, J_landmark)
     for found, expected in zip(H, numerical(course, camera, CALIBRATED, 3, landmarks), strict=True):
@@ -92,8 +94,8 @@ def test_pixel_jacobians_are_the_numerical_ones_at_the_calibration(course, model
 
 
 def test_pixel_jacobians_hold_away_from_the_calibration_to_first_order(course, model) -> None:
-    """Left out: J_r of 0.05 degrees of misalignment, 0.1 degree of turn and, of a velocity's error, 10 ms' worth."""
-    camera, landmarks = look(course, model, FLEXING, BENT), course.landmarks[[4, 0, 7]]
+    """Neglected: J_r of 0.05 degrees of misalignment and 0.1 degree of rotation, and 10 ms of velocity error."""
+    camera, landmarks = camera_at(course, model, FLEXING, BENT), course.landmarks[[4, 0, 7]]
     points, J_vehicle, J_landmark = camera_points(camera, landmarks)
     H_vehicle, H_landmark = pixel_jacobians(camera, points, points, J_vehicle, J_landmark)
     expected_vehicle, expected_landmark = numerical(course, camera, BENT, 3, landmarks)
@@ -105,8 +107,8 @@ def test_pixel_jacobians_hold_away_from_the_calibration_to_first_order(course, m
     assert np.abs(expected_vehicle[:, :, 3:6]).max() < 0.0101 * np.abs(expected_vehicle[:, :, :3]).max()
 
 
-def test_no_landmarks_are_predicted_as_none(course, model) -> None:
-    camera = look(course, model, FLEXING, BENT)
+def test_no_landmarks_give_an_empty_prediction(course, model) -> None:
+    camera = camera_at(course, model, FLEXING, BENT)
     vehicle = model.nav_dim + camera.errors.dim
     for linear in (Jacobians(), Cubature()):
         predicted = linear.observation(camera, NONE, np.zeros((0, 3)), blocks(np.eye(vehicle), 0))
@@ -117,7 +119,7 @@ def test_no_landmarks_are_predicted_as_none(course, model) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 6))
 def test_regression_returns_a_linear_function_itself(seed: int, d: int, k: int) -> None:
-    """In stacks of 4: no shift, the slope, nothing left over."""
+    """In batches of 4: no shift, the exact slope, no linearisation error."""
     rng = np.random.default_rng(seed)
     L = np.array([np.linalg.cholesky(spd(rng, d)) for _ in range(4)])
     A, b = rng.normal(size=(4, k, d)), rng.normal(size=(4, k))
@@ -135,7 +137,7 @@ def spd(rng: np.random.Generator, n: int) -> Array:
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
 def test_regression_of_a_quadratic_has_its_mean_and_slope(seed: int, d: int) -> None:
-    """For f = b x + x^T A x and x ~ N(0, P): mean tr(A P), slope b; the rest has a variance, if not a Gaussian's."""
+    """For f = b x + x^T A x and x ~ N(0, P): mean tr(A P), slope b, and a linearisation error of positive variance."""
     rng = np.random.default_rng(seed)
     P, b, A = spd(rng, d), rng.normal(size=d), rng.normal(size=(d, d))
     L = np.linalg.cholesky(P)
@@ -159,7 +161,7 @@ def test_cubature_offsets_have_the_moments_of_the_gaussian() -> None:
 @settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.integers(3, 8), st.integers(1, 4))
 def test_an_unscented_filter_of_a_linear_system_is_the_kalman_filter(seed: int, m: int, n: int) -> None:
-    """Regressed process and observations, square-root form: three steps, in all outputs of each."""
+    """Regressed process and observations, square-root form: three steps, all outputs compared."""
     rng = np.random.default_rng(seed)
     P = spd(rng, m)
     belief = SquareRootBelief.from_covariance(P)
@@ -228,21 +230,21 @@ def uncertain(course, model, config: RigConfig, scale: float, count: int) -> Arr
     return scale**2 * C / np.outer(d, d) * np.outer(sigma, sigma)
 
 
-def doubted(P: Array, row: int, factor: float) -> Array:
+def inflated(P: Array, row: int, factor: float) -> Array:
     scale = np.ones(len(P))
     scale[row] = factor
     return P * np.outer(scale, scale)
 
 
 def blocks(P: Array, count: int) -> Marginals:
-    """Return those of a whole covariance over a vehicle and some landmarks."""
+    """Return the marginals from the full covariance of a vehicle and some landmarks."""
     return CovarianceBelief(P, len(P) - 3 * count).marginals(np.arange(count))
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.043])
 def test_cubature_becomes_the_jacobian_as_uncertainty_vanishes(course, model, smoothing: float) -> None:
-    """What differs is of second order: a thousandth of the uncertainty leaves a millionth of the difference."""
-    camera = dataclasses.replace(look(course, model, FLEXING, BENT), depth_sigma_ratio=smoothing)
+    """The difference is of second order: a thousandth of the uncertainty leaves a millionth of it."""
+    camera = dataclasses.replace(camera_at(course, model, FLEXING, BENT), depth_sigma_ratio=smoothing)
     rows = np.array([4, 0, 7])
     P = uncertain(course, model, FLEXING, 1e-3, 3)
     first = Jacobians().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
@@ -254,10 +256,10 @@ def test_cubature_becomes_the_jacobian_as_uncertainty_vanishes(course, model, sm
     assert_close(second.S, first.S, 1e-6)
 
 
-def test_cubature_predicts_what_draws_show_better_than_the_jacobian(course, model) -> None:
-    """Mean and covariance of the pixels over 40 000 draws of pose and landmark, each with its mirror image."""
-    camera, at = look(course, model, RIGID, CALIBRATED), course.landmarks[[4]]
-    P = doubted(uncertain(course, model, RIGID, 1.0, 1), -1, 5.0)  # 10 m of doubt of the height, seen from 70 m
+def test_cubature_predicts_monte_carlo_better_than_the_jacobian(course, model) -> None:
+    """Mean and covariance of the pixels over 40 000 antithetic draws of pose and landmark."""
+    camera, at = camera_at(course, model, RIGID, CALIBRATED), course.landmarks[[4]]
+    P = inflated(uncertain(course, model, RIGID, 1.0, 1), -1, 5.0)  # 10 m of height uncertainty, seen from 70 m
     half = np.random.default_rng(0).multivariate_normal(np.zeros(len(P)), P, 20_000, method="cholesky")
     draws = np.vstack([half, -half])
     arm = np.broadcast_to(at - camera.nav.T_map_body.t, (len(draws), 3))
@@ -267,17 +269,17 @@ def test_cubature_predicts_what_draws_show_better_than_the_jacobian(course, mode
     first, second = (
         linear.observation(camera, np.array([4]), at, blocks(P, 1)) for linear in (Jacobians(), Cubature())
     )
-    assert np.abs(first.expected[0] - mean).max() > 1.0  # [px]: the height's doubt bends the projection
+    assert np.abs(first.expected[0] - mean).max() > 1.0  # [px]: the projection is nonlinear over the height uncertainty
     assert np.abs(second.expected[0] - mean).max() < 0.2
     missing = [np.linalg.norm(predicted.S[0] - S) for predicted in (first, second)]
-    assert missing[1] < missing[0]  # a rule of third degree has part of the fourth moments only
+    assert missing[1] < missing[0]  # a third-degree rule captures only part of the fourth moments
     assert missing[1] < 0.04 * np.linalg.norm(S)
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.043])
 def test_cubature_observation_is_the_mean_and_covariance_over_its_points(course, model, smoothing: float) -> None:
-    """The long way: each point retracted, seen, and averaged; with smoothing all points are moved to the depth."""
-    camera = dataclasses.replace(look(course, model, RIGID, CALIBRATED), depth_sigma_ratio=smoothing)
+    """Explicitly: each point retracted, projected and averaged; with smoothing all points are moved to the depth."""
+    camera = dataclasses.replace(camera_at(course, model, RIGID, CALIBRATED), depth_sigma_ratio=smoothing)
     rows, m = np.array([4, 0, 7]), model.nav_dim
     P, landmarks = uncertain(course, model, RIGID, 1.0, 3), course.landmarks[rows]
     predicted = Cubature().observation(camera, rows, landmarks, blocks(P, 3))
@@ -304,9 +306,9 @@ def test_cubature_observation_is_the_mean_and_covariance_over_its_points(course,
 
 
 def test_a_landmark_whose_points_fall_behind_the_camera_keeps_its_jacobian(course, model) -> None:
-    camera, rows = look(course, model, FLEXING, BENT), np.array([4, 0, 7])
+    camera, rows = camera_at(course, model, FLEXING, BENT), np.array([4, 0, 7])
     P = uncertain(course, model, FLEXING, 1.0, 3)
-    P = doubted(P, -4, 200.0)  # the height of the second landmark: 400 m of doubt, seen from 70 m
+    P = inflated(P, -4, 200.0)  # the second landmark's height: 400 m of uncertainty, seen from 70 m
     first = Jacobians().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
     second = Cubature().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
     same = [np.array_equal(getattr(second, f)[1], getattr(first, f)[1]) for f in ("H_vehicle", "H_landmark", "R", "S")]
@@ -317,8 +319,8 @@ def test_a_landmark_whose_points_fall_behind_the_camera_keeps_its_jacobian(cours
         assert np.isfinite(second.S[n]).all()
 
 
-def test_cubature_leaves_inputs_alone(course, model) -> None:
-    camera, rows = look(course, model, FLEXING, BENT), np.array([4, 0, 7])
+def test_cubature_does_not_modify_its_inputs(course, model) -> None:
+    camera, rows = camera_at(course, model, FLEXING, BENT), np.array([4, 0, 7])
     P, landmarks = blocks(uncertain(course, model, FLEXING, 1.0, 3), 3), course.landmarks[rows]
     arrays = P.vehicle, P.cross, P.landmarks, landmarks, rows
     before = [a.copy() for a in arrays]
@@ -361,7 +363,7 @@ def test_cubature_process_is_the_mean_and_covariance_over_its_points(course, mod
     np.testing.assert_allclose(error / np.outer(sigma, sigma), 0.0, rtol=0, atol=SCALED)
 
 
-def test_process_by_cubature_predicts_what_draws_show(course, model) -> None:
+def test_process_by_cubature_predicts_monte_carlo(course, model) -> None:
     """2000 draws of a start known to 0.5 m, 0.2 m/s and 3 degrees: mean and covariance at the end.
 
     The increment's own noise, which the draws lack, is less than a thousandth of this.

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from uav_vslam.estimation.models import MODELS, POSE, RightInvariant15, difference, shear
+from uav_vslam.estimation.models import MODELS, POSE, RightInvariant15, chart_transport, difference
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy, skew, so3_exp, so3_log
 from uav_vslam.ins.propagation import NAV_DIM, POSITION, ROTATION, VELOCITY
@@ -19,7 +19,7 @@ from uav_vslam.types import NavState
 Array = NDArray[np.float64]
 
 STEP = 1e-6  # of each coordinate, central differences
-DIFFERENCE = 1e-7  # such a derivative of numbers of order 20
+DIFFERENCE = 1e-7  # of such a derivative of numbers of order 20
 ROUNDING = 1e-11  # of positions of order 100 m
 
 NAV = NavState(
@@ -72,18 +72,18 @@ def test_landmark_coordinates_are_plain_differences_to_first_order(model) -> Non
         np.testing.assert_allclose((plus - minus) / (2 * STEP), expected, rtol=0, atol=DIFFERENCE)
 
 
-def test_from_map_undoes_to_map(model) -> None:
+def test_from_map_inverts_to_map(model) -> None:
     np.testing.assert_allclose(model.from_map(NAV) @ model.to_map(NAV), np.eye(model.nav_dim), rtol=0, atol=1e-13)
 
 
-def test_no_correction_moves_nothing(model) -> None:
+def test_a_zero_correction_changes_nothing(model) -> None:
     nav, landmarks = model.retract(NAV, LANDMARKS, np.zeros(model.nav_dim + 9))
     np.testing.assert_allclose(nav.T_map_body.matrix, NAV.T_map_body.matrix, rtol=0, atol=1e-13)
     np.testing.assert_allclose(nav.v_map, NAV.v_map, rtol=0, atol=1e-13)
     np.testing.assert_allclose(landmarks, LANDMARKS, rtol=0, atol=1e-13)
 
 
-def test_a_state_without_landmarks_is_moved_as_well(model) -> None:
+def test_a_state_without_landmarks_is_corrected_as_well(model) -> None:
     _, landmarks = model.retract(NAV, np.zeros((0, 3)), np.full(model.nav_dim, 0.01))
     assert landmarks.shape == (0, 3)
 
@@ -137,13 +137,13 @@ def test_right_invariant_retraction_is_the_exponential_of_the_group(delta: Array
 
 
 @given(DELTAS)
-def test_difference_undoes_the_right_invariant_retraction(delta: Array) -> None:
+def test_difference_inverts_the_right_invariant_retraction(delta: Array) -> None:
     nav, landmarks = RightInvariant15().retract(NAV, LANDMARKS, delta)
     np.testing.assert_allclose(difference(NAV, LANDMARKS, nav, landmarks), delta, rtol=0, atol=100 * ROUNDING)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 4), st.integers(0, 3))
-def test_shear_is_the_change_of_chart_to_a_moved_mean(seed: int, rig_rows: int, count: int) -> None:
+def test_chart_transport_is_the_change_of_chart_to_a_moved_mean(seed: int, rig_rows: int, count: int) -> None:
     """T = I - B E^T is dx+ = dx - [x+ - x]x xi for position, velocity and landmarks alone."""
     rng = np.random.default_rng(seed)
     moved_p, moved_v, moved_l = rng.normal(0, 2, 3), rng.normal(0, 1, 3), rng.normal(0, 2, (count, 3))
@@ -153,16 +153,16 @@ def test_shear_is_the_change_of_chart_to_a_moved_mean(seed: int, rig_rows: int, 
     expected[VELOCITY, ROTATION] = -skew(moved_v)
     expected[vehicle:, ROTATION] = -skew(moved_l).reshape(-1, 3)
     T = np.eye(vehicle + 3 * count)
-    T[:, ROTATION] -= shear(vehicle, moved_p, moved_v, moved_l)
+    T[:, ROTATION] -= chart_transport(vehicle, moved_p, moved_v, moved_l)
     np.testing.assert_array_equal(T, expected)
 
 
-def test_shear_without_motion_is_zero() -> None:
-    np.testing.assert_array_equal(shear(15, np.zeros(3), np.zeros(3), np.zeros((0, 3))), np.zeros((15, 3)))
+def test_chart_transport_without_motion_is_zero() -> None:
+    np.testing.assert_array_equal(chart_transport(15, np.zeros(3), np.zeros(3), np.zeros((0, 3))), np.zeros((15, 3)))
 
 
 @given(DELTAS)
-def test_local_undoes_the_retraction_of_every_model(model, delta: Array) -> None:
+def test_local_inverts_the_retraction_of_every_model(model, delta: Array) -> None:
     step = delta[: model.nav_dim] * (0.1 if model.nav_dim == 9 else 1.0)  # roll, pitch, yaw: away from the pole
     nav, _ = model.retract(NAV, np.zeros((0, 3)), step)
     found = model.local(NAV, nav)
@@ -171,21 +171,21 @@ def test_local_undoes_the_retraction_of_every_model(model, delta: Array) -> None
     np.testing.assert_allclose(again.T_map_body.matrix, nav.T_map_body.matrix, rtol=0, atol=100 * ROUNDING)
 
 
-def test_local_takes_the_short_way_round(model) -> None:
-    """From a yaw of 179 to one of -179 degrees it is two degrees, whatever the angles are written as."""
+def test_local_wraps_the_yaw(model) -> None:
+    """A yaw of 179 and one of -179 degrees differ by two degrees."""
     poses = [Pose(rotation_from_rpy(0.05, 0.1, np.deg2rad(yaw)), NAV.T_map_body.t) for yaw in (179.0, -179.0)]
     start, end = (dataclasses.replace(NAV, T_map_body=pose) for pose in poses)
     turn = model.local(start, end)[6:9]
     assert np.linalg.norm(turn) == pytest.approx(np.deg2rad(2.0), rel=1e-9)
 
 
-PERTURBATIONS = st.sampled_from([1.0, 1e-2, 1.1e-4, 0.9e-4, 1e-6, 1e-9, 0.0])  # either side of the series' limit
+PERTURBATIONS = st.sampled_from([1.0, 1e-2, 1.1e-4, 0.9e-4, 1e-6, 1e-9, 0.0])  # on both sides of the series' limit
 
 
 @settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), PERTURBATIONS)
-def test_perturbed_arms_are_what_the_retracted_body_sees(model, seed: int, size: float) -> None:
-    """Finite and tiny rotations, in stacks: 4 errors of 3 landmarks each."""
+def test_perturbed_arms_are_landmarks_in_the_retracted_body_frame(model, seed: int, size: float) -> None:
+    """Finite and tiny rotations, in batches: 4 errors of 3 landmarks each."""
     rng = np.random.default_rng(seed)
     pose = rng.normal(size=(3, 4, 6)) * np.repeat([5.0, 0.3 * size], 3)
     landmark = rng.normal(0, 5.0, (3, 4, 3))
@@ -201,20 +201,20 @@ def test_perturbed_arms_are_what_the_retracted_body_sees(model, seed: int, size:
         np.testing.assert_allclose(seen[k, n], expected, rtol=0, atol=10 * ROUNDING)
 
 
-def test_perturbed_arms_take_arrays_that_are_read_only(model) -> None:
+def test_perturbed_arms_accept_read_only_arrays(model) -> None:
     arms, pose, landmark = (np.broadcast_to(x, (4, 1, k)) for x, k in ((1.0, 3), (0.1, 6), (2.0, 3)))
     assert model.perturbed_arms(NAV, arms, pose, landmark).shape == (4, 1, 3)
 
 
-def test_perturbed_arms_of_nothing_are_nothing(model) -> None:
+def test_perturbed_arms_of_no_landmarks_are_empty(model) -> None:
     none = model.perturbed_arms(NAV, np.zeros((0, 1, 3)), np.zeros((0, 18, 6)), np.zeros((0, 18, 3)))
     assert none.shape == (0, 18, 3)
 
 
-def test_euler9_singles_out_the_thesis_states() -> None:
+def test_euler9_has_the_thesis_states() -> None:
     model = MODELS["euler9"]()
     delta = np.zeros(9)
-    delta[3:6] = [1.0, 0.0, 0.0]  # one metre a second more along the body's x axis
+    delta[3:6] = [1.0, 0.0, 0.0]  # 1 m/s along the body's x axis
     nav, _ = model.retract(NAV, np.zeros((0, 3)), delta)
     np.testing.assert_allclose(nav.v_map - NAV.v_map, NAV.T_map_body.R[:, 0], rtol=0, atol=1e-13)
     assert nav == dataclasses.replace(nav, gyro_bias=NAV.gyro_bias, accel_bias=NAV.accel_bias)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which filter keeps unobservable what no camera and no inertial unit can see: shifts of the world, and its yaw."""
+"""Which filters preserve the unobservable directions of visual-inertial odometry: global position and yaw."""
 
 import numpy as np
 import pytest
@@ -30,14 +30,14 @@ def unobservable(f: Filter) -> Array:
 def information_gained(
     course, name: str, model: str, *, known: float = 1e-6, smoothing: float = 0.0, relinearise: bool = False
 ) -> Array:
-    """Fly from a prior that knows next to nothing of the four directions; return what the filter then claims of each.
+    """Fly from a nearly uninformative prior of the four directions; return the information gained on each.
 
     Args:
         course: the flight.
         name, model: of the filter.
         known: information of the prior along the four directions [1/m^2].
         smoothing: of the depth.
-        relinearise: linearise each update somewhere else.
+        relinearise: use another linearisation point for each update.
     """
     rng = np.random.default_rng(1)
     f = course.filter(model, name, depth_sigma_ratio=smoothing)
@@ -76,32 +76,31 @@ NO_INFORMATION = np.array([1e-9, 1e-9, 1e-9, 1e-6])  # [1/m^2] three times, [1/r
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.043])
 @pytest.mark.parametrize("name", ["eif", "ekf"])
-def test_the_invariant_filter_learns_nothing_of_global_position_and_yaw(course, name: str, smoothing: float) -> None:
+def test_the_invariant_filter_gains_no_global_position_and_yaw_information(course, name: str, smoothing: float) -> None:
     assert (information_gained(course, name, "ri15", smoothing=smoothing) < NO_INFORMATION).all()
 
 
 @pytest.mark.parametrize("name", ["eif", "ekf"])
-def test_it_learns_nothing_of_them_either_when_updates_are_linearised_elsewhere(course, name: str) -> None:
+def test_it_gains_none_either_with_other_linearisation_points(course, name: str) -> None:
     assert (information_gained(course, name, "ri15", relinearise=True) < NO_INFORMATION).all()
 
 
 @pytest.mark.parametrize("name", ["ukf", "uhf"])
-def test_the_invariant_unscented_filter_learns_next_to_nothing_of_them(course, name: str) -> None:
-    """What a landmark looks like does not change with a finite shift or yaw of the world, and what bends along the
-    points is even and falls out of the slope; third order remains. Here 10 m and 29 degrees of doubt: the filter learns
-    less than a hundredth of what it knew.
+def test_the_invariant_unscented_filter_gains_next_to_none(course, name: str) -> None:
+    """Observations are invariant to finite shifts and yaws of the world, and even terms cancel in the slope; third
+    order remains. With 10 m and 29 degrees of uncertainty, the filter gains less than a hundredth of the prior.
     """
     gained = information_gained(course, name, "ri15", known=1e-2)
     assert (gained < 1e-2 * np.array([1e-2, 1e-2, 1e-2, 4.0])).all()
 
 
 @pytest.mark.parametrize("name", ["eif", "ekf", "ukf", "uhf"])
-def test_the_ordinary_filter_believes_to_have_learnt_its_yaw(course, name: str) -> None:
+def test_the_ordinary_filter_gains_spurious_yaw_information(course, name: str) -> None:
     gained = information_gained(course, name, "so15", known=1e-2)
-    assert gained[3] > 100.0  # within a second: a yaw of less than 6 degrees from nothing
+    assert gained[3] > 100.0  # within a second: a yaw sigma below 6 degrees, without any measurement
 
 
 @pytest.mark.parametrize("name", ["eif", "ekf"])
-def test_even_the_ordinary_filter_learns_nothing_of_shifts(course, name: str) -> None:
+def test_even_the_ordinary_filter_gains_none_on_global_position(course, name: str) -> None:
     gained = information_gained(course, name, "so15")  # shifts are linear
     assert (gained[:3] < NO_INFORMATION[:3]).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Derivatives of what the cameras see, in every model's own coordinates; smoothed depth; what can be seen at all."""
+"""Observation Jacobians in every model's coordinates; depth smoothing; the visibility check."""
 
 import numpy as np
 import pytest
@@ -57,30 +57,30 @@ def test_innovation_covariance_is_that_of_the_dense_jacobian(course, name: str) 
         np.testing.assert_allclose(predicted.S[n], H @ f.covariance() @ H.T + np.eye(4), rtol=1e-9, atol=1e-9)
 
 
-def test_smoothing_draws_vague_depths_to_the_ground_and_leaves_sure_ones() -> None:
+def test_smoothing_moves_uncertain_depths_to_the_ground_and_keeps_certain_ones() -> None:
     points = np.array([[1.0, 2.0, 60.0], [1.0, 2.0, 70.0], [1.0, 2.0, 80.0]])
     sure = smoothed(points, np.zeros(3), depth_sigma_ratio=0.05)
     np.testing.assert_allclose(sure, points, rtol=1e-12)
-    vague = smoothed(points, np.full(3, 1e9), depth_sigma_ratio=0.05)
-    np.testing.assert_allclose(vague[:, 2], 70.0, rtol=1e-6)
-    np.testing.assert_allclose(vague[:, :2] / vague[:, 2:], points[:, :2] / points[:, 2:], rtol=1e-12)
-    even = smoothed(points, np.full(3, (0.05 * 70.0) ** 2), depth_sigma_ratio=0.05)  # as vague as the relief
+    uncertain = smoothed(points, np.full(3, 1e9), depth_sigma_ratio=0.05)
+    np.testing.assert_allclose(uncertain[:, 2], 70.0, rtol=1e-6)
+    np.testing.assert_allclose(uncertain[:, :2] / uncertain[:, 2:], points[:, :2] / points[:, 2:], rtol=1e-12)
+    even = smoothed(points, np.full(3, (0.05 * 70.0) ** 2), depth_sigma_ratio=0.05)  # as uncertain as the relief
     np.testing.assert_allclose(even[:, 2], [65.0, 70.0, 75.0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(
     "points", [np.zeros((0, 3)), np.array([[0.0, 0.0, -5.0]]), np.array([[0.0, 0.0, MIN_DEPTH_M]])]
 )
-def test_smoothing_leaves_alone_what_is_not_ahead(points: Array) -> None:
+def test_smoothing_keeps_points_that_are_not_in_front(points: Array) -> None:
     np.testing.assert_array_equal(smoothed(points, np.ones(len(points)), depth_sigma_ratio=0.05), points)
 
 
-def test_smoothing_off_changes_nothing() -> None:
+def test_zero_ratio_disables_smoothing() -> None:
     points = np.array([[1.0, 2.0, 60.0], [1.0, 2.0, 90.0]])
     np.testing.assert_array_equal(smoothed(points, np.full(2, 1e9), depth_sigma_ratio=0.0), points)
 
 
-def test_a_point_must_be_before_both_cameras_and_inside_both_images(course) -> None:
+def test_a_point_must_be_in_front_of_both_cameras_and_inside_both_images(course) -> None:
     rig = course.rig
     centre, front_edge = rig.left.bearings([640.0, 480.0]), rig.left.bearings([640.0, 5.0])
     points = np.vstack(
@@ -88,13 +88,13 @@ def test_a_point_must_be_before_both_cameras_and_inside_both_images(course) -> N
     )
     assert projectable(rig, points).tolist() == [True, False, False, False]
     assert projectable(rig, points, margin_px=6.0).tolist() == [True, False, False, True]
-    # The right camera sits behind the left one: what the left one sees at its front edge, near by, it can't see.
+    # The right camera is behind the left one: close points at the left one's front edge are outside its image.
     assert projectable(rig, np.vstack([5.0 * front_edge, 5.0 * centre])).tolist() == [False, True]
     assert projectable(rig, np.zeros((0, 3))).shape == (0,)
 
 
 def test_triangulation_covariance_is_that_of_noisy_pixels(course) -> None:
-    """Linear prediction against 4000 draws: 3 / sqrt(4000) of spread, and a little of the depth's skewness."""
+    """Linear prediction against 4000 draws: tolerance 3 / sqrt(4000), plus the depth's skewness."""
     rig = course.rig
     point = rig.left.bearings([[300.0, 600.0]]) * 20.0
     pixels = rig.project(point) + np.random.default_rng(0).normal(0, 0.5, (4000, 4))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which errors of the rig are states, what they do to it, and how they drift."""
+"""Which rig errors are states, how they change the rig, and how they drift."""
 
 import dataclasses
 
@@ -35,7 +35,7 @@ NAV = NavState(
         (dataclasses.replace(EXACT, time_offset_sigma_s=0.02), 0, 0, 1, [0.02]),
     ],
 )
-def test_states_are_what_the_configuration_doubts(
+def test_states_are_the_errors_of_nonzero_configured_sigma(
     config: RigConfig, attitude: int, vibration: int, time_offset: int, sigma: list[float]
 ) -> None:
     errors = RigErrors(RIG, config, 15)
@@ -45,7 +45,7 @@ def test_states_are_what_the_configuration_doubts(
     np.testing.assert_allclose(np.sqrt(errors.prior_variance), sigma, rtol=1e-12)
 
 
-def test_only_the_attitude_of_a_flexing_rig_walks() -> None:
+def test_only_the_attitude_of_a_flexing_rig_has_a_random_walk() -> None:
     errors = RigErrors(RIG, dataclasses.replace(FLEXING, attitude_walk_deg=0.001), 15)
     expected = [np.deg2rad(0.001) ** 2 * 4.0] * 3 + [0.0] * 4
     np.testing.assert_allclose(errors.noise_variance(4.0), expected, rtol=1e-12)
@@ -64,26 +64,26 @@ def test_attitude_and_vibration_turn_the_right_camera_as_the_simulation_does() -
     assert found.T_body_left is RIG.T_body_left
 
 
-def test_retraction_adds_each_states_own_rows() -> None:
+def test_retraction_adds_each_states_rows() -> None:
     errors = RigErrors(RIG, FLEXING, 2)
     delta = np.arange(20.0)  # rows 2 to 8 are the rig's
     state = errors.retract(RigState(np.ones(3), np.ones(3), 1.0), delta)
     np.testing.assert_array_equal(state.attitude, [3.0, 4.0, 5.0])
     np.testing.assert_array_equal(state.vibration, [6.0, 7.0, 8.0])
     assert state.time_offset_s == 9.0
-    believed = RigState()
-    assert RigErrors(RIG, EXACT, 2).retract(believed, delta) == believed
+    calibrated = RigState()
+    assert RigErrors(RIG, EXACT, 2).retract(calibrated, delta) == calibrated
 
 
-def test_renewing_forgets_the_vibration_alone() -> None:
+def test_only_the_vibration_is_reset() -> None:
     errors = RigErrors(RIG, FLEXING, 15)
-    state = errors.renew(RigState(np.ones(3), np.ones(3), 0.5))
+    state = errors.reset_vibration(RigState(np.ones(3), np.ones(3), 0.5))
     np.testing.assert_array_equal(state.vibration, np.zeros(3))
     np.testing.assert_array_equal(state.attitude, np.ones(3))
     assert state.time_offset_s == 0.5
 
 
-def test_the_exposure_is_where_the_motion_leads() -> None:
+def test_the_exposure_is_extrapolated_by_the_motion() -> None:
     errors, rate = RigErrors(RIG, FLEXING, 15), np.array([0.1, -0.2, 0.3])
     later = errors.at_exposure(RigState(time_offset_s=0.01), NAV, rate)
     np.testing.assert_allclose(later.T_map_body.t, NAV.T_map_body.t + 0.01 * NAV.v_map, rtol=0, atol=1e-14)
@@ -92,6 +92,6 @@ def test_the_exposure_is_where_the_motion_leads() -> None:
     assert errors.at_exposure(RigState(), NAV, rate) is NAV
 
 
-def test_pixels_of_no_points_have_no_derivatives() -> None:
+def test_no_points_give_an_empty_jacobian() -> None:
     errors = RigErrors(RIG, FLEXING, 15)
     assert errors.pixel_jacobian(RIG, np.zeros((0, 3))).shape == (0, 4, 7)

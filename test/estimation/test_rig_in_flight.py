@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated flights whose rig is not what its calibration says: what the filter finds, and how sure it is of it."""
+"""Simulated flights with a miscalibrated rig: accuracy and consistency of the estimated rig errors."""
 
 import dataclasses
 
@@ -36,7 +36,7 @@ def rig_covariance(f: Filter) -> Array:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_flexing_rigs_bias_is_found(fly, axis: int) -> None:
+def test_a_flexing_rigs_bias_is_estimated(fly, axis: int) -> None:
     """0.05 degrees about any axis of the right camera, and 0.02 degrees of vibration."""
     bias = tuple(0.05 * np.eye(3)[axis])
     f = fly(simulated(3, extrinsic_bias_deg=bias, vibration_deg=0.02), FLEXING).filter
@@ -47,8 +47,8 @@ def test_a_flexing_rigs_bias_is_found(fly, axis: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["eif", "ukf"])
-def test_position_and_bias_of_a_flexing_rig_are_as_sure_as_they_say(fly, name: str) -> None:
-    """Three degrees of freedom a flight; NIS too, but that alone says little, see below."""
+def test_position_and_bias_of_a_flexing_rig_are_consistent(fly, name: str) -> None:
+    """NEES with three degrees of freedom a flight; NIS too, but it is not sufficient, see below."""
     outcomes, attitude = [], []
     bias = np.array([0.03, -0.03, 0.04])
     for seed in range(1, 9 if name == "eif" else 4):
@@ -64,16 +64,16 @@ def test_position_and_bias_of_a_flexing_rig_are_as_sure_as_they_say(fly, name: s
     assert nis == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_bias_about_the_disparitys_axis_ruins_a_filter_that_trusts_the_rig_and_no_residual_shows_it(fly) -> None:
+def test_an_unmodelled_bias_about_the_disparity_axis_ruins_the_estimate_but_not_the_residuals(fly) -> None:
     vehicle = simulated(3, extrinsic_bias_deg=(0.05, 0.0, 0.0))
-    trusting, flexing = fly(vehicle, EXACT), fly(vehicle, FLEXING)
-    assert trusting.position_nees > 50.0
-    assert trusting.nis_per_dof == pytest.approx(1.0, abs=0.1)
+    rigid, flexing = fly(vehicle, EXACT), fly(vehicle, FLEXING)
+    assert rigid.position_nees > 50.0
+    assert rigid.nis_per_dof == pytest.approx(1.0, abs=0.1)
     assert flexing.position_nees < 4.0
 
 
-def test_evidence_against_a_trusted_rig_grows_where_it_is_wrong_alone(fly) -> None:
-    """Told 0.002 degrees, ten sigmas about either axis that moves pixels go beyond the limit."""
+def test_the_statistic_against_a_rigid_rig_grows_only_if_it_is_wrong(fly) -> None:
+    """With a sigma of 0.002 degrees, ten sigmas about either axis that moves pixels exceed the limit."""
     limit = chi2.ppf(0.99, 3)
     for seed in (1, 2):
         right = fly(simulated(seed), TRUSTED).filter.rig_evidence()
@@ -101,12 +101,12 @@ def swaying(seed: int) -> SimulatedVehicle:
 
 @pytest.mark.parametrize("offset_s", [0.01, -0.01])
 @pytest.mark.parametrize("motion", [swaying, simulated])
-def test_a_time_offset_is_found_whether_the_airframe_sways_or_shakes(fly, motion, offset_s: float) -> None:
-    """Cameras whose stamps are 10 ms early or late; a filter that believes them flies worse by far."""
+def test_a_time_offset_is_estimated_for_swaying_and_shaking_airframes(fly, motion, offset_s: float) -> None:
+    """Camera stamps 10 ms early or late; a filter that ignores the offset is far worse."""
     vehicle = motion(3)
-    told, believing = fly(vehicle, LATE, offset_s=offset_s), fly(vehicle, EXACT, offset_s=offset_s)
-    sigma = np.sqrt(rig_covariance(told.filter)[0, 0])
+    estimating, ignoring = fly(vehicle, LATE, offset_s=offset_s), fly(vehicle, EXACT, offset_s=offset_s)
+    sigma = np.sqrt(rig_covariance(estimating.filter)[0, 0])
     assert sigma < 0.2e-3  # [s], from 20 ms
-    assert told.filter.rig_state.time_offset_s == pytest.approx(offset_s, abs=4 * sigma)
-    assert told.position_nees < chi2.ppf(0.999, 3) / 3
-    assert told.position_nees < 0.05 * believing.position_nees
+    assert estimating.filter.rig_state.time_offset_s == pytest.approx(offset_s, abs=4 * sigma)
+    assert estimating.position_nees < chi2.ppf(0.999, 3) / 3
+    assert estimating.position_nees < 0.05 * ignoring.position_nees

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bound holds, it is small, and what has the form already is found again."""
+"""The bound holds, is tight, and recovers covariances that have the form already."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.rigid_bound import INDIFFERENCE_M, TOLERANCE, smallest_rigid_bound
 from uav_vslam.geometry.coded_points import block_diagonal, diagonal_blocks, rigid_jacobian
 
-ROUNDING = 1e-6  # of the bound, in units of what it bounds
+ROUNDING = 1e-6  # of the bound, in units of the covariance
 
 
 def bound(P: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -28,7 +28,7 @@ def largest_share(P: np.ndarray, R: np.ndarray) -> float:
 
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.floats(0.0, 6.0), st.floats(-6, 6))
-def test_it_bounds_any_covariance(seed: int, count: int, decades: float, log_scale: float) -> None:
+def test_it_is_an_upper_bound_of_any_covariance(seed: int, count: int, decades: float, log_scale: float) -> None:
     rng = np.random.default_rng(seed)
     Q, _ = np.linalg.qr(rng.normal(size=(3 * count, 3 * count)))
     P = 10.0**log_scale * (Q * 10.0 ** rng.uniform(-decades / 2, decades / 2, 3 * count)) @ Q.T
@@ -36,20 +36,20 @@ def test_it_bounds_any_covariance(seed: int, count: int, decades: float, log_sca
     assert largest_share(P, R) <= 1.0 + ROUNDING
 
 
-def test_a_covariance_of_the_form_is_hardly_enlarged() -> None:
+def test_a_covariance_of_the_form_is_hardly_inflated() -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform(-60, 60, (12, 3))
     J = rigid_jacobian(points)
     own = block_diagonal(np.array([np.diag(rng.uniform(0.1, 0.5, 3) ** 2) for _ in points]))
     P = J @ np.diag([1.0, 1.0, 0.5, 1e-2, 1e-2, 2e-2]) ** 2 @ J.T + own
     R = bound(P, points)
-    assert largest_share(P, R) > 0.9  # it touches
+    assert largest_share(P, R) > 0.9  # it is tight
     growth = np.diagonal(R) / np.diagonal(P) - 1.0
     assert 0.0 <= growth.mean() < 2 * TOLERANCE
 
 
-def test_an_error_that_is_not_rigid_costs_little_where_scaling_the_whole_would_cost_much() -> None:
-    """A stretch along the track: the kind of error that a flight makes and no rigid motion explains."""
+def test_a_non_rigid_error_costs_far_less_than_with_inflation_of_a_fit() -> None:
+    """A stretch along the track: a typical error that is not a rigid motion."""
     rng = np.random.default_rng(1)
     points = rng.uniform(-60, 60, (14, 3))
     J = rigid_jacobian(points)
@@ -68,7 +68,7 @@ def _fitted(P: np.ndarray, J: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_no_other_balance_of_common_and_own_error_costs_less(seed: int) -> None:
+def test_no_other_split_into_common_and_own_error_costs_less(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = rng.uniform(-60, 60, (8, 3))
     J, A = rigid_jacobian(points), rng.normal(size=(24, 30))
@@ -79,7 +79,7 @@ def test_no_other_balance_of_common_and_own_error_costs_less(seed: int) -> None:
     cost = np.trace(W @ (shared + alone))
     for weight in (0.1, 0.3, 0.6, 1.5, 3.0, 10.0):
         other = weight * shared + alone
-        other *= largest_share(P, other)  # as small as it may be
+        other *= largest_share(P, other)  # the smallest valid scale
         assert np.trace(W @ other) > cost * (1.0 - TOLERANCE)
     likeliest = J @ _fitted(P, J) @ J.T
     for weight in (0.01, 0.1, 0.3, 1.0, 3.0):
@@ -88,6 +88,6 @@ def test_no_other_balance_of_common_and_own_error_costs_less(seed: int) -> None:
         assert np.trace(W @ other) > cost * (1.0 - TOLERANCE)
 
 
-def test_a_covariance_without_any_positive_direction_is_refused() -> None:
+def test_a_covariance_without_positive_eigenvalues_is_rejected() -> None:
     with pytest.raises(FilterDivergence, match="positive definite"):
         smallest_rigid_bound(np.zeros((6, 6)), rigid_jacobian(np.eye(3)[:2]))

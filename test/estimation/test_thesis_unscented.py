@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thesis's own unscented filters: right on a linear problem, and where and why they fail while ours go on.
+"""The thesis's unscented filters: exact on a linear problem, and where and why they fail while ours do not.
 
-What the thesis reports of its UKF, a covariance that diagonal loading can't mend, depends on beta alone. Over one pair
-of sigma points per column, with the pairs' bends q_i, the unscented transform leaves over, beside what is positive
-semidefinite, (beta - alpha^2) s s^T with s = sum q_i. So beta = 2 keeps the covariance definite whatever the centre's
-weight of (3 - n)/3, and beta = 0 does not.
+The thesis reports that its UKF's covariance becomes indefinite despite diagonal loading; this depends on beta alone.
+With one pair of sigma points per column and the pairs' second differences q_i, the transformed covariance is a positive
+semidefinite part plus (beta - alpha^2) s s^T, s = sum q_i. So beta = 2 keeps it definite for any centre weight
+(3 - n)/3, and beta = 0 does not.
 """
 
 import numpy as np
@@ -34,7 +34,7 @@ INDEFINITE = r"in spite of diagonal loading|is not positive definite"
 
 @pytest.mark.parametrize("model", sorted(MODELS))
 def test_on_a_linear_problem_the_thesis_ukf_is_the_kalman_filter(course, monkeypatch, model: str) -> None:
-    """Camera and motion are replaced by their tangents; two steps, every output of each."""
+    """Camera and motion are replaced by their linearisations; two steps, all outputs compared."""
     unscented, kalman = course.flown(model, "thesis_ukf", frames=1), course.flown(model, "ekf", frames=1)
     unscented.nav, unscented.landmarks, unscented.belief = kalman.nav, kalman.landmarks, kalman.belief
     coordinates, m = MODELS[model](), kalman.vehicle
@@ -78,7 +78,7 @@ def unscented(points: Array, centre_weight: float) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("model", sorted(MODELS))
 def test_prediction_and_update_follow_the_equations_of_the_thesis(course, model: str) -> None:
-    """Eq. (4.3.6) and (4.3.7), with three times the doubt so that there is something to bend."""
+    """Eq. (4.3.6) and (4.3.7), with three times the uncertainty so that nonlinearity matters."""
     f, coordinates, none = course.flown(model, "thesis_ukf", frames=1), MODELS[model](), np.zeros((0, 3))
     course.set_covariance(f, 9.0 * f.covariance())
     m, n, increment = f.vehicle, f.belief.size, course.increments[1]
@@ -118,13 +118,13 @@ def test_prediction_and_update_follow_the_equations_of_the_thesis(course, model:
     nav, landmarks = coordinates.retract(before, marks, K @ nu)
     np.testing.assert_allclose(f.nav.T_map_body.matrix, nav.T_map_body.matrix, rtol=0, atol=1e-7)
     np.testing.assert_allclose(f.landmarks, landmarks, rtol=0, atol=1e-6)
-    if not coordinates.invariant:  # else sheared, as `Filter` does after each correction
+    if not coordinates.invariant:  # else transported, as `Filter` does after each correction
         P = P - K @ S @ K.T
         np.testing.assert_allclose((f.covariance() - P) / np.outer(sigma, sigma), 0.0, rtol=0, atol=1e-7)
 
 
 def leftover(course, seed: int) -> float:
-    """Return the smallest eigenvalue of what the unscented transform leaves of a bent function, scaled to one."""
+    """Return the smallest eigenvalue of the unscented covariance of a quadratic function, scaled to one."""
     rng = np.random.default_rng(seed)
     f = course.flown("ri15", "thesis_ukf", frames=1)
     chi, mean_weights, weights = f._sigma_points()
@@ -143,7 +143,7 @@ def test_with_the_beta_of_the_thesis_no_function_makes_the_covariance_indefinite
     assert leftover(course, seed) > -SCALED
 
 
-def test_without_beta_a_bent_function_makes_it_indefinite(course, monkeypatch) -> None:
+def test_without_beta_a_quadratic_function_makes_it_indefinite(course, monkeypatch) -> None:
     monkeypatch.setattr(thesis_unscented, "BETA", 0.0)
     assert min(leftover(course, seed) for seed in range(5)) < -0.1
 
@@ -163,7 +163,7 @@ def test_thesis_ukf_holds_at_one_pixel_with_beta_and_fails_without(fly, monkeypa
 
 @pytest.mark.parametrize("alpha", [1e-2, 1e-4])
 def test_a_smaller_spread_changes_little(fly, monkeypatch, alpha: float) -> None:
-    """alpha may be 1e-4 to 1: weights of 1e9 cost digits, but not the definiteness."""
+    """alpha from 1e-4 to 1: weights of 1e9 cost digits, but not definiteness."""
     wide = fly(flight(frames=10), name="thesis_ukf")
     monkeypatch.setattr(thesis_unscented, "SPREAD", alpha * np.sqrt(3.0))
     monkeypatch.setattr(thesis_unscented, "BETA", 1.0 - alpha**2 + 2.0)
@@ -174,9 +174,9 @@ def test_a_smaller_spread_changes_little(fly, monkeypatch, alpha: float) -> None
 
 
 @pytest.mark.parametrize("model", ["euler9", "ri15"])
-def test_vague_landmarks_stop_the_thesis_ukf_and_not_ours(fly, model: str) -> None:
-    """100 m up, with the thesis's 10 px^2, a new landmark's depth is known to 35 m and more: its points, up to sqrt(3)
-    sigmas away, fall behind the camera. Ours leave such a landmark to its Jacobian.
+def test_uncertain_landmarks_stop_the_thesis_ukf_and_not_ours(fly, model: str) -> None:
+    """100 m up, with the thesis's 10 px^2, a new landmark's depth sigma is 35 m or more: its points, up to sqrt(3)
+    sigmas away, are behind the camera. Ours use the Jacobian for such a landmark.
     """
     vehicle = flight(altitude=100.0)
     with pytest.raises(FilterDivergence, match="a sigma point puts a landmark behind the camera"):
@@ -188,14 +188,14 @@ def test_vague_landmarks_stop_the_thesis_ukf_and_not_ours(fly, model: str) -> No
 @pytest.mark.parametrize("model", sorted(MODELS))
 @pytest.mark.parametrize("imu", ["adis16480", "thesis_w1", "thesis_w4"])
 def test_the_fixed_gamma_of_the_thesis_uhf_makes_its_covariance_indefinite_at_once(fly, model: str, imu: str) -> None:
-    """gamma = 1.5 on the whole state is below what is feasible as soon as an error exceeds 1.5 m."""
+    """gamma = 1.5 on the whole state is infeasible as soon as an error exceeds 1.5 m."""
     with pytest.raises(FilterDivergence, match=INDEFINITE):
         fly(flight(frames=4, imu=imu), name="thesis_uhf", model=model)
     held = fly(flight(frames=4, imu=imu), name="uhf", model=model)
     assert held.filter.feasibility > 1.0
 
 
-def test_the_thesis_filters_believe_the_rig_whatever_is_configured(course) -> None:
+def test_the_thesis_filters_take_the_rig_as_exact(course) -> None:
     f = course.filter("euler9", "thesis_ukf", rig_config=RigConfig(flexing=True, time_offset_sigma_s=0.01))
     assert f.vehicle == 9
 

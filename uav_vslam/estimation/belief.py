@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a filter knows: a Gaussian over the errors of a vehicle and its landmarks, in whichever form it is kept.
+"""The Gaussian over the errors of a vehicle and its landmarks, in one of three forms.
 
-The first `vehicle` rows of the error are the vehicle's, three more follow for each landmark. A belief never changes;
-each operation returns another, so that a step which turns out wrong is simply not taken. Three forms hold the same
-Gaussian: `information.InformationBelief`, `covariance.CovarianceBelief` and `square_root.SquareRootBelief`.
+The first `vehicle` rows of the error belong to the vehicle, followed by three for each landmark. Beliefs are immutable;
+each operation returns a new one, so a rejected step needs no undo. The forms are `information.InformationBelief`,
+`covariance.CovarianceBelief` and `square_root.SquareRootBelief`.
 
-Symbols: `P` covariance, `Y = P^-1`, `F, Q` process, `H` observation Jacobian, `nu` innovation. Observations come
-whitened: their noise is of unit covariance, so that `S = H P H^T + I`.
+Symbols: `P` covariance, `Y = P^-1`, `F, Q` process, `H` observation Jacobian, `nu` innovation. Observations are
+whitened (unit noise covariance), so `S = H P H^T + I`.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Observation:
     """Whitened linear observations of some landmarks, `nu = H_vehicle e_vehicle + H_landmark e_landmark + noise`.
 
     Attributes:
-        landmarks: (M,) which, each at most once.
+        landmarks: (M,) indices, each at most once.
         H_vehicle: (M, k, vehicle), H_landmark: (M, k, 3).
         nu: (M, k) innovations.
     """
@@ -43,7 +43,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Marginals:
-    """Covariances of the vehicle and of each of M landmarks on its own: all that a gate needs.
+    """Marginal covariances of the vehicle and of each of M landmarks: all that a gate needs.
 
     Attributes:
         vehicle: (vehicle, vehicle).
@@ -63,7 +63,7 @@ class Marginals:
         return cls(G_vehicle @ G_vehicle.T, cross.transpose(1, 0, 2), own)
 
     def chosen(self, landmarks: Indices) -> "Marginals":
-        """Return those of some of the M landmarks."""
+        """Return the marginals of some of the M landmarks."""
         return Marginals(self.vehicle.copy(), self.cross[landmarks], self.landmarks[landmarks])
 
 
@@ -72,7 +72,7 @@ class Update:
     """The outcome of an update.
 
     Attributes:
-        belief: afterwards.
+        belief: posterior.
         delta: (vehicle + 3N,) correction of the mean.
         nis: nu^T S^-1 nu.
         log_det: log det S.
@@ -85,53 +85,53 @@ class Update:
 
 
 class Belief(Protocol):
-    """One form of the Gaussian; every operation raises `FilterDivergence` where it lost positive definiteness."""
+    """One form of the Gaussian; operations raise `FilterDivergence` if positive definiteness is lost."""
 
     @property
     def vehicle(self) -> int:
-        """Rows of the vehicle."""
+        """Number of rows of the vehicle."""
 
     @property
     def size(self) -> int:
-        """Rows in all."""
+        """Total number of rows."""
 
     @classmethod
     def from_covariance(cls, P: Array) -> Self:
         """Return the belief over a vehicle without landmarks, from its (vehicle, vehicle) covariance."""
 
     def covariance(self, landmarks: Indices) -> Array:
-        """Return (vehicle + 3M, vehicle + 3M), the covariance of the vehicle and the chosen landmarks; read-only."""
+        """Return (vehicle + 3M, vehicle + 3M), the covariance of the vehicle and the given landmarks; read-only."""
 
     def marginals(self, landmarks: Indices) -> Marginals:
-        """Return the blocks of this covariance that concern one landmark each, at less cost."""
+        """Return only this covariance's vehicle block and the blocks of each landmark, at lower cost."""
 
     def information(self, rows: Indices) -> Array:
-        """Return the (R, R) information over some rows of the error, the others marginalised out."""
+        """Return the (R, R) information over `rows`, the others marginalised."""
 
     def predicted(self, F: Array, Q: Array) -> Self:
-        """Move the vehicle: P <- F P F^T + Q, with F and Q (vehicle, vehicle) and F invertible."""
+        """Propagate the vehicle: P <- F P F^T + Q, with F and Q (vehicle, vehicle) and F invertible."""
 
     def reset_rows(self, rows: Indices, variance: float) -> Self:
-        """Forget some of the vehicle's rows: they become independent, each with a variance."""
+        """Reset some rows of the vehicle: they become independent of all others, with the given variance."""
 
     def information_removed(self, B: Array) -> Self:
-        """Take information away from the vehicle: P <- (P^-1 - B^T B)^-1 with B (k, vehicle)."""
+        """Subtract information from the vehicle: P <- (P^-1 - B^T B)^-1 with B (k, vehicle)."""
 
     def updated(self, observation: Observation) -> Update:
-        """Correct by observations."""
+        """Update with observations."""
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
-        """Add landmarks that nothing was known of, by whitened observations (M, 3, vehicle) and (M, 3, 3)."""
+        """Add landmarks without prior, by whitened observations (M, 3, vehicle) and (M, 3, 3)."""
 
     def marginalised(self, landmarks: Indices) -> Self:
-        """Take landmarks out; what they taught about the rest stays."""
+        """Marginalise landmarks out."""
 
     def coordinates_changed(self, B: Array, columns: slice) -> Self:
-        """Change coordinates to T e with T = I - B E^T: `B` (size, 3) zero in the rows that `columns` picks."""
+        """Change coordinates to T e with T = I - B E^T, E selecting `columns`; `B` (size, 3) is zero in those rows."""
 
 
 def state_rows(vehicle: int, landmarks: Indices) -> Indices:
-    """Return the rows of the vehicle and of some landmarks, in this order."""
+    """Return the rows of the vehicle, then of some landmarks."""
     return np.concatenate([np.arange(vehicle), landmark_rows(vehicle, landmarks)])
 
 
@@ -144,9 +144,9 @@ def add_normal_equations(Y: Array, observation: Observation, places: Indices) ->
     """Add H^T H, dense in the vehicle and block-diagonal in the landmarks, to Y (size, size); return H^T nu (size,).
 
     Args:
-        Y: is changed.
+        Y: modified in place.
         observation: of M landmarks.
-        places: (M,) where these landmarks stand among those that Y has rows for, each once.
+        places: (M,) indices of these landmarks among those of Y, each once.
     """
     m = observation.H_vehicle.shape[2]
     Hv, Hl, nu = observation.H_vehicle, observation.H_landmark, observation.nu

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance form: the Kalman filter's own, Eq. (4.2.1) to (4.2.3) of [thesis]."""
+"""The covariance form of the Kalman filter, Eq. (4.2.1) to (4.2.3) of [thesis]."""
 
 from typing import Self
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class CovarianceBelief:
-    """Holds `P`; cheap to predict and to marginalise, an update costs the cube of the observations."""
+    """Holds `P`; prediction and marginalisation are cheap, an update is cubic in the number of observations."""
 
     def __init__(self, P: Array, vehicle: int) -> None:
         self.P, self.vehicle = P, vehicle

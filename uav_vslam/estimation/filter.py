@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One filter over a vehicle and its landmarks, whatever form its belief is kept in and however things are made linear.
+"""One filter over a vehicle and its landmarks, for every form of the belief and every linearisation.
 
 The mean (navigation state, rig errors, landmarks) lives on a manifold and is kept here; a `Belief` holds the Gaussian
-over its errors; a `Linearisation` supplies F, Q, H and R. The thesis's four filters differ in these two alone:
+over its errors; a `Linearisation` supplies F, Q, H and R. The thesis's four filters differ only in these two:
 
     ekf   covariance form     Jacobians       section 4.2
     eif   information form    Jacobians       section 4.5
     ukf   square-root form    cubature        section 4.3
-    uhf   as ukf, and the navigation block bounded in the H-infinity sense, section 4.4
+    uhf   as ukf, with an H-infinity bound on the navigation block, section 4.4
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ from uav_vslam.estimation.linearisation import (
     camera_points,
     pixel_jacobians,
 )
-from uav_vslam.estimation.models import MODELS, POSE, StateModel, difference, shear
+from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transport, difference
 from uav_vslam.estimation.observation import smoothed, triangulation_covariance
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.geometry.pose import Pose
@@ -42,31 +42,31 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState
 Array = NDArray[np.float64]
 
 STEREO_DOF = 4
-NOTHING_LEARNT = 1e-6  # share of the prior variance: below it, the data say nothing about the rig in that direction
-HUBER_PROBABILITY = 0.999  # a right observation is weighed down as rarely as 1 minus this
+MIN_VARIANCE_REDUCTION = 1e-6  # share of the prior variance: below it, a direction of the rig is unobserved
+HUBER_PROBABILITY = 0.999  # of a correct observation to keep full weight
 
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """How an update agreed with the prediction.
+    """Consistency of an update with the prediction.
 
     Attributes:
         nis: nu^T S^-1 nu, chi-square with `dof` degrees of freedom.
-        dof: pixel coordinates.
-        log_likelihood: of the observation, given all before.
-        accepted: an update that was not has changed nothing.
-        weighed_down: landmarks that a robust kernel trusted less.
+        dof: number of pixel coordinates.
+        log_likelihood: of the observation, given all earlier ones.
+        accepted: whether the update was applied.
+        downweighted: number of landmarks down-weighted by the robust kernel.
     """
 
     nis: float
     dof: int
     log_likelihood: float = 0.0
     accepted: bool = True
-    weighed_down: int = 0
+    downweighted: int = 0
 
 
 class Filter:
-    """The filter; `nav`, `rig_state` and `landmarks` (N, 3) are its mean, `belief` the Gaussian over their errors.
+    """The mean is `nav`, `rig_state` and `landmarks` (N, 3); `belief` is the Gaussian over its error.
 
     Rows of the error: navigation state in the model's coordinates, rig errors, landmarks (map frame).
     """
@@ -94,12 +94,12 @@ class Filter:
             imu: noise.
             model: name in `models.MODELS`.
             form: of the belief.
-            linearisation: Jacobians unless given.
-            gamma: of the H-infinity bound; None for none.
+            linearisation: default `Jacobians`.
+            gamma: of the H-infinity bound; None for no bound.
             sigma_px: standard deviation of each pixel coordinate.
             depth_sigma_ratio: see `observation.smoothed`.
-            robust: weigh observations down that fit badly after the update, as [huber64] does.
-            rig_config: how far the rig is trusted; wholly unless given.
+            robust: down-weight observations with large posterior residuals by Huber's kernel [huber64].
+            rig_config: uncertainty of the calibration; an exact one unless given.
         """
         self._imu, self._gamma = imu, gamma
         self._linear: Linearisation = linearisation or Jacobians()
@@ -113,31 +113,30 @@ class Filter:
         self.landmarks: Array = np.zeros((0, 3))
         C = self._model.from_map(initial.state)
         self.belief: Belief = form.from_covariance(self._with_rig_prior(C @ initial.covariance @ C.T))
-        self.feasibility = np.inf  # how far gamma^2 lies above what the H-infinity bound needs at least
+        self.feasibility = np.inf  # ratio of gamma^2 to the least feasible one of the H-infinity bound
 
     @property
     def rig(self) -> StereoRig:
         """The rig with its estimated errors."""
-        if self._rig_at is not self.rig_state:  # asked for a dozen times a frame, and dear
+        if self._rig_at is not self.rig_state:  # cached: read a dozen times a frame
             self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
         return self._rig
 
     @property
     def vehicle(self) -> int:
-        """Rows of the error that are the vehicle's."""
+        """Number of rows of the vehicle in the error."""
         return self._model.nav_dim + self._errors.dim
 
     @property
-    def places_landmarks(self) -> bool:
+    def can_add_landmarks(self) -> bool:
         """Tell whether landmarks can be added.
 
-        Where the time offset is a state, not before the first increment: where they lie depends on how fast the vehicle
-        turned when they were seen.
+        If the time offset is a state, only after the first increment: their positions depend on the angular rate.
         """
         return self._rate_map is not None or self._errors.time_offset.start == self._errors.time_offset.stop
 
     def covariance(self) -> Array:
-        """Return (vehicle + 3N, vehicle + 3N), the whole covariance in the model's coordinates."""
+        """Return (vehicle + 3N, vehicle + 3N), the full covariance in the model's coordinates."""
         return self.belief.covariance(np.arange(len(self.landmarks))).copy()
 
     def predict(self, increment: ImuIncrement) -> None:
@@ -152,7 +151,7 @@ class Filter:
             if self._errors.vibration_variance > 0:
                 rows = np.arange(self._errors.vibration.start, self._errors.vibration.stop)
                 self.belief = self.belief.reset_rows(rows, self._errors.vibration_variance)
-                self.rig_state = self._errors.renew(self.rig_state)
+                self.rig_state = self._errors.reset_vibration(self.rig_state)
             if self._gamma is not None:
                 self.belief, self.feasibility = bounded(self.belief, nav_dim, self._gamma)
         self.nav = process.nav
@@ -163,7 +162,7 @@ class Filter:
         return camera_points(self._camera(), self.landmarks)[0]
 
     def predict_observations(self, landmarks: Indices) -> PredictedObservation:
-        """Return what should be seen of the chosen landmarks; they must be projectable."""
+        """Predict stereo observations of landmarks; they must be projectable."""
         with _stamped(self.nav.stamp_ns):
             return self._predicted(landmarks, self.belief)
 
@@ -189,28 +188,27 @@ class Filter:
         significance: float = 0.0,
         weights: Array | None = None,
     ) -> Innovation:
-        """Correct by stereo observations of landmarks.
+        """Update with stereo observations of landmarks.
 
         Args:
             landmarks: (M,) rows of `landmarks`, each at most once.
             pixels: (M, 4) undistorted stereo pixels.
-            linearise_at: T_map_body where to linearise instead of at the mean; for a mean known to be far off. No line
-                fits over the belief of so vague a mean, so a regression is made over what the update will leave of it,
-                as in [garcia15].
-            significance: the update is refused if right observations were as far off together with less probability.
-            weights: (M,) by which the noise's variance is divided; None for ones.
+            linearise_at: T_map_body to linearise at instead of the mean, for a mean known to be far off. The prior is
+                then too wide to regress over, so regression uses the posterior, as in [garcia15].
+            significance: probability with which a correct set of observations is rejected.
+            weights: (M,) divide the noise variance; None for ones.
         """
         before = (self.nav, self.belief)
         prior = np.zeros(self.belief.size)
         with _stamped(self.nav.stamp_ns):
             if linearise_at is not None and self._model.invariant:
                 prior = self._move_linearisation(linearise_at)
-                predicted = self._predicted(landmarks, self._belief_to_regress_over(landmarks))
+                predicted = self._predicted(landmarks, self._belief_for_regression(landmarks))
             else:
                 predicted = self._predicted(landmarks, self.belief)
             nu = pixels - predicted.expected
             nu = nu - Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu).apply(prior)
-            update, weights, weighed_down = self._updated(
+            update, weights, downweighted = self._updated(
                 predicted, nu, np.ones(len(nu)) if weights is None else weights
             )
         dof = STEREO_DOF * len(landmarks)
@@ -220,7 +218,7 @@ class Filter:
             dof=dof,
             log_likelihood=-0.5 * (update.nis + update.log_det + log_det_R + dof * np.log(2.0 * np.pi)),
             accepted=dof == 0 or bool(chdtrc(dof, update.nis) >= significance),
-            weighed_down=weighed_down,
+            downweighted=downweighted,
         )
         if innovation.accepted:
             with _stamped(self.nav.stamp_ns):
@@ -230,10 +228,10 @@ class Filter:
         return innovation
 
     def add_landmarks(self, pixels: Array) -> None:
-        """Append landmarks at their triangulated positions; see `places_landmarks`.
+        """Append landmarks at their triangulated positions; see `can_add_landmarks`.
 
-        The four pixel coordinates are reduced to the three that the point follows; the fourth, off the epipolar line,
-        is left unused.
+        The four pixel coordinates are projected to the three that determine the point; the fourth, the epipolar error,
+        is unused.
 
         Args:
             pixels: (M, 4) undistorted stereo pixels that triangulate to finite points.
@@ -251,13 +249,13 @@ class Filter:
         self.landmarks = np.vstack([self.landmarks, landmarks])
 
     def marginalise(self, landmarks: Indices) -> None:
-        """Take landmarks out of the state; what they taught about the rest stays."""
+        """Marginalise landmarks out of the state."""
         with _stamped(self.nav.stamp_ns):
             self.belief = self.belief.marginalised(landmarks)
         self.landmarks = np.delete(self.landmarks, landmarks, axis=0)
 
     def nav_estimate(self) -> NavEstimate:
-        """Return the navigation state with its (15, 15) map-frame covariance; states a model lacks have none.
+        """Return the navigation state with its (15, 15) map-frame covariance, zero for states the model lacks.
 
         Raises:
             FilterDivergence: the covariance is not positive definite.
@@ -269,7 +267,7 @@ class Filter:
         return NavEstimate(self.nav, symmetrise(C @ P @ C.T))
 
     def pose_landmark_information(self) -> Array:
-        """Return (6+3N, 6+3N) information over position, xi and landmarks, the rest of the state marginalised out."""
+        """Return (6+3N, 6+3N) information over position, xi and landmarks, the rest of the state marginalised."""
         nav_dim, m = self._model.nav_dim, self.vehicle
         C = np.eye(m)
         C[:nav_dim, :nav_dim] = self._model.to_map(self.nav)[:nav_dim]
@@ -278,18 +276,18 @@ class Filter:
             return self.belief.predicted(C, np.zeros((m, m))).information(rows)
 
     def rig_evidence(self) -> float:
-        """Return how strongly the data speak against the calibrated attitude, chi-square with 3 degrees of freedom.
+        """Return the test statistic of the calibrated attitude, chi-square with 3 degrees of freedom.
 
-        If the prior was right, the estimate a has covariance P_0 - P. Zero where the attitude is not a state.
+        Under a correct prior the estimate has covariance P_0 - P. Zero if the attitude is not a state.
         """
         rows = self._errors.attitude
         if rows.stop == rows.start:
             return 0.0
         prior = np.diag(self._errors.prior_variance[: rows.stop - rows.start])
-        learnt = prior - self.belief.covariance(np.zeros(0, np.int64))[rows, rows]
-        values, vectors = np.linalg.eigh(symmetrise(learnt))
+        reduction = prior - self.belief.covariance(np.zeros(0, np.int64))[rows, rows]
+        values, vectors = np.linalg.eigh(symmetrise(reduction))
         along = vectors.T @ self.rig_state.attitude
-        known = values > NOTHING_LEARNT * prior[0, 0]
+        known = values > MIN_VARIANCE_REDUCTION * prior[0, 0]
         return float(np.sum(along[known] ** 2 / values[known]))
 
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
@@ -297,8 +295,8 @@ class Filter:
             self._camera(), landmarks, self.landmarks[landmarks], belief.marginals(landmarks)
         )
 
-    def _belief_to_regress_over(self, landmarks: Indices) -> Belief:
-        """Return the belief that observations of some landmarks will leave, by their Jacobians."""
+    def _belief_for_regression(self, landmarks: Indices) -> Belief:
+        """Return the posterior after observations of some landmarks, linearised by Jacobians."""
         if not self._linear.regresses:
             return self.belief
         marginals, M = self.belief.marginals(landmarks), len(landmarks)
@@ -318,20 +316,20 @@ class Filter:
         )
 
     def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> tuple[Update, Array, int]:
-        """Update, and once more with less weight on what fits badly afterwards.
+        """Update, and once more with Huber weights if there are large posterior residuals.
 
-        Return the update, its (M,) weights, and how many fitted badly.
+        Return the update, its (M,) weights, and the number of down-weighted landmarks.
         """
         observation = _whitened(predicted, nu, weights)
         update = self.belief.updated(observation)
         if not self._robust or not len(nu):
             return update, weights, 0
-        left = np.linalg.norm(observation.nu - observation.apply(update.delta), axis=1)
-        trust = np.minimum(1.0, np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY)) / np.maximum(left, 1e-12))
-        if (trust < 1.0).any():
-            weights = trust * weights
+        residual = np.linalg.norm(observation.nu - observation.apply(update.delta), axis=1)
+        huber = np.minimum(1.0, np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY)) / np.maximum(residual, 1e-12))
+        if (huber < 1.0).any():
+            weights = huber * weights
             update = self.belief.updated(_whitened(predicted, nu, weights))
-        return update, weights, int((trust < 1.0).sum())
+        return update, weights, int((huber < 1.0).sum())
 
     def _with_rig_prior(self, P_nav: Array) -> Array:
         nav_dim = self._model.nav_dim
@@ -341,30 +339,32 @@ class Filter:
         return P
 
     def _move_linearisation(self, T_map_body: Pose) -> Array:
-        """Move the mean's pose and return where the prior mean lies from there."""
+        """Move the linearisation point and return the prior mean as an error from it."""
         before = self.nav
         self.nav = dataclasses.replace(before, T_map_body=T_map_body)
-        B = shear(self.vehicle, T_map_body.t - before.T_map_body.t, np.zeros(3), np.zeros_like(self.landmarks))
+        B = chart_transport(
+            self.vehicle, T_map_body.t - before.T_map_body.t, np.zeros(3), np.zeros_like(self.landmarks)
+        )
         self.belief = self.belief.coordinates_changed(B, ROTATION)
         offset = difference(self.nav, self.landmarks, before, self.landmarks)
         nav_dim = self._model.nav_dim
         return np.concatenate([offset[:nav_dim], np.zeros(self._errors.dim), offset[nav_dim:]])
 
     def correct(self, belief: Belief, delta: Array) -> None:
-        """Move the mean by (vehicle + 3N,) `delta` and take over a belief about the error that is left."""
+        """Move the mean by (vehicle + 3N,) `delta` and set the belief over the remaining error."""
         before, landmarks = self.nav, self.landmarks
         on_manifold = np.delete(delta, np.arange(self._errors.rows.start, self._errors.rows.stop))
         self.nav, self.landmarks = self._model.retract(before, landmarks, on_manifold)
         self.rig_state = self._errors.retract(self.rig_state, delta)
         if self._model.invariant:
             moved_p = self.nav.T_map_body.t - before.T_map_body.t
-            B = shear(self.vehicle, moved_p, self.nav.v_map - before.v_map, self.landmarks - landmarks)
+            B = chart_transport(self.vehicle, moved_p, self.nav.v_map - before.v_map, self.landmarks - landmarks)
             belief = belief.coordinates_changed(B, ROTATION)
         self.belief = belief
 
 
 def _whitened(predicted: PredictedObservation, nu: Array, weights: Array) -> Observation:
-    """Return the observation with unit noise: divided by the factor of R, times the root of its weight."""
+    """Return the observation with unit noise: divided by the factor of R, times the square root of its weight."""
     L_inv = np.linalg.inv(np.linalg.cholesky(predicted.R)) * np.sqrt(weights)[:, None, None]
     return Observation(
         predicted.landmarks,
@@ -375,7 +375,7 @@ def _whitened(predicted: PredictedObservation, nu: Array, weights: Array) -> Obs
 
 
 class _stamped:
-    """Adds the time to a `FilterDivergence`; a matrix that numpy can't factor or invert is one too."""
+    """Adds the time to a `FilterDivergence`; numpy's `LinAlgError` becomes one."""
 
     def __init__(self, stamp_ns: int) -> None:
         self._stamp_ns = stamp_ns

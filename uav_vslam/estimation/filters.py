@@ -22,11 +22,11 @@ FILTERS: dict[str, Callable[..., Filter]] = {
     "thesis_ukf": partial(ThesisUnscentedFilter, form=CovarianceBelief),
     "thesis_uhf": partial(ThesisUnscentedFilter, form=CovarianceBelief),
 }
-BOUNDED = ("uhf", "thesis_uhf")  # those that `backend.gamma` is for
+BOUNDED = ("uhf", "thesis_uhf")  # filters that use `backend.gamma`
 
 
 def make_filter(initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig) -> Filter:
-    """Return the filter that a configuration asks for."""
+    """Return the configured filter."""
     backend = config.backend
     return FILTERS[backend.filter](
         initial,

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The information form: Eq. (4.5.1) to (4.5.8) of [thesis], without ever inverting the whole.
+"""The information form: Eq. (4.5.1) to (4.5.8) of [thesis], without inverting the full matrix.
 
-Observations concern the few landmarks in view. So the others are eliminated once a frame (Schur complement by a
-Cholesky factor), and gate, update and covariance of the vehicle all work on what is left, the *focus*:
+Observations concern the few landmarks in view. The others are eliminated once a frame (Schur complement by a Cholesky
+factor); gate, update and the vehicle's covariance all use this *active* marginal (a) without the rest (r):
 
-    [Y_rr  Y_rf] [e_r]          Y_focus = Y_ff - W^T W,   W = L^-1 Y_rf,   Y_rr = L L^T
-    [Y_fr  Y_ff] [e_f]          delta_r = -L^-T W delta_f
+    [Y_rr  Y_ra] [e_r]          Y_active = Y_aa - W^T W,   W = L^-1 Y_ra,   Y_rr = L L^T
+    [Y_ar  Y_aa] [e_a]          delta_r = -L^-T W delta_a
 
-An update adds to Y_ff only, so the elimination stays valid through it.
+An update adds to Y_aa only, so the elimination stays valid.
 """
 
 from dataclasses import dataclass
@@ -43,16 +43,16 @@ Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)
-class _Focus:
-    """The marginal over the vehicle and some landmarks.
+class _ActiveMarginal:
+    """The marginal over the vehicle and the active landmarks.
 
     Attributes:
-        landmarks: (K,) of the focus.
-        rows, rest: of the focus and of all else.
-        L: factor of the rest's information, W: (rest, focus) as above.
-        Y: (vehicle + 3K, ...) information of the focus.
+        landmarks: (K,) active ones.
+        rows, rest: rows of the active states and of all others.
+        L: factor of the rest's information, W: (rest, active) as above.
+        Y: (vehicle + 3K, ...) marginal information.
         factor: lower Cholesky factor of Y.
-        marginals: of the focus, once they were asked for.
+        marginals: cached.
     """
 
     landmarks: Indices
@@ -66,14 +66,14 @@ class _Focus:
 
 
 class InformationBelief:
-    """Holds `Y`; an update is a sum, and costs the cube of what is in view rather than of the whole map.
+    """Holds `Y`; an update is a sum, cubic in the landmarks in view rather than in the whole map.
 
-    Beside it are kept, once computed, a focus and the vehicle's covariance: `Y` alone is the belief.
+    The active marginal and the vehicle's covariance are caches: `Y` alone is the belief.
     """
 
     def __init__(self, Y: Array, vehicle: int, P_vehicle: Array | None = None) -> None:
         self.Y, self.vehicle = Y, vehicle
-        self._focus: _Focus | None = None
+        self._active: _ActiveMarginal | None = None
         self._P_vehicle = P_vehicle
 
     @property
@@ -87,18 +87,18 @@ class InformationBelief:
     def covariance(self, landmarks: Indices) -> Array:
         if len(landmarks) == 0:
             if self._P_vehicle is None:
-                self._P_vehicle = _vehicle_covariance(self._focused(landmarks).factor, self.vehicle)
+                self._P_vehicle = _vehicle_covariance(self._active_marginal(landmarks).factor, self.vehicle)
             self._P_vehicle.flags.writeable = False
             return self._P_vehicle
-        focus = self._focused(landmarks)
-        return submatrix(inverse_from_cholesky(focus.factor), state_rows(self.vehicle, _places(focus, landmarks)))
+        active = self._active_marginal(landmarks)
+        return submatrix(inverse_from_cholesky(active.factor), state_rows(self.vehicle, _places(active, landmarks)))
 
     def marginals(self, landmarks: Indices) -> Marginals:
-        focus = self._focused(landmarks)
-        if focus.marginals is None:
-            G = inverse_of_triangle(focus.factor).T
-            focus.marginals = Marginals.of_factor(G[: self.vehicle], G[self.vehicle :].reshape(-1, 3, len(G)))
-        return focus.marginals.chosen(_places(focus, landmarks))
+        active = self._active_marginal(landmarks)
+        if active.marginals is None:
+            G = inverse_of_triangle(active.factor).T
+            active.marginals = Marginals.of_factor(G[: self.vehicle], G[self.vehicle :].reshape(-1, 3, len(G)))
+        return active.marginals.chosen(_places(active, landmarks))
 
     def information(self, rows: Indices) -> Array:
         rest = np.delete(np.arange(self.size), rows)
@@ -107,7 +107,7 @@ class InformationBelief:
     def predicted(self, F: Array, Q: Array) -> Self:
         """Apply the matrix inversion lemma to the vehicle; Q = B B^T may be singular and is not inverted.
 
-        Y - Y_v B (I + B^T Y_vv B)^-1 B^T Y_v^T for the Y that F^-1 has moved.
+        Y - Y_v B (I + B^T Y_vv B)^-1 B^T Y_v^T for the Y transformed by F^-1.
         """
         m, Y = self.vehicle, self.Y.copy()
         F_inv = np.linalg.inv(F)
@@ -125,7 +125,7 @@ class InformationBelief:
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         keep = np.delete(np.arange(self.size), rows)
         Y = np.zeros_like(self.Y)
-        Y[np.ix_(keep, keep)] = marginalise_information(self.Y, keep, rows, "information of renewed rows")
+        Y[np.ix_(keep, keep)] = marginalise_information(self.Y, keep, rows, "information of reset rows")
         Y[rows, rows] = 1.0 / variance
         return type(self)(Y, self.vehicle)
 
@@ -136,20 +136,20 @@ class InformationBelief:
 
     def updated(self, observation: Observation) -> Update:
         """Y <- Y + H^T H, delta = Y^-1 H^T nu."""
-        focus = self._focused(observation.landmarks)
-        Y_focus = focus.Y.copy()
-        i = add_normal_equations(Y_focus, observation, _places(focus, observation.landmarks))
-        factor = cholesky(Y_focus, "information of what is in view")
+        active = self._active_marginal(observation.landmarks)
+        Y_active = active.Y.copy()
+        i = add_normal_equations(Y_active, observation, _places(active, observation.landmarks))
+        factor = cholesky(Y_active, "information in view")
         delta = np.zeros(self.size)
-        delta[focus.rows] = cho_solve((factor, True), i, check_finite=False)
-        Y = Y_focus
-        if len(focus.rest) or not np.array_equal(focus.rows, np.arange(self.size)):
-            pulled = focus.W @ delta[focus.rows]
-            delta[focus.rest] = -solve_triangular(focus.L, pulled, lower=True, trans="T", check_finite=False)
+        delta[active.rows] = cho_solve((factor, True), i, check_finite=False)
+        Y = Y_active
+        if len(active.rest) or not np.array_equal(active.rows, np.arange(self.size)):
+            pulled = active.W @ delta[active.rows]
+            delta[active.rest] = -solve_triangular(active.L, pulled, lower=True, trans="T", check_finite=False)
             Y = self.Y.copy()
             add_normal_equations(Y, observation, observation.landmarks)
-        nis = float(np.sum(observation.nu**2) - i @ delta[focus.rows])
-        log_det = log_det_of(factor) - log_det_of(focus.factor)
+        nis = float(np.sum(observation.nu**2) - i @ delta[active.rows])
+        log_det = log_det_of(factor) - log_det_of(active.factor)
         after = type(self)(Y, self.vehicle, _vehicle_covariance(factor, self.vehicle))
         return Update(after, delta, nis, log_det)
 
@@ -164,7 +164,7 @@ class InformationBelief:
     def marginalised(self, landmarks: Indices) -> Self:
         gone = landmark_rows(self.vehicle, landmarks)
         keep = np.delete(np.arange(self.size), gone)
-        Y = marginalise_information(self.Y, keep, gone, "information of leaving landmarks")
+        Y = marginalise_information(self.Y, keep, gone, "information of marginalised landmarks")
         return type(self)(Y, self.vehicle, self._P_vehicle)
 
     def coordinates_changed(self, B: Array, columns: slice) -> Self:
@@ -180,29 +180,29 @@ class InformationBelief:
             P = P - P[:, columns] @ B[: self.vehicle].T
         return type(self)(Y, self.vehicle, P)
 
-    def _focused(self, landmarks: Indices) -> _Focus:
-        """Return a focus that has the landmarks; the last one if it does."""
-        if self._focus is None or not np.isin(landmarks, self._focus.landmarks).all():
-            self._focus = self._eliminated(landmarks)
-        return self._focus
+    def _active_marginal(self, landmarks: Indices) -> _ActiveMarginal:
+        """Return a marginal that contains the landmarks; the cached one if it does."""
+        if self._active is None or not np.isin(landmarks, self._active.landmarks).all():
+            self._active = self._eliminated(landmarks)
+        return self._active
 
-    def _eliminated(self, landmarks: Indices) -> _Focus:
+    def _eliminated(self, landmarks: Indices) -> _ActiveMarginal:
         rows = state_rows(self.vehicle, landmarks)
         rest = np.delete(np.arange(self.size), rows)
         whole = np.array_equal(rows, np.arange(self.size))
         Y = self.Y if whole else submatrix(self.Y, rows)
         L, W = np.zeros((0, 0)), np.zeros((0, len(rows)))
         if len(rest):
-            L = cholesky(submatrix(self.Y, rest), "information of what is out of view")
+            L = cholesky(submatrix(self.Y, rest), "information out of view")
             W = solve_triangular(L, submatrix(self.Y, rest, rows), lower=True, check_finite=False)
             Y -= W.T @ W
-        return _Focus(landmarks, rows, rest, L, W, Y, cholesky(Y, "information"))
+        return _ActiveMarginal(landmarks, rows, rest, L, W, Y, cholesky(Y, "information"))
 
 
-def _places(focus: _Focus, landmarks: Indices) -> Indices:
-    """Return where landmarks stand in a focus."""
-    order = np.argsort(focus.landmarks, kind="stable")
-    return np.asarray(order[np.searchsorted(focus.landmarks, landmarks, sorter=order)], dtype=np.int64)
+def _places(active: _ActiveMarginal, landmarks: Indices) -> Indices:
+    """Return the indices of landmarks within a marginal."""
+    order = np.argsort(active.landmarks, kind="stable")
+    return np.asarray(order[np.searchsorted(active.landmarks, landmarks, sorter=order)], dtype=np.int64)
 
 
 def _vehicle_covariance(factor: Array, vehicle: int) -> Array:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a filter makes the process and the stereo observation linear: by Jacobians, or by cubature points.
+"""Linearisation of the process and the stereo observation: by Jacobians, or by cubature points.
 
-`Jacobians`  Eq. (4.2.4) of [thesis], the observation's taken at the smoothed depth (see `observation`).
+`Jacobians`  Eq. (4.2.4) of [thesis], the observation's evaluated at the smoothed depth (see `observation`).
 `Cubature`   statistical regression over points of equal positive weight, the third-degree spherical rule of
-             [arasaratnam09]: what the unscented transform of section 4.3.1 wants, without its negative weights. The
-             points span only what the function depends on (the navigation state; pose and one landmark), so they stay
-             within a few sigmas however many landmarks there are.
+             [arasaratnam09]: the unscented transform of section 4.3.1 without negative weights. The points span only
+             the function's arguments (the navigation state; pose and one landmark), so they stay within a few sigmas
+             for any number of landmarks.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """The navigation state at the end of an increment, and how its error came there: e <- F e + noise of covariance Q.
+    """The predicted navigation state at the end of an increment, and its error e <- F e + noise of covariance Q.
 
     Attributes:
         nav: predicted mean.
@@ -43,13 +43,13 @@ class Process:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """What the cameras are believed to be when an image was taken.
+    """Estimated state of the cameras at the exposure of an image.
 
     Attributes:
-        rig: calibration, its estimated errors included.
-        errors: which of them are states.
-        model: of the navigation state.
-        nav: at the exposure.
+        rig: calibration corrected by its estimated errors.
+        errors: layout of the error states.
+        model: error coordinates of the navigation state.
+        nav: navigation state at the exposure.
         rate_map: (3,) angular rate [rad/s].
         sigma_px: of each pixel coordinate.
         depth_sigma_ratio: see `observation.smoothed`.
@@ -66,10 +66,10 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class PredictedObservation:
-    """What a filter expects to see of M landmarks, and how that depends on its errors.
+    """Predicted observation of M landmarks and its Jacobians.
 
     Attributes:
-        landmarks: (M,) which.
+        landmarks: (M,) indices.
         points_left: (M, 3) landmarks in the left camera frame [m].
         expected: (M, 4) stereo pixels.
         H_vehicle: (M, 4, vehicle), H_landmark: (M, 4, 3).
@@ -87,10 +87,10 @@ class PredictedObservation:
 
 
 class Linearisation(Protocol):
-    """A way to make things linear.
+    """A linearisation of process and observation.
 
     Attributes:
-        regresses: the line is fitted over the whole belief, so that it fits badly where the belief is too wide.
+        regresses: linearises by regression over the belief, which is inaccurate if the belief is too wide.
     """
 
     regresses: bool
@@ -104,9 +104,9 @@ class Linearisation(Protocol):
         """Predict observations of (M, 3) landmarks.
 
         Args:
-            camera: where it is.
-            which: (M,) their indices, handed on.
-            landmarks: (M, 3) [m]; before the cameras.
+            camera: at the exposure.
+            which: (M,) their indices, passed through.
+            landmarks: (M, 3) [m]; in front of the cameras.
             P: of the vehicle and these landmarks.
         """
 
@@ -137,7 +137,7 @@ class Jacobians:
 
 
 class Cubature:
-    """Regression over cubature points; the rig's few errors, tiny angles and times, stay with their Jacobians."""
+    """Regression over cubature points; the rig's error states are small and keep their Jacobians."""
 
     regresses = True
 
@@ -159,7 +159,7 @@ class Cubature:
         return Process(moved, F, from_map @ Q15 @ from_map.T + extra)
 
     def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Marginals) -> PredictedObservation:
-        """As `Jacobians` does, but for the landmarks whose points all lie before the cameras."""
+        """Regress where all points of a landmark are in front of the cameras; elsewhere as `Jacobians`."""
         first = Jacobians().observation(camera, which, landmarks, P)
         if len(landmarks) == 0:
             return first
@@ -182,7 +182,7 @@ class Cubature:
 
     @staticmethod
     def _points(camera: Camera, landmarks: Array, offsets: Array) -> Array:
-        """Return (M, 18, 3) where the left camera sees each landmark under (M, 18, 9) errors of pose and landmark."""
+        """Return (M, 18, 3) landmarks in the left camera frame under (M, 18, 9) errors of pose and landmark."""
         arms = (landmarks - camera.nav.T_map_body.t)[:, None, :]
         in_body = camera.model.perturbed_arms(camera.nav, arms, offsets[..., :6], offsets[..., 6:])
         return np.asarray((in_body - camera.rig.T_body_left.t) @ camera.rig.T_body_left.R)
@@ -204,7 +204,7 @@ def camera_points(camera: Camera, landmarks: Array) -> tuple[Array, Array, Array
 def pixel_jacobians(
     camera: Camera, points_left: Array, at: Array, J_vehicle: Array, J_landmark: Array
 ) -> tuple[Array, Array]:
-    """Return H_vehicle (M, 4, vehicle) and H_landmark (M, 4, 3), the projection's Jacobian taken at `at` (M, 3)."""
+    """Return H_vehicle (M, 4, vehicle) and H_landmark (M, 4, 3), the projection's Jacobian evaluated at `at` (M, 3)."""
     H_c = camera.rig.project_jacobian(at)
     H_vehicle = H_c @ J_vehicle
     if camera.errors.dim:
@@ -219,7 +219,7 @@ def cubature_offsets(L: Array) -> Array:
 
 
 def regress(values: Array, centre: Array, L: Array) -> tuple[Array, Array, Array]:
-    """Fit a line to a function at its cubature points.
+    """Linearise a function by regression over its cubature points.
 
     Args:
         values: (..., 2d, k) at the points of `cubature_offsets`.
@@ -227,12 +227,12 @@ def regress(values: Array, centre: Array, L: Array) -> tuple[Array, Array, Array
         L: (..., d, d) lower factor of the covariance of the argument.
 
     Returns:
-        The mean of the function less `centre` (..., k), its slope A (..., k, d), and the covariance (..., k, k) of
-        what the line leaves over.
+        The mean of the function minus `centre` (..., k), its slope A (..., k, d), and the covariance (..., k, k) of
+        the linearisation error.
     """
     d = L.shape[-1]
     plus, minus = values[..., :d, :], values[..., d:, :]
-    slope = (plus - minus) / (2.0 * np.sqrt(d))  # row j belongs to column j of L
+    slope = (plus - minus) / (2.0 * np.sqrt(d))  # row j: along column j of L
     bend = 0.5 * (plus + minus) - centre[..., None, :]
     shift = bend.mean(axis=-2)
     bend = bend - shift[..., None, :]
@@ -246,7 +246,7 @@ def _point_covariance(J_vehicle: Array, J_landmark: Array, P: Marginals) -> Arra
 
 
 def _innovation_covariance(H_vehicle: Array, H_landmark: Array, P: Marginals) -> Array:
-    """Return (M, k, k) H P H^T for the vehicle and each landmark on its own."""
+    """Return (M, k, k) H P H^T for the vehicle and each landmark separately."""
     cross = H_vehicle @ P.cross @ np.swapaxes(H_landmark, -1, -2)
     S = H_vehicle @ P.vehicle @ np.swapaxes(H_vehicle, -1, -2) + cross + np.swapaxes(cross, -1, -2)
     return np.asarray(S + H_landmark @ P.landmarks @ np.swapaxes(H_landmark, -1, -2))

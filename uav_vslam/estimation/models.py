@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """State models: which error coordinates a filter uses for the navigation state and the landmarks.
 
-Everything else (process, observation) is written once, for map-frame errors (position, velocity, xi, biases); a model
-only says how its own coordinates map to those, and how a correction moves the mean.
+Process and observation are written once, for map-frame errors (position, velocity, xi, biases); a model only defines
+how its coordinates map to those, and how a correction is applied to the mean.
 
-`ri15`    15 states. Errors are kept as plain differences but moved with the estimate so that they stay a chart of the
+`ri15`    15 states. Errors are plain differences, transported with the estimate so that they remain a chart of the
           right-invariant error: the four unobservable directions (global position and yaw) stay unobservable.
-`so15`    the same states, ordinary linearisation: the baseline that shows what invariance is worth.
+`so15`    the same states, ordinary linearisation: the baseline for the gain of invariance.
 `euler9`  the thesis's nine states [X Y Z U V W phi theta psi] (Eq. 4.6.2), no biases, ordinary linearisation.
 """
 
@@ -37,26 +37,26 @@ class StateModel(Protocol):
     """Error coordinates of the navigation state (`nav_dim` of them) and of N landmarks (3 each)."""
 
     nav_dim: int
-    invariant: bool  # errors are sheared after each correction, see `shear`
+    invariant: bool  # errors are transported after each correction, see `chart_transport`
 
     def to_map(self, nav: NavState) -> Array:
-        """Return (15, nav_dim): model error to map-frame error at a mean."""
+        """Return (15, nav_dim): Jacobian of the map-frame error by the model's error."""
 
     def from_map(self, nav: NavState) -> Array:
-        """Return (nav_dim, 15): map-frame error to model error at a mean."""
+        """Return (nav_dim, 15): Jacobian of the model's error by the map-frame error."""
 
     def retract(self, nav: NavState, landmarks: Array, delta: Array) -> tuple[NavState, Array]:
-        """Move a mean, nav and (N, 3) landmarks, by a correction (nav_dim + 3N,)."""
+        """Apply a correction (nav_dim + 3N,) to a mean, nav and (N, 3) landmarks."""
 
     def local(self, nav: NavState, nav_to: NavState) -> Array:
         """Return the (nav_dim,) correction that moves nav to nav_to."""
 
     def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
-        """Return (..., 3) landmarks seen from the body, in its axes, under errors of pose and landmark.
+        """Return (..., 3) landmarks in the body frame under errors of pose and landmark.
 
         Args:
             nav: mean.
-            arms: (..., 3) mean landmark minus mean position, map frame [m].
+            arms: (..., 3) lever arms: mean landmark minus mean position, map frame [m].
             pose: (..., 6) errors in the columns `POSE`; all three are broadcast.
             landmark: (..., 3) errors.
         """
@@ -77,7 +77,7 @@ class RightInvariant15:
     def retract(self, nav: NavState, landmarks: Array, delta: Array) -> tuple[NavState, Array]:
         """Apply the exponential of SE_{2+N}(3), written for plain differences.
 
-        delta already holds the rotation's share of a landmark's shift, hence the cross products that take it out.
+        delta already contains a landmark's shift by the rotation; the cross products remove it.
         """
         xi = delta[ROTATION]
         R_xi, J = so3_exp(xi), so3_left_jacobian(xi)
@@ -97,14 +97,14 @@ class RightInvariant15:
         return difference(nav, np.zeros((0, 3)), nav_to, np.zeros((0, 3)))
 
     def perturbed_arms(self, nav: NavState, arms: Array, pose: Array, landmark: Array) -> Array:
-        """As `retract` moves both: R^T (arm + J_r(xi) (dl - dp + arm x xi)); linear but for J_r."""
+        """As `retract` does: R^T (arm + J_r(xi) (dl - dp + arm x xi)); linear but for J_r."""
         dp, xi = pose[..., :3], pose[..., 3:]
         shift = landmark - dp + np.cross(arms, xi)
         return np.asarray((arms + _right_jacobian_times(xi, shift)) @ nav.T_map_body.R)
 
 
 class Ordinary15(RightInvariant15):
-    """The same states with the usual additive correction and no shear."""
+    """The same states with the usual additive correction, without transport."""
 
     invariant = False
 
@@ -188,7 +188,7 @@ def _turned_back(R: Array, vectors: Array) -> Array:
 
 
 def _right_jacobian_times(xi: Array, v: Array) -> Array:
-    """Return J_r(xi) v over the last axis; the a series below 1e-4 rad."""
+    """Return J_r(xi) v over the last axis; a Taylor series below 1e-4 rad."""
     once = np.cross(xi, v)
     twice = np.cross(xi, once)
     angle2 = np.sum(xi * xi, axis=-1, keepdims=True)
@@ -223,12 +223,12 @@ def difference(nav: NavState, landmarks: Array, nav_to: NavState, landmarks_to: 
     return np.concatenate([*nav_delta, landmark_delta.ravel()])
 
 
-def shear(vehicle: int, moved_position: Array, moved_velocity: Array, moved_landmarks: Array) -> Array:
-    """Return B (vehicle + 3N, 3) with which the errors of the right-invariant chart follow a moved mean.
+def chart_transport(vehicle: int, moved_position: Array, moved_velocity: Array, moved_landmarks: Array) -> Array:
+    """Return B (vehicle + 3N, 3), which transports the errors of the right-invariant chart to a corrected mean.
 
-    A plain error is dl = xi_l - [l]x xi with the invariant xi_l, which a moving mean leaves alone (but for the reset
-    Jacobian, of second order): with l moving to l+ it becomes dl+ = dl - [l+ - l]x xi; likewise p and v. That map is
-    T = I - B E_xi^T, with E_xi the three columns of the rotation.
+    A plain error is dl = xi_l - [l]x xi. The invariant xi_l does not depend on the mean (up to the second-order reset
+    Jacobian), so moving l to l+ gives dl+ = dl - [l+ - l]x xi; likewise for p and v. This is T = I - B E_xi^T, with
+    E_xi the three columns of the rotation.
 
     Args:
         vehicle: rows of the vehicle.

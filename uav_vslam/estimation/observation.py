@@ -4,9 +4,9 @@
 `c` is a landmark in the left camera frame, `z = h(c)` its stereo pixels (Eq. 4.6.13 of [thesis]), `H` the Jacobian of z
 with respect to (position, velocity, xi, biases) and to the landmark.
 
-A young landmark's depth is noisy, and a Jacobian taken there correlates with the very noise of the measurement. Flying
-over ground one knows better: the Jacobian (never the residual) is taken at `c` scaled to a depth between the
-landmark's own and the ground's, weighed by how well the landmark is known against the relief of the ground.
+A new landmark's depth is noisy, and a Jacobian evaluated there correlates with the measurement noise. Over ground the
+depth is known better: the Jacobian (never the residual) is evaluated at `c` scaled to a depth between the landmark's
+own and the ground's, weighted by the landmark's depth variance against the relief of the ground.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from uav_vslam.types import NavState
 
 Array = NDArray[np.float64]
 
-MIN_DEPTH_M = 0.05  # a point nearer than this, or behind, is not projected
+MIN_DEPTH_M = 0.05  # points closer than this, or behind, are not projected
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +55,10 @@ def smoothed(points_left: Array, depth_variance: Array, *, depth_sigma_ratio: fl
     Args:
         points_left: (N, 3) [m].
         depth_variance: (N,) variance of each depth [m^2].
-        depth_sigma_ratio: relief of the ground over its distance; 0 leaves the points alone.
+        depth_sigma_ratio: relief of the ground over its distance; 0 disables the smoothing.
 
     Returns:
-        (N, 3) where to take the Jacobian; the ground's depth is the median of all.
+        (N, 3) linearisation points; the ground's depth is the median of all.
     """
     depth = points_left[:, 2]
     ahead = depth > MIN_DEPTH_M
@@ -72,7 +72,7 @@ def smoothed(points_left: Array, depth_variance: Array, *, depth_sigma_ratio: fl
 
 
 def projectable(rig: StereoRig, points_left: Array, *, margin_px: float = 0.0) -> NDArray[np.bool_]:
-    """Tell which (N, 3) points lie before both cameras and inside both images, or at most a margin outside."""
+    """Return the mask of (N, 3) points in front of both cameras and inside both images, extended by a margin."""
     ahead = (points_left[:, 2] > MIN_DEPTH_M) & (rig.T_right_left.apply(points_left)[:, 2] > MIN_DEPTH_M)
     z = rig.project(np.where(ahead[:, None], points_left, [0.0, 0.0, 1.0]))
     low, high_u, high_v = -margin_px, rig.left.width - 1 + margin_px, rig.left.height - 1 + margin_px

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What calibration leaves unknown of the rig, as states beside the navigation state.
+"""Calibration errors of the rig, estimated along with the navigation state.
 
-`attitude`      rotation of the right camera away from its calibration, in its own frame: a slow random walk
-`vibration`     the same, drawn anew for each frame
-`time_offset`   camera stamps are this much too early: the image shows the pose at stamp + time_offset
+`attitude`      rotation of the right camera relative to its calibration, in its own frame: a slow random walk
+`vibration`     the same, independent in each frame
+`time_offset`   delay of the exposure: the image shows the pose at stamp + time_offset
 
-A rotation about the axis that changes disparity looks like another depth of everything: no residual shows it, but the
-motion does, so it is estimated. One rotation angle of 0.02 degrees already costs more than the cameras are worth.
+A rotation about the axis that changes disparity acts like a scaling of all depths: invisible in the residuals but
+observable from the motion, so it is estimated. Unmodelled, 0.02 degrees already cost more than the cameras gain.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ class RigState:
 
     Attributes:
         attitude, vibration: (3,) rotation vectors of the right camera in its own frame [rad].
-        time_offset_s: by which camera stamps are early [s].
+        time_offset_s: exposure minus stamp [s].
     """
 
     attitude: Array = field(default_factory=lambda: np.zeros(3))
@@ -40,7 +40,7 @@ class RigState:
 
 
 class RigErrors:
-    """The layout of the rig's rows in the vehicle's error, after `first` rows of navigation, and what they do."""
+    """Layout of the rig's rows in the vehicle's error, after `first` navigation rows, and their models."""
 
     def __init__(self, rig: StereoRig, config: RigConfig, first: int) -> None:
         self._rig = rig
@@ -59,13 +59,13 @@ class RigErrors:
         self.prior_variance: Array = sigma**2
 
     def noise_variance(self, dt_s: float) -> Array:
-        """Return (dim,) what the random walk adds over a time."""
+        """Return (dim,) variance that the random walk adds over a time."""
         variance = np.zeros(self.dim)
         variance[: self.attitude.stop - self.attitude.start] = self._walk_variance * dt_s
         return variance
 
     def retract(self, state: RigState, delta: Array) -> RigState:
-        """Move a mean by a correction of the vehicle's error."""
+        """Apply a correction of the vehicle's error to a mean."""
         attitude, vibration, offset = delta[self.attitude], delta[self.vibration], delta[self.time_offset]
         return RigState(
             state.attitude + attitude if attitude.size else state.attitude,
@@ -73,12 +73,12 @@ class RigErrors:
             state.time_offset_s + float(offset.sum()),
         )
 
-    def renew(self, state: RigState) -> RigState:
-        """Forget the last frame's vibration."""
+    def reset_vibration(self, state: RigState) -> RigState:
+        """Reset the vibration, which is independent in each frame."""
         return dataclasses.replace(state, vibration=np.zeros(3))
 
     def rig(self, state: RigState) -> StereoRig:
-        """Return the rig as it is believed to be."""
+        """Return the rig corrected by its estimated errors."""
         turned = state.attitude + state.vibration
         if not turned.any():
             return self._rig
@@ -86,7 +86,7 @@ class RigErrors:
         return dataclasses.replace(self._rig, T_body_right=T_body_right)
 
     def at_exposure(self, state: RigState, nav: NavState, rate_map: Array) -> NavState:
-        """Return the navigation state when the image was taken, `time_offset` after its stamp.
+        """Return the navigation state at the exposure, `time_offset` after the image's stamp.
 
         Args:
             state: of the rig.

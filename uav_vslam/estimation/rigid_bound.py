@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The smallest covariance of the form J P_T J^T + blkdiag(D_i) that bounds a given one.
+"""The smallest covariance of the form J P_T J^T + blkdiag(D_i) that is an upper bound of a given one.
 
-Least squares or maximum likelihood would fit the form to P closely and still miss the direction or two in which the
-landmarks of one flight err together without being rigid, such as a stretch along the track; scaling the whole up until
-it bounds those too (ten times, for beliefs of our filter) throws away what matters most, the common error. So the
-bound is a constraint here: minimise trace(W R) subject to R >= P, a small semidefinite programme, by Newton's method on
+A least-squares or maximum-likelihood fit to P misses the one or two directions in which landmark errors are correlated
+but not rigid, such as a stretch along the track; inflating the fit until it bounds those too (ten times, for beliefs of
+our filter) loses the most valuable part, the common error. So the bound is a constraint: minimise trace(W R) subject to
+R >= P, a small semidefinite program, by Newton's method on
 
     t trace(W R) - log det(R - P) - log det P_T - sum_i log det D_i,    t -> infinity,
 
-see [boyd04], section 11.6. W = blkdiag(P_ii + q^2 I)^-1 asks for little growth of each landmark's own covariance, as
-seen by a receiver to whom less than q means nothing.
+see [boyd04], section 11.6. W = blkdiag(P_ii + q^2 I)^-1 penalises growth of each landmark's own covariance
+relative to q, the accuracy that a receiver can use.
 """
 
 import functools
@@ -23,35 +23,35 @@ from uav_vslam.numerics import symmetrise
 
 Array = NDArray[np.float64]
 
-INDIFFERENCE_M = 0.3  # q: descriptors of two vehicles don't meet on the very same point
+INDIFFERENCE_M = 0.3  # q: two vehicles' keypoints are not at exactly the same point
 TOLERANCE = 0.05  # relative excess of the cost over its minimum
-SHARPENING = 20.0  # of t, each time that Newton's method has settled
-SETTLED = 4.0  # square of the Newton decrement at which it has
+SHARPENING = 20.0  # factor on t each time that Newton's method has converged
+CONVERGED = 4.0  # square of the Newton decrement at which it has
 MAX_STEPS = 60
-STAY_INSIDE = 0.9  # share of the way to the boundary that a step may go
-SHORTEST_STEP = 1e-12  # share of a step below which none is possible
-RANK_TOLERANCE = 1e-9  # of J: one or two points don't show all six rigid motions
+STAY_INSIDE = 0.9  # largest share of the way to the boundary in one step
+SHORTEST_STEP = 1e-12  # share of a step below which the search fails
+RANK_TOLERANCE = 1e-9  # of J: one or two points do not observe all six rigid motions
 
 
 def smallest_rigid_bound(P: Array, J: Array) -> tuple[Array, Array]:
-    """Return lower factors of P_T (k, k) and D_i (N, 3, 3) with J P_T J^T + blkdiag(D_i) >= P but for rounding.
+    """Return lower factors of P_T (k, k) and D_i (N, 3, 3) with J P_T J^T + blkdiag(D_i) >= P up to rounding.
 
-    P_T may be singular: fewer than three points don't show all rigid motions.
+    P_T may be singular: fewer than three points do not observe all rigid motions.
 
     Args:
         P: (3N, 3N) positive definite [m^2], N > 0.
-        J: (3N, k) how the common error moves the points.
+        J: (3N, k) Jacobian of the points by the common error.
 
     Raises:
         FilterDivergence: P is not positive definite.
     """
-    # In units in which W is the identity and J has orthonormal columns everything is of the order of one.
+    # Scaled so that W is the identity and J has orthonormal columns: all values are of order one.
     C = np.linalg.cholesky(symmetrise(diagonal_blocks(P)) + INDIFFERENCE_M**2 * np.eye(3))
     unit = block_diagonal(np.linalg.inv(C))
     U, s, Vt = np.linalg.svd(unit @ J, full_matrices=False)
     seen = s > RANK_TOLERANCE * s[0]
     common, own = _smallest_unit_bound(symmetrise(unit @ P @ unit.T), U[:, seen])
-    root = (Vt[seen].T / s[seen]) @ np.linalg.cholesky(common)  # P_T = root root^T, brought to lower form by QR
+    root = (Vt[seen].T / s[seen]) @ np.linalg.cholesky(common)  # P_T = root root^T, made lower triangular by QR
     triangle = np.zeros((J.shape[1], J.shape[1]))
     triangle[:, : root.shape[1]] = np.linalg.qr(root.T)[1].T
     return triangle, C @ np.linalg.cholesky(own)
@@ -64,12 +64,12 @@ def _smallest_unit_bound(P: Array, Q: Array) -> tuple[Array, Array]:
     if not largest > 0:
         raise FilterDivergence(f"covariance of a packet is not positive definite: largest eigenvalue {largest:.3e}")
     common, own = largest * np.eye(k), np.tile(1.1 * largest * np.eye(3), (n, 1, 1))
-    constraints = 2 * 3 * n + k  # rows of all matrices that must stay positive definite
+    constraints = 2 * 3 * n + k  # total rows of the matrices that must stay positive definite
     t = constraints / (np.trace(common) + np.trace(own, axis1=1, axis2=2).sum())
     for _ in range(MAX_STEPS):
         step_common, step_own, decrement = _newton_step(P, Q, common, own, t)
-        common, own, whole = _walk(P, Q, common, own, step_common, step_own)
-        if whole and decrement < SETTLED:
+        common, own, full_step = _line_search(P, Q, common, own, step_common, step_own)
+        if full_step and decrement < CONVERGED:
             if constraints / t < TOLERANCE * (np.trace(common) + np.trace(own, axis1=1, axis2=2).sum()):
                 break
             t *= SHARPENING
@@ -99,8 +99,8 @@ def _newton_step(P: Array, Q: Array, common: Array, own: Array, t: float) -> tup
     return np.einsum("a,aij->ij", step[: len(S_k)], S_k), steps_own, float(-gradient @ step)
 
 
-def _walk(P: Array, Q: Array, common: Array, own: Array, step_common: Array, step_own: Array) -> tuple:
-    """Go as far along a step as stays well inside; tell whether that was the whole step."""
+def _line_search(P: Array, Q: Array, common: Array, own: Array, step_common: Array, step_own: Array) -> tuple:
+    """Shorten a step until it stays well inside the feasible set; also return whether the full step was taken."""
     share = 1.0
     while True:
         X_0, X_i = common + share * step_common, own + share * step_own
@@ -118,7 +118,7 @@ def _walk(P: Array, Q: Array, common: Array, own: Array, step_common: Array, ste
 def _curvature(G: Array) -> Array:
     """Return (..., A, B) of trace(S_a G S_b G^T) over the bases of symmetric matrices, for G (..., n_a, n_b).
 
-    S_a has ones at (p, q) and (q, p), and to both the trace gives the same: sum over (r, s) of G_pr S_b,rs G_qs.
+    S_a has ones at (p, q) and (q, p), and both contribute the same: sum over (r, s) of G_pr S_b,rs G_qs.
     """
     n_a, n_b = G.shape[-2:]
     p, q = _lower(n_a)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The square-root form: any factor `G` with P = G G^T, so that no rounding can make the covariance indefinite."""
+"""The square-root form: a factor `G` with P = G G^T; rounding cannot make the covariance indefinite."""
 
 from typing import Self
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class SquareRootBelief:
-    """Holds `G` (size, k >= size); a QR factorisation brings it back to a triangle whenever columns were added."""
+    """Holds `G` (size, k >= size); QR makes it triangular again after columns were added."""
 
     def __init__(self, G: Array, vehicle: int) -> None:
         self.G, self.vehicle = G, vehicle

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The unscented filters as chapter 4 of [thesis] has them: baselines that show why ours differ.
+"""The unscented filters as given in chapter 4 of [thesis]: baselines that show why ours differ.
 
-Sigma points span the whole state with kappa = 3 - n (Eq. 4.3.3), so the centre's weight is (3 - n)/3: far below zero
-once there are landmarks. What the transform leaves over beside its positive parts is (beta - alpha^2) s s^T, with s the
-shift of the mean: with beta = 2 the covariance stays definite for all that, with beta < alpha^2 it need not. Then the
-thesis's remedy, "diagonal loading", is here too; where it does not help, the filter has failed and says so. So it does
-when a sigma point, up to sqrt(3) sigmas away, puts a vague landmark behind the camera.
+Sigma points span the whole state with kappa = 3 - n (Eq. 4.3.3), so the centre's weight is (3 - n)/3: strongly
+negative with landmarks. The transform's covariance is a positive part plus (beta - alpha^2) s s^T, with s the shift of
+the mean: with beta = 2 it stays definite, with beta < alpha^2 it may not. The thesis's remedy, "diagonal loading", is
+implemented; if it fails, the filter raises `FilterDivergence`. It also does if a sigma point, up to sqrt(3) sigmas
+away, puts an uncertain landmark behind the camera.
 
 Symbols: chi sigma points as errors from the mean, W weights, D deviations from the weighted mean (rows are points).
 """
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 SPREAD = np.sqrt(3.0)  # eta = sqrt(n + lambda), with alpha = 1
 BETA = 2.0
-LOADING = (0.0, 1e-12, 1e-9, 1e-6)  # tried in turn: shares of the largest variance added to the diagonal
+LOADING = (0.0, 1e-12, 1e-9, 1e-6)  # tried in order: shares of the largest variance added to the diagonal
 UHF_GAMMA = 1.5  # "usually 0 < gamma < 2"
 
 
@@ -38,7 +38,7 @@ class ThesisUnscentedFilter(Filter):
     """Eq. (4.3.5) to (4.3.7); with `gamma` the covariance follows Eq. (4.4.4) instead."""
 
     def __init__(self, initial: NavEstimate, *, rig_config: RigConfig | None = None, **options: Any) -> None:
-        """As `Filter`, but the rig is believed exactly, whatever is configured: the thesis has no states for it."""
+        """As `Filter`, but `rig_config` is ignored and the rig taken as exact: the thesis has no states for it."""
         super().__init__(initial, **options)
 
     def predict(self, increment: ImuIncrement) -> None:
@@ -98,7 +98,7 @@ class ThesisUnscentedFilter(Filter):
 
 
 def _loaded_factor(P: Array) -> Array:
-    """Return the Cholesky factor of P, its diagonal loaded as little as need be."""
+    """Return the Cholesky factor of P with the smallest sufficient diagonal loading."""
     for share in LOADING:
         try:
             return np.asarray(np.linalg.cholesky(P + share * np.abs(np.diagonal(P)).max() * np.eye(len(P))))

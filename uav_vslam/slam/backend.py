@@ -226,7 +226,7 @@ class SlamBackend:
             self._config.max_in_view - int(in_view.sum()),
             self._config.max_landmarks - len(self._map),
         )
-        if room <= 0 or len(features) == 0 or not self._filter.places_landmarks:
+        if room <= 0 or len(features) == 0 or not self._filter.can_add_landmarks:
             return np.zeros(0, np.intp)
         free = np.setdiff1d(np.arange(len(features)), matches.features)
         free = free[np.isfinite(rig.triangulate(features.pixels[free])).all(axis=1)]

@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 
 from uav_vslam.config import FrontendConfig, FusionConfig, ImuConfig
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.estimation.covariance_intersection import WEIGHT_BOUNDS, WEIGHTS, Encounter, Split
+from uav_vslam.estimation.covariance_intersection import WEIGHT_BOUNDS, WEIGHTS, EstimatePair, Split
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import preintegrate
@@ -214,7 +214,7 @@ def weight_search(shared: int, repeats: int) -> Row:
         return float(minimize_scalar(whole, bounds=bounds, method="bounded", options={"xatol": 1e-3}).x)
 
     def ours() -> float:
-        return WEIGHTS["position_trace"](Encounter(own, E, peer))
+        return WEIGHTS["position_trace"](EstimatePair(own, E, peer))
 
     ms, ratio = take_turns([ours] * repeats, theirs)
     condition = f"{shared} shared, weight {ours():.3f}, yardstick's {theirs():.3f}"

@@ -16,7 +16,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.common_landmarks import find_common
 from uav_vslam.errors import UavVslamError
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.estimation.covariance_intersection import search
+from uav_vslam.estimation.covariance_intersection import minimising_weight
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -167,7 +167,7 @@ def _block(P: Array, k: int) -> Array:
 
 def _intersection(Y: Array, Y_told: Array) -> tuple[Array, Array]:
     """Return the information w Y + (1 - w) Y_told of the largest determinant, and the peer's share of it."""
-    w = search(lambda w: -float(np.linalg.slogdet(w * Y + (1.0 - w) * Y_told)[1]))
+    w = minimising_weight(lambda w: -float(np.linalg.slogdet(w * Y + (1.0 - w) * Y_told)[1]))
     return w * Y + (1.0 - w) * Y_told, (1.0 - w) * Y_told
 
 
