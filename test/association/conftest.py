@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A map and a frame that shows part of it, with a prediction that is off as a whole."""
+"""A map and a frame that shows part of it, with a common prediction error."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ SIZE_PX = (1200.0, 900.0)
 
 @pytest.fixture
 def scene() -> Scene:
-    """Return a maker of N landmarks and as many features; feature k shows landmark k, in shuffled order of nothing."""
+    """Return a function for N landmarks and N features; feature k shows landmark k."""
 
     def make(count: int, *, seed: int = 1, off_px: float = 5.0, noise: float = 6.0) -> tuple[InView, StereoFeatures]:
         rng = np.random.default_rng(seed)

@@ -18,11 +18,11 @@ def name(request):
     return request.param
 
 
-def test_the_configuration_knows_all_names():
+def test_the_configuration_has_all_names():
     assert set(ASSOCIATIONS) == set(ASSOCIATORS)
 
 
-def test_landmarks_seen_again_are_recognised(scene, name):
+def test_landmarks_are_reobserved(scene, name):
     in_view, seen = scene(80)
     pairs = ASSOCIATORS[name](in_view, seen, CONFIG)
     np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
@@ -31,7 +31,7 @@ def test_landmarks_seen_again_are_recognised(scene, name):
 
 
 @pytest.mark.parametrize(("landmarks", "features"), [(0, 0), (0, 9), (9, 0)])
-def test_nothing_is_found_where_there_is_nothing(scene, name, landmarks, features):
+def test_empty_input_gives_no_pairs(scene, name, landmarks, features):
     in_view, seen = scene(landmarks)[0], scene(features)[1]
     pairs = ASSOCIATORS[name](in_view, seen, CONFIG)
     assert pairs.shape == (0, 2)
@@ -39,14 +39,14 @@ def test_nothing_is_found_where_there_is_nothing(scene, name, landmarks, feature
 
 
 @pytest.mark.parametrize(("landmarks", "features"), [(1, 1), (1, 9), (9, 1), (2, 2), (3, 3)])
-def test_few_are_no_hindrance(scene, name, landmarks, features):
+def test_few_points_are_handled(scene, name, landmarks, features):
     pairs = ASSOCIATORS[name](scene(landmarks)[0], scene(features, seed=2)[1], CONFIG)
     assert pairs.shape[1] == 2
     assert len(pairs) <= min(landmarks, features)
 
 
-def test_equal_looks_at_one_place_are_left_out_or_told_apart(scene, name):
-    """All features look as landmark 0 does; a thinned frame may hold but one of them."""
+def test_equal_descriptors_at_one_place_are_rejected_or_resolved(scene, name):
+    """All features have landmark 0's descriptor; a reduced frame may keep only one of them."""
     in_view, seen = scene(30)
     in_view = dataclasses.replace(in_view, expected=np.tile(in_view.expected[:1], (30, 1)))
     same = dataclasses.replace(
@@ -55,15 +55,15 @@ def test_equal_looks_at_one_place_are_left_out_or_told_apart(scene, name):
     assert ASSOCIATORS[name](in_view, same, CONFIG)[:, 0].tolist() in ([], [0])
 
 
-def test_nobody_is_used_twice(scene, name):
-    """Many landmarks that look alike: what there is of order comes from the associator."""
+def test_nothing_is_used_twice(scene, name):
+    """Many landmarks with similar descriptors: uniqueness is ensured by the associator."""
     in_view, seen = scene(200, noise=60.0)[0], scene(150, seed=1, noise=60.0)[1]
     pairs = ASSOCIATORS[name](in_view, seen, CONFIG)
     assert (np.diff(pairs[:, 0]) > 0).all()
     assert len(np.unique(pairs[:, 1])) == len(pairs)
 
 
-def test_association_repeats_and_changes_nothing(scene, name):
+def test_association_is_deterministic_and_does_not_modify_its_input(scene, name):
     in_view, seen = scene(60, noise=40.0)
     kept = [
         in_view.expected,
@@ -81,8 +81,8 @@ def test_association_repeats_and_changes_nothing(scene, name):
 
 
 @pytest.mark.parametrize("strict", ["gated", "gated_classification", "ransac", "gtm", "hgtm", "gated_hgtm"])
-def test_a_look_alike_elsewhere_is_seen_through(scene, strict):
-    """Ten features exchange their looks with one another, so that each is found where another landmark is expected."""
+def test_a_swapped_descriptor_elsewhere_is_rejected(scene, strict):
+    """Ten features swap their descriptors, so each matches where another landmark is predicted."""
     in_view, seen = scene(80)
     swapped = np.arange(80)
     swapped[:10] = np.roll(swapped[:10], 1)

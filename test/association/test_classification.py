@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Classification measures by what is usual for each landmark."""
+"""Classification uses each landmark's own descriptor statistics."""
 
 import dataclasses
 
@@ -13,7 +13,7 @@ from uav_vslam.config import BackendConfig
 CONFIG = BackendConfig()
 
 
-def test_the_distance_is_mahalanobis_by_the_formula():
+def test_the_distance_is_the_mahalanobis_formula():
     rng = np.random.default_rng(1)
     statistics = DescriptorStatistics.of(rng.integers(0, 256, (5, 16)).astype(np.uint8))
     statistics.observe(np.arange(5), rng.integers(0, 256, (5, 16)).astype(np.uint8))
@@ -27,8 +27,8 @@ def test_the_distance_is_mahalanobis_by_the_formula():
     assert squared_mahalanobis(DescriptorStatistics.of(d[:0]), d).shape == (0, 7)
 
 
-def test_one_odd_view_does_not_replace_what_was_learnt(scene):
-    """The newest look of a landmark was spoilt; the mean of five good ones still finds it."""
+def test_one_outlying_view_does_not_replace_the_statistics(scene):
+    """The newest descriptor of a landmark was corrupted; the mean of five good ones still matches."""
     in_view, seen = scene(40)
     rng = np.random.default_rng(3)
     good = in_view.descriptors
@@ -42,8 +42,8 @@ def test_one_odd_view_does_not_replace_what_was_learnt(scene):
     assert 0 not in nn(in_view, seen, CONFIG)[:, 0]
 
 
-def test_numbers_that_vary_from_view_to_view_count_little():
-    """Half of a descriptor is noise from view to view; the true landmark is farther off there than a stranger."""
+def test_components_that_vary_between_views_have_little_weight():
+    """Half of the descriptor is noise between views; there the true landmark is farther than a wrong one."""
     rng = np.random.default_rng(4)
     steady, noisy = rng.integers(100, 156, (30, 32)), 128
     statistics = DescriptorStatistics.of(np.hstack([steady, np.full((30, 32), noisy)]).astype(np.uint8))

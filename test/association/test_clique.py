@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The largest clique is found, and large or hopeless problems end all the same."""
+"""The maximum clique is found, and large or hard problems terminate."""
 
 import networkx as nx
 import numpy as np
@@ -29,8 +29,8 @@ def test_small_problems_are_solved_exactly(seed: int, count: int, share: float) 
 
 
 @pytest.mark.parametrize("wrong", [0, 20, 100])
-def test_right_matches_are_found_among_hundreds(wrong: int) -> None:
-    """Two hundred that agree in 99 of 100 cases, and wrong ones that agree with one in ten."""
+def test_correct_matches_are_found_among_hundreds(wrong: int) -> None:
+    """Two hundred correct ones that agree in 99 % of cases, and wrong ones that agree with 10 %."""
     count = 200
     agree = random_agreement(1, count + wrong, 0.1)
     agree[:count, :count] = random_agreement(2, count, 0.99)
@@ -41,20 +41,20 @@ def test_right_matches_are_found_among_hundreds(wrong: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_nobody_is_left_out_who_agrees_with_all_of_a_large_problem(seed: int) -> None:
+def test_a_vertex_that_agrees_with_the_whole_clique_is_included_in_large_problems(seed: int) -> None:
     agree = random_agreement(seed, 80, 0.6)
     rows = largest_clique(agree)
     assert is_clique(agree, rows)
     assert not agree[rows].all(axis=0).any()
 
 
-def test_the_rows_do_not_depend_on_what_the_diagonal_holds_and_nothing_has_no_clique() -> None:
+def test_the_diagonal_is_ignored_and_an_empty_graph_has_no_clique() -> None:
     agree = random_agreement(3, 12, 0.5)
     np.testing.assert_array_equal(largest_clique(agree), largest_clique(agree | np.eye(12, dtype=bool)))
     assert len(largest_clique(np.zeros((0, 0), dtype=bool))) == 0
 
 
-def test_the_argument_is_left_as_it_was() -> None:
+def test_the_argument_is_not_modified() -> None:
     agree = random_agreement(4, 15, 0.7)
     before = agree.copy()
     largest_clique(agree)

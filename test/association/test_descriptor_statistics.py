@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The statistics of a landmark's looks are those of all its views, and well defined after one."""
+"""A landmark's descriptor statistics cover all its views, and are well defined after one."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ def views(count, landmarks=3, seed=1):
     return np.random.default_rng(seed).integers(0, 256, (count, landmarks, 16)).astype(np.uint8)
 
 
-def test_mean_and_scatter_are_those_of_all_views_whatever_their_order():
+def test_mean_and_scatter_cover_all_views_in_any_order():
     seen = views(7)
     statistics = DescriptorStatistics.of(seen[0])
     for view in seen[1:]:
@@ -21,7 +21,7 @@ def test_mean_and_scatter_are_those_of_all_views_whatever_their_order():
     np.testing.assert_array_equal(statistics.mean[1], seen[0, 1])
 
 
-def test_rows_stay_in_step_with_the_map():
+def test_rows_follow_the_map():
     first, second = views(2)
     statistics = DescriptorStatistics.of(first[:0])
     statistics.append(first)
@@ -31,13 +31,13 @@ def test_rows_stay_in_step_with_the_map():
     np.testing.assert_array_equal(left.mean, np.vstack([first[1], second[2]]))
 
 
-def test_the_first_landmarks_of_an_empty_map_decide_how_long_a_descriptor_is():
+def test_the_first_landmarks_set_the_descriptor_length():
     statistics = DescriptorStatistics.of(np.zeros((0, 128), np.uint8))
     statistics.append(np.zeros((2, 32), np.uint8))
     assert statistics.mean.shape == statistics.scatter.shape == (2, 32)
 
 
-def test_the_variance_goes_from_what_all_share_to_the_landmarks_own():
+def test_the_variance_converges_from_the_common_to_the_landmarks_own():
     rng = np.random.default_rng(2)
     means = rng.integers(80, 180, (40, 16))
     sigma = np.where(np.arange(40) == 7, 20.0, 4.0)[:, None]
@@ -48,9 +48,9 @@ def test_the_variance_goes_from_what_all_share_to_the_landmarks_own():
         statistics.observe(
             np.arange(40), np.clip(np.rint(means + sigma * rng.normal(size=means.shape)), 0, 255).astype(np.uint8)
         )
-    learnt = statistics.variance().mean(axis=1)
-    assert 300 < learnt[7] < 440  # of 400, with a standard deviation of 10 %/4 and the pull of PRIOR_VIEWS of 200
-    assert 14 < np.delete(learnt, 7).mean() < 18
+    estimated = statistics.variance().mean(axis=1)
+    assert 300 < estimated[7] < 440  # of 400, with a standard deviation of 10 %/4 and shrinkage by PRIOR_VIEWS of 200
+    assert 14 < np.delete(estimated, 7).mean() < 18
     assert PRIOR_VIEWS < 10
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A feature matches a landmark only inside its gate, and there by its looks."""
+"""A feature matches a landmark only inside its gate, by its descriptor."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ def covariances(rng: np.random.Generator, count: int) -> Array:
     return np.asarray(A @ A.transpose(0, 2, 1) + 0.1 * np.eye(4))
 
 
-def looks(*identities: int) -> NDArray[np.uint8]:
+def descriptors_of(*identities: int) -> NDArray[np.uint8]:
     return np.array([np.random.default_rng(k).integers(0, 256, 128) for k in identities], np.uint8).reshape(-1, 128)
 
 
-def test_the_gate_passes_the_share_of_true_observations_that_it_names() -> None:
-    """5000 draws: the standard deviation of the share is 0.6 %, and a degree of freedom more or less costs 5 %."""
+def test_the_gate_passes_its_probability_of_true_observations() -> None:
+    """5000 draws: the share's standard deviation is 0.6 %; one degree of freedom more or less changes it by 5 %."""
     rng = np.random.default_rng(2)
     S = covariances(rng, 5)
     predicted = rng.uniform(0, 900, (5, 4))
@@ -42,21 +42,23 @@ def test_the_gate_is_the_chi_square_of_the_whitened_difference() -> None:
             assert passed[n, m] == (nu @ np.linalg.solve(S[n], nu) <= chi2.ppf(0.99, STEREO_DOF))
 
 
-def test_the_best_look_outside_the_gate_is_passed_over() -> None:
+def test_the_nearest_descriptor_outside_the_gate_is_ignored() -> None:
     predicted = np.array([[100.0, 100.0, 90.0, 100.0]])
     S = 4.0 * np.eye(4)[None]
     observed = np.array([[101.0, 99.0, 91.0, 100.0], [300.0, 99.0, 291.0, 100.0]])
-    nearly = looks(1).astype(int) + 5
-    descriptors = np.vstack([np.minimum(nearly, 255).astype(np.uint8), looks(1)])
-    pairs = associate(predicted, S, looks(1), observed, descriptors, probability=0.99, ratio=0.85)
+    nearly = descriptors_of(1).astype(int) + 5
+    descriptors = np.vstack([np.minimum(nearly, 255).astype(np.uint8), descriptors_of(1)])
+    pairs = associate(predicted, S, descriptors_of(1), observed, descriptors, probability=0.99, ratio=0.85)
     assert pairs.tolist() == [[0, 0]]
 
 
-def test_two_like_looks_inside_one_gate_are_too_risky() -> None:
+def test_two_similar_descriptors_inside_one_gate_are_ambiguous() -> None:
     predicted = np.array([[100.0, 100.0, 90.0, 100.0]])
     observed = np.array([[101.0, 99.0, 91.0, 100.0], [99.0, 101.0, 90.0, 101.0]])
-    descriptors = np.vstack([looks(1), looks(1)])
-    pairs = associate(predicted, 4.0 * np.eye(4)[None], looks(1), observed, descriptors, probability=0.99, ratio=0.85)
+    descriptors = np.vstack([descriptors_of(1), descriptors_of(1)])
+    pairs = associate(
+        predicted, 4.0 * np.eye(4)[None], descriptors_of(1), observed, descriptors, probability=0.99, ratio=0.85
+    )
     assert pairs.shape == (0, 2)
 
 
@@ -67,9 +69,9 @@ def test_no_landmark_and_no_feature_is_used_twice() -> None:
     pairs = associate(
         predicted,
         np.tile(400.0 * np.eye(4), (30, 1, 1)),
-        looks(*range(30)),
+        descriptors_of(*range(30)),
         observed,
-        looks(*rng.integers(0, 30, 30)),
+        descriptors_of(*rng.integers(0, 30, 30)),
         probability=0.99,
         ratio=0.9,
     )
@@ -82,9 +84,9 @@ def test_an_empty_side_matches_nothing(landmarks: int, features: int) -> None:
     pairs = associate(
         np.zeros((landmarks, 4)),
         np.tile(np.eye(4), (landmarks, 1, 1)),
-        looks(*range(landmarks)),
+        descriptors_of(*range(landmarks)),
         np.zeros((features, 4)),
-        looks(*range(features)),
+        descriptors_of(*range(features)),
         probability=0.99,
         ratio=0.85,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stretch of simulated flight and what an ideal inertial unit reads in it."""
+"""A simulated flight and the readings of an ideal IMU."""
 
 import dataclasses
 from collections.abc import Callable
@@ -22,7 +22,7 @@ def flight() -> SimulatedVehicle:
 
 @pytest.fixture(scope="session")
 def readings(flight: SimulatedVehicle) -> Readings:
-    """Return a maker of `count` intervals' errorless readings from `start_s` on, over `duration_s`."""
+    """Return a function for error-free readings of `count` intervals over `duration_s` from `start_s`."""
 
     def make(start_s: float, duration_s: float, count: int) -> list[ImuSample]:
         start_ns = flight.truth.start_ns + round(start_s * NS_PER_S)

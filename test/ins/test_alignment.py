@@ -23,7 +23,7 @@ def resting(roll, pitch, *, count=200, gyro_bias=(0.01, -0.02, 0.03), noise=0.01
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, -0.2), (-2.5, 0.4), (0.1, 1.4)])
-def test_gravity_gives_the_tilt_and_the_gyroscope_its_bias(roll, pitch):
+def test_tilt_follows_from_gravity_and_the_bias_from_the_gyroscope(roll, pitch):
     nav = static_alignment(resting(roll, pitch), 10**9, IMU)
     expected = rotation_from_rpy(roll, pitch, 0.0)
     np.testing.assert_allclose(nav.state.T_map_body.R, expected, atol=1e-3)  # 0.01 m/s^2 over sqrt(200) readings
@@ -40,12 +40,12 @@ def test_an_accelerometer_bias_of_one_sigma_tilts_by_about_one_sigma():
     assert 0.9 < abs(roll) / np.sqrt(nav.covariance[6, 6]) < 1.1
 
 
-def test_a_moving_vehicle_is_refused():
+def test_a_moving_vehicle_is_rejected():
     with pytest.raises(UavVslamError, match="moves"):
         static_alignment(resting(0.0, 0.0, noise=2.0), 10**9, IMU)
 
 
-def test_too_few_readings_are_refused():
+def test_too_few_readings_are_rejected():
     with pytest.raises(UavVslamError, match="got 3"):
         static_alignment(resting(0.0, 0.0, count=3), 10**9, IMU)
 
@@ -63,7 +63,7 @@ def level(up_body, v_body=(0.0, 0.0, 0.0), *, sigma_tilt=0.02):
     )
 
 
-def test_a_levelled_state_faces_yaw_zero_and_turns_the_velocity_into_the_map():
+def test_a_levelled_state_has_yaw_zero_and_its_velocity_in_the_map_frame():
     R = rotation_from_rpy(0.2, -0.3, 0.0)
     nav = level(R.T @ [0.0, 0.0, 2.0], R.T @ [3.0, 4.0, 5.0])
     np.testing.assert_allclose(nav.state.T_map_body.R, R, atol=1e-12)
@@ -72,9 +72,9 @@ def test_a_levelled_state_faces_yaw_zero_and_turns_the_velocity_into_the_map():
 
 
 @pytest.mark.parametrize("pitch", [0.0, 0.4, -1.2])
-def test_a_wrong_roll_of_a_pitched_vehicle_is_within_what_the_covariance_allows(pitch):
-    """Yaw is zero by definition, so two states that differ in roll and pitch alone differ by one sigma of each."""
-    sigma = 0.02  # of a diagonal covariance, with its 1 mrad of xi_z, these would be up to 20 sigmas
+def test_a_roll_error_of_a_pitched_vehicle_is_consistent_with_the_covariance(pitch):
+    """Yaw is zero by definition, so errors are in roll and pitch only; here one sigma of each."""
+    sigma = 0.02  # with a diagonal covariance and 1 mrad of xi_z, these would be up to 20 sigmas
     nav = level(rotation_from_rpy(0.1, pitch, 0.0).T @ [0.0, 0.0, 1.0], sigma_tilt=sigma)
     true = rotation_from_rpy(0.1 + sigma, pitch + sigma, 0.0)
     xi = so3_log(true @ nav.state.T_map_body.R.T)

@@ -30,16 +30,16 @@ IMU = ImuConfig()
 GYRO_BIAS, ACCEL_BIAS = np.array([0.01, -0.02, 0.015]), np.array([0.1, 0.2, -0.1])
 START_S, FRAME_S = 3.0, 0.14  # one image interval in the middle of a turn
 
-# GTSAM holds the start's attitude through each step, we take the midpoint. At 10 kHz its step costs half a step's turn
-# (5e-5 s * 0.5 rad/s) of 10 m/s^2 over 0.14 s.
+# GTSAM uses the attitude at the start of each step, we use the midpoint. At 10 kHz the difference is half a step's
+# rotation (5e-5 s * 0.5 rad/s) of 10 m/s^2 over 0.14 s.
 GTSAM_STEPS = 1400
 GTSAM_ROTATION = 1e-9  # [rad]
 GTSAM_VELOCITY = 2e-5  # [m/s]
 GTSAM_POSITION = 2e-6  # [m]
-GTSAM_RELATIVE = 2e-3  # of Jacobian and covariance: one step in 1400 counts fully there and half here
+GTSAM_RELATIVE = 2e-3  # of Jacobian and covariance: one step in 1400 has full weight there and half here
 
 STEP = 1e-5  # of a bias, for central differences
-DIFFERENCE = 1e-7  # relative, of such a derivative
+DIFFERENCE = 1e-7  # of such a derivative, relative
 
 
 def integrate(samples: list[ImuSample], gyro_bias: Array = GYRO_BIAS, accel_bias: Array = ACCEL_BIAS) -> ImuIncrement:
@@ -57,7 +57,7 @@ def difference(a: ImuIncrement, reference: ImuIncrement) -> Array:
 def gtsam_measurements(kind: str, samples: list[ImuSample], gyro_bias: Array, accel_bias: Array):
     if kind == "combined":
         params = gtsam.PreintegrationCombinedParams.MakeSharedU(IMU.gravity)
-        params.setBiasAccCovariance(1e-20 * np.eye(3))  # ours is about a constant bias
+        params.setBiasAccCovariance(1e-20 * np.eye(3))  # ours assumes a constant bias
         params.setBiasOmegaCovariance(1e-20 * np.eye(3))
         cls = gtsam.PreintegratedCombinedMeasurements
     else:
@@ -90,13 +90,13 @@ def relative(a: Array, b: Array) -> float:
 
 
 @pytest.mark.parametrize("kind", ["combined", "plain"])
-def test_mean_and_covariance_are_gtsams(readings, kind: str) -> None:
+def test_mean_and_covariance_equal_gtsam(readings, kind: str) -> None:
     samples = readings(START_S, FRAME_S, GTSAM_STEPS)
     ours, theirs = integrate(samples), gtsam_measurements(kind, samples, GYRO_BIAS, ACCEL_BIAS)
     np.testing.assert_allclose(so3_log(theirs.deltaRij().matrix().T @ ours.delta_R), 0.0, rtol=0, atol=GTSAM_ROTATION)
     np.testing.assert_allclose(ours.delta_v, theirs.deltaVij(), rtol=0, atol=GTSAM_VELOCITY)
     np.testing.assert_allclose(ours.delta_p, theirs.deltaPij(), rtol=0, atol=GTSAM_POSITION)
-    # GTSAM's order is rotation, position, velocity, and its rotation is the vector's own error: J_r^-1 of ours.
+    # GTSAM's order is rotation, position, velocity, and its rotation error is the vector's: J_r^-1 of ours.
     order = [0, 1, 2, 6, 7, 8, 3, 4, 5]
     to_tangent = np.eye(9)
     to_tangent[:3, :3] = np.linalg.inv(so3_left_jacobian(-so3_log(ours.delta_R)))
@@ -105,7 +105,7 @@ def test_mean_and_covariance_are_gtsams(readings, kind: str) -> None:
     np.testing.assert_allclose(whiten @ mine @ whiten.T, np.eye(9), rtol=0, atol=GTSAM_RELATIVE)
 
 
-def test_bias_jacobian_is_gtsams(readings) -> None:
+def test_bias_jacobian_equals_gtsam(readings) -> None:
     samples = readings(START_S, FRAME_S, GTSAM_STEPS // 4)
     reference = gtsam_measurements("plain", samples, GYRO_BIAS, ACCEL_BIAS)
     columns = []
@@ -116,7 +116,7 @@ def test_bias_jacobian_is_gtsams(readings) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 3, 28])
-def test_bias_jacobian_is_the_numerical_one_however_few_the_readings(readings, count: int) -> None:
+def test_bias_jacobian_is_the_numerical_one_for_any_number_of_readings(readings, count: int) -> None:
     samples = readings(START_S, FRAME_S, count)
     reference = integrate(samples)
     columns = []
@@ -129,7 +129,7 @@ def test_bias_jacobian_is_the_numerical_one_however_few_the_readings(readings, c
 
 @pytest.mark.parametrize(("count", "tolerance"), [(28, 0.1), (100, 0.03)])
 def test_covariance_is_the_sum_over_the_readings_errors(readings, count: int, tolerance: float) -> None:
-    """Perturb each reading: sum G sigma^2/dt G^T. The two end readings count half in it, so 3 / count is allowed."""
+    """Perturb each reading: sum G sigma^2/dt G^T. The end readings have half weight, hence a tolerance of 3 / count."""
     samples = readings(START_S, FRAME_S, count)
     reference = integrate(samples)
     variance = np.repeat([IMU.gyro_noise**2, IMU.accel_noise**2], 3) * count / FRAME_S
@@ -144,13 +144,13 @@ def test_covariance_is_the_sum_over_the_readings_errors(readings, count: int, to
     np.testing.assert_allclose(eigenvalues, 1.0, rtol=0, atol=tolerance)
 
 
-def test_an_increment_moved_to_another_bias_is_nearly_the_one_integrated_there(readings) -> None:
+def test_bias_correction_approximates_integration_at_the_other_bias(readings) -> None:
     samples = readings(START_S, FRAME_S, 28)
     at_zero = integrate(samples, np.zeros(3), np.zeros(3))
     delta_R, delta_v, delta_p = corrected(at_zero, GYRO_BIAS, ACCEL_BIAS)
     there = integrate(samples)
     # First order in a gyro bias of 0.03 rad/s and an accelerometer bias of 0.24 m/s^2 over 0.14 s: their product,
-    # 0.03 * 0.24 * 0.14^2 / 2, is left, and the former's square.
+    # 0.03 * 0.24 * 0.14^2 / 2, remains, and the square of the former.
     np.testing.assert_allclose(so3_log(there.delta_R.T @ delta_R), 0.0, rtol=0, atol=1e-5)
     np.testing.assert_allclose(delta_v, there.delta_v, rtol=0, atol=1e-4)
     np.testing.assert_allclose(delta_p, there.delta_p, rtol=0, atol=1e-5)
@@ -169,7 +169,7 @@ def test_errorless_readings_at_200_hz_reproduce_the_true_flight(readings, flight
     np.testing.assert_allclose(so3_log(end.T_map_body.R.T @ true_pose.R), 0.0, rtol=0, atol=2e-5)
 
 
-def test_two_increments_in_a_row_are_the_long_one(readings) -> None:
+def test_two_consecutive_increments_equal_the_long_one(readings) -> None:
     samples = readings(START_S, FRAME_S, 28)
     middle = samples[14].stamp_ns
     kwargs = {"gyro_bias": GYRO_BIAS, "accel_bias": ACCEL_BIAS, "imu": IMU}
@@ -191,11 +191,11 @@ def test_readings_are_interpolated_at_both_ends() -> None:
     half = preintegrate(samples, 5_000_000, 15_000_000, gyro_bias=zero, accel_bias=zero, imu=IMU)
     # trapezoids of (0.15, 0.2) and (0.2, 0.3) rad/s, of (0.5, 1) and (1, 2) m/s^2, 5 ms each
     assert so3_log(half.delta_R)[2] == pytest.approx(5e-3 * (0.175 + 0.25), rel=1e-12)
-    # the turn of a thousandth of a radian within the interval shortens x by its square
+    # a rotation of 1 mrad within the interval shortens x by its square
     assert half.delta_v[0] == pytest.approx(5e-3 * (0.75 + 1.5), rel=1e-5)
 
 
-def test_the_nearest_reading_holds_where_a_recording_begins_or_ends() -> None:
+def test_the_nearest_reading_is_held_at_the_ends_of_a_recording() -> None:
     one = [ImuSample(50_000_000, np.array([0.0, 0.0, 0.3]), np.array([0.0, 0.0, 9.8]))]
     increment = preintegrate(one, 0, 100_000_000, gyro_bias=np.zeros(3), accel_bias=np.zeros(3), imu=IMU)
     assert increment.samples == 1
@@ -213,7 +213,7 @@ def test_static_imu_keeps_its_pose() -> None:
     np.testing.assert_allclose(end.v_map, 0.0, rtol=0, atol=1e-12)
 
 
-def test_a_silent_imu_gives_a_hover_of_unknown_motion() -> None:
+def test_a_gap_gives_a_hover_with_a_large_covariance() -> None:
     increment = preintegrate([], 0, 200_000_000, gyro_bias=GYRO_BIAS, accel_bias=ACCEL_BIAS, imu=IMU)
     assert increment.samples == 0
     level = NavState(0, Pose.identity(), np.array([20.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
@@ -222,14 +222,14 @@ def test_a_silent_imu_gives_a_hover_of_unknown_motion() -> None:
     np.testing.assert_allclose(end.v_map, level.v_map, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(end.T_map_body.R, np.eye(3))
     sigma = np.sqrt(np.diag(increment.covariance))
-    assert (sigma[3:6] >= 0.5).all()  # half a metre a second of doubt after 0.2 s: a turn may have begun
+    assert (sigma[3:6] >= 0.5).all()  # half a metre a second after 0.2 s: the vehicle may have started a turn
     assert (sigma[:3] >= 0.05).all()
     np.testing.assert_array_equal(increment.bias_jacobian, 0.0)
-    np.testing.assert_array_equal(increment.rate_end, GYRO_BIAS)  # as it reads when nothing turns
+    np.testing.assert_array_equal(increment.rate_end, GYRO_BIAS)  # its reading without rotation
 
 
 def test_the_rate_at_the_end_is_what_the_gyroscope_reads_there(readings) -> None:
-    """Between two readings when the end lies there; the bias is left in, whatever the increment is linearised at."""
+    """Interpolated between readings; the bias is included, for any linearisation point."""
     samples = readings(START_S, FRAME_S, 28)
     np.testing.assert_array_equal(integrate(samples).rate_end, samples[-1].gyro)
     before, after = samples[-2:]
@@ -239,7 +239,7 @@ def test_the_rate_at_the_end_is_what_the_gyroscope_reads_there(readings) -> None
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 1_000])
-def test_an_interval_without_length_is_refused(stamp_ns: int) -> None:
+def test_an_empty_interval_is_rejected(stamp_ns: int) -> None:
     with pytest.raises(ValueError, match="stamps must increase"):
         preintegrate([], 1_000, stamp_ns, gyro_bias=np.zeros(3), accel_bias=np.zeros(3), imu=IMU)
 
@@ -261,7 +261,7 @@ def reading(stamp_ns: int, value: float = 0.0) -> ImuSample:
 
 
 @pytest.mark.parametrize("stamp_ns", [10, 9])
-def test_a_reading_that_does_not_come_later_is_refused(stamp_ns: int) -> None:
+def test_a_reading_that_is_not_later_is_rejected(stamp_ns: int) -> None:
     buffer = ImuBuffer()
     buffer.append(reading(10))
     with pytest.raises(ValueError, match="not after 10 ns"):
@@ -270,7 +270,7 @@ def test_a_reading_that_does_not_come_later_is_refused(stamp_ns: int) -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_reading_that_is_not_finite_is_refused(value: float) -> None:
+def test_a_reading_that_is_not_finite_is_rejected(value: float) -> None:
     with pytest.raises(ValueError, match="not finite"):
         ImuBuffer().append(reading(10, value))
 
@@ -286,7 +286,7 @@ def test_a_cut_holds_one_reading_beyond_each_end() -> None:
     assert not buffer.covers(91)
 
 
-def test_readings_from_before_or_after_an_interval_alone_say_nothing_about_it() -> None:
+def test_readings_only_before_or_only_after_an_interval_are_a_gap() -> None:
     buffer = ImuBuffer()
     assert buffer.cut(0, 10) == []
     buffer.append(reading(100))
@@ -296,12 +296,12 @@ def test_readings_from_before_or_after_an_interval_alone_say_nothing_about_it() 
 
 
 def two_halves(readings) -> tuple[ImuIncrement, ImuIncrement, ImuIncrement]:
-    """Two joining increments and the one over both, of readings that fall on the seam."""
+    """Two adjacent increments and the one over both, with a reading on the boundary."""
     samples = readings(START_S, FRAME_S, 28)
     return integrate(samples[:15]), integrate(samples[14:]), integrate(samples)
 
 
-def test_two_composed_increments_are_the_one_over_both(readings) -> None:
+def test_composed_increments_equal_the_one_over_both(readings) -> None:
     first, second, whole = two_halves(readings)
     composed = compose(first, second)
     assert (composed.start_ns, composed.stamp_ns) == (whole.start_ns, whole.stamp_ns)
@@ -311,7 +311,7 @@ def test_two_composed_increments_are_the_one_over_both(readings) -> None:
     np.testing.assert_array_equal(composed.rate_end, whole.rate_end)
 
 
-def test_errors_of_two_increments_pass_into_the_whole_as_their_derivatives_say(readings) -> None:
+def test_error_transfer_is_the_derivative_of_the_composition(readings) -> None:
     first, second, _ = two_halves(readings)
     whole = compose(first, second)
     for derivative, parts in zip(error_transfer(first, second), ((first, None), (None, second)), strict=True):
@@ -332,15 +332,15 @@ def disturbed(increment: ImuIncrement, error: Array) -> ImuIncrement:
     )
 
 
-def test_increments_that_do_not_join_are_not_composed(readings) -> None:
+def test_increments_that_are_not_adjacent_are_rejected(readings) -> None:
     first, second, _ = two_halves(readings)
-    with pytest.raises(ValueError, match="does not join"):
+    with pytest.raises(ValueError, match="does not follow"):
         compose(second, first)
     with pytest.raises(ValueError, match="different biases"):
         compose(first, dataclasses.replace(second, gyro_bias=np.zeros(3)))
 
 
-def test_a_bridged_increment_begins_earlier_and_knows_no_more_than_before(readings) -> None:
+def test_a_bridged_increment_starts_earlier_with_a_large_covariance(readings) -> None:
     known = integrate(readings(START_S, FRAME_S, 28))
     whole = bridged(known, known.start_ns - 200_000_000, IMU)
     assert (whole.start_ns, whole.stamp_ns) == (known.start_ns - 200_000_000, known.stamp_ns)
@@ -353,7 +353,7 @@ def test_a_bridged_increment_begins_earlier_and_knows_no_more_than_before(readin
     assert np.linalg.eigvalsh(whole.covariance)[0] > 0
 
 
-def test_readings_are_kept_for_some_minutes_and_what_is_gone_is_a_gap() -> None:
+def test_readings_are_buffered_for_minutes_and_dropped_ones_are_a_gap() -> None:
     buffer, second = ImuBuffer(), NS_PER_S
     step_ns, end_ns = second // 25, round(3 * MAX_HELD_S) * second
     for stamp_ns in range(0, end_ns + 1, step_ns):
@@ -364,4 +364,4 @@ def test_readings_are_kept_for_some_minutes_and_what_is_gone_is_a_gap() -> None:
     assert has_gap(kept, 0, end_ns)
     assert not has_gap(kept, kept[0].stamp_ns, end_ns)
     increment = preintegrate(kept, 0, end_ns, gyro_bias=np.zeros(3), accel_bias=np.zeros(3), imu=IMU)
-    assert np.sqrt(increment.covariance[2, 2]) > 0.5 * MAX_HELD_S  # half a radian for each second that is not known
+    assert np.sqrt(increment.covariance[2, 2]) > 0.5 * MAX_HELD_S  # half a radian for each unknown second

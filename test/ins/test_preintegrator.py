@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One increment an image, complete as soon as the readings are there; and the output at the unit's own rate."""
+"""One increment per image, complete as soon as the readings have arrived; and the output at IMU rate."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def hovering(stamp_ns: int) -> ImuSample:
     return ImuSample(stamp_ns, np.zeros(3), np.array([0.0, 0.0, IMU.gravity]))
 
 
-def test_an_increment_is_complete_when_a_reading_at_or_after_the_image_has_come() -> None:
+def test_an_increment_is_complete_when_a_reading_at_or_after_the_image_has_arrived() -> None:
     ins = InsPropagator(START, IMU)
     ins.add_imu(hovering(0))
     ins.add_frame_stamp(10 * MS)
@@ -34,7 +34,7 @@ def test_an_increment_is_complete_when_a_reading_at_or_after_the_image_has_come(
     assert ins.increments() == []
 
 
-def test_increments_join_without_gap_and_do_not_depend_on_when_they_are_asked_for() -> None:
+def test_increments_are_adjacent_and_do_not_depend_on_the_time_of_the_query() -> None:
     eager, lazy = InsPropagator(START, IMU), InsPropagator(START, IMU)
     rng = np.random.default_rng(5)
     events: list[ImuSample | int] = []
@@ -56,7 +56,7 @@ def test_increments_join_without_gap_and_do_not_depend_on_when_they_are_asked_fo
         np.testing.assert_array_equal(reckoned_a.covariance, reckoned_b.covariance)
 
 
-def test_a_flush_completes_the_rest_with_what_there_is() -> None:
+def test_a_flush_completes_the_rest_with_the_available_readings() -> None:
     ins = InsPropagator(START, IMU)
     ins.add_imu(hovering(0))
     ins.add_imu(hovering(8 * MS))
@@ -64,19 +64,19 @@ def test_a_flush_completes_the_rest_with_what_there_is() -> None:
         ins.add_frame_stamp(stamp_ms * MS)
     (first, _), (second, reckoned) = ins.increments(flush=True)
     assert first.samples > 0
-    assert second.samples == 0  # no reading touches it
+    assert second.samples == 0  # no reading inside
     assert np.sqrt(reckoned.covariance[3, 3]) > np.sqrt(START.covariance[3, 3])
 
 
 @pytest.mark.parametrize("stamp_ms", [0, 10, 9])
-def test_an_image_stamp_that_does_not_come_later_is_refused(stamp_ms: int) -> None:
+def test_an_image_stamp_that_is_not_later_is_rejected(stamp_ms: int) -> None:
     ins = InsPropagator(START, IMU)
     ins.add_frame_stamp(10 * MS)
     with pytest.raises(ValueError, match="not after"):
         ins.add_frame_stamp(stamp_ms * MS)
 
 
-def test_dead_reckoning_of_a_hover_stays_and_its_covariance_grows() -> None:
+def test_dead_reckoning_of_a_hover_stays_in_place_and_its_covariance_grows() -> None:
     ins = InsPropagator(START, IMU)
     for k in range(0, 1001, 5):
         ins.add_imu(hovering(k * MS))
@@ -90,39 +90,39 @@ def test_dead_reckoning_of_a_hover_stays_and_its_covariance_grows() -> None:
     assert np.all(np.diff(traces) > 0)
 
 
-def cut(cutter: ImuPreintegrator, samples: list[ImuSample], stamps_ms: list[int]) -> list[ImuIncrement]:
+def cut(preintegrator: ImuPreintegrator, samples: list[ImuSample], stamps_ms: list[int]) -> list[ImuIncrement]:
     for sample in samples:
-        cutter.add_imu(sample)
+        preintegrator.add_imu(sample)
     for stamp_ms in stamps_ms:
-        cutter.add_frame_stamp(stamp_ms * MS)
-    return cutter.increments()
+        preintegrator.add_frame_stamp(stamp_ms * MS)
+    return preintegrator.increments()
 
 
-def restless(count: int) -> list[ImuSample]:
+def varying(count: int) -> list[ImuSample]:
     rng = np.random.default_rng(7)
     return [ImuSample(k * 5 * MS, rng.normal(0, 0.1, 3), rng.normal(0, 1.0, 3)) for k in range(count)]
 
 
-def test_without_a_start_state_the_first_image_begins_the_first_increment() -> None:
-    cutter = ImuPreintegrator(IMU)
-    assert cutter.start_ns is None
-    increments = cut(cutter, restless(60), [50, 100, 170])
-    assert cutter.start_ns == 50 * MS
+def test_without_a_start_state_the_first_increment_starts_at_the_first_image() -> None:
+    preintegrator = ImuPreintegrator(IMU)
+    assert preintegrator.start_ns is None
+    increments = cut(preintegrator, varying(60), [50, 100, 170])
+    assert preintegrator.start_ns == 50 * MS
     assert [(i.start_ns // MS, i.stamp_ns // MS) for i in increments] == [(50, 100), (100, 170)]
     assert not increments[0].gyro_bias.any()
     with pytest.raises(ValueError, match="not after"):
-        cutter.add_frame_stamp(170 * MS)
+        preintegrator.add_frame_stamp(170 * MS)
 
 
-def test_increments_are_linearised_at_the_bias_of_the_start() -> None:
+def test_increments_are_linearised_at_the_start_bias() -> None:
     start = NavState(0, Pose.identity(), np.zeros(3), np.array([0.01, 0.0, 0.0]), np.array([0.0, 0.1, 0.0]))
-    (increment,) = cut(ImuPreintegrator(IMU, start), restless(30), [100])
+    (increment,) = cut(ImuPreintegrator(IMU, start), varying(30), [100])
     np.testing.assert_array_equal(increment.gyro_bias, start.gyro_bias)
     np.testing.assert_array_equal(increment.accel_bias, start.accel_bias)
 
 
-def test_dead_reckoning_from_a_start_that_is_found_late_is_the_same_as_from_one_known_before() -> None:
-    increments = cut(ImuPreintegrator(IMU), restless(200), list(range(50, 900, 90)))
+def test_dead_reckoning_does_not_depend_on_when_the_start_state_arrives() -> None:
+    increments = cut(ImuPreintegrator(IMU), varying(200), list(range(50, 900, 90)))
     start = NavEstimate(NavState(increments[2].start_ns, Pose.identity(), np.ones(3), *np.zeros((2, 3))), np.eye(15))
     early, late = DeadReckoning(IMU), DeadReckoning(IMU)
     expected = [*early.start(start), *(reckoned for increment in increments[2:] for reckoned in early.add(increment))]
@@ -136,8 +136,8 @@ def test_dead_reckoning_from_a_start_that_is_found_late_is_the_same_as_from_one_
         np.testing.assert_array_equal(a.covariance, b.covariance)
 
 
-def test_output_at_the_units_rate_follows_the_true_flight(flight) -> None:
-    """Readings are held for 5 ms, half of it too long: with 1 m/s^2 and 0.2 rad/s of change, centimetres in 4 s."""
+def test_output_at_imu_rate_follows_the_true_flight(flight) -> None:
+    """The zero-order hold delays readings by 2.5 ms: with 1 m/s^2 and 0.2 rad/s of change, centimetres in 4 s."""
     stamp_ns = int(flight.imu.stamps_ns[100])
     true = flight.true_state(stamp_ns)
     odometry = InsOdometry(NavEstimate(true, np.eye(15)), flight.scenario.imu_config)
@@ -163,7 +163,7 @@ def test_a_correction_replays_the_readings_since_its_stamp(flight) -> None:
     np.testing.assert_array_equal(late.pose.covariance, middle.pose.covariance)
 
 
-def test_readings_from_before_the_start_change_nothing() -> None:
+def test_readings_before_the_start_change_nothing() -> None:
     state = NavState(1 * NS_PER_S, Pose.identity(), np.ones(3), np.zeros(3), np.zeros(3))
     odometry = InsOdometry(NavEstimate(state, np.eye(15)), IMU)
     assert odometry.add_imu(hovering(1 * NS_PER_S - 1)) == state
@@ -171,24 +171,24 @@ def test_readings_from_before_the_start_change_nothing() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [10, 20, 30])
-def test_a_silence_of_the_unit_is_seen_whatever_the_rate_of_the_images(rate_hz: int) -> None:
-    """Every piece of it lies between the same two readings, 2 s apart; the images around it are as certain as ever."""
-    samples = [s for s in restless(1001) if not 1000 < s.stamp_ns / MS < 3000]
-    cutter = ImuPreintegrator(IMU)
-    increments = cut(cutter, samples, [round(1000 / rate_hz * k) for k in range(5 * rate_hz)])
+def test_a_gap_is_detected_at_any_image_rate(rate_hz: int) -> None:
+    """All intervals within it are between the same two readings, 2 s apart; intervals around it are unaffected."""
+    samples = [s for s in varying(1001) if not 1000 < s.stamp_ns / MS < 3000]
+    preintegrator = ImuPreintegrator(IMU)
+    increments = cut(preintegrator, samples, [round(1000 / rate_hz * k) for k in range(5 * rate_hz)])
     silent = [i for i in increments if i.stamp_ns > 1000 * MS and i.start_ns < 3000 * MS]
     sigmas = [np.sqrt(np.diag(i.covariance)[:6]) / i.dt_s for i in silent]
     measured = [np.sqrt(np.diag(i.covariance)[:6]) / i.dt_s for i in increments if i not in silent]
-    assert min(sigma.min() for sigma in sigmas) > 0.2  # half of what it may turn and accelerate, at least
+    assert min(sigma.min() for sigma in sigmas) > 0.2  # at least half of the sigmas within a gap
     assert max(sigma.max() for sigma in measured) < 0.1
-    assert cutter.gaps == len(silent) >= 2 * rate_hz
+    assert preintegrator.gaps == len(silent) >= 2 * rate_hz
     assert {i.samples for i in silent if i.start_ns >= 1000 * MS and i.stamp_ns < 3000 * MS} == {0}
     assert sum(i.samples for i in increments) == sum(0 < s.stamp_ns <= increments[-1].stamp_ns for s in samples)
 
 
-def test_an_interval_without_a_reading_between_near_ones_is_no_gap() -> None:
-    """Images may come faster than readings."""
-    cutter = ImuPreintegrator(IMU)
-    increments = cut(cutter, restless(10), [11, 13, 17, 22])
+def test_an_interval_between_close_readings_is_no_gap() -> None:
+    """Images may be faster than readings."""
+    preintegrator = ImuPreintegrator(IMU)
+    increments = cut(preintegrator, varying(10), [11, 13, 17, 22])
     assert [i.samples for i in increments] == [0, 1, 1]
-    assert cutter.gaps == 0
+    assert preintegrator.gaps == 0

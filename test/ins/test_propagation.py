@@ -31,7 +31,7 @@ DIFFERENCE = 2e-7  # absolute; the entries are of order one and below, the round
 
 
 def moved(state: NavState, error: Array) -> NavState:
-    """Return the true state that has this map-frame error."""
+    """Return the true state for this map-frame error."""
     return dataclasses.replace(
         state,
         T_map_body=Pose(so3_exp(error[ROTATION]) @ state.T_map_body.R, state.T_map_body.t + error[POSITION]),
@@ -78,7 +78,7 @@ def test_transition_is_the_derivative_of_the_mean(start: NavState, increment: Im
     np.testing.assert_allclose(F, numeric, rtol=0, atol=DIFFERENCE)
 
 
-def test_process_noise_is_the_increments_error_seen_at_the_end(start: NavState, increment: ImuIncrement) -> None:
+def test_process_noise_is_the_increments_error_propagated_to_the_end(start: NavState, increment: ImuIncrement) -> None:
     _, Q = transition(start, increment, IMU)
     end = propagate(start, increment, gravity=IMU.gravity)
     columns = []
@@ -95,12 +95,12 @@ def test_process_noise_is_the_increments_error_seen_at_the_end(start: NavState, 
     walk = np.repeat([IMU.gyro_bias_walk**2, IMU.accel_bias_walk**2], 3) * increment.dt_s
     expected[9:, 9:] += np.diag(walk)
     scale = np.sqrt(np.diag(expected))
-    # correlations, to the step's relative rounding of 100 m
+    # correlations, up to the step's relative rounding of 100 m
     np.testing.assert_allclose(Q / np.outer(scale, scale), expected / np.outer(scale, scale), rtol=0, atol=1e-5)
 
 
-def test_a_global_shift_or_turn_commutes_with_the_propagation(start: NavState, increment: ImuIncrement) -> None:
-    """Four directions of the world can't be known from inside: the mean moves along with them."""
+def test_a_global_shift_or_yaw_commutes_with_the_propagation(start: NavState, increment: ImuIncrement) -> None:
+    """Global position and yaw are unobservable: the mean moves along with them."""
     turn, shift = so3_exp([0.0, 0.0, 0.4]), np.array([3.0, -2.0, 1.0])
     world = Pose(turn, shift)
     other = dataclasses.replace(start, T_map_body=world @ start.T_map_body, v_map=turn @ start.v_map)

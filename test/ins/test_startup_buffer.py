@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What comes before the start is held by time, whatever the rate of the inertial unit."""
+"""The startup buffer holds a span of time, independent of the IMU rate."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def reading(stamp_ns: int) -> ImuSample:
 
 @pytest.mark.parametrize("rate_hz", [10, 200, 4000])
 @pytest.mark.parametrize("held_s", [0.5, 1.5])
-def test_a_span_is_held_at_any_rate(rate_hz: int, held_s: float) -> None:
+def test_the_span_is_buffered_at_any_rate(rate_hz: int, held_s: float) -> None:
     early = StartupBuffer(held_s)
     for k in range(3 * rate_hz):
         early.add(reading(k * NS_PER_S // rate_hz))
@@ -25,8 +25,8 @@ def test_a_span_is_held_at_any_rate(rate_hz: int, held_s: float) -> None:
     assert stamps[-1] - stamps[0] >= held_s * NS_PER_S
 
 
-def test_nothing_is_forgotten_before_the_span_is_full() -> None:
-    """So the first alignment is made of all readings from the very first on."""
+def test_nothing_is_dropped_before_the_span_is_full() -> None:
+    """So the first alignment uses all readings from the first on."""
     early = StartupBuffer(1.0)
     items = [reading(0), 1000, *(reading(k * 5_000_000) for k in range(1, 203))]
     for item in items[:-1]:
@@ -34,10 +34,10 @@ def test_nothing_is_forgotten_before_the_span_is_full() -> None:
     assert early.readings() == [items[0], *items[2:-1]]
     early.add(items[-1])
     assert early.readings() == items[2:]
-    assert early.take() == items[2:]  # the image has gone too
+    assert early.take() == items[2:]  # the image is dropped too
 
 
-def test_what_is_taken_is_held_no_longer() -> None:
+def test_take_empties_the_buffer() -> None:
     early = StartupBuffer()
     items = [reading(0), 1000, reading(2000)]
     for item in items:
@@ -46,7 +46,7 @@ def test_what_is_taken_is_held_no_longer() -> None:
     assert early.take() == []
 
 
-def test_a_start_is_measured_from_the_newest_reading() -> None:
+def test_ahead_is_relative_to_the_newest_reading() -> None:
     early = StartupBuffer()
     early.add(5 * NS_PER_S)  # an image
     assert early.ahead_s(0) is None

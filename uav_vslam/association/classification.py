@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each landmark is a class of looks: section 6.4.1 of [thesis].
+"""Each landmark is a class of descriptors: section 6.4.1 of [thesis].
 
-A feature belongs to the class whose mean is nearest in Mahalanobis' distance, sqrt((d - mu)^T Sigma^-1 (d - mu)). What
-varies much from view to view of a landmark counts little, and one odd view doesn't replace what has been learnt.
+A feature belongs to the class whose mean is nearest by Mahalanobis distance, sqrt((d - mu)^T Sigma^-1 (d - mu)).
+Components that vary between views of a landmark have little weight, and one outlying view does not replace the mean.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from uav_vslam.vision.matching.nn_ratio import match_distances
 
 Pairs = NDArray[np.intp]
 
-ALONE_SIGMAS = 3.0  # per number of a descriptor: 98 % of right pairs are nearer, and 5 % of the nearest strangers
+SINGLE_CANDIDATE_SIGMAS = 3.0  # per descriptor component: 98 % of correct pairs are nearer, 5 % of wrong ones
 
 
 def classify(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
@@ -43,5 +43,5 @@ def squared_mahalanobis(statistics: DescriptorStatistics, descriptors: NDArray[n
 
 
 def _nearest(distance2: NDArray[np.float32], seen: StereoFeatures, config: BackendConfig) -> Pairs:
-    alone = ALONE_SIGMAS * float(np.sqrt(seen.descriptors.shape[1]))
+    alone = SINGLE_CANDIDATE_SIGMAS * float(np.sqrt(seen.descriptors.shape[1]))
     return match_distances(distance2, config.min_descriptor_ratio, single_distance=alone)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The largest set of matches that all agree with each other: exact where that is quick, and in bounded time always.
+"""Maximum clique of mutually consistent matches: exact for small problems, always in bounded time.
 
-Among right matches nearly all agree, so that most of a large problem is settled by counting: first what disagrees most
-is taken away until all agree, and what can't be in a larger set, or is in every largest one, needs no search.
+Nearly all correct matches agree, so degrees settle most of a large problem: a greedy clique is found by removing the
+vertices with most disagreements; only vertices that may be in a larger clique, but not in all, are searched.
 """
 
 import networkx as nx
@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 Rows = NDArray[np.intp]
 Agreement = NDArray[np.bool_]
 
-SEARCHED = 30  # vertices; beyond it the search, exponential at worst, is left out
+SEARCHED = 30  # vertices; larger problems skip the search, which is exponential at worst
 
 
 def largest_clique(agree: Agreement) -> Rows:
-    """Return ascending rows of a maximum clique, or of a maximal one where the search would take too long.
+    """Return ascending rows of a maximum clique, or of a maximal one if the search would take too long.
 
     Args:
-        agree: (N, N) symmetric, what its diagonal holds doesn't matter.
+        agree: (N, N) symmetric; the diagonal is ignored.
     """
     agree = agree | np.eye(len(agree), dtype=bool)
-    found = _thinned(agree)
+    found = _greedy_clique(agree)
     core = _core(agree, len(found) + 1)
     if len(core) <= len(found):
         return found
     among = agree[np.ix_(core, core)]
-    settled = among.all(axis=1)  # they agree with everyone, so a largest clique has them all
+    settled = among.all(axis=1)  # they agree with all, so are in every maximum clique
     open_ = np.flatnonzero(~settled)
     if len(open_) > SEARCHED:
         return found
@@ -37,8 +37,8 @@ def largest_clique(agree: Agreement) -> Rows:
     return exact if len(exact) > len(found) else found
 
 
-def _thinned(agree: Agreement) -> Rows:
-    """Take away whatever disagrees with most, one after the other, until all agree; then give back what may stay."""
+def _greedy_clique(agree: Agreement) -> Rows:
+    """Remove the vertex with most disagreements until all agree; then re-add those that fit."""
     left = np.arange(len(agree))
     while len(left):
         disagreements = (~agree[np.ix_(left, left)]).sum(axis=1)
@@ -46,13 +46,13 @@ def _thinned(agree: Agreement) -> Rows:
             break
         left = np.delete(left, np.argmax(disagreements))
     chosen = np.isin(np.arange(len(agree)), left)
-    for row in np.flatnonzero(agree[:, chosen].all(axis=1) & ~chosen):  # what went early may agree with all that stayed
+    for row in np.flatnonzero(agree[:, chosen].all(axis=1) & ~chosen):  # early removals may fit the remaining set
         chosen[row] = agree[row, chosen].all()
     return np.flatnonzero(chosen)
 
 
 def _core(agree: Agreement, size: int) -> Rows:
-    """Return what may be in a clique of that size: each agrees with so many that may be in it, itself included."""
+    """Return the vertices that may be in a clique of that size (k-core): each agrees with that many, itself too."""
     left = np.arange(len(agree))
     while len(left):
         enough = agree[np.ix_(left, left)].sum(axis=1) >= size

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which gated matches agree with one another: one match at a time conditions the prediction of all the others.
+"""Consensus of gated matches: one match at a time conditions the prediction of all others.
 
-A gate alone is no protection when the whole prediction may be off together: then every landmark has a wide gate, and
-wrong matches slip in. But given one right match the others' predictions become sharp. Each match is tried as that one
-(so nothing is drawn at random), and the largest set that passes the conditional gates wins; after the one-point RANSAC
-of [civera10], which draws.
+Individual gates do not protect against a large common error of the prediction: all gates are then wide and wrong
+matches pass. Given one correct match, the others' predictions become precise. Each match is tried as the condition; the
+largest set that passes the conditional gates wins: the one-point RANSAC of [civera10], but exhaustive.
 
-One match leaves the others' gates wide where the landmarks themselves are vague or the attitude is, so a few wrong ones
-pass together with the right ones. All others together leave a narrow one: who does not pass that goes, the worst first.
+If landmarks or attitude are uncertain, gates conditioned on one match are still wide and some wrong matches pass. Gates
+conditioned on all others are narrow: matches outside them are removed, the worst first.
 """
 
 import numpy as np
@@ -21,12 +20,12 @@ Array = NDArray[np.float64]
 
 
 def consensus(nu: Array, S: Array, *, probability: float) -> NDArray[np.intp]:
-    """Return the largest set of matches that agree, each with one of them and with all the others.
+    """Return the largest set of matches, each consistent with one of them and with all others.
 
     Args:
         nu: (N, 4) innovations [px].
         S: (4N, 4N) their joint covariance, pixel noise included [px^2].
-        probability: that a right match passes the gate that another right match leaves, or all the others.
+        probability: that a correct match passes the gate conditioned on another correct one, or on all others.
 
     Returns:
         (K,) ascending rows.
@@ -40,22 +39,22 @@ def consensus(nu: Array, S: Array, *, probability: float) -> NDArray[np.intp]:
     best = np.zeros(0, np.intp)
     for given in range(count):
         gain = blocks[:, given] @ np.linalg.inv(own[given])
-        left = nu - gain @ nu[given]
-        sharp = own - gain @ blocks[given]
-        sharp[given] = own[given]  # nothing is left of itself: left is zero there, whatever the covariance
-        distance2 = mahalanobis2(left, sharp)
+        residual = nu - gain @ nu[given]
+        conditional = own - gain @ blocks[given]
+        conditional[given] = own[given]  # a match is consistent with itself: its residual is zero for any covariance
+        distance2 = mahalanobis2(residual, conditional)
         agree = np.flatnonzero(distance2 <= limit)
         if len(agree) > len(best):
             best = agree
     coordinates = (STEREO_DOF * best[:, None] + np.arange(STEREO_DOF)).ravel()
-    return best[_supported(nu[best], S[np.ix_(coordinates, coordinates)], limit)]
+    return best[_leave_one_out(nu[best], S[np.ix_(coordinates, coordinates)], limit)]
 
 
-def _supported(nu: Array, S: Array, limit: float) -> NDArray[np.intp]:
-    """Return the rows that remain when the match farthest outside the gate that all others leave goes, again and again.
+def _leave_one_out(nu: Array, S: Array, limit: float) -> NDArray[np.intp]:
+    """Return the rows left after removing, one by one, the match farthest outside its gate conditioned on all others.
 
-    With A = S^-1, match k lies A_kk^-1 (A nu)_k off what the others predict, with covariance A_kk^-1. Taking it out is
-    a Schur complement of A.
+    With A = S^-1, match k has the leave-one-out residual A_kk^-1 (A nu)_k, with covariance A_kk^-1. Removing it is a
+    Schur complement of A.
     """
     rows, A = np.arange(len(nu)), np.linalg.inv(S)
     while len(rows):

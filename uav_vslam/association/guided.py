@@ -16,13 +16,13 @@ STEREO_DOF = 4
 
 
 def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> NDArray[np.bool_]:
-    """Tell which observation lies in which landmark's gate.
+    """Return which observations are inside which landmark's gate.
 
     Args:
         predicted: (N, 4) predicted stereo pixels.
         S: (N, 4, 4) innovation covariances [px^2].
         observed: (M, 4) stereo pixels.
-        probability: that a true match passes.
+        probability: that a correct match passes.
 
     Returns:
         (N, M) mask.

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hypergraph transformation matching, section 6.4.2 of [thesis].
 
-The vertices are coarse matches of a feature with a landmark, with the geometry of both. A hyperedge joins a match with
-two of its K nearest in the image; among right matches the three have the same shape in the image and in the map as the
-camera should see it, whatever rotation, shift and scale the prediction is off by. While shapes differ, the match goes
-that the largest share of its hyperedges speaks against; the hypergraph of those left is built anew until all agree.
+The vertices are coarse matches of features with landmarks. A hyperedge joins a match with two of its K nearest in the
+image; for correct matches the triangle has the same shape in the image and in the predicted view of the map, up to
+rotation, shift and scale of the prediction. While shapes differ, the match with the largest share of contradicting
+hyperedges is removed and the hypergraph rebuilt, until all agree.
 
-Unlike [aguilar09], which asks only who is whose neighbour, that notices a match that is wrong by a little.
+Unlike [aguilar09], which compares only neighbourhoods, this detects matches that are wrong by a few pixels.
 """
 
 from itertools import combinations
@@ -19,17 +19,17 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 NEIGHBOURS = 6  # K
-TOLERANCE_PX = 1.5  # that three points may be off a similarity
-TOLERANCE_SHARE = 0.01  # of their extent, beside it: the ground is not flat, and landmarks are not where we think
-SCALES = (0.5, 2.0)  # of the image to what is expected; beyond it the prediction can't be off
+TOLERANCE_PX = 1.5  # largest residual of three points after a similarity fit
+TOLERANCE_SHARE = 0.01  # of their extent, in addition: the ground is not flat, and landmarks are uncertain
+SCALES = (0.5, 2.0)  # plausible scales of the image relative to the prediction
 
 
 def same_shapes(expected: Array, observed: Array, *, neighbours: int = NEIGHBOURS) -> Rows:
-    """Return the matches whose hyperedges all have one shape on both sides; one without any is not among them.
+    """Return the matches whose hyperedges all have equal shapes on both sides; matches without hyperedges are dropped.
 
     Args:
-        expected: (N, 2) where the landmarks should be in the image [px].
-        observed: (N, 2) where the features matched with them are [px].
+        expected: (N, 2) predicted pixels of the landmarks [px].
+        observed: (N, 2) pixels of the matched features [px].
         neighbours: K.
 
     Returns:
@@ -45,19 +45,19 @@ def same_shapes(expected: Array, observed: Array, *, neighbours: int = NEIGHBOUR
 
 
 def hyperedges(points: Array, neighbours: int) -> NDArray[np.intp]:
-    """Return (E, 3) ascending rows of (N, 2) points: each with each two of its nearest, the same three only once."""
+    """Return (E, 3) ascending rows of (N, 2) points: each with every two of its nearest, without duplicates."""
     count = min(neighbours, len(points) - 1)
     if count < 2:
         return np.zeros((0, 3), np.intp)
     own = np.arange(len(points))[:, None]
     near = cKDTree(points).query(points, count + 1)[1]
-    near = np.take_along_axis(near, np.argsort(near == own, axis=1, kind="stable"), axis=1)[:, :count]  # not itself
+    near = np.take_along_axis(near, np.argsort(near == own, axis=1, kind="stable"), axis=1)[:, :count]  # without itself
     triples = [np.hstack([own, near[:, [i, j]]]) for i, j in combinations(range(count), 2)]
     return np.unique(np.sort(np.vstack(triples), axis=1), axis=0)
 
 
 def _similar(expected: Array, observed: Array) -> NDArray[np.bool_]:
-    """Tell which of (E, 3, 2) triangles are similar, by the least-squares similarity o = a e + b of complex numbers."""
+    """Return which of (E, 3, 2) triangles are similar, by the least-squares fit o = a e + b of complex numbers."""
     e, o = (side[..., 0] + 1j * side[..., 1] for side in (expected, observed))
     e, o = e - e.mean(axis=1, keepdims=True), o - o.mean(axis=1, keepdims=True)
     extent2 = np.maximum((np.abs(e) ** 2).sum(axis=1), 1e-12)
@@ -68,7 +68,7 @@ def _similar(expected: Array, observed: Array) -> NDArray[np.bool_]:
 
 
 def _contradicted_hyperedges(triples: NDArray[np.intp], wrong: NDArray[np.bool_]) -> list[int]:
-    """Return whom to take away until no wrong hyperedge is left, whoever has the largest share of wrong ones first."""
+    """Return the vertices to remove until no wrong hyperedge is left, largest share of wrong ones first."""
     gone = []
     while wrong.any():
         own = np.bincount(triples.ravel())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an associator may look at."""
+"""Input and interface of the associators."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class InView:
-    """The N landmarks that a frame may show.
+    """The N landmarks predicted to be visible in a frame.
 
     Attributes:
         rows: (N,) of the map.
         expected: (N, 4) predicted stereo pixels.
         S: (N, 4, 4) covariance of the innovations [px^2].
-        descriptors: (N, D) newest look of each.
-        looks: statistics of all looks of each.
+        descriptors: (N, D) newest ones.
+        statistics: over all views.
     """
 
     rows: NDArray[np.intp]
@@ -43,7 +43,7 @@ class InView:
 
 
 class Associator(Protocol):
-    """Tells which feature shows which landmark; the same input gives the same pairs, every time."""
+    """Associates features with landmarks; deterministic."""
 
     def __call__(self, in_view: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:
         """Return (K, 2) pairs of row in `in_view` and row in `seen`, ascending in `in_view`, none used twice."""

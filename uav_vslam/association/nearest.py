@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Associations by the nearest descriptor among all landmarks in view, wherever a feature lies."""
+"""Data association by the nearest descriptor among all landmarks in view, without a gate."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +21,16 @@ def nn(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
 
 
 def cds(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
-    """Match as `nn` does, and keep the features of a connected dominating set: few, and spread over the image.
+    """Match as `nn` does, and keep only features of a connected dominating set: few, spread over the image.
 
-    What is left out still is a rival: without it, a landmark whose feature is left out would be found in another one.
+    Other features still count in the ratio test: otherwise their landmarks would match a wrong feature.
     """
     pairs = nn(in_view, seen, config)
     return pairs[np.isin(pairs[:, 1], dominating_points(seen.pixels[:, :2]))]
 
 
 def coarse_fine(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
-    """Match mutual nearest descriptors, no matter how near the next is, and take those with the smallest distances.
+    """Match mutual nearest descriptors without ratio test, and keep those with the smallest distances.
 
     The two steps of section 7.4.2 of [thesis].
     """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start states that gravity levels; their position and heading define the map frame.
+"""Start states levelled by gravity; their position and heading define the map frame.
 
-At rest the accelerometer shows gravity and the gyroscope its own bias. In flight: `slam.in_flight_initializer`.
+At rest the accelerometer measures gravity and the gyroscope its bias. In flight: `slam.in_flight_initializer`.
 """
 
 import numpy as np
@@ -15,23 +15,23 @@ from uav_vslam.types import ImuSample, NavEstimate, NavState
 
 Array = NDArray[np.float64]
 
-MAX_RATE_STD = 0.05  # [rad/s] above it the vehicle is not at rest
-MAX_ACCEL_STD = 0.5  # [m/s^2] likewise
-SIGMA_ORIGIN_M = 1e-3  # position and yaw define the frame: they are known by definition
+MAX_RATE_STD = 0.05  # [rad/s] largest gyroscope noise at rest
+MAX_ACCEL_STD = 0.5  # [m/s^2] largest accelerometer noise at rest
+SIGMA_ORIGIN_M = 1e-3  # position and yaw define the frame, so are known
 SIGMA_YAW_RAD = 1e-3
 SIGMA_REST = 1e-2  # [m/s]
 
 
 def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) -> NavEstimate:
-    """Return the state of a resting vehicle, at the origin and facing east.
+    """Return the state of a vehicle at rest, at the origin and facing east.
 
     Args:
         samples: readings at rest, a second or more.
         stamp_ns: time of the state [ns].
-        imu: noise, gravity and how well the biases are known.
+        imu: noise, gravity and bias uncertainty.
 
     Raises:
-        UavVslamError: there are too few readings, or the vehicle moved.
+        UavVslamError: too few readings, or the vehicle moves.
     """
     gyro, accel = np.array([s.gyro for s in samples]), np.array([s.accel for s in samples])
     if len(samples) < 10:
@@ -50,7 +50,7 @@ def static_alignment(samples: list[ImuSample], stamp_ns: int, imu: ImuConfig) ->
         v_body=np.zeros(3),
         gyro_bias=gyro.mean(axis=0),
         sigma_velocity=SIGMA_REST,
-        sigma_tilt=imu.accel_bias_sigma / imu.gravity,  # their correlation is left out, which is the safe side
+        sigma_tilt=imu.accel_bias_sigma / imu.gravity,  # neglecting their correlation is conservative
         sigma_gyro_bias=max(MAX_RATE_STD / np.sqrt(len(samples)) * 0.1, 10 * imu.gyro_bias_walk),
         sigma_accel_bias=imu.accel_bias_sigma,
     )
@@ -71,9 +71,9 @@ def levelled(
 
     Args:
         stamp_ns: time of the state [ns].
-        up_body: (3,) against gravity, of any length.
+        up_body: (3,) direction opposite to gravity, any norm.
         v_body: (3,) velocity in the body frame [m/s].
-        gyro_bias: (3,) [rad/s]; the accelerometer's is taken as zero.
+        gyro_bias: (3,) [rad/s]; the accelerometer's is zero.
         sigma_velocity, sigma_tilt, sigma_gyro_bias, sigma_accel_bias: standard deviations per axis [m/s], [rad],
             [rad/s], [m/s^2].
     """
@@ -83,7 +83,7 @@ def levelled(
     state = NavState(stamp_ns, Pose(R_map_body, np.zeros(3)), R_map_body @ v_body, gyro_bias, np.zeros(3))
     sigma = np.repeat([SIGMA_ORIGIN_M, sigma_velocity, SIGMA_YAW_RAD, sigma_gyro_bias, sigma_accel_bias], 3)
     covariance = np.diag(sigma**2)
-    # Yaw is known, not xi_z: a wrong roll of a pitched vehicle turns it about a tilted axis.
+    # Yaw is known, not xi_z: a roll error of a pitched vehicle rotates it about a tilted axis.
     xi_per_tilt = np.array([[np.cos(pitch), 0.0], [0.0, 1.0], [-np.sin(pitch), 0.0]])
     covariance[6:9, 6:9] += sigma_tilt**2 * xi_per_tilt @ xi_per_tilt.T
     return NavEstimate(state, covariance)

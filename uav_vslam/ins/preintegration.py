@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Preintegrated motion between two stamps, after Forster et al. [forster17], in closed vectorised form.
+"""IMU preintegration between two stamps after Forster et al. [forster17], vectorised in closed form.
 
 Symbols: `dR[k]`, `dv[k]`, `dp[k]` are the increments from the start to sample k; `M[j]` maps a gyro error of interval j
-to a rotation error, seen in the start frame, of everything later; `G[j]` (9x6) maps the gyro and accelerometer errors
+to the rotation error, in the start frame, of all later samples; `G[j]` (9x6) maps the gyro and accelerometer errors
 of interval j to the errors of the whole increment. Then the bias Jacobian is `-sum G` and the covariance
-`sum G diag(sigma^2/dt) G^T`: no recursion over 9x9 matrices is needed.
+`sum G diag(sigma^2/dt) G^T`, without recursion over 9x9 matrices.
 """
 
 from collections import deque
@@ -19,10 +19,10 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
 
 Array = NDArray[np.float64]
 
-MAX_GAP_S = 0.05  # without a reading for longer, nobody knows what the airframe did
-MAX_HELD_S = 120.0  # readings kept while no image comes: 12 MB at 200 Hz
-UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] what it may turn meanwhile
-UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] what it may accelerate meanwhile
+MAX_GAP_S = 0.05  # after longer without a reading the motion is unknown
+MAX_HELD_S = 120.0  # readings buffered while no image arrives: 12 MB at 200 Hz
+UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] of the rotation rate in a gap
+UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] of the acceleration in a gap
 
 
 def preintegrate(
@@ -36,12 +36,11 @@ def preintegrate(
 ) -> ImuIncrement:
     """Integrate readings over [start_ns, stamp_ns] by the midpoint rule.
 
-    The readings at the two ends are interpolated linearly; where the recording has none there, the nearest one holds.
-    Between readings more than MAX_GAP_S apart the motion counts as all but unknown, however short the interval is that
-    is cut from such a gap.
+    Readings at both ends are interpolated linearly, or held from the nearest one at the ends of the recording. Between
+    readings more than MAX_GAP_S apart the motion is nearly unknown, also in a short interval within such a gap.
 
     Args:
-        samples: readings in stamp order; those outside the interval serve for the interpolation at its ends.
+        samples: readings in stamp order; those outside the interval are used to interpolate at its ends.
         start_ns, stamp_ns: the interval [ns].
         gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
         imu: noise densities.
@@ -50,7 +49,7 @@ def preintegrate(
         ValueError: the interval is empty or runs backwards.
     """
     if stamp_ns <= start_ns:
-        raise ValueError(f"increment from {start_ns} ns to {stamp_ns} ns has no length; stamps must increase")
+        raise ValueError(f"increment from {start_ns} ns to {stamp_ns} ns is empty; stamps must increase")
     if not samples:
         return _unknown_motion(start_ns, stamp_ns, gyro_bias, accel_bias, imu)
     t_s, gyro, accel = _readings_within(samples, start_ns, stamp_ns)
@@ -63,9 +62,9 @@ def preintegrate(
     dp_steps = dv[:-1] * dt[:, None] + 0.5 * accel_mid * dt[:, None] ** 2
     dp = np.vstack([np.zeros(3), np.cumsum(dp_steps, axis=0)])
 
-    left = t_s[-1] - t_s[1:]  # time that remains after each interval
+    left = t_s[-1] - t_s[1:]  # time left after each interval
     M = dR[1:] @ so3_left_jacobian(-omega * dt[:, None]) * dt[:, None, None]
-    turned = 0.5 * dt[:, None] * accel_start[1:]  # velocity that interval j itself gains after its own rotation
+    turned = 0.5 * dt[:, None] * accel_start[1:]  # velocity gained within interval j after its own rotation
     G = np.zeros((len(dt), 9, 6))
     G[:, 0:3, 0:3] = dR[-1].T @ M
     G[:, 3:6, 0:3] = -skew(dv[-1] - dv[1:] + turned) @ M
@@ -92,18 +91,18 @@ def preintegrate(
 
 
 def compose(first: ImuIncrement, second: ImuIncrement) -> ImuIncrement:
-    """Return the motion over two joining intervals, as one preintegration over both would give it.
+    """Return the motion over two adjacent intervals, equal to one preintegration over both.
 
     dR = dR1 dR2, dv = dv1 + dR1 dv2, dp = dp1 + dv1 dt2 + dR1 dp2; Jacobian and covariance follow to first order.
 
     Raises:
-        ValueError: the second does not begin where the first ends, or they are linearised at different biases.
+        ValueError: the second does not start where the first ends, or they are linearised at different biases.
     """
     if second.start_ns != first.stamp_ns:
-        raise ValueError(f"an increment from {second.start_ns} ns does not join one to {first.stamp_ns} ns")
+        raise ValueError(f"an increment from {second.start_ns} ns does not follow one to {first.stamp_ns} ns")
     before, after = (np.concatenate([one.gyro_bias, one.accel_bias]) for one in (first, second))
     if not np.array_equal(before, after):
-        raise ValueError(f"increments that join at {first.stamp_ns} ns are linearised at different biases")
+        raise ValueError(f"adjacent increments at {first.stamp_ns} ns are linearised at different biases")
     A, B = error_transfer(first, second)
     return ImuIncrement(
         start_ns=first.start_ns,
@@ -121,19 +120,19 @@ def compose(first: ImuIncrement, second: ImuIncrement) -> ImuIncrement:
 
 
 def bridged(increment: ImuIncrement, start_ns: int, imu: ImuConfig) -> ImuIncrement:
-    """Return the motion from an earlier stamp on; what the airframe did until the increment begins is not known.
+    """Extend an increment back to an earlier stamp; the motion before the increment is unknown.
 
     Args:
-        increment: what is known of the motion.
-        start_ns: where the whole is to begin, before the increment does [ns].
-        imu: gravity, against which the unknown part hovers.
+        increment: known part of the motion.
+        start_ns: start of the result, before the increment's [ns].
+        imu: gravity; the unknown part is a hover.
     """
     unknown = _unknown_motion(start_ns, increment.start_ns, increment.gyro_bias, increment.accel_bias, imu)
     return compose(unknown, increment)
 
 
 def error_transfer(first: ImuIncrement, second: ImuIncrement) -> tuple[Array, Array]:
-    """Return A, B (9, 9): errors (rotation, velocity, position) of the whole by those of the first and the second."""
+    """Return A, B (9, 9): Jacobians of the composed error (rotation, velocity, position) by those of both parts."""
     R, dt = first.delta_R, second.dt_s
     A, B = np.eye(9), np.eye(9)
     A[0:3, 0:3] = second.delta_R.T
@@ -165,14 +164,14 @@ def _readings_within(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> 
 
 
 def has_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> bool:
-    """Tell whether the motion over an interval is unknown in part; arguments as for `preintegrate`."""
+    """Return whether an interval has a gap in the readings; arguments as for `preintegrate`."""
     return not samples or bool(_in_gap(samples, start_ns, stamp_ns).any())
 
 
 def _in_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> NDArray[np.bool_]:
-    """Return for each of the K-1 pieces of `_readings_within` whether the readings around it are too far apart.
+    """Return for each of the K-1 intervals of `_readings_within` whether it is in a gap.
 
-    They are those that were taken, inside the interval or not: a gap is no shorter for an image that falls into it.
+    Gaps are between actual readings, inside the interval or not: an image within a gap does not shorten it.
     """
     stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
     before, after = stamps[stamps <= start_ns][-1:], stamps[stamps >= stamp_ns][:1]
@@ -182,7 +181,7 @@ def _in_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> NDArray[n
 
 
 def _unknown_motion(start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: Array, imu: ImuConfig) -> ImuIncrement:
-    """Return a level, unaccelerated flight with a very wide covariance: the inertial unit was silent."""
+    """Return a hover with a very large covariance, for a time without readings."""
     dt = (stamp_ns - start_ns) / NS_PER_S
     hover = np.array([0.0, 0.0, imu.gravity])
     sigma = np.repeat([UNKNOWN_RATE_SIGMA * dt, UNKNOWN_ACCEL_SIGMA * dt, 0.5 * UNKNOWN_ACCEL_SIGMA * dt**2], 3)
@@ -202,9 +201,9 @@ def _unknown_motion(start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: 
 
 
 class ImuBuffer:
-    """Readings in arrival order, from which intervals are cut; of the last MAX_HELD_S at most: what is gone is a gap.
+    """Buffer of the readings of the last MAX_HELD_S in arrival order; dropped readings are a gap.
 
-    A reading at or after the end of an interval must have arrived before it can be cut: see `covers`.
+    An interval is complete once a reading at or after its end has arrived: see `covers`.
     """
 
     def __init__(self) -> None:
@@ -226,11 +225,11 @@ class ImuBuffer:
             self._samples.popleft()
 
     def covers(self, stamp_ns: int) -> bool:
-        """Tell whether a reading at or after the stamp has arrived."""
+        """Return whether a reading at or after the stamp has arrived."""
         return bool(self._samples) and self._samples[-1].stamp_ns >= stamp_ns
 
     def cut(self, start_ns: int, stamp_ns: int) -> list[ImuSample]:
-        """Return the readings of an interval with one beyond each end where there is one; forget older ones."""
+        """Return the readings of an interval and one beyond each end if available; drop older ones."""
         while len(self._samples) > 1 and self._samples[1].stamp_ns <= start_ns:
             self._samples.popleft()
         chosen = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inertial stage: readings and image stamps in, one increment per image out; the INS baseline and live odometry."""
+"""The inertial stage: readings and image stamps in, one increment per image out; INS baseline and live odometry."""
 
 from collections import deque
 
@@ -16,24 +16,24 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavS
 
 Array = NDArray[np.float64]
 
-MAX_REPLAYED = 5000  # readings kept to be replayed after a correction: 25 s at 200 Hz
-MAX_EARLY = 1000  # increments kept until the start state is known
+MAX_REPLAYED = 5000  # readings buffered for replay after a correction: 25 s at 200 Hz
+MAX_BUFFERED = 1000  # increments buffered until the start state is known
 
 
 class ImuPreintegrator:
-    """Cuts the inertial data at the image stamps.
+    """Preintegrates the readings between image stamps.
 
-    All increments are linearised at the start's bias, whatever the filter learns later (their Jacobian carries it):
-    so they depend on the recording alone, not on when a correction happened to arrive.
+    All increments are linearised at the start's bias, not at later estimates (the Jacobian corrects for them), so they
+    depend on the recording alone, not on the timing of corrections.
 
     Attributes:
-        start_ns: where the first increment begins; images up to it need none [ns]. None until the first image, where
-            no start state was given.
-        gaps: increments over which the motion is unknown, at least in part.
+        start_ns: start of the first increment; images up to it have none [ns]. None until the first image if there is
+            no start state.
+        gaps: number of increments with a gap in the readings.
     """
 
     def __init__(self, imu: ImuConfig, start: NavState | None = None) -> None:
-        """Cut from the start state on, at its bias; without one from the first image on, at no bias."""
+        """Start at the start state with its bias; without one at the first image with zero bias."""
         self._imu = imu
         self._gyro_bias = np.zeros(3) if start is None else start.gyro_bias
         self._accel_bias = np.zeros(3) if start is None else start.accel_bias
@@ -44,11 +44,11 @@ class ImuPreintegrator:
         self.gaps = 0
 
     def add_imu(self, sample: ImuSample) -> None:
-        """Take in a reading; see `ImuBuffer.append` for what is refused."""
+        """Add a reading; see `ImuBuffer.append` for what is rejected."""
         self._buffer.append(sample)
 
     def add_frame_stamp(self, stamp_ns: int) -> None:
-        """Ask for the motion up to an image.
+        """Request the motion up to an image.
 
         Raises:
             InvalidMessage: the stamp is not after the previous one.
@@ -62,10 +62,10 @@ class ImuPreintegrator:
         self._pending.append(stamp_ns)
 
     def increments(self, *, flush: bool = False) -> list[ImuIncrement]:
-        """Return the increments that have become complete, in order.
+        """Return the newly completed increments, in order.
 
         Args:
-            flush: the recording has ended; complete the rest with the readings there are.
+            flush: the recording has ended; complete the rest with the available readings.
         """
         ready: list[ImuIncrement] = []
         while self._last_ns is not None and self._pending and (flush or self._buffer.covers(self._pending[0])):
@@ -86,29 +86,29 @@ class ImuPreintegrator:
 
 
 class DeadReckoning:
-    """The INS baseline: from the start state by increments alone, never corrected.
+    """The INS baseline: dead reckoning from the start state, never corrected.
 
     Attributes:
-        estimate: the newest; None while the start state is not known.
+        estimate: the newest; None until the start state is known.
     """
 
     def __init__(self, imu: ImuConfig) -> None:
         self._imu = imu
-        self._startup_buffer: deque[ImuIncrement] = deque(maxlen=MAX_EARLY)
+        self._startup_buffer: deque[ImuIncrement] = deque(maxlen=MAX_BUFFERED)
         self.estimate: NavEstimate | None = None
 
     def start(self, initial: NavEstimate) -> list[NavEstimate]:
-        """Return the start state, and the reckoning at the end of each increment that has come since."""
+        """Return the start state and the dead-estimate state at the end of each increment since."""
         self.estimate = initial
-        reckoned, early = [initial], list(self._startup_buffer)
+        states, buffered = [initial], list(self._startup_buffer)
         self._startup_buffer.clear()
-        for increment in early:
+        for increment in buffered:
             if increment.start_ns >= initial.state.stamp_ns:
-                reckoned += self.add(increment)
-        return reckoned
+                states += self.add(increment)
+        return states
 
     def add(self, increment: ImuIncrement) -> list[NavEstimate]:
-        """Return the reckoning at the end of an increment; none while the start state is not known."""
+        """Return the dead-estimate state at the end of an increment; empty until the start state is known."""
         if self.estimate is None:
             self._startup_buffer.append(increment)
             return []
@@ -117,21 +117,21 @@ class DeadReckoning:
 
 
 class InsPropagator:
-    """Increments, each with the dead reckoning at its end, where the start state is known beforehand."""
+    """Increments, each with the dead-reckoned state at its end, from a known start state."""
 
     def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
         self._preintegrator = ImuPreintegrator(imu, initial.state)
-        self._reckoning = DeadReckoning(imu)
-        self._reckoning.start(initial)
+        self._dead_reckoning = DeadReckoning(imu)
+        self._dead_reckoning.start(initial)
         self.add_imu = self._preintegrator.add_imu
         self.add_frame_stamp = self._preintegrator.add_frame_stamp
 
     def increments(self, *, flush: bool = False) -> list[tuple[ImuIncrement, NavEstimate]]:
-        """Return what has become complete, in order; see `ImuPreintegrator.increments`."""
+        """Return the newly completed ones, in order; see `ImuPreintegrator.increments`."""
         return [
-            (increment, reckoned)
+            (increment, estimate)
             for increment in self._preintegrator.increments(flush=flush)
-            for reckoned in self._reckoning.add(increment)
+            for estimate in self._dead_reckoning.add(increment)
         ]
 
 
@@ -143,7 +143,7 @@ def advance(estimate: NavEstimate, increment: ImuIncrement, imu: ImuConfig) -> N
 
 
 class InsOdometry:
-    """Navigation state at the rate of the inertial unit: the newest correction plus the readings since."""
+    """Navigation state at IMU rate: the newest correction propagated by the readings since."""
 
     def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
         self._gravity = np.array([0.0, 0.0, -imu.gravity])
@@ -157,7 +157,7 @@ class InsOdometry:
         return PoseEstimate(self.state.stamp_ns, self.state.T_map_body, self._corrected.pose.covariance)
 
     def add_imu(self, sample: ImuSample) -> NavState:
-        """Step to a reading and return the state there; readings from before the state change nothing."""
+        """Propagate to a reading and return the state; readings before the state change nothing."""
         self._since.append(sample)
         self.state = self._step(self.state, sample)
         return self.state
@@ -172,7 +172,7 @@ class InsOdometry:
             self.state = self._step(self.state, sample)
 
     def _step(self, state: NavState, sample: ImuSample) -> NavState:
-        """Hold the reading since the state's stamp: half a sample of delay is below this output's needs."""
+        """Zero-order hold of the reading: half a sample of delay is negligible here."""
         dt = (sample.stamp_ns - state.stamp_ns) / NS_PER_S
         if dt <= 0:
             return state

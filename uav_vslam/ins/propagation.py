@@ -2,8 +2,8 @@
 """The strapdown process model on increments: mean, transition and process noise.
 
 The error is (position, velocity, rotation xi, gyro bias, accel bias) in the map frame, R_true = Exp(xi) R. In these
-coordinates the transition depends on the estimate only through the displacement that the specific force caused, so
-the model is group-affine but for the biases (Barrau and Bonnabel, "The invariant extended Kalman filter", 2017).
+coordinates the transition depends on the estimate only through the displacement by the specific force, so the
+model is group-affine except for the biases (Barrau and Bonnabel, "The invariant extended Kalman filter", 2017).
 """
 
 import dataclasses
@@ -23,11 +23,11 @@ POSITION, VELOCITY, ROTATION, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in 
 
 
 def corrected(increment: ImuIncrement, gyro_bias: Array, accel_bias: Array) -> tuple[Array, Array, Array]:
-    """Return delta_R, delta_v, delta_p moved to another bias, to first order.
+    """Return delta_R, delta_v, delta_p corrected to another bias, to first order.
 
     Args:
         increment: preintegrated motion.
-        gyro_bias, accel_bias: (3,) the bias wanted [rad/s], [m/s^2].
+        gyro_bias, accel_bias: (3,) the new bias [rad/s], [m/s^2].
     """
     shift = increment.bias_jacobian @ np.concatenate(
         [gyro_bias - increment.gyro_bias, accel_bias - increment.accel_bias]
