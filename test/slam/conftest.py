@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated flight as the back end gets it: each frame's features with the motion that leads to it."""
+"""A simulated flight as input of the back end: each frame's features with the increment up to it."""
 
 import dataclasses
 import functools
@@ -18,7 +18,7 @@ from uav_vslam.types import ImuIncrement, StereoFeatures
 
 @dataclass(frozen=True)
 class Flown:
-    """A vehicle and its frames; no motion leads to the first one."""
+    """A vehicle and its frames; the first has no increment."""
 
     vehicle: SimulatedVehicle
     frames: tuple[tuple[StereoFeatures, ImuIncrement | None], ...]
@@ -39,5 +39,5 @@ def _flown(seed: int, *, frames: int = 24, imu: str = "adis16480") -> Flown:
 
 @pytest.fixture(scope="session")
 def flown() -> Callable[..., Flown]:
-    """Return a maker of flights: `flown(seed, frames=24, imu="adis16480")`."""
+    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480")`."""
     return _flown

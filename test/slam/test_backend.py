@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frame loop on a simulated flight without images: what it keeps, refuses and survives."""
+"""The frame loop on a simulated flight without images."""
 
 import dataclasses
 import itertools
@@ -23,7 +23,7 @@ FRAMES = 25
 class Flight:
     vehicle: SimulatedVehicle
     features: list[StereoFeatures]
-    increments: list[ImuIncrement | None]  # number k leads to frame k; none leads to the first
+    increments: list[ImuIncrement | None]  # number k ends at frame k; None for the first
 
     def backend(self, **options) -> SlamBackend:
         config = VehicleConfig(imu=self.vehicle.scenario.imu_config, backend=BackendConfig(**options))
@@ -63,7 +63,7 @@ def test_the_first_frame_fills_the_map_and_moves_nothing(flight: Flight) -> None
     assert len(ids) == len(positions) == report.landmarks
 
 
-def test_without_knowing_its_turn_an_unsynchronised_rig_places_no_landmark(flight: Flight) -> None:
+def test_an_unsynchronised_rig_of_unknown_rate_initialises_no_landmark(flight: Flight) -> None:
     config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, rig=RigConfig(time_offset_sigma_s=0.01))
     backend = SlamBackend(flight.vehicle.initial, rig=flight.vehicle.rig, config=config, vehicle="uav1")
     first, second = (backend.process(flight.features[k], flight.increments[k]) for k in range(2))
@@ -71,17 +71,17 @@ def test_without_knowing_its_turn_an_unsynchronised_rig_places_no_landmark(fligh
     assert second.landmarks > 0
 
 
-def test_a_flight_with_a_tenth_of_wrong_matches_stays_on_its_track(flight: Flight) -> None:
+def test_a_tenth_of_wrong_matches_is_rejected(flight: Flight) -> None:
     reports = flight.fly(flight.backend())
     assert min(r.associated for r in reports[1:]) >= 10
     assert not any(r.relocalised for r in reports)
-    # 3.4 s after a start with 0.1 m/s and 0.5 degrees of error: half a metre is three times the usual
+    # 3.4 s after a start with 0.1 m/s and 0.5 degrees of error: half a metre is three times the normal error
     assert flight.position_error_m(reports[-1]) < 0.5
     nis = sum(r.innovation.nis for r in reports[1:]) / sum(r.innovation.dof for r in reports[1:])
     assert 0.7 < nis < 1.1  # gated at 99 %, so a little below one; some thousand degrees of freedom
 
 
-def test_frames_that_show_nothing_are_coasted_and_their_doubt_grows(flight: Flight) -> None:
+def test_frames_without_features_are_dead_reckoned_with_growing_covariance(flight: Flight) -> None:
     backend = flight.backend()
     dark = [StereoFeatures.empty(f.stamp_ns) if 8 <= k < 12 else f for k, f in enumerate(flight.features)]
     reports = flight.fly(backend, dark)
@@ -93,14 +93,14 @@ def test_frames_that_show_nothing_are_coasted_and_their_doubt_grows(flight: Flig
     assert flight.position_error_m(reports[-1]) < 0.6
 
 
-def test_a_start_in_the_dark_is_possible(flight: Flight) -> None:
+def test_a_start_without_features_is_possible(flight: Flight) -> None:
     dark = [StereoFeatures.empty(f.stamp_ns) if k < 3 else f for k, f in enumerate(flight.features)]
     reports = flight.fly(flight.backend(), dark)
     assert [r.landmarks for r in reports[:3]] == [0, 0, 0]
     assert reports[-1].associated > 0
 
 
-def test_features_of_another_place_correct_nothing(flight: Flight) -> None:
+def test_features_of_another_place_are_rejected(flight: Flight) -> None:
     backend = flight.backend()
     backend.process(flight.features[0], None)
     strange = np.random.default_rng(0).integers(0, 256, flight.features[1].descriptors.shape, np.uint8)
@@ -127,13 +127,13 @@ def test_updates_of_a_frame_are_capped(flight: Flight) -> None:
     assert max(r.associated for r in reports) == 9
 
 
-def test_an_increment_that_does_not_join_is_refused_and_changes_nothing(flight: Flight) -> None:
+def test_an_increment_of_the_wrong_interval_is_refused_and_changes_nothing(flight: Flight) -> None:
     backend = flight.backend()
     backend.process(flight.features[0], None)
     before = backend.stamp_ns
-    with pytest.raises(ValueError, match="does not lead from the estimate"):
+    with pytest.raises(ValueError, match="does not span the estimate"):
         backend.process(flight.features[2], flight.increments[2])  # starts at frame 1
-    with pytest.raises(ValueError, match="does not lead from the estimate"):
+    with pytest.raises(ValueError, match="does not span the estimate"):
         backend.process(flight.features[2], flight.increments[1])  # ends at frame 1
     with pytest.raises(ValueError, match="needs the motion since"):
         backend.process(flight.features[1], None)
@@ -141,7 +141,7 @@ def test_an_increment_that_does_not_join_is_refused_and_changes_nothing(flight: 
     assert backend.process(flight.features[1], flight.increments[1]).associated > 0
 
 
-def test_joint_information_is_a_belief_of_its_own(flight: Flight) -> None:
+def test_joint_information_is_an_independent_copy(flight: Flight) -> None:
     backend = flight.backend()
     reports = flight.fly(backend)
     joint = backend.joint_information()
@@ -150,7 +150,7 @@ def test_joint_information_is_a_belief_of_its_own(flight: Flight) -> None:
     assert joint.information.shape == (6 + 3 * n, 6 + 3 * n)
     assert len(joint.positions) == len(joint.descriptors) == n == reports[-1].landmarks
     P = np.linalg.inv(joint.information)
-    # The pose's share is the backend's own, to what inverting twice costs (a condition of about 1e7).
+    # The pose block is the back end's own, up to two inversions (condition number about 1e7).
     np.testing.assert_allclose(P[:6, :6], reports[-1].pose.covariance, rtol=1e-5, atol=1e-12)
     joint.positions[:] = np.nan
     joint.descriptors[:] = 0
@@ -168,8 +168,8 @@ def test_a_frame_and_its_motion_are_not_modified(flight: Flight) -> None:
     np.testing.assert_array_equal(flight.increments[1].bias_jacobian, jacobian)
 
 
-def test_a_lost_vehicle_finds_itself_in_its_map(flight: Flight) -> None:
-    """The start's velocity is wrong by 60 sigma: no gate holds the truth, but the whole map does."""
+def test_a_lost_vehicle_relocalises_in_its_map(flight: Flight) -> None:
+    """The start's velocity is wrong by 60 sigma: the truth is outside every gate, but in the map."""
     initial = flight.vehicle.initial
     state = dataclasses.replace(initial.state, v_map=initial.state.v_map + np.array([0.0, 40.0, 0.0]))
     config = VehicleConfig(imu=flight.vehicle.scenario.imu_config)
@@ -204,7 +204,7 @@ def test_the_first_frame_crosses_no_epoch() -> None:
     assert not crosses_epoch(None, 5 * NS_PER_S, 1.0)
 
 
-def test_a_filter_that_lost_its_definiteness_begins_anew_from_the_inertial_unit(flight: Flight) -> None:
+def test_an_indefinite_filter_is_reinitialised_from_the_imu(flight: Flight) -> None:
     backend = flight.backend()
     reports = []
     for k, (features, increment) in enumerate(zip(flight.features, flight.increments, strict=True)):
@@ -214,15 +214,15 @@ def test_a_filter_that_lost_its_definiteness_begins_anew_from_the_inertial_unit(
     assert [k for k, r in enumerate(reports) if r.recovery] == [12]
     assert "not positive definite" in reports[12].recovery
     assert reports[12].associated == 0
-    assert reports[12].landmarks > 0  # of this very frame
+    assert reports[12].landmarks > 0  # of this same frame
     assert np.trace(reports[13].pose.covariance) > 2 * np.trace(reports[11].pose.covariance)
     assert min(r.associated for r in reports[13:]) >= 10
     assert flight.position_error_m(reports[-1]) < 1.0
 
 
 @pytest.mark.parametrize("step", ["predicted", "updated", "candidates"])
-def test_a_matrix_that_numpy_cannot_factor_is_a_filter_that_begins_anew(flight: Flight, step: str, monkeypatch) -> None:
-    """Raised in the prediction, the association or the update: the frame's motion is taken in either way."""
+def test_a_matrix_that_numpy_cannot_factor_reinitialises_the_filter(flight: Flight, step: str, monkeypatch) -> None:
+    """Raised in prediction, association or update: the frame's motion is integrated either way."""
     backend = flight.backend()
     reports = [backend.process(flight.features[k], flight.increments[k]) for k in range(8)]
 
@@ -240,7 +240,7 @@ def test_a_matrix_that_numpy_cannot_factor_is_a_filter_that_begins_anew(flight: 
     assert flight.position_error_m(reports[-1]) < 1.0
 
 
-def test_a_vehicle_that_recognises_nothing_for_long_begins_anew(flight: Flight) -> None:
+def test_a_filter_that_associates_nothing_for_long_is_reinitialised(flight: Flight) -> None:
     backend = flight.backend()
     backend._health._lost = MAX_LOST - 1
     reports = [backend.process(flight.features[0], None)]
@@ -262,6 +262,6 @@ def test_every_filter_flies_with_every_state_model(flight: Flight, name: str, mo
         assert flight.position_error_m(reports[-1]) < 1.0
 
 
-def test_the_thesis_s_h_infinity_filter_fails_and_the_vehicle_flies_on(flight: Flight) -> None:
+def test_the_thesis_s_h_infinity_filter_fails_and_is_reinitialised(flight: Flight) -> None:
     reports = flight.fly(flight.backend(filter="thesis_uhf", model="euler9"))
     assert any("indefinite" in r.recovery for r in reports)

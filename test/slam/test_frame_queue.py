@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames meet their motion whatever comes first, is missing, or comes twice."""
+"""Frames are paired with increments in any order, with losses and repetitions."""
 
 import itertools
 
@@ -31,7 +31,7 @@ def drain(queue: FrameQueue) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("when", list(itertools.combinations(range(5), 2)))
-def test_frames_and_motions_may_overtake_each_other(when: tuple[int, int]) -> None:
+def test_frames_and_increments_arrive_in_any_order(when: tuple[int, int]) -> None:
     frames, motions = iter([frame(10), frame(20), frame(30)]), iter([motion(10, 20), motion(20, 30)])
     queue, got = FrameQueue(10), []
     for k in range(5):
@@ -66,23 +66,23 @@ def test_an_image_without_features_is_bridged() -> None:
     queue = FrameQueue(10)
     queue.add_increment(motion(10, 20))
     queue.add_increment(motion(20, 30))
-    assert drain(queue) == []  # its features may still come
+    assert drain(queue) == []  # its features may still arrive
     queue.add_features(frame(30))
     assert drain(queue) == [(20, 0), (30, 1)]
     assert queue.lost == 1
 
 
-def test_a_frame_whose_motion_never_comes_does_not_hold_up_the_others() -> None:
+def test_a_frame_without_increment_does_not_block_the_others() -> None:
     queue = FrameQueue(10)
     for stamp_ns in (20, 30):
         queue.add_features(frame(stamp_ns))
-    queue.add_increment(motion(10, 30))  # the inertial stage never heard of the image at 20
+    queue.add_increment(motion(10, 30))  # the INS did not receive the image at 20
     assert drain(queue) == [(30, 1)]
     assert queue.without_motion == 1
 
 
 @pytest.mark.parametrize("repeated", [10, 20])
-def test_a_repeated_frame_is_used_once_and_holds_up_nothing(repeated: int) -> None:
+def test_a_repeated_frame_is_used_once_and_blocks_nothing(repeated: int) -> None:
     queue = FrameQueue(10)
     for stamp_ns in sorted([10, 20, 30, repeated]):
         queue.add_features(frame(stamp_ns))
@@ -92,24 +92,24 @@ def test_a_repeated_frame_is_used_once_and_holds_up_nothing(repeated: int) -> No
     assert queue.without_motion == 1
 
 
-def test_what_waits_is_bounded() -> None:
+def test_the_queue_is_bounded() -> None:
     queue = FrameQueue(0)
     for stamp_ns in range(10, 10 + 2 * MAX_WAITING):
         queue.add_features(frame(stamp_ns))
     queue.add_increment(motion(0, 10 + MAX_WAITING))
     assert drain(queue) == [(10 + MAX_WAITING, 1)]
-    assert queue.without_motion == 2 * MAX_WAITING - MAX_WAITING  # none left unseen and uncounted
+    assert queue.without_motion == 2 * MAX_WAITING - MAX_WAITING  # each drop is counted
 
 
-def test_frames_that_overflow_before_the_start_is_known_are_counted_as_from_before_it() -> None:
+def test_frames_that_overflow_before_the_start_is_known_count_as_before_it() -> None:
     queue = FrameQueue()
     for stamp_ns in range(MAX_WAITING + 3):
         queue.add_features(frame(stamp_ns))
     assert queue.before_start == 3
 
 
-def test_motion_goes_on_without_features_that_stay_away_and_none_of_it_is_lost() -> None:
-    """A camera that is silent for much longer than the queue could hold."""
+def test_motion_continues_without_features_and_none_is_lost() -> None:
+    """A camera that is silent for much longer than the queue's capacity."""
     queue, got = FrameQueue(0), []
     count = 3 * MAX_WAITING
     for k in range(count):
@@ -123,8 +123,8 @@ def test_motion_goes_on_without_features_that_stay_away_and_none_of_it_is_lost()
 
 
 @pytest.mark.parametrize(("period", "late"), [(4, 0), (10, 1), (30, 4)])
-def test_a_slow_front_end_far_behind_is_waited_for(period: int, late: int) -> None:
-    """It sees one image in so many, each one and a half periods late; the first ones may be taken for lost."""
+def test_a_slow_front_end_is_waited_for(period: int, late: int) -> None:
+    """It processes one image in `period`, 1.5 periods late; the first ones may count as lost."""
     queue, got = FrameQueue(0), []
     for k in range(1, 10 * period):
         queue.add_increment(motion(10 * (k - 1), 10 * k))
@@ -137,7 +137,7 @@ def test_a_slow_front_end_far_behind_is_waited_for(period: int, late: int) -> No
     assert queue.without_motion + queue.before_start == late
 
 
-def test_features_that_come_too_late_for_their_motion_are_dropped() -> None:
+def test_features_later_than_their_increment_are_dropped() -> None:
     queue = FrameQueue(0)
     for k in range(MAX_AHEAD + 2):
         queue.add_increment(motion(10 * k, 10 * (k + 1)))
@@ -148,7 +148,7 @@ def test_features_that_come_too_late_for_their_motion_are_dropped() -> None:
     assert queue.without_motion == 1
 
 
-def test_motion_after_a_lost_increment_leads_to_its_frame() -> None:
+def test_an_increment_after_a_lost_one_is_paired_with_its_frame() -> None:
     queue = FrameQueue(10)
     for stamp_ns in (10, 20, 30, 40):
         queue.add_features(frame(stamp_ns))
@@ -158,13 +158,13 @@ def test_motion_after_a_lost_increment_leads_to_its_frame() -> None:
     assert (queue.without_motion, queue.motion_refused) == (1, 0)
 
 
-def test_motion_from_before_the_stamp_reached_is_refused_and_counted() -> None:
+def test_increments_from_before_the_stamp_reached_are_refused_and_counted() -> None:
     queue = FrameQueue(10)
     for stamp_ns in (20, 30):
         queue.add_features(frame(stamp_ns))
-    queue.add_increment(motion(5, 20))  # the start state is not where it begins
+    queue.add_increment(motion(5, 20))  # it does not begin at the start state
     queue.add_increment(motion(10, 20))
-    queue.add_increment(motion(10, 20))  # said twice
+    queue.add_increment(motion(10, 20))  # repeated
     queue.add_increment(motion(20, 30))
     assert drain(queue) == [(20, 1), (30, 1)]
     assert queue.motion_refused == 2

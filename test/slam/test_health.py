@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a filter is told to begin anew."""
+"""When a filter is re-initialised."""
 
 import numpy as np
 
@@ -9,39 +9,39 @@ from uav_vslam.slam.health import MAX_LOST, MAX_NIS_PER_DOF, WINDOW, FilterHealt
 DOF = 160  # forty landmarks
 
 
-def test_an_honest_filter_is_never_told_to_begin_anew() -> None:
+def test_a_consistent_filter_is_never_reinitialised() -> None:
     health, rng = FilterHealth(), np.random.default_rng(1)
     for nis in rng.chisquare(DOF, 2000):
-        assert health.judge(Innovation(nis, DOF), features=100, landmarks=60) == ""
+        assert health.check(Innovation(nis, DOF), features=100, landmarks=60) == ""
     assert abs(health.nis_per_dof - 1.0) < 0.1
 
 
-def test_innovations_too_large_for_a_window_are_a_reason_and_say_how_large() -> None:
+def test_large_innovations_over_a_window_are_a_reason_with_their_size() -> None:
     health = FilterHealth()
     reasons = [
-        health.judge(Innovation(2 * MAX_NIS_PER_DOF * DOF, DOF), features=100, landmarks=60) for _ in range(WINDOW)
+        health.check(Innovation(2 * MAX_NIS_PER_DOF * DOF, DOF), features=100, landmarks=60) for _ in range(WINDOW)
     ]
     assert reasons[:-1] == [""] * (WINDOW - 1)  # one bad frame is not a diverged filter
     assert f"{2 * MAX_NIS_PER_DOF:.1f} times as large" in reasons[-1]
 
 
-def test_recognising_nothing_for_long_is_a_reason() -> None:
+def test_associating_nothing_for_long_is_a_reason() -> None:
     health = FilterHealth()
-    reasons = [health.judge(None, features=100, landmarks=60) for _ in range(MAX_LOST)]
+    reasons = [health.check(None, features=100, landmarks=60) for _ in range(MAX_LOST)]
     assert reasons[:-1] == [""] * (MAX_LOST - 1)
     assert f"{MAX_LOST} frames" in reasons[-1]
 
 
-def test_darkness_is_no_reason_and_neither_is_an_empty_map() -> None:
+def test_neither_missing_features_nor_an_empty_map_is_a_reason() -> None:
     health = FilterHealth()
     for _ in range(3 * MAX_LOST):
-        assert health.judge(None, features=0, landmarks=60) == ""
-        assert health.judge(None, features=100, landmarks=0) == ""
+        assert health.check(None, features=0, landmarks=60) == ""
+        assert health.check(None, features=100, landmarks=0) == ""
 
 
-def test_one_recognised_frame_ends_the_count_of_lost_ones() -> None:
+def test_one_associated_frame_resets_the_count_of_lost_ones() -> None:
     health = FilterHealth()
     for _ in range(3):
         for _ in range(MAX_LOST - 1):
-            assert health.judge(None, features=100, landmarks=60) == ""
-        assert health.judge(Innovation(float(DOF), DOF), features=100, landmarks=60) == ""
+            assert health.check(None, features=100, landmarks=60) == ""
+        assert health.check(Innovation(float(DOF), DOF), features=100, landmarks=60) == ""

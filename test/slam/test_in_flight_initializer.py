@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A start state out of the first second of flight, or a reason why there is none yet."""
+"""A start state from the first second of flight, or the reason why there is none yet."""
 
 import dataclasses
 
@@ -23,12 +23,12 @@ def config(**sections) -> VehicleConfig:
 
 
 def feed(search: InFlightInitializer, frames) -> Start | None:
-    """Return the first start that is found."""
+    """Return the first start found."""
     return next((found for frame in frames if (found := search.add(*frame)) is not None), None)
 
 
 def velocity_error(vehicle, start: Start) -> float:
-    """Of the velocity in the body frame, which no choice of a map changes [m/s]."""
+    """Error of the velocity in the body frame, independent of the map [m/s]."""
     state = start.initial.state
     true = vehicle.true_state(state.stamp_ns)
     return float(np.linalg.norm(state.T_map_body.R.T @ state.v_map - true.T_map_body.R.T @ true.v_map))
@@ -60,7 +60,7 @@ def test_a_second_of_flight_gives_velocity_and_tilt_at_its_first_frame(flown, se
 
 
 @pytest.mark.parametrize("imu", ["adis16480", "consumer"])
-def test_the_filter_is_told_the_configured_velocity_and_twice_the_tilt_that_the_bias_hides(flown, imu: str) -> None:
+def test_the_prior_has_the_configured_velocity_sigma_and_twice_the_tilt_sigma_of_the_bias(flown, imu: str) -> None:
     flight = flown(1, imu=imu)
     unit = flight.vehicle.scenario.imu_config
     settings = config(imu=unit, start=StartConfig(method="in_flight", velocity_sigma=3.0))
@@ -71,12 +71,12 @@ def test_the_filter_is_told_the_configured_velocity_and_twice_the_tilt_that_the_
     np.testing.assert_allclose(sigma[3:6], 3.0)
     hidden = 2.0 * unit.accel_bias_sigma / unit.gravity
     assert np.all((hidden < sigma[6:8]) & (sigma[6:8] < 2.0 * hidden))
-    assert sigma[8] < 0.2 * sigma[6]  # yaw is known; what is left is the roll's share in a pitched vehicle
+    assert sigma[8] < 0.2 * sigma[6]  # yaw is known; the rest is roll in a pitched vehicle
     np.testing.assert_allclose(sigma[9:12], unit.gyro_bias_sigma)
     np.testing.assert_allclose(sigma[12:15], unit.accel_bias_sigma)
 
 
-def test_frames_that_show_nothing_are_slid_over_and_counted(flown) -> None:
+def test_frames_without_features_are_dropped_and_counted(flown) -> None:
     flight = flown(1)
     search = InFlightInitializer(flight.vehicle.rig, config())
     dark = 5
@@ -85,27 +85,27 @@ def test_frames_that_show_nothing_are_slid_over_and_counted(flown) -> None:
     found = feed(search, flight.frames[dark:])
     assert found is not None
     assert found.initial.state.stamp_ns == flight.frames[dark][0].stamp_ns
-    assert found.frames[0][1] is None  # what led to the first frame is no part of the flight
+    assert found.frames[0][1] is None  # the first frame has no increment
     assert search.dropped == dark
 
 
-def test_the_reason_says_what_is_still_missing(flown) -> None:
+def test_the_reason_names_what_is_missing(flown) -> None:
     flight = flown(1)
     search = InFlightInitializer(flight.vehicle.rig, config())
-    assert search.reason == "no frame has come"
+    assert search.reason == "no frame has arrived"
     assert feed(search, flight.frames[:3]) is None
-    assert search.reason == "3 frames over 0.3 s have come, not yet enough"
+    assert search.reason == "3 frames over 0.3 s have arrived, not yet enough"
     strange = [
         dataclasses.replace(f, descriptors=np.roll(f.descriptors, 17 * k, axis=1))
         for k, (f, _) in enumerate(flight.frames)
     ]
     search = InFlightInitializer(flight.vehicle.rig, config())
     assert feed(search, [(f, i) for f, (_, i) in zip(strange, flight.frames, strict=True)]) is None
-    assert search.reason.endswith(f"are found again in later frames; {MIN_VIEWS} frames with 6 are needed")
+    assert search.reason.endswith(f"are matched in later frames; {MIN_VIEWS} frames with 6 are needed")
     assert search.dropped == len(flight.frames) - WINDOW + 1
 
 
-def test_a_wrong_calibration_is_told_from_too_little_to_see(flown) -> None:
+def test_a_wrong_calibration_has_another_reason_than_too_few_features(flown) -> None:
     flight = flown(1)
     rig = flight.vehicle.rig
     turned = Pose(rig.T_body_left.R @ so3_exp([0.0, 0.0, np.pi / 2]), rig.T_body_left.t)
@@ -115,7 +115,7 @@ def test_a_wrong_calibration_is_told_from_too_little_to_see(flown) -> None:
     assert "fit one motion; check calibration, IMU axes and units" in search.reason
 
 
-def test_evidence_thinner_than_asked_for_is_refused(flown) -> None:
+def test_a_larger_uncertainty_than_configured_is_refused(flown) -> None:
     flight = flown(1)
     start = StartConfig(method="in_flight", max_tilt_sigma_deg=0.1)
     search = InFlightInitializer(flight.vehicle.rig, config(start=start))
@@ -125,12 +125,12 @@ def test_evidence_thinner_than_asked_for_is_refused(flown) -> None:
 
 
 def test_a_gyro_bias_beyond_the_increments_linearisation_is_refused(flown) -> None:
-    """A turn-on bias of 0.3 rad/s: what the increments make of it is right to first order only."""
+    """A turn-on bias of 0.3 rad/s: increments are corrected for it to first order only."""
     flight = flown(1)
     biased = [(f, i and with_gyro_bias(i, np.array([0.0, 0.0, 0.3]))) for f, i in flight.frames]
     search = InFlightInitializer(flight.vehicle.rig, config(imu=ImuConfig(gyro_bias_sigma=0.5)))
     assert feed(search, biased) is None
-    assert "the gyro's bias alone turns by 0.3" in search.reason
+    assert "the gyro's bias alone rotates by 0.3" in search.reason
 
 
 def with_gyro_bias(increment, bias):
@@ -144,17 +144,17 @@ def with_gyro_bias(increment, bias):
     )
 
 
-def test_a_motion_that_does_not_join_begins_the_window_anew(flown) -> None:
+def test_a_gap_in_the_motion_restarts_the_window(flown) -> None:
     flight = flown(1)
     search = InFlightInitializer(flight.vehicle.rig, config())
     assert feed(search, flight.frames[:4]) is None
-    found = feed(search, flight.frames[6:])  # two frames were lost on the way
+    found = feed(search, flight.frames[6:])  # two frames were lost
     assert found is not None
     assert found.initial.state.stamp_ns == flight.frames[6][0].stamp_ns
     assert search.dropped == 4
 
 
-def test_of_a_longer_window_some_frames_are_used_and_all_kept(flown) -> None:
+def test_a_longer_window_uses_some_frames_and_keeps_all(flown) -> None:
     flight = flown(1)
     start = StartConfig(method="in_flight", window_s=2.0)
     found = feed(InFlightInitializer(flight.vehicle.rig, config(start=start)), flight.frames)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landmarks known by the number of their track."""
+"""Data association by track number."""
 
 import numpy as np
 import pytest
@@ -36,19 +36,19 @@ def test_features_and_landmarks_of_one_track_are_pairs() -> None:
     assert pairs_of(found) == {(0, 1), (4, 2), (1, 3), (2, 4)}
 
 
-def test_a_track_of_number_zero_is_none() -> None:
+def test_track_zero_means_no_track() -> None:
     found = followed(landmarks(), np.zeros(5, np.uint32), features([0, 0, 0, 0, 0]), probability=0.99)
     assert found.shape == (0, 2)
 
 
-def test_a_track_that_has_left_its_landmarks_gate_is_no_pair() -> None:
+def test_a_track_outside_its_landmarks_gate_is_not_paired() -> None:
     tracks = np.array([21, 22, 23, 24, 25], np.uint32)
-    seen = features([24, 21, 25, 22, 23], offset_px=2.0)  # chi-square 16 of 4, 13.3 is the gate's edge
+    seen = features([24, 21, 25, 22, 23], offset_px=2.0)  # chi-square 16 with 4 degrees of freedom, the gate is 13.3
     assert len(followed(landmarks(), tracks, seen, probability=0.99)) == 0
     assert len(followed(landmarks(), tracks, seen, probability=0.999)) == 5
 
 
-def test_what_has_no_track_is_left_to_the_associator() -> None:
+def test_features_without_track_go_to_the_associator() -> None:
     seen_by_it: list[tuple[list[int], int]] = []
 
     def watched(landmark_map: InView, seen: StereoFeatures, config: BackendConfig) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who leaves the map: failed landmarks, each policy's choice, and what exceeds the cap."""
+"""Removal from the map: failed landmarks, each policy's choice, and those above the cap."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ import pytest
 
 from uav_vslam.config import BackendConfig
 from uav_vslam.slam.landmark_map import LandmarkMap
-from uav_vslam.slam.map_manager import FAILED_AFTER_FRAMES, RETENTION, MapView, leaving
+from uav_vslam.slam.map_manager import FAILED_AFTER_FRAMES, RETENTION, MapView, rows_to_remove
 
 CONFIG = BackendConfig()
 FRAME = 100
@@ -41,9 +41,9 @@ def view_of(
 
 
 @pytest.mark.parametrize("policy", sorted(RETENTION))
-def test_an_empty_map_gives_up_nothing(policy: str) -> None:
+def test_nothing_is_removed_from_an_empty_map(policy: str) -> None:
     config = dataclasses.replace(CONFIG, retention=policy)
-    assert leaving(view_of(count=0), config).tolist() == []
+    assert rows_to_remove(view_of(count=0), config).tolist() == []
 
 
 @pytest.mark.parametrize("policy", sorted(RETENTION))
@@ -59,7 +59,7 @@ def test_rows_are_unique_ascending_integers_and_nothing_is_modified(policy: str)
         variance=rng.random(n),
     )
     before = [view.positions.copy(), view.landmarks.observations.copy(), view.landmarks.ids.copy()]
-    gone = leaving(view, dataclasses.replace(CONFIG, retention=policy))
+    gone = rows_to_remove(view, dataclasses.replace(CONFIG, retention=policy))
     assert gone.dtype == np.intp
     assert (np.diff(gone) > 0).all()
     assert n - len(gone) <= CONFIG.max_landmarks
@@ -67,14 +67,14 @@ def test_rows_are_unique_ascending_integers_and_nothing_is_modified(policy: str)
         np.testing.assert_array_equal(then, now)
 
 
-def test_a_hardly_ever_seen_landmark_fails_when_it_is_looked_at_in_vain() -> None:
+def test_a_rarely_observed_landmark_fails_when_in_view_but_not_observed() -> None:
     long_ago = FRAME - FAILED_AFTER_FRAMES
     view = view_of(
         in_view=[True, True, True, True],
         observations=[2, 2, 3, 1],
         seen=[long_ago, long_ago + 1, long_ago, FRAME],
     )
-    assert leaving(view, CONFIG).tolist() == [0]
+    assert rows_to_remove(view, CONFIG).tolist() == [0]
 
 
 def test_out_of_view_each_cell_keeps_its_most_observed_landmark() -> None:
@@ -84,7 +84,7 @@ def test_out_of_view_each_cell_keeps_its_most_observed_landmark() -> None:
         observations=[4, 9, 9, 3, 99, 2],
     )
     # rows 0 to 2 share a cell of 25 m, where 1 is the first of the most observed; 5 is not established
-    assert leaving(view, CONFIG).tolist() == [0, 2, 5]
+    assert rows_to_remove(view, CONFIG).tolist() == [0, 2, 5]
 
 
 def spaced(count: int) -> np.ndarray:
@@ -92,16 +92,16 @@ def spaced(count: int) -> np.ndarray:
     return np.column_stack([CONFIG.retention_cell_m * (np.arange(count) + 0.5), np.zeros((count, 2))])
 
 
-def test_cells_grow_until_what_is_out_of_view_leaves_room_for_new_landmarks() -> None:
+def test_cells_grow_until_there_is_capacity_for_new_landmarks() -> None:
     config = dataclasses.replace(CONFIG, max_in_view=50, max_landmarks=60, max_new_landmarks=20)
-    gone = leaving(view_of(positions=spaced(64), in_view=[False] * 64), config)
+    gone = rows_to_remove(view_of(positions=spaced(64), in_view=[False] * 64), config)
     kept = np.setdiff1d(np.arange(64), gone)
-    assert 32 <= len(kept) <= 40  # there are 40 places; 64 cells of twice the size would be 32
+    assert 32 <= len(kept) <= 40  # the capacity is 40; 64 cells of twice the size would be 32
     assert np.diff(kept).max() == 2  # the whole ground stays covered
 
 
 @pytest.mark.parametrize("policy", sorted(RETENTION))
-def test_every_policy_leaves_room_for_new_landmarks(policy: str) -> None:
+def test_every_policy_keeps_capacity_for_new_landmarks(policy: str) -> None:
     config = dataclasses.replace(CONFIG, retention=policy, max_in_view=50, max_landmarks=100, max_new_landmarks=20)
     view = view_of(
         positions=spaced(100),
@@ -109,50 +109,56 @@ def test_every_policy_leaves_room_for_new_landmarks(policy: str) -> None:
         born=np.arange(100),
         seen=[50] * 70 + [FRAME] * 30,
     )
-    assert 100 - len(leaving(view, config)) <= 80
+    assert 100 - len(rows_to_remove(view, config)) <= 80
 
 
 @pytest.mark.parametrize("places", [0, 1, 3])
-def test_ground_on_both_sides_of_the_origin_fits_into_few_places(places: int) -> None:
+def test_ground_on_both_sides_of_the_origin_fits_into_a_small_capacity(places: int) -> None:
     config = dataclasses.replace(CONFIG, max_in_view=1, max_landmarks=places + 1, max_new_landmarks=1)
     corners = 200.0 * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
     view = view_of(positions=corners, in_view=[False] * 4, observations=[4, 7, 5, 6])
-    assert leaving(view, config).tolist() == sorted([0, 2, 3, 1][: 4 - places])
+    assert rows_to_remove(view, config).tolist() == sorted([0, 2, 3, 1][: 4 - places])
 
 
-def test_as_many_as_there_is_room_for_are_kept_however_rarely_they_were_seen() -> None:
+def test_the_capacity_is_used_even_for_rarely_observed_landmarks() -> None:
     config = dataclasses.replace(CONFIG, retention="most_observed", max_in_view=2, max_landmarks=8, max_new_landmarks=2)
     view = view_of(in_view=[False] * 6, observations=[1, 1, 2, 9, 3, 1], seen=[95, 96, 40, 30, 31, 97])
-    assert leaving(view, config).tolist() == []
+    assert rows_to_remove(view, config).tolist() == []
     tight = dataclasses.replace(config, max_landmarks=6)
-    assert leaving(view, tight).tolist() == [0, 1]  # seen once; of these, the longest unseen
+    assert rows_to_remove(view, tight).tolist() == [0, 1]  # seen once; of these, the longest unseen
     tighter = dataclasses.replace(config, max_landmarks=3)
-    assert leaving(view, tighter).tolist() == [0, 1, 2, 3, 5]  # established is established: the longest unseen goes
+    assert rows_to_remove(view, tighter).tolist() == [
+        0,
+        1,
+        2,
+        3,
+        5,
+    ]  # of established ones the longest unseen goes
 
 
 def test_without_retention_only_what_is_in_view_stays() -> None:
     view = view_of(in_view=[True, False, True, False])
-    assert leaving(view, dataclasses.replace(CONFIG, retention="none")).tolist() == [1, 3]
+    assert rows_to_remove(view, dataclasses.replace(CONFIG, retention="none")).tolist() == [1, 3]
 
 
-def test_first_and_last_gives_up_the_middle_of_the_flight() -> None:
+def test_first_and_last_removes_the_middle_of_the_flight() -> None:
     config = dataclasses.replace(CONFIG, retention="first_last", max_in_view=4, max_landmarks=6, max_new_landmarks=0)
     view = view_of(born=[0, 10, 20, 30, 40, 50, 60, 70], in_view=[False] * 8)
-    assert leaving(view, config).tolist() == [3, 4]
-    assert leaving(view_of(born=[0, 10, 20]), config).tolist() == []
+    assert rows_to_remove(view, config).tolist() == [3, 4]
+    assert rows_to_remove(view_of(born=[0, 10, 20]), config).tolist() == []
     roomy = dataclasses.replace(config, max_new_landmarks=2)
-    assert leaving(view, roomy).tolist() == [2, 3, 4, 5]  # two places more, for new ones
+    assert rows_to_remove(view, roomy).tolist() == [2, 3, 4, 5]  # two more, for new ones
 
 
-def test_the_twentieth_with_the_largest_covariance_goes_but_no_newborn() -> None:
+def test_the_twentieth_with_the_largest_covariance_is_removed_but_no_new_landmark() -> None:
     config = dataclasses.replace(CONFIG, retention="largest_covariance")
     variance = np.arange(42.0)
     born = np.zeros(42, int)
-    born[41] = FRAME  # the vaguest was born this very frame
-    assert leaving(view_of(variance=variance, born=born), config).tolist() == [39, 40]
+    born[41] = FRAME  # the most uncertain one was born in this frame
+    assert rows_to_remove(view_of(variance=variance, born=born), config).tolist() == [39, 40]
 
 
-def test_the_cap_takes_the_longest_unseen_mature_landmarks() -> None:
+def test_the_cap_removes_the_longest_unseen_mature_landmarks() -> None:
     config = dataclasses.replace(CONFIG, max_in_view=3, max_landmarks=3, young_frames=5)
     view = view_of(
         in_view=[True] * 6,
@@ -161,9 +167,9 @@ def test_the_cap_takes_the_longest_unseen_mature_landmarks() -> None:
         born=[0, 0, 0, FRAME - 4, 0, 0],
     )
     # 3 is young; of the rest 2 and 1 were unseen the longest, then 0
-    assert leaving(view, config).tolist() == [0, 1, 2]
+    assert rows_to_remove(view, config).tolist() == [0, 1, 2]
 
 
 def test_young_landmarks_stay_even_above_the_cap() -> None:
     config = dataclasses.replace(CONFIG, max_in_view=2, max_landmarks=2)
-    assert leaving(view_of(born=[FRAME - 1] * 5), config).tolist() == []
+    assert rows_to_remove(view_of(born=[FRAME - 1] * 5), config).tolist() == []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landmarks seen again after long: enough that agree close the loop, a look-alike does not."""
+"""Loop closure: a jointly compatible group closes the loop, a look-alike does not."""
 
 import dataclasses
 import functools
@@ -26,7 +26,7 @@ HOME_M = 120.0  # all that it sees when it is back lies so near to the start, an
 
 @pytest.fixture(scope="module")
 def vehicle() -> Iterator[SimulatedVehicle]:
-    """A vehicle that is back over its start after 0.67 km, and flies on for a little."""
+    """A vehicle that returns over its start after 0.67 km and flies on briefly."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PATTERNS, "small", functools.partial(racetrack_pattern, leg_m=60.0))
         yield simulate_vehicle(Scenario(seed=4, vehicles=1, frames=114, frame_rate_hz=3.0, pattern="small"), 0)
@@ -38,7 +38,7 @@ def increments(vehicle: SimulatedVehicle) -> list[ImuIncrement | None]:
     return reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)[0]
 
 
-def look(vehicle: SimulatedVehicle, field: LandmarkField) -> list[StereoFeatures]:
+def observed(vehicle: SimulatedVehicle, field: LandmarkField) -> list[StereoFeatures]:
     return [features for features, _ in observe(vehicle, field)]
 
 
@@ -56,7 +56,7 @@ def end_error_m(vehicle: SimulatedVehicle, reports: list[FrameReport]) -> float:
 
 
 def test_a_loop_closes_over_retained_landmarks(vehicle, increments) -> None:
-    frames = look(vehicle, scatter_landmarks([vehicle], twin_share=0.2))
+    frames = observed(vehicle, scatter_landmarks([vehicle], twin_share=0.2))
     kept = fly(vehicle, increments, frames)
     without = fly(vehicle, increments, frames, retention="none")
     late = len(frames) - 25
@@ -65,9 +65,9 @@ def test_a_loop_closes_over_retained_landmarks(vehicle, increments) -> None:
     assert end_error_m(vehicle, kept) < 0.5 * end_error_m(vehicle, without)
 
 
-def test_what_is_found_again_beside_its_place_teaches_less(vehicle, increments) -> None:
-    """Each feature of the second visit lies 1.4 px from where the first one was followed, in both images alike."""
-    frames = look(vehicle, scatter_landmarks([vehicle]))
+def test_a_redetection_offset_is_down_weighted(vehicle, increments) -> None:
+    """Each feature of the second visit is 1.4 px off the first visit's track, in both images alike."""
+    frames = observed(vehicle, scatter_landmarks([vehicle]))
     late = len(frames) - 25
     rng = np.random.default_rng(3)
     for k, frame in enumerate(frames):
@@ -88,7 +88,7 @@ def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> N
     moved = field.points_world.copy()
     moved[home, :2] += distance[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     away = len(vehicle.frame_stamps_ns) // 2
-    before, after = (look(vehicle, dataclasses.replace(field, points_world=p)) for p in (field.points_world, moved))
+    before, after = (observed(vehicle, dataclasses.replace(field, points_world=p)) for p in (field.points_world, moved))
     frames = before[:away] + after[away:]
     assert sum(report.closures for report in fly(vehicle, increments, frames)) == 0
     assert sum(report.closures for report in fly(vehicle, increments, frames, min_revisited=1)) > 0  # if one did
@@ -96,7 +96,7 @@ def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> N
 
 @dataclasses.dataclass(frozen=True)
 class Meeting:
-    """Landmarks as a vehicle of hardly known speed meets them again; names are true identities."""
+    """Landmarks revisited by a vehicle of uncertain speed; names are true identities."""
 
     belief: Filter
     landmark_map: LandmarkMap
@@ -134,7 +134,7 @@ def test_a_group_is_recognised_in_wide_gates(meeting: Meeting) -> None:
     np.testing.assert_array_equal(meeting.names[pairs[:, 0]], meeting.feature_names[pairs[:, 1]])
 
 
-def test_who_does_not_agree_with_the_group_is_left_out(meeting: Meeting) -> None:
+def test_a_match_that_is_incompatible_with_the_group_is_left_out(meeting: Meeting) -> None:
     pairs = meeting.recognise(meeting.seen_again)
     row, feature = pairs[0]
     pixels = meeting.features.pixels.copy()
@@ -144,7 +144,7 @@ def test_who_does_not_agree_with_the_group_is_left_out(meeting: Meeting) -> None
     assert row not in meeting.recognise(meeting.seen_again, elsewhere)[:, 0]
 
 
-def test_fewer_than_must_agree_are_not_believed(meeting: Meeting) -> None:
+def test_too_small_a_group_is_rejected(meeting: Meeting) -> None:
     two = meeting.recognise(meeting.seen_again)[:2]
     assert meeting.recognise(two[:, 0], min_revisited=2).tolist() == two.tolist()
     assert meeting.recognise(two[:, 0], min_revisited=3).shape == (0, 2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rig declared rigid: bent ones are noticed, right ones are left in peace."""
+"""A rig declared rigid: wrong calibrations are detected, correct ones raise no warning."""
 
 import pytest
 
@@ -24,15 +24,15 @@ def reports(bias_deg: tuple[float, float, float], seed: int, rig: RigConfig) -> 
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_right_rig_is_left_in_peace(seed: int) -> None:
+def test_a_correct_rig_raises_no_warning(seed: int) -> None:
     flight = reports((0.0, 0.0, 0.0), seed, RigConfig())
-    assert max(r.rig_evidence for r in flight) > 0.0  # it was watched
+    assert max(r.rig_evidence for r in flight) > 0.0  # it was monitored
     monitor = RigMonitor(RigConfig())
     assert [monitor.add(r) for r in flight] == [""] * len(flight)
 
 
 @pytest.mark.parametrize("bias_deg", [(0.02, 0.0, 0.0), (0.0, 0.02, 0.0)])
-def test_a_rig_bent_by_a_fiftieth_of_a_degree_is_noticed_once(bias_deg: tuple[float, float, float]) -> None:
+def test_a_rig_rotated_by_a_fiftieth_of_a_degree_is_detected_once(bias_deg: tuple[float, float, float]) -> None:
     monitor = RigMonitor(RigConfig())
     warnings = [text for r in reports(bias_deg, 1, RigConfig()) if (text := monitor.add(r))]
     assert len(warnings) == 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A session's number grows with every start, whatever the clock and the file do."""
+"""The session number increases with every start, whatever happens to clock and file."""
 
 from pathlib import Path
 
@@ -27,18 +27,18 @@ def test_vehicles_on_one_host_count_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"twelve", b"\xff\xfe"])
-def test_a_damaged_file_leaves_the_clock(tmp_path: Path, content: bytes) -> None:
+def test_with_a_damaged_file_the_clock_counts(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "uav1.session").write_bytes(content)
     assert next_session("uav1", folder=tmp_path, now_s=77) == 77
     assert next_session("uav1", folder=tmp_path, now_s=77) == 78
 
 
-def test_nothing_but_the_file_is_left(tmp_path: Path) -> None:
+def test_no_temporary_file_remains(tmp_path: Path) -> None:
     next_session("uav1", folder=tmp_path, now_s=1)
     assert [path.name for path in tmp_path.iterdir()] == ["uav1.session"]
 
 
-def test_a_folder_that_can_not_be_written_is_told_with_a_remedy(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported_with_a_remedy(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="XDG_STATE_HOME"):
         next_session("uav1", folder=tmp_path / "file", now_s=1)

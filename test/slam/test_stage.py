@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames go through once rig and start state are known, in order, whatever comes first."""
+"""Frames are processed in order once rig and start state are known."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ def make(flight, *, start: StartConfig | None = None, rig: bool = True) -> SlamS
 
 
 def feed(stage: SlamStage, frames) -> list[FrameOutput]:
-    """Add frames one by one and return what comes out."""
+    """Add frames one by one and return the outputs."""
     outputs: list[FrameOutput] = []
     for features, increment in frames:
         stage.add_features(features)
@@ -41,7 +41,7 @@ def test_frames_wait_for_the_rig_and_the_start_state(flown) -> None:
     assert feed(stage, flight.frames[:6]) == []
     stage.rig = flight.vehicle.rig
     assert list(stage.run()) == []
-    assert stage.missing_start == "none has been given"
+    assert stage.missing_start == "none was received"
     stage.start(flight.vehicle.initial)
     late = list(stage.run())
     assert stage.missing_start == ""
@@ -52,16 +52,16 @@ def test_frames_wait_for_the_rig_and_the_start_state(flown) -> None:
         assert a.dead_reckoning.covariance.tobytes() == b.dead_reckoning.covariance.tobytes()
 
 
-def test_dead_reckoning_goes_along_and_beliefs_come_at_epochs(flown) -> None:
+def test_dead_reckoning_is_output_always_and_joint_information_at_epochs(flown) -> None:
     flight = flown(1)
     stage = make(flight)
     stage.start(flight.vehicle.initial)
     outputs = feed(stage, flight.frames)
-    reckoned = flight.vehicle.initial
+    dead_reckoned = flight.vehicle.initial
     for output, (_, increment) in zip(outputs, flight.frames, strict=True):
         if increment is not None:
-            reckoned = advance(reckoned, increment, flight.vehicle.scenario.imu_config)
-        np.testing.assert_array_equal(output.dead_reckoning.covariance, reckoned.covariance)
+            dead_reckoned = advance(dead_reckoned, increment, flight.vehicle.scenario.imu_config)
+        np.testing.assert_array_equal(output.dead_reckoning.covariance, dead_reckoned.covariance)
     at_epochs = [output.joint for output in outputs if output.joint is not None]
     assert len(at_epochs) == 3  # 3.2 s from a whole second on
     assert (at_epochs[0].vehicle, at_epochs[0].session) == ("uav1", 3)
@@ -76,8 +76,8 @@ def test_no_other_start_state_counts_once_a_frame_was_processed(flown) -> None:
     assert stage.initial is flight.vehicle.initial
 
 
-def test_a_start_state_without_a_stamp_is_put_right_by_another(flown) -> None:
-    """The INS refuses it and cuts no increment from it, so the back end waits for the next one, too."""
+def test_a_start_state_without_a_stamp_is_replaced_by_another(flown) -> None:
+    """The INS refuses it and makes no increment from it, so the back end waits for the next one, too."""
     flight = flown(1)
     stage = make(flight)
     initial = flight.vehicle.initial
@@ -89,7 +89,7 @@ def test_a_start_state_without_a_stamp_is_put_right_by_another(flown) -> None:
     assert not any(stage.dropped.values())
 
 
-def test_in_flight_the_held_frames_come_out_together_from_the_first_on(flown) -> None:
+def test_in_flight_the_buffered_frames_are_processed_together(flown) -> None:
     flight = flown(1)
     stage = make(flight, start=IN_FLIGHT)
     counts = [len(feed(stage, [frame])) for frame in flight.frames]
@@ -99,13 +99,13 @@ def test_in_flight_the_held_frames_come_out_together_from_the_first_on(flown) ->
     assert not any(stage.dropped.values())
 
 
-def test_in_flight_frames_that_are_held_back_or_slid_over_count_as_before_the_start(flown) -> None:
+def test_in_flight_buffered_or_dropped_frames_count_as_before_the_start(flown) -> None:
     flight = flown(1)
     stage = make(flight, start=IN_FLIGHT)
     blind = [(type(features).empty(features.stamp_ns), increment) for features, increment in flight.frames[:12]]
     assert feed(stage, blind) == []
     assert stage.dropped["before_start"] == 12
-    assert "are found again in later frames" in stage.missing_start
+    assert "are matched in later frames" in stage.missing_start
     outputs = feed(stage, flight.frames[12:])
     assert stamps(outputs) == [features.stamp_ns for features, _ in flight.frames[12:]]
     assert stage.dropped["before_start"] == 12
@@ -113,7 +113,7 @@ def test_in_flight_frames_that_are_held_back_or_slid_over_count_as_before_the_st
 
 @pytest.mark.parametrize("first", [0, 3])
 def test_in_flight_a_frame_from_before_the_first_motion_is_dropped(flown, first: int) -> None:
-    """An INS that came up late: its first increment begins at a later image than the first one seen."""
+    """An INS that started late: its first increment begins after the first image."""
     flight = flown(1)
     stage = make(flight, start=IN_FLIGHT)
     for features, _ in flight.frames[: first + 1]:
@@ -123,7 +123,7 @@ def test_in_flight_a_frame_from_before_the_first_motion_is_dropped(flown, first:
     assert stage.dropped["before_start"] == first
 
 
-def test_a_filter_that_begins_anew_is_warned_of(flown) -> None:
+def test_a_reinitialised_filter_is_reported(flown) -> None:
     flight = flown(1)
     stage = make(flight)
     stage.start(flight.vehicle.initial)
@@ -131,7 +131,7 @@ def test_a_filter_that_begins_anew_is_warned_of(flown) -> None:
     stage._backend._filter.belief.Y[3, 3] = -1.0
     outputs = feed(stage, flight.frames[8:12])
     assert [len(o.warnings) for o in outputs] == [1, 0, 0, 0]
-    assert "begins anew" in outputs[0].warnings[0]
+    assert "re-initialised" in outputs[0].warnings[0]
     assert "not positive definite" in outputs[0].warnings[0]
 
 
@@ -140,12 +140,12 @@ def position_error_m(flight, output: FrameOutput) -> float:
     return float(np.linalg.norm(pose.T_map_body.t - flight.vehicle.true_state(pose.stamp_ns).T_map_body.t))
 
 
-def doubt_m(output: FrameOutput) -> float:
+def sigma_m(output: FrameOutput) -> float:
     return float(np.sqrt(np.trace(output.report.pose.covariance[:3, :3])))
 
 
-def test_a_lost_increment_is_bridged_and_the_flight_goes_on(flown) -> None:
-    """What the vehicle did meanwhile is in doubt for a frame; its map tells where it is."""
+def test_a_lost_increment_is_bridged_and_the_flight_continues(flown) -> None:
+    """The motion meanwhile is uncertain for one frame; then the map corrects it."""
     flight, lost = flown(1), 12
     stage = make(flight)
     stage.start(flight.vehicle.initial)
@@ -162,19 +162,19 @@ def test_a_lost_increment_is_bridged_and_the_flight_goes_on(flown) -> None:
     assert position_error_m(flight, outputs[-1]) < 0.6  # as of flights without a loss
 
 
-def test_a_back_end_that_comes_late_goes_on_from_the_start_state_in_doubt(flown) -> None:
-    """The first increments are gone: that is all that it can know, but every frame has an odometry again."""
+def test_a_late_back_end_continues_from_the_start_state_with_large_uncertainty(flown) -> None:
+    """The first increments are lost, but every later frame has odometry."""
     flight, late = flown(1), 14
     stage = make(flight)
     stage.start(flight.vehicle.initial)
     outputs = feed(stage, flight.frames[late:])
     assert stamps(outputs) == [f.stamp_ns for f, _ in flight.frames[late:]]
     assert stage.dropped == {**dict.fromkeys(stage.dropped, 0), "motion_lost": 1}
-    assert doubt_m(outputs[0]) > position_error_m(flight, outputs[0])
+    assert sigma_m(outputs[0]) > position_error_m(flight, outputs[0])
     assert outputs[-1].report.associated > 10
 
 
-def test_motion_that_comes_again_stops_nothing(flown) -> None:
+def test_a_repeated_increment_stops_nothing(flown) -> None:
     flight = flown(1)
     stage = make(flight)
     stage.start(flight.vehicle.initial)
@@ -185,8 +185,8 @@ def test_motion_that_comes_again_stops_nothing(flown) -> None:
     assert stage.dropped == {**dict.fromkeys(stage.dropped, 0), "motion_refused": 1}
 
 
-def test_in_flight_a_lost_increment_begins_the_search_anew(flown) -> None:
-    """Unknown motion would say nothing of gravity: it is not bridged before there is a start."""
+def test_in_flight_a_lost_increment_restarts_the_initialisation(flown) -> None:
+    """Unknown motion says nothing about gravity: it is not bridged before there is a start."""
     flight = flown(1)
     stage = make(flight, start=IN_FLIGHT)
     outputs = feed(stage, [(f, None if k == 3 else i) for k, (f, i) in enumerate(flight.frames)])
@@ -201,16 +201,16 @@ def test_dead_reckoning_misses_no_step_where_the_filter_fails(flown, monkeypatch
     feed(stage, flight.frames[:failing])
 
     def fail(*_) -> None:
-        raise ValueError("no way on")
+        raise ValueError("broken")
 
     with monkeypatch.context() as patch:
         patch.setattr(stage._backend, "process", fail)
-        with pytest.raises(ValueError, match="no way on"):
+        with pytest.raises(ValueError, match="broken"):
             feed(stage, [flight.frames[failing]])
     outputs = feed(stage, flight.frames[failing + 1 :])
     assert len(outputs) == len(flight.frames) - failing - 1
-    reckoned = flight.vehicle.initial
+    dead_reckoned = flight.vehicle.initial
     for _, increment in flight.frames[1:]:
-        reckoned = advance(reckoned, increment, flight.vehicle.scenario.imu_config)
-    np.testing.assert_array_equal(outputs[-1].dead_reckoning.covariance, reckoned.covariance)
+        dead_reckoned = advance(dead_reckoned, increment, flight.vehicle.scenario.imu_config)
+    np.testing.assert_array_equal(outputs[-1].dead_reckoning.covariance, dead_reckoned.covariance)
     assert stage.dropped["motion_lost"] == 1

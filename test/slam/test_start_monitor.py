@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A start that is many of its own sigmas off is noticed within seconds; a right one never is."""
+"""A start many sigmas off is detected within seconds; a correct one raises no warning."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ VELOCITY_SIGMA, TILT_SIGMA_DEG, YAW_SIGMA_DEG = 0.1, 0.2, 0.5  # of a simulated 
 
 
 def warnings_of(flight, initial: NavEstimate) -> list[str]:
-    """Fly from a start state and return what is said about it."""
+    """Fly from a start state and return the warnings."""
     stage = SlamStage(VehicleConfig(imu=flight.vehicle.scenario.imu_config), vehicle="uav1")
     stage.rig = flight.vehicle.rig
     stage.start(initial)
@@ -39,7 +39,7 @@ def moved(initial: NavEstimate, *, velocity=ZERO, rotation_deg=ZERO) -> NavEstim
 
 
 @pytest.mark.parametrize("seed", range(1, 21))
-def test_a_right_start_is_never_called_wrong(flown, seed: int) -> None:
+def test_a_correct_start_raises_no_warning(flown, seed: int) -> None:
     flight = flown(seed)
     assert warnings_of(flight, flight.vehicle.initial) == []
 
@@ -49,14 +49,14 @@ WRONG = {
     "vertical velocity": {"velocity": np.array([0.0, 0.0, -10 * VELOCITY_SIGMA])},
     "all velocities": {"velocity": 10 * VELOCITY_SIGMA * np.array([1.0, -1.0, 1.0])},
     "heading": {"rotation_deg": np.array([0.0, 0.0, 10 * YAW_SIGMA_DEG])},
-    # ten sigmas of roll are seven together with what the accelerometer's bias pretends: too few for every flight
+    # ten sigmas of roll are seven with the accelerometer's bias included: too few for every flight
     "tilt": {"rotation_deg": np.array([20 * TILT_SIGMA_DEG, 0.0, 0.0])},
 }
 
 
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("what", WRONG)
-def test_a_start_many_sigmas_off_is_noticed_once(flown, what: str, seed: int) -> None:
+def test_a_start_many_sigmas_off_is_detected_once(flown, what: str, seed: int) -> None:
     flight = flown(seed)
     (warning,) = warnings_of(flight, moved(flight.vehicle.initial, **WRONG[what]))
     assert warning.endswith(REMEDY)
@@ -68,44 +68,44 @@ def report(second: float, *, innovation=None, features: int = 50, landmarks: int
     return FrameReport(nav.pose, nav, features, 0, False, innovation, landmarks)
 
 
-RECKONED = NavEstimate(NavState(0, Pose.identity(), ZERO, ZERO, ZERO), 0.05 * np.eye(15))
+DEAD_RECKONED = NavEstimate(NavState(0, Pose.identity(), ZERO, ZERO, ZERO), 0.05 * np.eye(15))
 GOOD = Innovation(100.0, 100)
 
 
-def test_innovations_that_are_too_large_as_a_whole_are_noticed() -> None:
+def test_innovations_that_are_too_large_as_a_whole_are_detected() -> None:
     monitor = StartMonitor()
-    assert monitor.add(report(0.0), RECKONED) == ""
-    assert monitor.add(report(0.1, innovation=GOOD), RECKONED) == ""
-    warning = monitor.add(report(0.2, innovation=Innovation(1700.0, 100)), RECKONED)
+    assert monitor.add(report(0.0), DEAD_RECKONED) == ""
+    assert monitor.add(report(0.1, innovation=GOOD), DEAD_RECKONED) == ""
+    warning = monitor.add(report(0.2, innovation=Innovation(1700.0, 100)), DEAD_RECKONED)
     assert warning == f"innovations after the start are 3.0 times larger than the start's sigmas allow; {REMEDY}"
-    assert monitor.add(report(0.3, innovation=Innovation(1700.0, 100)), RECKONED) == ""  # once
+    assert monitor.add(report(0.3, innovation=Innovation(1700.0, 100)), DEAD_RECKONED) == ""  # once
 
 
-def test_frames_that_fit_nothing_are_noticed_where_there_is_much_to_see() -> None:
+def test_frames_with_features_but_no_association_are_detected() -> None:
     monitor = StartMonitor()
-    said = [monitor.add(report(0.1 * k), RECKONED) for k in range(MAX_COASTED + 1)]
-    assert said[:-1] == [""] * MAX_COASTED  # the first frame has no map to fit
-    assert said[-1].startswith(f"{MAX_COASTED} of the first frames show much")
+    said = [monitor.add(report(0.1 * k), DEAD_RECKONED) for k in range(MAX_COASTED + 1)]
+    assert said[:-1] == [""] * MAX_COASTED  # at the first frame the map is empty
+    assert said[-1].startswith(f"{MAX_COASTED} of the first frames match no landmark")
 
 
 @pytest.mark.parametrize("poor", [{"features": 5}, {"landmarks": 5}])
-def test_frames_with_little_to_see_or_little_known_are_no_evidence(poor) -> None:
+def test_frames_with_few_features_or_landmarks_are_no_evidence(poor) -> None:
     monitor = StartMonitor()
-    assert not any(monitor.add(report(0.1 * k, **poor), RECKONED) for k in range(20))
+    assert not any(monitor.add(report(0.1 * k, **poor), DEAD_RECKONED) for k in range(20))
 
 
-def test_what_happens_later_is_not_blamed_on_the_start() -> None:
+def test_later_faults_are_not_attributed_to_the_start() -> None:
     monitor = StartMonitor()
-    assert monitor.add(report(0.0), RECKONED) == ""
+    assert monitor.add(report(0.0), DEAD_RECKONED) == ""
     later = WATCHED_S + 0.1
-    assert monitor.add(report(later, innovation=Innovation(1e4, 100), velocity=np.ones(3)), RECKONED) == ""
+    assert monitor.add(report(later, innovation=Innovation(1e4, 100), velocity=np.ones(3)), DEAD_RECKONED) == ""
 
 
-def test_a_correction_is_measured_in_what_the_frames_took_from_the_doubt() -> None:
-    P_reckoned, P = np.diag([0.29] * 15), np.diag([0.04] * 15)
-    nav = NavEstimate(dataclasses.replace(RECKONED.state, v_map=np.array([1.0, 1.0, 1.0])), P)
-    times = velocity_correction(nav, NavEstimate(RECKONED.state, P_reckoned))
+def test_a_correction_is_scaled_by_the_reduction_of_covariance() -> None:
+    P_dead_reckoned, P = np.diag([0.29] * 15), np.diag([0.04] * 15)
+    nav = NavEstimate(dataclasses.replace(DEAD_RECKONED.state, v_map=np.array([1.0, 1.0, 1.0])), P)
+    times = velocity_correction(nav, NavEstimate(DEAD_RECKONED.state, P_dead_reckoned))
     np.testing.assert_allclose(times, 2.0, rtol=1e-3)  # 1 m/s are two of sqrt(0.29 - 0.04)
-    # A filter that claims to know less than dead reckoning took nothing from it: only a centimetre a second is free.
-    doubtful = velocity_correction(nav, NavEstimate(RECKONED.state, 0.01 * np.eye(15)))
-    np.testing.assert_allclose(doubtful, 100.0, rtol=1e-3)
+    # A filter less certain than dead reckoning reduced nothing: only a centimetre per second is tolerated.
+    uncertain = velocity_correction(nav, NavEstimate(DEAD_RECKONED.state, 0.01 * np.eye(15)))
+    np.testing.assert_allclose(uncertain, 100.0, rtol=1e-3)

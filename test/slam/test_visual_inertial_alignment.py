@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Velocity and gravity from a second of flight: exact without noise, honest with it, undisturbed by wrong matches."""
+"""Velocity and gravity from a second of flight: exact without noise, consistent with it, robust to wrong matches."""
 
 import itertools
 from dataclasses import dataclass
@@ -46,14 +46,14 @@ class Case:
         return align(RIG, self.pixels, self.views, imu=imu, sigma_px=sigma_px)
 
     def nees(self, found: Alignment) -> tuple[float, float]:
-        """Of velocity and gravity, per degree of freedom."""
+        """NEES of velocity and gravity, per degree of freedom."""
         v, g = self.velocity_body - found.velocity, self.gravity_body - found.gravity
         P_v, P_g = (found.covariance[part, part] for part in (VELOCITY, GRAVITY))
         return float(v @ np.linalg.solve(P_v, v) / 3), float(g @ np.linalg.solve(P_g, g) / 3)
 
 
 def motion(speed: float, *, hover: bool = False) -> Trajectory:
-    """70 m up, climbing and rolling gently, or all but still."""
+    """70 m up, climbing and rolling gently, or almost still."""
     t = np.arange(-0.5, 3.0, 0.02)
     shake = 0.1 if hover else 1.0
     xyz = np.stack([speed * t, shake * np.sin(t), 70.0 + 0.5 * shake * t**2], axis=1)
@@ -104,7 +104,7 @@ def step(samples: list[ImuSample], start_ns: int, stamp_ns: int, imu: ImuConfig)
 def test_without_noise_the_motion_is_found_exactly(speed: float, hover: bool) -> None:
     case = window(motion(speed, hover=hover))
     found = case.solve(sigma_px=0.01)
-    # what the midpoint rule at 500 Hz leaves, 1e-5 m over a second
+    # error of the midpoint rule at 500 Hz, 1e-5 m over a second
     np.testing.assert_allclose(found.velocity, case.velocity_body, atol=1e-3)
     np.testing.assert_allclose(found.gravity, case.gravity_body, atol=1e-3)
     assert found.inliers.tolist() == [POINTS] * 7
@@ -123,7 +123,7 @@ def test_the_covariance_is_as_large_as_the_errors(grade: str, hover: bool) -> No
 
 
 def test_a_noisy_inertial_unit_is_not_trusted_over_a_long_window() -> None:
-    """Its noise moves the last frame by decimetres, hundred times what the pixels can tell in a hover at 70 m."""
+    """Its noise moves the last frame by decimetres, a hundred times the pixels' accuracy in a hover at 70 m."""
     noisy = ImuConfig(gyro_noise=2e-3, accel_noise=0.1)
     nees = []
     for seed in range(RUNS):
@@ -135,7 +135,7 @@ def test_a_noisy_inertial_unit_is_not_trusted_over_a_long_window() -> None:
 
 
 @pytest.mark.parametrize("wrong", [0.1, 0.3])
-def test_wrong_matches_are_outvoted(wrong: float) -> None:
+def test_wrong_matches_are_rejected(wrong: float) -> None:
     case = window(motion(20.0), sigma_px=1.0, wrong=wrong, imu=IMU)
     found = case.solve()
     assert np.linalg.norm(found.velocity - case.velocity_body) < 0.5
@@ -143,7 +143,7 @@ def test_wrong_matches_are_outvoted(wrong: float) -> None:
     assert np.all(np.abs(found.inliers - right) <= 5)
 
 
-def test_a_large_gyro_bias_is_found() -> None:
+def test_a_large_gyro_bias_is_estimated() -> None:
     imu = ImuConfig(gyro_bias_sigma=0.03)
     case = window(motion(20.0), sigma_px=0.3, imu=imu, seed=4)
     found = case.solve(imu=imu, sigma_px=0.3)
@@ -153,7 +153,7 @@ def test_a_large_gyro_bias_is_found() -> None:
     assert np.linalg.norm(error) < 0.1 * np.linalg.norm(case.gyro_bias)
 
 
-def test_what_is_given_is_not_modified() -> None:
+def test_inputs_are_not_modified() -> None:
     case = window(motion(20.0), sigma_px=1.0, imu=IMU)
     before = [case.pixels.copy(), *(view.pixels.copy() for view in case.views)]
     case.solve()
@@ -161,8 +161,8 @@ def test_what_is_given_is_not_modified() -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def test_nothing_seen_again_leaves_the_motion_open() -> None:
-    """The biases keep what was known of them, and the velocity is not known at all."""
+def test_without_matches_the_motion_is_undetermined() -> None:
+    """The biases keep their prior, and the velocity is unknown."""
     case = window(motion(20.0))
     blind = [View(view.motion, view.rows[:1], view.pixels[:1] + 400.0) for view in case.views]
     found = align(RIG, case.pixels, blind, imu=IMU, sigma_px=1.0)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The own-only SLAM of one vehicle, frame by frame: predict, associate, update, manage the map.
 
-Nothing that came over a network enters here.
+Nothing received over a network enters here.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.health import FilterHealth
 from uav_vslam.slam.landmark_map import LandmarkMap
-from uav_vslam.slam.map_manager import MapView, leaving
+from uav_vslam.slam.map_manager import MapView, rows_to_remove
 from uav_vslam.slam.map_matching import MapMatcher, Matches
 from uav_vslam.types import (
     NS_PER_S,
@@ -30,27 +30,27 @@ from uav_vslam.types import (
     StereoFeatures,
 )
 
-SIGNIFICANCE = 1e-6  # matches that right ones would disagree as much as so rarely are not believed together
-RECOVERY_INFLATION = 4.0  # a filter that begins anew takes its covariance so many times as large
-VISIT_FRAMES = 10  # frames over which a landmark that has come back into view is seen
+SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
+RECOVERY_INFLATION = 4.0  # covariance factor at re-initialisation
+VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
 
 @dataclass(frozen=True, slots=True)
 class FrameReport:
-    """What became of one frame.
+    """The result of one frame.
 
     Attributes:
         pose: own-only pose with its covariance.
         nav: the whole navigation estimate, for the INS.
         features: stereo points offered.
-        associated: landmarks that corrected the state; 0 means that the vehicle coasted on its INS.
-        relocalised: the gate failed and the whole map was searched.
+        associated: landmarks that corrected the state; 0 means dead reckoning.
+        relocalised: gating failed and the whole map was searched.
         innovation: None without an update.
         landmarks: landmarks in the state afterwards.
-        recovery: why the filter began anew with this frame; empty if it did not.
+        recovery: why the filter was re-initialised at this frame; empty if it was not.
         rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
-        closures: of those associated, the landmarks that had not been seen for long.
-        sightings: (K, 2) identifier and feature row of each landmark that was associated or is new.
+        closures: associated landmarks that had not been seen for long.
+        sightings: (K, 2) identifier and feature row of each associated or new landmark.
     """
 
     pose: PoseEstimate
@@ -67,7 +67,7 @@ class FrameReport:
 
 
 class SlamBackend:
-    """A filter, its map, and the loop over frames."""
+    """A filter, its landmark map, and the frame loop."""
 
     def __init__(
         self,
@@ -79,13 +79,13 @@ class SlamBackend:
         session: int = 1,
         matcher: MapMatcher | None = None,
     ) -> None:
-        """Start at a state; `matcher` takes the place of the configuration's."""
+        """Start at a state; `matcher` replaces the configured one."""
         self._rig, self._vehicle_config, self._config = rig, config, config.backend
         self._vehicle, self._session = vehicle, session
         self._matcher = matcher or MapMatcher(config.backend)
         self._map = LandmarkMap()
         self._frame = 0
-        self._begin(initial)
+        self._reset(initial)
 
     @property
     def stamp_ns(self) -> int:
@@ -98,17 +98,17 @@ class SlamBackend:
         return self._map.ids, self._filter.landmarks
 
     def process(self, features: StereoFeatures, increment: ImuIncrement | None) -> FrameReport:
-        """Advance to a frame and correct by what it shows.
+        """Predict to a frame and update with its features.
 
-        A filter that has lost the vehicle, or its positive definiteness, begins anew: without landmarks, from where it
-        believes to be (by the inertial unit if need be), with an inflated covariance.
+        A filter that is lost, or no longer positive definite, is re-initialised without landmarks, at its last
+        estimate (propagated by the IMU if need be), with an inflated covariance.
 
         Args:
             features: stereo points of the frame.
-            increment: motion since the estimate's stamp; None only when the frame has that very stamp.
+            increment: motion since the estimate's stamp; None only for a frame with that same stamp.
 
         Raises:
-            ValueError: the increment does not lead from the estimate to the frame.
+            ValueError: the increment does not span estimate to frame.
         """
         self._check_joins(features.stamp_ns, increment)
         known = len(self._map)
@@ -120,17 +120,17 @@ class SlamBackend:
             matches, innovation, closures = self._correct(features)
             sightings = np.column_stack([self._map.ids[matches.landmarks], matches.features])
             self._nav = self._filter.nav_estimate()
-            self._make_room()
-            recovery = self._health.judge(innovation, features=len(features), landmarks=known)
-        except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter where observations are associated
+            self._remove_landmarks()
+            recovery = self._health.check(innovation, features=len(features), landmarks=known)
+        except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
             if increment is not None and self._nav.state.stamp_ns != features.stamp_ns:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
             recovery = str(error)
         if recovery:
             matches, closures, sightings = Matches.none(), 0, sightings[:0]
-            self._begin(NavEstimate(self._nav.state, RECOVERY_INFLATION * self._nav.covariance))
+            self._reset(NavEstimate(self._nav.state, RECOVERY_INFLATION * self._nav.covariance))
         added = self._add_landmarks(matches, features)
-        self._frame += len(features) > 0  # a frame that shows nothing tells nothing of the landmarks either
+        self._frame += len(features) > 0  # a frame without features says nothing about landmarks
         return FrameReport(
             pose=self._nav.pose,
             nav=self._nav,
@@ -146,7 +146,7 @@ class SlamBackend:
         )
 
     def joint_information(self) -> JointInformation:
-        """Return the belief over pose and landmarks, for the vehicle's own fusion."""
+        """Return the estimate of pose and landmarks, for the vehicle's own fusion."""
         return JointInformation(
             stamp_ns=self.stamp_ns,
             vehicle=self._vehicle,
@@ -158,8 +158,8 @@ class SlamBackend:
             descriptors=self._map.descriptors.copy(),
         )
 
-    def _begin(self, initial: NavEstimate) -> None:
-        """Start a filter without landmarks; identifiers go on where they were."""
+    def _reset(self, initial: NavEstimate) -> None:
+        """Re-initialise the filter without landmarks; identifiers continue."""
         self._filter = make_filter(initial, rig=self._rig, config=self._vehicle_config)
         self._map.remove(np.arange(len(self._map)))
         self._health = FilterHealth()
@@ -171,15 +171,15 @@ class SlamBackend:
                 raise ValueError(f"frame at {stamp_ns} ns needs the motion since {self.stamp_ns} ns")
         elif (increment.start_ns, increment.stamp_ns) != (self.stamp_ns, stamp_ns):
             raise ValueError(
-                f"increment {increment.start_ns} to {increment.stamp_ns} ns does not lead from the estimate at "
+                f"increment {increment.start_ns} to {increment.stamp_ns} ns does not span the estimate at "
                 f"{self.stamp_ns} ns to the frame at {stamp_ns} ns"
             )
 
     def _correct(self, features: StereoFeatures) -> tuple[Matches, Innovation | None, int]:
-        """Update by the first set of matches that agrees with the prediction as a whole; without one, coast.
+        """Update with the first set of matches that passes the joint gate; without one, dead-reckon.
 
-        Return them, how they agreed, and how many of their landmarks had not been seen for long.
-        A relocalisation is believed against the prediction: it is tried when the prediction has led nowhere.
+        Return the matches, the innovation, and how many of their landmarks had not been seen for long.
+        A relocalisation is not gated by the prediction: it is tried when gating has failed.
         """
         pixels = features.pixels.astype(float)
         left_behind = self._map.long_unseen(self._frame)
@@ -198,27 +198,27 @@ class SlamBackend:
                 return matches, innovation, closures
         return Matches.none(), None, 0
 
-    def _weights(self, back: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Weigh observations of landmarks that came back: in all frames of a visit one error of place counts once."""
+    def _weights(self, revisited: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Down-weight revisited landmarks: their redetection error is common to all frames of a visit."""
         variance = self._config.sigma_px**2
-        return np.where(back, variance / (variance + VISIT_FRAMES * self._config.redetection_px**2), 1.0)
+        return np.where(revisited, variance / (variance + VISIT_FRAMES * self._config.redetection_px**2), 1.0)
 
-    def _make_room(self) -> None:
+    def _remove_landmarks(self) -> None:
         if len(self._map) == 0:
             return
         in_view = projectable(self._filter.rig, self._filter.points_left())
         view = MapView(self._map, self._filter.landmarks, self._variance, in_view, self._frame)
-        gone = leaving(view, self._config)
-        if len(gone):
-            self._filter.marginalise(gone)
-            self._map.remove(gone)
+        removed = rows_to_remove(view, self._config)
+        if len(removed):
+            self._filter.marginalise(removed)
+            self._map.remove(removed)
 
     def _variance(self) -> NDArray[np.float64]:
         marginals = self._filter.belief.marginals(np.arange(len(self._map)))
         return np.asarray(np.trace(marginals.landmarks, axis1=1, axis2=2))
 
     def _add_landmarks(self, matches: Matches, features: StereoFeatures) -> NDArray[np.intp]:
-        """Make landmarks of features that show none, as many as there is room for; return their rows."""
+        """Initialise landmarks from unmatched features, up to the capacity; return the features' rows."""
         rig, points_left = self._filter.rig, self._filter.points_left()
         in_view = projectable(rig, points_left)
         room = min(
@@ -243,9 +243,9 @@ class SlamBackend:
 
 
 def crosses_epoch(previous_ns: int | None, stamp_ns: int, epoch_s: float) -> bool:
-    """Tell whether a multiple of the epoch lies in (previous, stamp]: then packets are made and fused.
+    """Return whether a multiple of the epoch is in (previous, stamp]: then packets are made and fused.
 
-    It depends on stamps alone, so that all nodes of a vehicle agree without asking one another.
+    It depends on stamps alone, so that all nodes of a vehicle agree without communicating.
     """
     period = round(epoch_s * NS_PER_S)
     return previous_ns is not None and stamp_ns // period != previous_ns // period

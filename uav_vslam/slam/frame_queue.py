@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joins what the front end saw of a frame with the motion that led to it; each comes in stamp order, at its pace."""
+"""Pairs each frame's features with the IMU increment up to it; each stream is in stamp order."""
 
 from collections import deque
 
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
-MAX_WAITING = 100  # frames or increments held for their counterpart or the start; then the oldest goes
-MAX_AHEAD = 10  # increments that come and wait while no features do; then the cameras are silent
+MAX_WAITING = 100  # frames or increments waiting for their counterpart or the start; then the oldest is dropped
+MAX_AHEAD = 10  # increments that arrive and wait without any features; then the cameras count as silent
 
 
 class FrameQueue:
@@ -15,9 +15,9 @@ class FrameQueue:
     Attributes:
         start_ns: stamp of the start state; None until it is known, and nothing is ready before.
         before_start: frames dropped because they are older than the start state.
-        lost: images whose features never came, or not in time; they are bridged by an empty frame.
-        without_motion: frames dropped because no increment will ever lead to them, or because they came twice.
-        motion_refused: increments dropped because they begin before the stamp that has been reached.
+        lost: images whose features did not arrive in time; replaced by an empty frame.
+        without_motion: frames dropped because no increment ends at them, or because they are repeated.
+        motion_refused: increments dropped because they begin before the stamp reached.
     """
 
     def __init__(self, start_ns: int | None = None) -> None:
@@ -27,12 +27,12 @@ class FrameQueue:
         self.without_motion = 0
         self.motion_refused = 0
         self._reached_ns: int | None = None
-        self._ahead = 0  # increments since features came last: a slow front end is behind, but not silent
+        self._ahead = 0  # increments since the last features: a slow front end lags, but is not silent
         self._features: deque[StereoFeatures] = deque(maxlen=MAX_WAITING)
         self._increments: deque[ImuIncrement] = deque(maxlen=MAX_WAITING)
 
     def add_features(self, features: StereoFeatures) -> None:
-        """Add what a frame showed."""
+        """Add a frame's features."""
         if len(self._features) == MAX_WAITING:
             self._drop_oldest_frame()
         self._features.append(features)
@@ -44,14 +44,14 @@ class FrameQueue:
         self._ahead += 1
 
     def pop(self) -> tuple[StereoFeatures, ImuIncrement | None] | None:
-        """Return the next frame with the motion that led to it; None while there is none complete.
+        """Return the next frame with the increment up to it; None while none is complete.
 
-        The frame at the start state itself needs no motion. Where features stop coming, motion goes on without them.
-        An increment may begin after the stamp reached, where one before it was lost, but never ends at another frame.
+        The frame at the start state itself needs no motion. Without features, motion continues with empty frames.
+        An increment may begin after the stamp reached, if the one before it was lost, but always ends at its frame.
         """
         if self.start_ns is None:
             return None
-        self._refuse_motion_from_before(self.start_ns if self._reached_ns is None else self._reached_ns)
+        self._refuse_motion_before(self.start_ns if self._reached_ns is None else self._reached_ns)
         while self._features:
             stamp_ns = self._features[0].stamp_ns
             if stamp_ns < self.start_ns:
@@ -65,7 +65,7 @@ class FrameQueue:
                 return self._features.popleft(), None
             elif not self._increments:
                 return None
-            elif self._increments[0].stamp_ns > stamp_ns:  # increments come in order: none will end at this frame
+            elif self._increments[0].stamp_ns > stamp_ns:  # increments are in order: none will end at this frame
                 self._features.popleft()
                 self.without_motion += 1
             elif self._increments[0].stamp_ns < stamp_ns:
@@ -77,17 +77,17 @@ class FrameQueue:
         waiting = len(self._increments)
         if min(self._ahead, waiting) <= MAX_AHEAD and waiting < MAX_WAITING:
             return None
-        self._ahead -= 1  # one for each that comes: features that are only late may still find their motion here
+        self._ahead -= 1  # one per arrival: features that are merely late may still be paired
         return self._bridge()
 
     def _bridge(self) -> tuple[StereoFeatures, ImuIncrement]:
-        """Return the oldest motion with an empty frame."""
+        """Return the oldest increment with an empty frame."""
         increment = self._increments.popleft()
         self._reached_ns = increment.stamp_ns
         self.lost += 1
         return StereoFeatures.empty(increment.stamp_ns), increment
 
-    def _refuse_motion_from_before(self, reached_ns: int) -> None:
+    def _refuse_motion_before(self, reached_ns: int) -> None:
         while self._increments and self._increments[0].start_ns < reached_ns:
             self._increments.popleft()
             self.motion_refused += 1

@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the filter still follow the vehicle? If its innovations say no, it begins anew from where it believes to be."""
+"""Filter health: re-initialises the filter when its innovations show divergence or it is lost."""
 
 from collections import deque
 
 from uav_vslam.estimation.filter import Innovation
 
 WINDOW = 20  # frames
-MAX_NIS_PER_DOF = 4.0  # over a window an honest filter is within a few percent of 1, a badly tuned one below 2
-MAX_LOST = 30  # frames in a row with much to see and nothing recognised
-MIN_FEATURES = 20  # fewer are not much to see
+MAX_NIS_PER_DOF = 4.0  # over a window a consistent filter is within a few percent of 1, a badly tuned one below 2
+MAX_LOST = 30  # consecutive frames with enough features but no associated landmark
+MIN_FEATURES = 20  # fewer are too few to judge
 
 
 class FilterHealth:
-    """Watches the innovations of a filter."""
+    """Monitors the innovations of a filter."""
 
     def __init__(self) -> None:
         self._recent: deque[Innovation] = deque(maxlen=WINDOW)
         self._lost = 0
 
-    def judge(self, innovation: Innovation | None, *, features: int, landmarks: int) -> str:
-        """Take note of a frame and return why the filter must begin anew; empty if it need not.
+    def check(self, innovation: Innovation | None, *, features: int, landmarks: int) -> str:
+        """Add a frame and return why the filter must be re-initialised; empty if it need not.
 
         Args:
             innovation: of the frame's update, None if it had none.
@@ -40,5 +40,5 @@ class FilterHealth:
 
     @property
     def nis_per_dof(self) -> float:
-        """Mean squared normalised innovation over the window; 1 is what an honest filter shows."""
+        """Mean squared normalised innovation over the window; 1 for a consistent filter."""
         return sum(i.nis for i in self._recent) / max(sum(i.dof for i in self._recent), 1)

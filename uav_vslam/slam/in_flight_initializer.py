@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A start state for a vehicle that is flying already: gravity and stereo odometry give all but where it is.
+"""Start state of a vehicle in flight, from gravity and stereo odometry; its position and yaw define the map.
 
-The first usable frame is the origin and faces yaw 0, which is the map's definition. Frames are held back until a window
-of them agrees on a motion; then the filter starts at the window's first frame and is given them all. What the window
-said of velocity and tilt only centres a prior wider than its error, so that its frames hardly count twice. Wide is no
-virtue in itself: a filter that is free to follow the first frames' noise by degrees of tilt linearises there, and is
-over-confident for the rest of the flight.
+The first usable frame is the map's origin with yaw 0. Frames are buffered until a window of them agrees on a motion;
+then the filter starts at the window's first frame and processes them all. The window's velocity and tilt are the mean
+of a prior wider than their error, so that its frames hardly count twice. But too wide a prior lets the filter follow
+the first frames' noise by degrees of tilt: it linearises there and is over-confident for the rest of the flight.
 """
 
 from dataclasses import dataclass
@@ -24,24 +23,24 @@ from uav_vslam.vision.matching.nn_ratio import match_descriptors
 
 Frame = tuple[StereoFeatures, ImuIncrement | None]
 
-MIN_VIEWS = 3  # later frames that see the first one's points: velocity and gravity are six numbers, two views' worth
-MAX_VIEWS = 8  # more of them, spread over the window, add little
+MIN_VIEWS = 3  # later frames that see the first one's points: velocity and gravity (6 unknowns) need two
+MAX_VIEWS = 8  # more views in the window add little
 MIN_AGREEING = 0.5  # share of the matches that must fit one motion
-TOLD_PER_TILT_SIGMA = 2.0  # told the filter, of what the window leaves; most of that is the accelerometer's bias anyway
-MAX_BIAS_TURN_RAD = 0.1  # by the gyro bias over the window; increments follow a bias to first order only
+PRIOR_PER_TILT_SIGMA = 2.0  # prior sigma over the window's own, which is mostly the accelerometer's bias
+MAX_BIAS_TURN_RAD = 0.1  # rotation by the gyro bias over the window; increments are corrected to first order only
 
 
 class InsufficientEvidence(UavVslamError):
-    """A window of frames does not tell how the vehicle moves; the text says why not."""
+    """A window of frames does not determine the motion; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What has been found.
+    """A start state and the frames to process from it.
 
     Attributes:
         initial: state at the first of the frames.
-        frames: all frames held back, with the motion that leads to each; none to the first.
+        frames: all buffered frames with the increment up to each; None for the first.
     """
 
     initial: NavEstimate
@@ -49,60 +48,60 @@ class Start:
 
 
 class InFlightInitializer:
-    """Slides a window over the frames until one will do.
+    """Slides a window over the frames until one determines the motion.
 
     Attributes:
         reason: why there is no start yet.
-        dropped: frames given up as the window slid on.
+        dropped: frames dropped as the window moved.
     """
 
     def __init__(self, rig: StereoRig, config: VehicleConfig) -> None:
         self._rig, self._config = rig, config
-        self._held: list[Frame] = []
-        self.reason = "no frame has come"
+        self._buffer: list[Frame] = []
+        self.reason = "no frame has arrived"
         self.dropped = 0
 
     @property
     def waiting(self) -> int:
-        """Frames held back."""
-        return len(self._held)
+        """Buffered frames."""
+        return len(self._buffer)
 
     def add(self, features: StereoFeatures, increment: ImuIncrement | None) -> Start | None:
-        """Take in the next frame with the motion since the one before; return the start once it is found."""
+        """Add a frame with the increment since the previous one; return the start once it is found."""
         if increment is None or not self._joins(increment):
-            self.dropped += len(self._held)
-            self._held = [(features, None)]
+            self.dropped += len(self._buffer)
+            self._buffer = [(features, None)]
         else:
-            self._held.append((features, increment))
+            self._buffer.append((features, increment))
         while self._window_is_full():
             try:
-                return Start(self._find(), self._held)
+                return Start(self._find(), self._buffer)
             except InsufficientEvidence as error:
                 self.reason = str(error)
                 self._slide()
         return None
 
     def _joins(self, increment: ImuIncrement) -> bool:
-        return bool(self._held) and increment.start_ns == self._held[-1][0].stamp_ns
+        return bool(self._buffer) and increment.start_ns == self._buffer[-1][0].stamp_ns
 
     def _window_is_full(self) -> bool:
-        span_ns = self._held[-1][0].stamp_ns - self._held[0][0].stamp_ns
-        full = len(self._held) > MIN_VIEWS and span_ns >= self._config.start.window_s * NS_PER_S
+        span_ns = self._buffer[-1][0].stamp_ns - self._buffer[0][0].stamp_ns
+        full = len(self._buffer) > MIN_VIEWS and span_ns >= self._config.start.window_s * NS_PER_S
         if not full and self.dropped == 0:
-            self.reason = f"{len(self._held)} frames over {span_ns / NS_PER_S:.1f} s have come, not yet enough"
+            self.reason = f"{len(self._buffer)} frames over {span_ns / NS_PER_S:.1f} s have arrived, not yet enough"
         return full
 
     def _slide(self) -> None:
         self.dropped += 1
-        self._held = [(features, None if k == 0 else step) for k, (features, step) in enumerate(self._held[1:])]
+        self._buffer = [(features, None if k == 0 else step) for k, (features, step) in enumerate(self._buffer[1:])]
 
     def _find(self) -> NavEstimate:
-        first = self._held[0][0]
+        first = self._buffer[0][0]
         pixels = first.pixels.astype(float)
         usable = np.flatnonzero(np.isfinite(self._rig.triangulate(pixels)).all(axis=1))
         views = self._views(first.descriptors[usable])
         found = align(self._rig, pixels[usable], views, imu=self._config.imu, sigma_px=self._config.backend.sigma_px)
-        self._judge(found, views)
+        self._validate(found, views)
         imu = self._config.imu
         return levelled(
             first.stamp_ns,
@@ -110,22 +109,22 @@ class InFlightInitializer:
             v_body=found.velocity,
             gyro_bias=found.gyro_bias,
             sigma_velocity=self._config.start.velocity_sigma,
-            sigma_tilt=TOLD_PER_TILT_SIGMA * self._sigma_tilt(found),
+            sigma_tilt=PRIOR_PER_TILT_SIGMA * self._sigma_tilt(found),
             sigma_gyro_bias=imu.gyro_bias_sigma,
             sigma_accel_bias=imu.accel_bias_sigma,
         )
 
     def _sigma_tilt(self, found: Alignment) -> float:
-        """Return the standard deviation of the worst known horizontal axis [rad]."""
+        """Return the largest standard deviation of a horizontal axis [rad]."""
         return float(np.sqrt(np.linalg.eigvalsh(found.covariance[GRAVITY, GRAVITY])[-1]) / self._config.imu.gravity)
 
     def _views(self, descriptors: NDArray[np.uint8]) -> list[View]:
-        """Return what later frames, spread over the window, show of the first one's points."""
-        chosen = set(np.linspace(1, len(self._held) - 1, MAX_VIEWS).round().astype(int))
+        """Return the first frame's points as seen in later frames, spread over the window."""
+        chosen = set(np.linspace(1, len(self._buffer) - 1, MAX_VIEWS).round().astype(int))
         views: list[View] = []
         counts: list[int] = []
         motion: ImuIncrement | None = None  # since the previous view
-        for k, (features, step) in enumerate(self._held[1:], start=1):
+        for k, (features, step) in enumerate(self._buffer[1:], start=1):
             assert step is not None
             motion = step if motion is None else compose(motion, step)
             if k not in chosen:
@@ -137,13 +136,13 @@ class InFlightInitializer:
                 motion = None
         if len(views) < MIN_VIEWS:
             raise InsufficientEvidence(
-                f"of {len(descriptors)} points only {', '.join(map(str, counts))} are found again in later frames; "
+                f"of {len(descriptors)} points only {', '.join(map(str, counts))} are matched in later frames; "
                 f"{MIN_VIEWS} frames with {self._config.backend.min_pnp_inliers} are needed"
             )
         return views
 
-    def _judge(self, found: Alignment, views: list[View]) -> None:
-        """Refuse what too few matches agree on, or what is less certain than asked for."""
+    def _validate(self, found: Alignment, views: list[View]) -> None:
+        """Raise if too few matches agree, or the uncertainty exceeds the configured limits."""
         agreeing, matched = int(found.inliers.sum()), sum(len(view.rows) for view in views)
         enough = (found.inliers >= self._config.backend.min_pnp_inliers).sum() >= MIN_VIEWS
         if not enough or agreeing < MIN_AGREEING * matched:
@@ -155,7 +154,7 @@ class InFlightInitializer:
         turn = float(np.linalg.norm(found.gyro_bias)) * span_s
         if turn > MAX_BIAS_TURN_RAD:
             raise InsufficientEvidence(
-                f"the gyro's bias alone turns by {turn:.2f} rad within {span_s:.1f} s, more than "
+                f"the gyro's bias alone rotates by {turn:.2f} rad within {span_s:.1f} s, more than "
                 f"{MAX_BIAS_TURN_RAD:g}: frames are too far apart, or the gyro needs calibration"
             )
         start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt(found)))

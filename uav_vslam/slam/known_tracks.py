@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landmarks that the front end has followed: known again by the number of their track, without a look at them."""
+"""Data association by the front end's track number, without comparing descriptors."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,12 @@ Tracks = NDArray[np.uint32]
 def tracks_first(
     associate: Associator, landmark_map: InView, tracks: Tracks, seen: StereoFeatures, config: BackendConfig
 ) -> Rows:
-    """Return (K, 2) pairs of row in `landmark_map` and row in `seen`: those of one track, and what an associator adds.
+    """Return (K, 2) pairs (row in `landmark_map`, row in `seen`): those with equal track, then an associator's.
 
     Args:
-        associate: sees only what has not been known by its track.
+        associate: gets only what has no equal track.
         landmark_map: N landmarks that may be in view.
-        tracks: (N,) track that each was last seen through, 0 for none.
+        tracks: (N,) track that last observed each, 0 for none.
         seen: features of the frame.
         config: of the back end.
     """
@@ -37,7 +37,7 @@ def tracks_first(
 
 
 def followed(landmark_map: InView, tracks: Tracks, seen: StereoFeatures, *, probability: float) -> Rows:
-    """Return (K, 2) pairs of one track whose feature lies in the landmark's gate; arguments as for `tracks_first`."""
+    """Return (K, 2) pairs with equal track whose feature is in the landmark's gate; see `tracks_first`."""
     _, rows, features = np.intersect1d(tracks, seen.tracks, return_indices=True)
     known = tracks[rows] != 0
     rows, features = rows[known], features[known]

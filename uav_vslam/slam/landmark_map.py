@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is remembered of each landmark beside its estimate; row k here is row k of the filter's landmarks."""
+"""Landmark data besides the estimate; row k here is row k of the filter's landmarks."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,11 +8,11 @@ from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 
 Rows = NDArray[np.intp]
 
-LONG_FRAMES = 30  # a landmark not seen for so many has been left behind: seen again, it closes a loop
+LONG_FRAMES = 30  # a landmark unseen for longer closes a loop when it is observed again
 
 
 class LandmarkMap:
-    """Identifiers, descriptors and history, kept in step with the filter by `append` and `remove`."""
+    """Identifiers, descriptors and history, kept consistent with the filter by `append` and `remove`."""
 
     def __init__(self, descriptor_size: int = 128) -> None:
         self.ids: NDArray[np.uint32] = np.zeros(0, np.uint32)
@@ -21,19 +21,19 @@ class LandmarkMap:
         self.born: Rows = np.zeros(0, np.intp)  # frame number of the first observation
         self.seen: Rows = np.zeros(0, np.intp)  # frame number of the last observation
         self.observations: Rows = np.zeros(0, np.intp)  # how many
-        self.revisited: NDArray[np.bool_] = np.zeros(0, bool)  # observed again after it had been left behind
-        self.tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)  # of the front end, as last observed; 0 for none
+        self.revisited: NDArray[np.bool_] = np.zeros(0, bool)  # observed again after being long unseen
+        self.tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)  # the front end's, as last observed; 0 for none
         self._next_id = 1
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def long_unseen(self, frame: int) -> NDArray[np.bool_]:
-        """Tell which landmarks have been left behind long ago."""
+        """Return which landmarks have been unseen for more than `LONG_FRAMES`."""
         return np.asarray(frame - self.seen >= LONG_FRAMES)
 
     def append(self, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32] | None = None) -> None:
-        """Add landmarks seen for the first time, with (M, D) descriptors; they get fresh identifiers."""
+        """Add landmarks seen for the first time, with (M, D) descriptors; they get new identifiers."""
         count = len(descriptors)
         fresh = np.arange(self._next_id, self._next_id + count, dtype=np.uint32)
         self._next_id += count
@@ -51,9 +51,9 @@ class LandmarkMap:
     def observe(
         self, rows: Rows, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32] | None = None
     ) -> None:
-        """Note that landmarks were seen again; their newest look and track replace the old ones.
+        """Record observations; the newest descriptor and track replace the old ones.
 
-        A track that is followed carries the look that it began with: the same numbers again are no other view.
+        A continued track keeps its first descriptor: the same descriptor again is not another view.
         """
         fresh = (self.descriptors[rows] != descriptors).any(axis=1)
         self.statistics.observe(rows[fresh], descriptors[fresh])
@@ -64,11 +64,11 @@ class LandmarkMap:
         if tracks is None:
             self.tracks[rows] = 0
             return
-        self.tracks[np.isin(self.tracks, tracks)] = 0  # a track shows one landmark
+        self.tracks[np.isin(self.tracks, tracks)] = 0  # a track observes one landmark only
         self.tracks[rows] = tracks
 
     def remove(self, rows: Rows) -> None:
-        """Forget landmarks."""
+        """Remove landmarks."""
         keep = np.ones(len(self), bool)
         keep[rows] = False
         self.ids, self.descriptors = self.ids[keep], self.descriptors[keep]

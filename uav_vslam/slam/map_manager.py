@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which landmarks leave the state and which features become landmarks, so that the cost of a frame stays flat."""
+"""Map management: which landmarks to remove, and how many to add, so that the cost of a frame is bounded."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,22 +14,22 @@ from uav_vslam.slam.landmark_map import LandmarkMap
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-FAILED_AFTER_FRAMES = 3  # in view and not seen for so long, while hardly ever seen: a bad landmark
-ESTABLISHED_OBSERVATIONS = 3  # seen so often, a landmark is worth retaining
-CELL_GROWTH = 2.0**0.25  # of the cell's side, where there are more cells than places
-LARGEST_CELL_M = 1e4  # beyond it there is no ground left to cover
-THESIS_DROP_SHARE = 0.05  # section 7.4: the share with the largest covariance goes each frame
-THESIS_FIRST_SHARE = 0.5  # share of the places that the oldest landmarks hold in `first_last`
+FAILED_AFTER_FRAMES = 3  # a rarely observed landmark, in view but unseen for so long, is bad
+ESTABLISHED_OBSERVATIONS = 3  # from so many observations on, a landmark is worth retaining
+CELL_GROWTH = 2.0**0.25  # of the cell's side, if there are more cells than capacity
+LARGEST_CELL_M = 1e4  # stops the growth of cells
+THESIS_DROP_SHARE = 0.05  # section 7.4: the share with the largest covariance is removed each frame
+THESIS_FIRST_SHARE = 0.5  # share of the capacity for the oldest landmarks in `first_last`
 
 
 @dataclass(frozen=True, slots=True)
 class MapView:
-    """What a retention policy may look at.
+    """Input of a retention policy.
 
     Attributes:
         landmarks: history of the N landmarks.
         positions: (N, 3) [m].
-        variance: computes the (N,) traces of the landmarks' covariances [m^2]; dear, so only where it is needed.
+        variance: computes the (N,) traces of the landmarks' covariances [m^2]; expensive, so on demand.
         in_view: (N,) predicted inside both images.
         frame: current frame number.
     """
@@ -42,50 +42,50 @@ class MapView:
 
 
 class Retention(Protocol):
-    """A policy: rows to give up."""
+    """A policy: rows to remove."""
 
     def __call__(self, view: MapView, config: BackendConfig) -> Rows:
-        """Return the rows that leave the state now."""
+        """Return the rows to remove from the state."""
 
 
 def keep_one_per_cell(view: MapView, config: BackendConfig) -> Rows:
     """Out of view, keep the most observed landmark of each ground cell: enough to close a loop.
 
-    Where there are more cells than places, cells grow until they fit: the whole ground flown over stays covered, ever
-    more thinly, and the cost of a frame stays bounded.
+    If there are more cells than capacity, cells grow until they fit: all ground flown over stays covered, with
+    decreasing density, and the cost of a frame stays bounded.
     """
     out = np.flatnonzero(~view.in_view)
     order = out[np.argsort(-view.landmarks.observations[out], kind="stable")]
     order = order[view.landmarks.observations[order] >= ESTABLISHED_OBSERVATIONS]
-    places, cell_m = places_out_of_view(view, config), config.retention_cell_m
+    capacity, cell_m = capacity_out_of_view(view, config), config.retention_cell_m
     kept = order[_first_of_each_cell(view.positions[order], cell_m)]
-    while len(kept) > places and cell_m < LARGEST_CELL_M:
+    while len(kept) > capacity and cell_m < LARGEST_CELL_M:
         cell_m *= CELL_GROWTH
         kept = order[_first_of_each_cell(view.positions[order], cell_m)]
     return np.setdiff1d(out, kept)
 
 
 def _first_of_each_cell(positions: Array, cell_m: float) -> Rows:
-    """Return, ascending, the first row of each cell of the ground."""
+    """Return the first row of each ground cell, ascending."""
     cells = np.floor(positions[:, :2] / cell_m).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     return np.sort(first)
 
 
 def keep_none(view: MapView, config: BackendConfig) -> Rows:
-    """Give up every landmark that is out of view."""
+    """Remove every landmark out of view."""
     return np.flatnonzero(~view.in_view)
 
 
 def keep_most_observed(view: MapView, config: BackendConfig) -> Rows:
-    """Out of view, keep as many as there is room for: hardly ever seen ones go first, of equals the longest unseen.
+    """Out of view, keep as many as fit: rarely observed ones go first, of equals the longest unseen.
 
-    For images so far apart that a landmark is worth keeping before it is established.
+    For image spacings at which even landmarks with few observations are worth keeping.
     """
     out = np.flatnonzero(~view.in_view)
     often = np.minimum(view.landmarks.observations[out], ESTABLISHED_OBSERVATIONS)
     order = out[np.lexsort((view.landmarks.seen[out], often))]
-    return order[: max(0, len(out) - places_out_of_view(view, config))]
+    return order[: max(0, len(out) - capacity_out_of_view(view, config))]
 
 
 def keep_first_and_last(view: MapView, config: BackendConfig) -> Rows:
@@ -96,7 +96,7 @@ def keep_first_and_last(view: MapView, config: BackendConfig) -> Rows:
 
 
 def drop_largest_covariance(view: MapView, config: BackendConfig) -> Rows:
-    """Give up the 5 % with the largest covariance of the previous step, as section 7.4 of the thesis does."""
+    """Remove the 5 % with the largest covariance of the previous step, as section 7.4 of the thesis does."""
     settled = np.flatnonzero(view.landmarks.born < view.frame)
     count = int(THESIS_DROP_SHARE * len(settled))
     return settled[np.argsort(-view.variance()[settled], kind="stable")[:count]]
@@ -111,11 +111,11 @@ RETENTION: dict[str, Retention] = {
 }
 
 
-def leaving(view: MapView, config: BackendConfig) -> Rows:
+def rows_to_remove(view: MapView, config: BackendConfig) -> Rows:
     """Return the rows that leave the state: failed ones, the policy's choice, and what exceeds the cap.
 
-    What is out of view never takes the room of what comes into view: without new landmarks the vehicle would soon fly
-    blind over ground that it does not know.
+    Landmarks out of view never use the capacity of new ones: without new landmarks the vehicle would have none to
+    observe over new ground.
     """
     landmark_map = view.landmarks
     unseen = view.frame - landmark_map.seen
@@ -123,15 +123,15 @@ def leaving(view: MapView, config: BackendConfig) -> Rows:
     gone = np.union1d(np.flatnonzero(failed), RETENTION[config.retention](view, config))
     rest = np.setdiff1d(np.arange(len(landmark_map)), gone)
     out = rest[~view.in_view[rest]]
-    gone = np.union1d(gone, _longest_unseen(landmark_map, out)[: max(0, len(out) - places_out_of_view(view, config))])
+    gone = np.union1d(gone, _longest_unseen(landmark_map, out)[: max(0, len(out) - capacity_out_of_view(view, config))])
     rest = np.setdiff1d(rest, gone)
     mature = rest[view.frame - landmark_map.born[rest] >= config.young_frames]
     gone = np.union1d(gone, _longest_unseen(landmark_map, mature)[: max(0, len(rest) - config.max_landmarks)])
     return gone.astype(np.intp)
 
 
-def places_out_of_view(view: MapView, config: BackendConfig) -> int:
-    """Return how many landmarks out of view leave room for those in view and for the new ones of this frame."""
+def capacity_out_of_view(view: MapView, config: BackendConfig) -> int:
+    """Return the capacity left for landmarks out of view, after those in view and this frame's new ones."""
     return max(0, config.max_landmarks - int(view.in_view.sum()) - _new_landmarks(view, config))
 
 

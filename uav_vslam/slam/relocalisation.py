@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finding the pose from matched landmarks alone, when the prediction is too vague to trust its gate."""
+"""Relocalisation: the pose from matched landmarks alone, when the prediction is too uncertain for gating."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +23,15 @@ def locate(
     threshold_px: float,
     min_inliers: int,
 ) -> tuple[Pose, NDArray[np.intp]] | None:
-    """Return T_map_body and the rows that agree on it by PnP with RANSAC; None where fewer than min_inliers do.
+    """Return T_map_body and its inlier rows by PnP with RANSAC; None with fewer than min_inliers.
 
     Args:
         rig: calibration.
-        T_map_body: predicted pose, the starting point.
+        T_map_body: predicted pose, the initial value.
         points_map: (N, 3) matched landmarks [m].
         pixels: (N, 4) their stereo pixels.
         threshold_px: reprojection error of an inlier.
-        min_inliers: fewer are no evidence.
+        min_inliers: least number of inliers.
     """
     T_map_left = T_map_body @ rig.T_body_left
     solved = pnp_ransac(points_map, pixels[:, :2].astype(float), rig.left, T_map_left, threshold_px=threshold_px)
@@ -52,10 +52,10 @@ def relocalise(
     *,
     config: BackendConfig,
 ) -> tuple[Pose, NDArray[np.intp], NDArray[np.intp]] | None:
-    """Match all landmarks by descriptor alone and confirm by PnP.
+    """Match all landmarks by descriptor alone and verify by PnP.
 
     Returns:
-        T_map_body, landmark rows and feature rows; None where too few agree.
+        T_map_body, landmark rows and feature rows; None with too few inliers.
     """
     matches = match_descriptors(landmark_descriptors, features.descriptors, config.min_descriptor_ratio)
     found = locate(

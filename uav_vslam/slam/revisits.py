@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landmarks that come back into view after a long absence: recognising a group of them closes a loop.
+"""Loop closure: recognises groups of landmarks that are in view again after a long absence.
 
-By then the vehicle has drifted, so each of them may be anywhere in a wide gate, where other points look alike. But the
-drift is common to all: given one right match, the joint covariance makes the others' gates narrow. So they are believed
-only together, as the joint compatibility of [neira01] demands, and one that stands alone is not used.
+The drift since then makes each gate wide, with ambiguous candidates inside. But the drift is common to all: given one
+correct match, the joint covariance makes the other gates narrow. So matches are accepted only as a jointly compatible
+group [neira01], never alone.
 """
 
 import numpy as np
@@ -22,14 +22,14 @@ Rows = NDArray[np.intp]
 def recognise(
     belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, rows: Rows, *, config: BackendConfig
 ) -> Rows:
-    """Return (K, 2) pairs (landmark row, feature row) that agree with one another; none where too few do.
+    """Return (K, 2) pairs (landmark row, feature row) that are jointly compatible; none if too few are.
 
     Args:
         belief: predicted to the frame.
-        landmark_map: looks of the landmarks.
+        landmark_map: the landmarks' descriptors.
         features: of the frame.
-        rows: projectable landmarks that are to be recognised; each of them may claim any feature.
-        config: gate, ratio, and how many must agree.
+        rows: projectable landmarks to be recognised; each may match any feature.
+        config: gate, ratio, and the least group size.
     """
     none = np.zeros((0, 2), np.intp)
     if len(rows) < config.min_revisited:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The back end as a stage: features and increments in, processed frames out, once start state and rig are known.
 
-The node `slam_backend` and the offline pipeline both run it, so that they give the same numbers.
+The node `slam_backend` and the offline pipeline both run it, so their results are identical.
 """
 
 from collections.abc import Iterator
@@ -21,13 +21,13 @@ from uav_vslam.types import ImuIncrement, JointInformation, NavEstimate, StereoF
 
 @dataclass(frozen=True, slots=True)
 class FrameOutput:
-    """Everything that a frame produced.
+    """All outputs of a frame.
 
     Attributes:
         report: own-only SLAM.
         dead_reckoning: the uncorrected INS at the same stamp.
-        joint: the belief over pose and landmarks, at epochs only.
-        warnings: what the user should look into; none as a rule.
+        joint: the estimate of pose and landmarks, at epochs only.
+        warnings: problems for the user; normally none.
     """
 
     report: FrameReport
@@ -37,11 +37,11 @@ class FrameOutput:
 
 
 class SlamStage:
-    """Joins features with motion, finds the start in flight where it must, and runs `SlamBackend`.
+    """Pairs features with IMU increments, initialises in flight if configured, and runs `SlamBackend`.
 
     Attributes:
         rig: calibration; nothing is processed while it is None.
-        initial: start state; None until it is given or found.
+        initial: start state; None until given or found.
     """
 
     def __init__(self, config: VehicleConfig, *, vehicle: str, session: int = 1) -> None:
@@ -58,16 +58,16 @@ class SlamStage:
 
     @property
     def missing_start(self) -> str:
-        """Why there is no start state yet; empty once there is one."""
+        """Reason for the missing start state; empty once there is one."""
         if self.initial is not None:
             return ""
-        return self._search.reason if self._search else "none has been given"
+        return self._search.reason if self._search else "none was received"
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Frames that were not processed or motion that is missing, by reason.
+        """Counts of frames not processed and of missing motion, by reason.
 
-        Frames that are held back for a start state count as from before it.
+        Frames buffered for a start state count as before the start.
         """
         before_start = self._queue.before_start
         if self._search is not None:
@@ -81,14 +81,14 @@ class SlamStage:
         }
 
     def start(self, initial: NavEstimate) -> None:
-        """Begin at a state; another one counts only while no frame has been processed, if it is not to be found."""
+        """Set the start state; a later one counts only before the first frame, and not in flight."""
         if self.initial is None or (self._backend is None and not self._in_flight):
-            self.initial = self._reckoned = initial
+            self.initial = self._dead_reckoned = initial
             if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
     def add_features(self, features: StereoFeatures) -> None:
-        """Add what a frame showed."""
+        """Add a frame's features."""
         self._queue.add_features(features)
 
     def add_increment(self, increment: ImuIncrement) -> None:
@@ -98,7 +98,7 @@ class SlamStage:
         self._queue.add_increment(increment)
 
     def run(self) -> Iterator[FrameOutput]:
-        """Process every frame whose features and motion have both come."""
+        """Process every frame whose features and increment have both arrived."""
         if self.rig is None:
             return
         while (frame := self._queue.pop()) is not None:
@@ -106,7 +106,7 @@ class SlamStage:
                 yield self._process(self.rig, *ready)
 
     def _from_start_on(self, frame: Frame, rig: StereoRig) -> list[Frame]:
-        """Return the frame; without a start state hold it back, and return all of them as soon as there is one."""
+        """Return the frame; without a start state buffer it, and return all buffered frames once there is one."""
         if self.initial is not None:
             return [frame]
         self._search = self._search or InFlightInitializer(rig, self._config)
@@ -123,19 +123,19 @@ class SlamStage:
                 self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
             )
         if increment is not None:
-            # before the filter, which may fail: the baseline must not miss a step for that
-            since_reckoned = self._joined(increment, self._reckoned.state.stamp_ns)
-            self._reckoned = advance(self._reckoned, since_reckoned, self._config.imu)
+            # before the filter, which may fail: the baseline must not miss a step
+            since_dead_reckoned = self._joined(increment, self._dead_reckoned.state.stamp_ns)
+            self._dead_reckoned = advance(self._dead_reckoned, since_dead_reckoned, self._config.imu)
             self._motion_lost += increment.start_ns != self._backend.stamp_ns
             increment = self._joined(increment, self._backend.stamp_ns)
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
         joint = self._backend.joint_information() if at_epoch else None
-        return FrameOutput(report, self._reckoned, joint, self._warnings(report))
+        return FrameOutput(report, self._dead_reckoned, joint, self._warnings(report))
 
     def _joined(self, increment: ImuIncrement, reached_ns: int) -> ImuIncrement:
-        """Return the motion since the stamp reached: where an increment was lost on the way, that part is unknown."""
+        """Return the motion since the stamp reached; after a lost increment that part is unknown."""
         if increment.start_ns == reached_ns:
             return increment
         return bridged(increment, reached_ns, self._config.imu)
@@ -143,8 +143,8 @@ class SlamStage:
     def _warnings(self, report: FrameReport) -> tuple[str, ...]:
         if report.recovery:
             self._start_monitor.stop(report.pose.stamp_ns)
-            return (f"the filter begins anew: {report.recovery}",)
-        found = [self._start_monitor.add(report, self._reckoned)]
-        if self._start_monitor.trusts(report.pose.stamp_ns):  # a wrong start would speak against a right rig
+            return (f"the filter was re-initialised: {report.recovery}",)
+        found = [self._start_monitor.add(report, self._dead_reckoned)]
+        if self._start_monitor.trusts(report.pose.stamp_ns):  # a wrong start would contradict a correct rig
             found.append(self._rig_monitor.add(report))
         return tuple(text for text in found if text)

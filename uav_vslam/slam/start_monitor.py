@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the first frames agree with the start state, as certain as it says it is?
+"""Tests the start state against the first frames.
 
-Position and heading at the start can't be wrong: nothing else knows them. But a wrong tilt or heading, and of course a
-wrong velocity, shows as a velocity that the frames correct by more than its doubt allows. With P_r the covariance of
-the dead reckoning from the start state and P that of the filter, a correction d of the velocity has covariance P_r - P.
-That is the innovations' own test, but of three numbers: among the hundreds of pixels of one frame ten sigmas of
-velocity are lost. Frames whose innovations are too large as a whole, or that fit nothing, are evidence as well.
+Start position and heading define the map, so they can't be wrong as such. But a wrong velocity, tilt, or heading
+relative to the velocity shows as a velocity correction beyond its uncertainty. With P_r the covariance of dead
+reckoning from the start state and P that of the filter, a velocity correction d has covariance P_r - P. This is the
+innovation test reduced to three numbers: among the hundreds of pixels of a frame, ten sigmas of velocity do not show.
+Frames whose innovations are too large as a whole, or without any associated landmark, are evidence as well.
 """
 
 import numpy as np
@@ -16,18 +16,18 @@ from uav_vslam.ins.propagation import VELOCITY
 from uav_vslam.slam.backend import FrameReport
 from uav_vslam.types import NS_PER_S, NavEstimate
 
-WATCHED_S = 5.0  # later the start has little to do with what goes wrong
-SIGNIFICANCE = 1e-4  # a right start looks as wrong as this so rarely, at one frame
-NEGLIGIBLE = 0.01  # [m/s] a correction that nobody minds, whatever the covariances say
-MAX_NIS_PER_DOF = 2.0  # of all updates since the start; an honest filter is within a few percent of 1
-MAX_COASTED = 3  # frames with much to see and nothing recognised
-MIN_FEATURES = 20  # fewer, in the frame or in the map, are not much
+WATCHED_S = 5.0  # later the start hardly matters
+SIGNIFICANCE = 1e-4  # false-alarm probability per frame of a correct start
+NEGLIGIBLE = 0.01  # [m/s] a negligible correction, whatever the covariances
+MAX_NIS_PER_DOF = 2.0  # of all updates since the start; a consistent filter is within a few percent of 1
+MAX_COASTED = 3  # frames with enough features but no associated landmark
+MIN_FEATURES = 20  # fewer, in the frame or in the map, are too few to judge
 
 REMEDY = "check initial_state's covariance, the IMU noise or the calibration"
 
 
 class StartMonitor:
-    """Watches the frames after the start and warns once."""
+    """Monitors the frames after the start and warns once."""
 
     def __init__(self) -> None:
         self._end_ns: int | None = None
@@ -35,49 +35,49 @@ class StartMonitor:
         self._warned = False
 
     def stop(self, stamp_ns: int) -> None:
-        """End the watch: from here on the state does not come from the start."""
+        """Stop monitoring: from now on the state does not depend on the start."""
         self._end_ns = stamp_ns
 
     def trusts(self, stamp_ns: int) -> bool:
-        """Tell whether the start has passed: the watch is over by this time and found nothing."""
+        """Return whether the start was accepted: monitoring is over by this time and found nothing."""
         return not self._warned and self._end_ns is not None and stamp_ns > self._end_ns
 
-    def add(self, report: FrameReport, reckoned: NavEstimate) -> str:
-        """Take note of a frame and return a warning, empty as a rule and after the first.
+    def add(self, report: FrameReport, dead_reckoned: NavEstimate) -> str:
+        """Add a frame and return a warning, normally empty, and empty after the first.
 
         Args:
-            report: what became of the frame.
-            reckoned: dead reckoning from the start state to the frame, never corrected.
+            report: result of the frame.
+            dead_reckoned: dead reckoning from the start state to the frame, never corrected.
         """
         if self._end_ns is None:
             self._end_ns = report.pose.stamp_ns + round(WATCHED_S * NS_PER_S)
         if self._warned or report.pose.stamp_ns > self._end_ns:
             return ""
-        finding = self._finding(report, reckoned)
+        finding = self._finding(report, dead_reckoned)
         self._landmarks = report.landmarks
         self._warned = finding != ""
         return f"{finding}; {REMEDY}" if finding else ""
 
-    def _finding(self, report: FrameReport, reckoned: NavEstimate) -> str:
+    def _finding(self, report: FrameReport, dead_reckoned: NavEstimate) -> str:
         if report.innovation is not None:
             self._nis += report.innovation.nis
             self._dof += report.innovation.dof
         elif min(report.features, self._landmarks) >= MIN_FEATURES:
             self._coasted += 1
-        times = velocity_correction(report.nav, reckoned)
+        times = velocity_correction(report.nav, dead_reckoned)
         if times > np.sqrt(chdtri(3, SIGNIFICANCE) / 3):
             return f"the first frames correct the start's velocity by {times:.1f} times what its sigmas allow"
         if self._nis > MAX_NIS_PER_DOF * max(self._dof, 1):
             times = np.sqrt(self._nis / self._dof)
             return f"innovations after the start are {times:.1f} times larger than the start's sigmas allow"
         if self._coasted >= MAX_COASTED:
-            return f"{self._coasted} of the first frames show much, but nothing where the start makes them expect it"
+            return f"{self._coasted} of the first frames match no landmark where the start predicts it"
         return ""
 
 
-def velocity_correction(nav: NavEstimate, reckoned: NavEstimate) -> float:
-    """Return the root mean square, over three axes, of what frames moved the velocity by, in sigmas of P_r - P."""
-    d = nav.state.v_map - reckoned.state.v_map
-    values, axes = np.linalg.eigh(reckoned.covariance[VELOCITY, VELOCITY] - nav.covariance[VELOCITY, VELOCITY])
+def velocity_correction(nav: NavEstimate, dead_reckoned: NavEstimate) -> float:
+    """Return the root mean square, over three axes, of the velocity correction in sigmas of P_r - P."""
+    d = nav.state.v_map - dead_reckoned.state.v_map
+    values, axes = np.linalg.eigh(dead_reckoned.covariance[VELOCITY, VELOCITY] - nav.covariance[VELOCITY, VELOCITY])
     variance: NDArray[np.float64] = np.maximum(values, 0.0) + NEGLIGIBLE**2
     return float(np.sqrt(np.mean((axes.T @ d) ** 2 / variance)))

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Velocity and gravity in the body frame, from a few stereo frames and the inertial readings between them.
+"""Velocity and gravity in the body frame, from a few stereo frames and the IMU readings between them.
 
-The stereo baseline gives the scale and the gyroscope the turns, so the problem is linear but for the projection. In the
+The stereo baseline gives scale and the gyroscope rotation, so only the projection is non-linear. In the
 first frame's body axes, with the increments' dR_k, dp_k and t_k from the first frame to frame k:
 
     p_k = v t_k + g t_k^2 / 2 + dp_k(b, n),    z_ik = h(R_left_body (dR_k(b, n)^T (l_i - p_k) - t_body_left))
 
 Unknown are x = (v, g, gyro bias, accelerometer bias, n) and the points l_i. |g| is known, the biases b have the spread
-that `ImuConfig` gives them, and n ~ N(0, I) makes the increments' noise through a factor of its covariance. This is
-Gauss-Newton on the pixels with the points eliminated, first with Cauchy weights against wrong matches, then on what
-agrees. No pose is estimated from one pair of frames: far points are too uncertain for that.
+that `ImuConfig` gives them, and n ~ N(0, I) is the increments' noise, scaled by a factor of its covariance. Solved by
+Gauss-Newton on the pixels with the points eliminated, first with Cauchy weights against wrong matches, then on the
+inliers. No pose is estimated from one pair of frames: far points are too uncertain.
 """
 
 from dataclasses import dataclass
@@ -29,24 +29,24 @@ Rows = NDArray[np.intp]
 
 VELOCITY, GRAVITY, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, 12, 3))
 BIASES, NOISE = slice(6, 12), slice(12, None)
-POSE = 6  # rotation from the right, position: what of a frame's motion shows in its pixels
+POSE = 6  # rotation (right perturbation), position: the part of a frame's motion that affects its pixels
 INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # the same among (rotation, velocity, position)
-SIGMA_GRAVITY = 0.03  # [m/s^2] how far the norm of gravity may be from the configured one
+SIGMA_GRAVITY = 0.03  # [m/s^2] uncertainty of the configured norm of gravity
 ROBUST_STEPS, FINAL_STEPS = 12, 4
 PIXELS = 4  # of one stereo observation
 MEDIAN_CHI2, INLIER_CHI2 = (float(chdtri(PIXELS, beyond)) for beyond in (0.5, 1e-3))
-MIN_DEPTH_M = 0.05  # a point nearer than this, or behind, is projected as if it were so far
-TINY_INFORMATION = 1e-9  # of what nothing observes, so that the equations stay regular
+MIN_DEPTH_M = 0.05  # nearer points, and those behind, are projected from this depth
+TINY_INFORMATION = 1e-9  # of unobserved directions, so that the equations stay regular
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What a later frame shows of the first frame's points.
+    """Observations of the first frame's points in a later frame.
 
     Attributes:
         motion: since the previous view, or since the first frame.
-        rows: (M,) which points, each at most once.
-        pixels: (M, 4) where it sees them [px].
+        rows: (M,) indices of the points, each at most once.
+        pixels: (M, 4) their stereo pixels [px].
     """
 
     motion: ImuIncrement
@@ -62,7 +62,7 @@ class Alignment:
         velocity: (3,) [m/s].
         gravity: (3,) [m/s^2].
         gyro_bias: (3,) [rad/s].
-        covariance: (12, 12) of velocity, gravity, gyro and accelerometer bias, provided that the inliers are right.
+        covariance: (12, 12) of velocity, gravity, gyro and accelerometer bias, assuming correct inliers.
         inliers: observations of each view that agree with the result.
     """
 
@@ -79,8 +79,8 @@ def align(rig: StereoRig, pixels: Array, views: list[View], *, imu: ImuConfig, s
     Args:
         rig: calibration.
         pixels: (N, 4) the first frame's points, all of which triangulate [px].
-        views: later frames in stamp order, one or more, each with at least one match; at no bias.
-        imu: gravity, and how far the biases may be off.
+        views: later frames in stamp order, one or more, each with at least one match; increments at zero bias.
+        imu: gravity, and the spread of the biases.
         sigma_px: standard deviation of each pixel coordinate [px].
     """
     motion = _Motion.through(views)
@@ -102,11 +102,11 @@ def align(rig: StereoRig, pixels: Array, views: list[View], *, imu: ImuConfig, s
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """The frames' motion since the first of them, number 0, as far as readings tell; K frames in all.
+    """The frames' motion since frame 0 by IMU readings; K frames in all.
 
     Attributes:
         times_s: (K,).
-        delta_R: (K, 3, 3), delta_p: (K, 3) [m] at no bias, without gravity and velocity.
+        delta_R: (K, 3, 3), delta_p: (K, 3) [m] at zero bias, without gravity and velocity.
         by_x: (6K, 12 + 6(K-1)) derivative of all poses by x.
     """
 
@@ -142,7 +142,7 @@ class _Motion:
 
 
 def _table(pixels: Array, views: list[View]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return pixels (N, K, 4) of each point in each frame, and where there are any (N, K)."""
+    """Return pixels (N, K, 4) of each point in each frame, and the mask of existing ones (N, K)."""
     z, seen = np.zeros((len(pixels), len(views) + 1, PIXELS)), np.zeros((len(pixels), len(views) + 1), bool)
     z[:, 0], seen[:, 0] = pixels, True
     for k, view in enumerate(views, start=1):
@@ -151,7 +151,7 @@ def _table(pixels: Array, views: list[View]) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _first_guess(rig: StereoRig, motion: _Motion, z: Array, points: Array, gravity: float) -> Array:
-    """Return x of an unaccelerated vehicle, with the median of the velocities that single points would give."""
+    """Return x of an unaccelerated vehicle, with the median of the single points' velocities."""
     x = np.zeros(motion.by_x.shape[1])
     t, moved = motion.times_s[1:, None], motion.delta_p[1:]
     force = motion.delta_p[-1]
@@ -180,13 +180,13 @@ def _linearise(
 
 
 def _cauchy(chi2: Array, seen: NDArray[np.bool_]) -> Array:
-    """Weigh (N, K) squared residuals down where they are large against the median, or against the noise."""
+    """Return Cauchy weights of (N, K) squared residuals, scaled by their median or the noise."""
     scale = max(1.0, float(np.median(chi2[seen])) / MEDIAN_CHI2)
     return np.asarray(seen / (1.0 + chi2 / (PIXELS * scale)))
 
 
 def _prior(x: Array, imu: ImuConfig) -> tuple[Array, Array]:
-    """Return information and vector of what is known beforehand."""
+    """Return information matrix and vector of the prior."""
     information = np.full(len(x), TINY_INFORMATION)
     information[GYRO_BIAS] = 1.0 / imu.gyro_bias_sigma**2
     information[ACCEL_BIAS] = 1.0 / imu.accel_bias_sigma**2
@@ -205,7 +205,7 @@ class _Reduced:
 
     Attributes:
         H, b: the equations.
-        inverse: (N, 3, 3) of the points' own blocks, b_points: (N, 3) their side, cross: (N, 6K, 3) with the poses.
+        inverse: (N, 3, 3) of the points' own blocks, b_points: (N, 3) their vector, cross: (N, 6K, 3) with the poses.
     """
 
     H: Array
@@ -231,5 +231,5 @@ class _Reduced:
         return _Reduced(H, b, inverse, b_points, cross)
 
     def points(self, poses: Array) -> Array:
-        """Return the points' step (N, 3) that belongs to a step of the poses (6K,)."""
+        """Return the points' step (N, 3) for a step of the poses (6K,), by back-substitution."""
         return np.einsum("nij,nj->ni", self.inverse, self.b_points - np.einsum("nai,a->ni", self.cross, poses))
