@@ -7,12 +7,12 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import NS_PER_S
 
-LEAP_NS = round(IMU_TIME_JUMP_S * NS_PER_S)
-FAR_NS = 1000 * LEAP_NS
+JUMP_NS = round(IMU_TIME_JUMP_S * NS_PER_S)
+FAR_NS = 1000 * JUMP_NS
 
 
-def refused(stamps_ns: list[int]) -> list[int]:
-    """Return those of the stamps that are refused, fed in order."""
+def rejected(stamps_ns: list[int]) -> list[int]:
+    """Return those of the stamps that are rejected, fed in order."""
     guard, out = TimeJumpGuard("IMU", IMU_TIME_JUMP_S), []
     for stamp_ns in stamps_ns:
         try:
@@ -25,7 +25,7 @@ def refused(stamps_ns: list[int]) -> list[int]:
 @pytest.mark.parametrize(
     ("stamps_ns", "expected"),
     [
-        ([1, 2, 3, 2 + LEAP_NS, 2 * LEAP_NS], []),
+        ([1, 2, 3, 2 + JUMP_NS, 2 * JUMP_NS], []),
         ([1, FAR_NS, 2, 3], [FAR_NS]),
         ([1, FAR_NS, 2, FAR_NS + 1, 3], [FAR_NS, FAR_NS + 1]),  # the old stamp between discards the candidate
         ([1, FAR_NS, FAR_NS + 1, FAR_NS + 2], [FAR_NS]),
@@ -36,7 +36,7 @@ def refused(stamps_ns: list[int]) -> list[int]:
     ],
 )
 def test_a_jump_ahead_is_accepted_once_confirmed(stamps_ns: list[int], expected: list[int]) -> None:
-    assert refused(stamps_ns) == expected
+    assert rejected(stamps_ns) == expected
 
 
 def test_the_error_names_stream_and_jump() -> None:

@@ -34,10 +34,10 @@ def test_one_outlying_view_does_not_replace_the_statistics(scene):
     good = in_view.descriptors
     for _ in range(4):
         in_view.statistics.observe(np.arange(40), np.clip(good + rng.normal(0, 6, good.shape), 0, 255).astype(np.uint8))
-    spoilt = good.copy()
-    spoilt[0] = rng.integers(40, 216, 128)
-    in_view.statistics.observe(np.arange(40), spoilt)
-    in_view = dataclasses.replace(in_view, descriptors=spoilt)
+    corrupted = good.copy()
+    corrupted[0] = rng.integers(40, 216, 128)
+    in_view.statistics.observe(np.arange(40), corrupted)
+    in_view = dataclasses.replace(in_view, descriptors=corrupted)
     assert 0 in classify(in_view, seen, CONFIG)[:, 0]
     assert 0 not in nn(in_view, seen, CONFIG)[:, 0]
 
@@ -45,12 +45,12 @@ def test_one_outlying_view_does_not_replace_the_statistics(scene):
 def test_components_that_vary_between_views_have_little_weight():
     """Half of the descriptor is noise between views; there the true landmark is farther than a wrong one."""
     rng = np.random.default_rng(4)
-    steady, noisy = rng.integers(100, 156, (30, 32)), 128
-    statistics = DescriptorStatistics.of(np.hstack([steady, np.full((30, 32), noisy)]).astype(np.uint8))
+    stable, noisy = rng.integers(100, 156, (30, 32)), 128
+    statistics = DescriptorStatistics.of(np.hstack([stable, np.full((30, 32), noisy)]).astype(np.uint8))
     for _ in range(10):
-        view = np.hstack([steady + rng.normal(0, 2, (30, 32)), noisy + rng.normal(0, 40, (30, 32))])
+        view = np.hstack([stable + rng.normal(0, 2, (30, 32)), noisy + rng.normal(0, 40, (30, 32))])
         statistics.observe(np.arange(30), np.clip(np.rint(view), 0, 255).astype(np.uint8))
-    view = np.hstack([steady[0] + 2, np.clip(noisy + rng.normal(0, 40, 32), 0, 255)]).astype(np.uint8)
+    view = np.hstack([stable[0] + 2, np.clip(noisy + rng.normal(0, 40, 32), 0, 255)]).astype(np.uint8)
     distance2 = squared_mahalanobis(statistics, view[None])[:, 0]
     assert np.argmin(distance2) == 0
     assert distance2[0] < 0.7 * np.sort(distance2)[1]

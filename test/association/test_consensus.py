@@ -38,10 +38,10 @@ def test_correct_matches_are_kept():
 def test_a_wrong_match_that_passes_the_gate_given_one_match_but_not_given_all_is_rejected():
     """Each landmark is uncertain, so pairs agree easily; thirty together determine the common shift."""
     rng = np.random.default_rng(6)
-    count, vague = 30, 16.0
+    count, variance = 30, 16.0
     common = np.tile(np.eye(4), (count, 1)) * np.sqrt(COMMON_VARIANCE)
-    S = common @ common.T + vague * np.eye(4 * count)
-    nu = rng.normal(0.0, np.sqrt(COMMON_VARIANCE), 4) + rng.normal(0.0, np.sqrt(vague), (count, 4))
+    S = common @ common.T + variance * np.eye(4 * count)
+    nu = rng.normal(0.0, np.sqrt(COMMON_VARIANCE), 4) + rng.normal(0.0, np.sqrt(variance), (count, 4))
     off = 9.0 * np.array([[1.0, -1.0, 1.0, -1.0], [-1.0, 1.0, 1.0, 1.0]])
     nu[[4, 20]] = nu.mean(axis=0) + off  # the gate is at 13.3: 4 * 81 / 16 = 20 given all, half of it given one alone
     kept = consensus(nu, S, probability=PROBABILITY)

@@ -367,11 +367,11 @@ def test_operations_modify_neither_the_belief_nor_their_arguments(
         lambda b: b.appended(*fresh),
         lambda b: b.marginalised(gone),
     ):
-        scribble(operate(belief).covariance(NONE))
-        scribble(belief.covariance(np.arange(n)))
+        corrupt(operate(belief).covariance(NONE))
+        corrupt(belief.covariance(np.arange(n)))
         marginals = belief.marginals(np.arange(n))
-        for handed_out in (marginals.vehicle, marginals.cross, marginals.landmarks):
-            scribble(handed_out)
+        for returned in (marginals.vehicle, marginals.cross, marginals.landmarks):
+            corrupt(returned)
         np.testing.assert_allclose(belief.marginals(NONE).vehicle, dense.P[:m, :m], rtol=SCALED, atol=1e-8)
         assert_holds(belief, dense)
     for now, then in zip(arrays, before, strict=True):
@@ -398,7 +398,7 @@ def test_normal_equations_are_those_of_the_dense_jacobian() -> None:
     np.testing.assert_allclose(i, H.T @ seen.nu.ravel(), rtol=1e-13, atol=1e-13)
 
 
-def scribble(A: Array) -> None:
+def corrupt(A: Array) -> None:
     """Corrupt the returned arrays where they are writeable."""
     if A.flags.writeable:
         A[:] = np.nan

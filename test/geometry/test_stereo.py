@@ -18,15 +18,15 @@ from uav_vslam.simulation.rig import kagaru_rig
 STEP_M = 1e-5  # central differences at metres' depth
 DIFFERENCE = 1e-4  # [px/m] pixels of order 1000, rounded to 1e-13 of that, over the step; near points bend more
 EPIPOLAR_PX = 1e-8  # a pixel coordinate's rounding after a few products
-UNDONE_SIGMA = 0.05  # distance from the optimum after two steps, in standard deviations of the point
+REMAINING_SIGMA = 0.05  # distance from the optimum after two steps, in standard deviations of the point
 T_BODY_LEFT = Pose(so3_exp([0.4, -1.2, 0.9]), np.array([0.05, -0.02, 0.01]))
-SQUINTING = StereoRig(
+CONVERGING = StereoRig(
     PinholeCamera(752, 480, 458.0, 457.0, 367.0, 248.0),
     PinholeCamera(752, 480, 455.0, 456.0, 379.0, 255.0),
     T_BODY_LEFT,
     T_BODY_LEFT @ Pose(so3_exp([0.03, -0.08, 0.05]), np.array([0.11, 0.01, -0.005])),
 )
-RIGS = {"kagaru": kagaru_rig(), "kagaru_half": kagaru_rig(0.5), "squinting": SQUINTING}
+RIGS = {"kagaru": kagaru_rig(), "kagaru_half": kagaru_rig(0.5), "converging": CONVERGING}
 
 
 def scattered_points(rig: StereoRig, count: int = 200, *, far_m: float) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_triangulation_is_the_least_squares_point(rig: StereoRig) -> None:
     gradient = np.einsum("nki,nk->ni", rig.project_jacobian(found), residual)
     step = np.linalg.solve(np.einsum("nki,nkj->nij", *[rig.project_jacobian(found)] * 2), gradient[..., None])[..., 0]
     # The error left after two Gauss-Newton steps is far below one pixel of noise.
-    assert np.sqrt(np.einsum("ni,ni->n", step, gradient)).max() < UNDONE_SIGMA
+    assert np.sqrt(np.einsum("ni,ni->n", step, gradient)).max() < REMAINING_SIGMA
 
 
 def test_the_kagaru_rigs_disparity_runs_along_v() -> None:
@@ -78,7 +78,7 @@ def test_the_kagaru_rigs_disparity_runs_along_v() -> None:
 
 
 def test_parallel_rays_and_points_behind_triangulate_to_nan() -> None:
-    rig = RIGS["squinting"]
+    rig = RIGS["converging"]
     far = rig.project(rig.left.bearings([[300.0, 200.0]]) * 1e12)
     behind = rig.project(-rig.left.bearings([[300.0, 200.0]]) * 5.0)  # the rays meet behind both cameras
     good = rig.project(rig.left.bearings([[300.0, 200.0]]) * 5.0)
@@ -127,7 +127,7 @@ def test_cameras_of_different_size_are_rejected() -> None:
 
 @pytest.mark.parametrize("baseline_m", [0.0, 0.5 * MIN_BASELINE_M])
 def test_a_rig_without_baseline_is_rejected(baseline_m: float) -> None:
-    rig = RIGS["squinting"]
+    rig = RIGS["converging"]
     T_body_right = Pose(rig.T_body_right.R, rig.T_body_left.t + np.array([baseline_m, 0.0, 0.0]))
     with pytest.raises(CalibrationError, match="baseline"):
         dataclasses.replace(rig, T_body_right=T_body_right)

@@ -28,9 +28,9 @@ def test_an_increment_is_complete_when_a_reading_at_or_after_the_image_has_arriv
     ins.add_imu(hovering(9 * MS))
     assert ins.increments() == []
     ins.add_imu(hovering(11 * MS))
-    ((increment, reckoned),) = ins.increments()
+    ((increment, estimate),) = ins.increments()
     assert (increment.start_ns, increment.stamp_ns) == (0, 10 * MS)
-    assert reckoned.state.stamp_ns == 10 * MS
+    assert estimate.state.stamp_ns == 10 * MS
     assert ins.increments() == []
 
 
@@ -50,10 +50,10 @@ def test_increments_are_adjacent_and_do_not_depend_on_the_time_of_the_query() ->
     late = lazy.increments()
     assert len(got) == len(late) == 5
     assert [i.start_ns for i, _ in got] == [0, *[i.stamp_ns for i, _ in got[:-1]]]
-    for (a, reckoned_a), (b, reckoned_b) in zip(got, late, strict=True):
+    for (a, estimate_a), (b, estimate_b) in zip(got, late, strict=True):
         np.testing.assert_array_equal(a.delta_p, b.delta_p)
         np.testing.assert_array_equal(a.covariance, b.covariance)
-        np.testing.assert_array_equal(reckoned_a.covariance, reckoned_b.covariance)
+        np.testing.assert_array_equal(estimate_a.covariance, estimate_b.covariance)
 
 
 def test_a_flush_completes_the_rest_with_the_available_readings() -> None:
@@ -62,10 +62,10 @@ def test_a_flush_completes_the_rest_with_the_available_readings() -> None:
     ins.add_imu(hovering(8 * MS))
     for stamp_ms in (10, 20):
         ins.add_frame_stamp(stamp_ms * MS)
-    (first, _), (second, reckoned) = ins.increments(flush=True)
+    (first, _), (second, estimate) = ins.increments(flush=True)
     assert first.samples > 0
     assert second.samples == 0  # no reading inside
-    assert np.sqrt(reckoned.covariance[3, 3]) > np.sqrt(START.covariance[3, 3])
+    assert np.sqrt(estimate.covariance[3, 3]) > np.sqrt(START.covariance[3, 3])
 
 
 @pytest.mark.parametrize("stamp_ms", [0, 10, 9])
@@ -83,10 +83,10 @@ def test_dead_reckoning_of_a_hover_stays_in_place_and_its_covariance_grows() -> 
     traces = []
     for stamp_ms in range(100, 1001, 100):
         ins.add_frame_stamp(stamp_ms * MS)
-        ((_, reckoned),) = ins.increments()
-        np.testing.assert_allclose(reckoned.state.T_map_body.matrix, np.eye(4), rtol=0, atol=1e-12)
-        assert np.linalg.eigvalsh(reckoned.covariance)[0] > 0
-        traces.append(np.trace(reckoned.covariance[:3, :3]))
+        ((_, estimate),) = ins.increments()
+        np.testing.assert_allclose(estimate.state.T_map_body.matrix, np.eye(4), rtol=0, atol=1e-12)
+        assert np.linalg.eigvalsh(estimate.covariance)[0] > 0
+        traces.append(np.trace(estimate.covariance[:3, :3]))
     assert np.all(np.diff(traces) > 0)
 
 
@@ -125,11 +125,11 @@ def test_dead_reckoning_does_not_depend_on_when_the_start_state_arrives() -> Non
     increments = cut(ImuPreintegrator(IMU), varying(200), list(range(50, 900, 90)))
     start = NavEstimate(NavState(increments[2].start_ns, Pose.identity(), np.ones(3), *np.zeros((2, 3))), np.eye(15))
     early, late = DeadReckoning(IMU), DeadReckoning(IMU)
-    expected = [*early.start(start), *(reckoned for increment in increments[2:] for reckoned in early.add(increment))]
+    expected = [*early.start(start), *(estimate for increment in increments[2:] for estimate in early.add(increment))]
     for increment in increments[:7]:
         assert late.add(increment) == []
     assert late.estimate is None
-    found = [*late.start(start), *(reckoned for increment in increments[7:] for reckoned in late.add(increment))]
+    found = [*late.start(start), *(estimate for increment in increments[7:] for estimate in late.add(increment))]
     assert [r.state.stamp_ns for r in found] == [start.state.stamp_ns, *(i.stamp_ns for i in increments[2:])]
     for a, b in zip(expected, found, strict=True):
         np.testing.assert_array_equal(a.state.T_map_body.matrix, b.state.T_map_body.matrix)

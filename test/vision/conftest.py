@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs and ray-traced stereo pairs of textured planes, whose every pixel's depth is known."""
+"""Rigs and ray-traced stereo pairs of textured planes with known depth in every pixel."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from uav_vslam.types import StereoFrame
 Array = NDArray[np.float64]
 
 FRONT_BACK_CAMERA = PinholeCamera(1280, 960, 1642.0, 1642.0, 640.0, 480.0)
-FRONT_BACK_RIG = StereoRig(  # as Kagaru's: the disparity runs along v; and the cameras squint by half a degree
+FRONT_BACK_RIG = StereoRig(  # like Kagaru's: the disparity is along v, and the cameras converge by half a degree
     FRONT_BACK_CAMERA,
     FRONT_BACK_CAMERA,
     Pose.identity(),
@@ -34,7 +34,7 @@ DISTORTED_RIG = StereoRig(
 
 @dataclass(frozen=True)
 class Plane:
-    """A textured plane: a point of it and its normal in the left camera's frame, its half size [m] (inf: endless)."""
+    """A textured plane: a point and the normal in the left camera's frame, and the half size [m], inf for unbounded."""
 
     point: tuple[float, float, float]
     normal: tuple[float, float, float]
@@ -104,14 +104,14 @@ def make_scene(rig: StereoRig, planes: list[Plane], rng: np.random.Generator) ->
 
 @pytest.fixture(scope="session")
 def flight_scene() -> Scene:
-    """Slanted ground 70 m below, seen by a rig whose disparity runs along v."""
+    """Slanted ground 70 m below, with the disparity along v."""
     ground = Plane((0.0, 0.0, 70.0), (0.05, 0.02, -1.0), 0.05)
     return make_scene(FRONT_BACK_RIG, [ground], np.random.default_rng(1))
 
 
 @pytest.fixture(scope="session")
 def indoor_scene() -> Scene:
-    """A room with eight boards in it, seen by a distorted, squinting rig: many depth discontinuities."""
+    """A room with eight boards, seen by a rig with distortion and converging cameras: many depth discontinuities."""
     rng = np.random.default_rng(2)
     room = [Plane((0, 0, 5.0), (0.1, 0, -1), 0.006), Plane((0, 1.2, 0), (0, -1, 0.02), 0.005)]
     boards = [
@@ -135,6 +135,6 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 
 @pytest.fixture(scope="session")
 def texture_image() -> Callable[[int, int], NDArray[np.uint8]]:
-    """Return a maker of (height, width) textured grey images."""
+    """Return a function for (height, width) textured grey images."""
     texture = make_texture(np.random.default_rng(3), 512)
     return lambda height, width: np.clip(np.rint(texture[:height, :width]), 0, 255).astype(np.uint8)

@@ -15,7 +15,7 @@ def adjacency(graph):
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("density", [0.02, 0.1, 0.5])
-def test_each_component_is_dominated_by_what_hangs_together(seed, density):
+def test_each_component_is_dominated_by_a_connected_set(seed, density):
     graph = nx.gnp_random_graph(60, density, seed=seed)
     found = set(connected_dominating_set(adjacency(graph)).tolist())
     assert nx.is_dominating_set(graph, found)
@@ -31,7 +31,7 @@ def test_known_graphs(graph, expected):
     assert connected_dominating_set(adjacency(graph)).tolist() == expected
 
 
-def test_nothing_is_dominated_by_nothing():
+def test_an_empty_graph_has_an_empty_set():
     assert len(connected_dominating_set(neighbourhood_graph(np.zeros((0, 2)), 3))) == 0
     assert connected_dominating_set(neighbourhood_graph(np.zeros((1, 2)), 3)).tolist() == [0]
 
@@ -45,7 +45,7 @@ def test_the_neighbourhood_graph_is_symmetric_without_loops():
     assert neighbourhood_graph(points[:2], 3).toarray().tolist() == [[False, True], [True, False]]
 
 
-def test_the_set_of_points_is_smaller_and_leaves_nobody_far_away():
+def test_the_set_is_smaller_and_every_point_is_near_it():
     rng = np.random.default_rng(2)
     pixels = rng.uniform(0, 600, (400, 2)).astype(np.float32)
     rows = dominating_points(pixels)

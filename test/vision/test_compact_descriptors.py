@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A quarter of the bytes tells landmarks apart nearly as well as the whole, on rendered and real ground."""
+"""A quarter of the bytes matches nearly as well as full descriptors, on rendered and real ground."""
 
 import dataclasses
 import itertools
@@ -32,7 +32,7 @@ from uav_vslam.vision.matching.nn_ratio import SINGLE_CANDIDATE_DISTANCE, match_
 
 RATIO = 0.8
 Descriptors = NDArray[np.uint8]
-Right = Callable[[NDArray, NDArray], NDArray[np.bool_]]  # which of two images' (M, 2) pixels show the same point
+Right = Callable[[NDArray, NDArray], NDArray[np.bool_]]  # which (M, 2) pixels of two images show the same point
 
 
 def some(count: int = 50) -> Descriptors:
@@ -40,16 +40,16 @@ def some(count: int = 50) -> Descriptors:
 
 
 def right_and_all(a: Keypoints, b: Keypoints, basis: int, right: Right) -> tuple[int, int]:
-    """Return how many matches are right, and how many there are."""
+    """Return the number of correct matches and of all."""
     pairs = match_descriptors(in_basis(a.descriptors, basis), in_basis(b.descriptors, basis), RATIO)
     return int(right(a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]]).sum()), len(pairs)
 
 
 def assert_as_good(compact: tuple[int, int], raw: tuple[int, int]) -> None:
-    """Nearly as many right matches; a few more wrong ones are left to the gate.
+    """Nearly as many correct matches; a few more wrong ones are left to the gate.
 
-    Seen: 1905 right and 101 wrong ones in eight rendered flights against 1925 and 23; 9844 and 329 on real ground
-    against 9750 and 306.
+    Measured: 1905 correct and 101 wrong ones in eight rendered flights against 1925 and 23; 9844 and 329 on real
+    ground against 9750 and 306.
     """
     assert raw[0] > 100
     assert compact[0] >= 0.97 * raw[0]
@@ -69,20 +69,20 @@ def test_two_vehicles_find_as_many_common_points_in_rendered_images() -> None:
         views.append((vehicle.true_rig(frame), R, t))
 
     def ground(view, pixels):
-        """Return where on the plane z = 0 the rays of half-resolution pixels end."""
+        """Intersect the rays of half-resolution pixels with the plane z = 0."""
         rig, R, t = view
         rays = rig.left.bearings(rig.left.undistort(2.0 * pixels + 0.5)) @ (R @ rig.T_body_left.R).T
         centre = t + R @ rig.T_body_left.t
         return (centre + rays * (-centre[2] / rays[:, 2])[:, None])[:, :2]
 
     def right(a, b):
-        return np.linalg.norm(ground(views[0], a) - ground(views[1], b), axis=1) < 3.0  # relief moves them by a metre
+        return np.linalg.norm(ground(views[0], a) - ground(views[1], b), axis=1) < 3.0  # relief shifts them by a metre
 
     assert_as_good(*(right_and_all(*keypoints, basis, right) for basis in (COMPACT, RAW)))
 
 
 @pytest.mark.data
-def test_real_ground_that_was_not_trained_on_is_matched_as_well(data_root: Path) -> None:
+def test_real_ground_outside_the_training_set_is_matched_as_well(data_root: Path) -> None:
     extractor = make_extractor(FrontendConfig())
     paths = sorted((data_root / "odm_caliterra").glob("*.jpg"))[:6]
     assert len(paths) == 6
@@ -101,7 +101,7 @@ def test_real_ground_that_was_not_trained_on_is_matched_as_well(data_root: Path)
     assert_as_good(tuple(totals[COMPACT]), tuple(totals[RAW]))
 
 
-def test_the_drawn_descriptors_of_simulated_landmarks_are_still_told_apart() -> None:
+def test_random_descriptors_of_simulated_landmarks_stay_distinct() -> None:
     scenario = Scenario(frames=2)
     vehicles = [simulate_vehicle(scenario, k) for k in range(2)]
     field = scatter_landmarks(vehicles)
@@ -114,7 +114,7 @@ def test_the_drawn_descriptors_of_simulated_landmarks_are_still_told_apart() -> 
     assert found[COMPACT] == found[RAW] == len(np.intersect1d(ids_a, ids_b)) > 10
 
 
-def test_a_code_has_32_bytes_and_raw_is_left_as_it_is() -> None:
+def test_a_code_has_32_bytes_and_raw_is_unchanged() -> None:
     assert in_basis(some(), COMPACT).shape == (50, 32)
     assert in_basis(some(), COMPACT).dtype == np.uint8
     assert in_basis(some(), RAW) is not None
@@ -122,7 +122,7 @@ def test_a_code_has_32_bytes_and_raw_is_left_as_it_is() -> None:
     assert in_basis(np.zeros((0, 128), np.uint8), COMPACT).shape == (0, 32)
 
 
-def test_the_shipped_basis_is_small_orthonormal_and_says_where_it_comes_from() -> None:
+def test_the_shipped_basis_is_small_orthonormal_and_has_a_provenance() -> None:
     basis = load_basis(COMPACT)
     np.testing.assert_allclose(basis.components @ basis.components.T, np.eye(32), rtol=0, atol=1e-5)
     assert "CC0" in basis.provenance
@@ -130,20 +130,20 @@ def test_the_shipped_basis_is_small_orthonormal_and_says_where_it_comes_from() -
     assert shipped.stat().st_size < 40_000
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_unknown_bases_and_lengths_are_rejected() -> None:
     for descriptors, number in ((some(), 9), (some()[:, :64], COMPACT)):
-        with pytest.raises(InvalidMessage) as refused:
+        with pytest.raises(InvalidMessage) as rejected:
             in_basis(descriptors, number)
-        assert refused.value.reason == "descriptors"
+        assert rejected.value.reason == "descriptors"
 
 
-def test_root_sift_has_length_one_and_endures_a_descriptor_of_zeros() -> None:
+def test_root_sift_has_length_one_and_handles_zeros() -> None:
     vectors = root_sift(np.vstack([some(3), np.zeros((1, 128), np.uint8)]))
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), [1, 1, 1, 0], rtol=1e-6)
 
 
-def test_a_lone_candidate_is_judged_similar() -> None:
-    """What the limit keeps of noisy views and of strangers is the same for codes as for raw descriptors."""
+def test_the_single_candidate_limit_is_equivalent() -> None:
+    """The limit accepts the same share of noisy views and of wrong pairs for codes as for raw descriptors."""
     descriptors = some(200)
     noise = np.random.default_rng(1).normal(0, 8, descriptors.shape)
     again = np.clip(descriptors + noise, 0, 255).astype(np.uint8)
@@ -154,7 +154,7 @@ def test_a_lone_candidate_is_judged_similar() -> None:
         assert (np.linalg.norm(one - one[::-1], axis=1) > single_distance(basis)).mean() > 0.9
 
 
-def test_training_finds_the_directions_that_vary_and_codes_use_their_range() -> None:
+def test_training_finds_the_principal_directions_and_codes_use_their_range() -> None:
     rng = np.random.default_rng(2)
     descriptors = np.full((400, 128), 40, np.uint8)
     descriptors[:, :4] = rng.integers(0, 256, (400, 4))

@@ -26,7 +26,7 @@ def test_both_sides_of_a_depth_edge_survive():
     assert supported_disparities(pixels, disparity, noise_px=1.0).mean() > 0.99
 
 
-def test_a_steep_floor_survives_where_points_are_few():
+def test_a_sparsely_sampled_steep_floor_survives():
     pixels = spread(40)
     assert supported_disparities(pixels, 0.1 * pixels[:, 1], noise_px=1.0).mean() > 0.95
 

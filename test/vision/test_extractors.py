@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contract of every extractor, and where each one's points lie."""
+"""The contract of every extractor, and the position accuracy of its keypoints."""
 
 import sys
 from pathlib import Path
@@ -21,13 +21,13 @@ CONFIG = FrontendConfig(max_features=200)
 ON_A_GRID = {"dsift", "phow_rgb", "phow_hsv", "phow_opponent"}
 SEES_COLOUR = ON_A_GRID - {"dsift"}
 POSITION_TOLERANCE_PX = {  # of a blob's centre
-    "sift": 0.07,  # OpenCV's default upscaling would be off by 0.25
+    "sift": 0.07,  # OpenCV's default upscaling is off by 0.25
     "asift": 0.07,
-    "surf": 0.1,  # mahotas as it is would be off by as much as a pixel
+    "surf": 0.1,  # uncorrected mahotas is off by up to a pixel
     "orb": 1.5,  # a corner detector, without subpixel steps
 }
 SMALL = 80, 96  # (height, width) [px]
-SHIFT_TOLERANCE_PX = {"asift": 0.15}  # OpenCV tilts a view by leaving pixels out; the others: 0.02
+SHIFT_TOLERANCE_PX = {"asift": 0.15}  # OpenCV tilts a view by subsampling; the others: 0.02
 
 
 @pytest.fixture(params=sorted(EXTRACTORS))
@@ -41,7 +41,7 @@ def extractor(name):
 
 
 def size_for(name: str) -> tuple[int, int]:
-    """Return (height, width) [px]: affine SIFT looks at 43 views and so at smaller ones."""
+    """Return (height, width) [px]: affine SIFT uses 43 views, so smaller ones."""
     return SMALL if name == "asift" else (240, 321)
 
 
@@ -56,7 +56,7 @@ def assert_same(first, second) -> None:
     assert first.descriptors.tobytes() == second.descriptors.tobytes()
 
 
-def test_points_come_strongest_first_and_capped(name, texture_image):
+def test_points_are_sorted_by_strength_and_limited(name, texture_image):
     few = FrontendConfig(max_features=30)
     found = EXTRACTORS[name](few).detect(texture_image(*size_for(name)))
     assert few.max_features * (0.5 if name in ON_A_GRID else 1.0) <= len(found) <= few.max_features
@@ -68,12 +68,12 @@ def test_points_come_strongest_first_and_capped(name, texture_image):
     assert ((found.pixels >= -0.5) & (found.pixels <= [320.5, 239.5])).all()
 
 
-def test_a_stranger_alone_is_refused_and_a_twin_taken(name, texture_image):
+def test_a_single_wrong_candidate_is_rejected_and_a_correct_one_accepted(name, texture_image):
     found = EXTRACTORS[name](CONFIG).detect(texture_image(*size_for(name)))
     apart = np.linalg.norm(found.pixels[:, None] - found.pixels[None], axis=2)
-    strangers = np.argmax(apart > 40.0, axis=1)
+    wrong = np.argmax(apart > 40.0, axis=1)
     alone = np.eye(len(found), dtype=bool)
-    accepted = match_gated(found.descriptors, found.descriptors[strangers], alone, 0.8, mutual=False)
+    accepted = match_gated(found.descriptors, found.descriptors[wrong], alone, 0.8, mutual=False)
     assert len(accepted) <= 0.05 * len(found)
     assert len(match_gated(found.descriptors, found.descriptors, alone, 0.8, mutual=False)) == len(found)
 
@@ -88,14 +88,14 @@ def test_an_image_without_texture_has_no_points(extractor, shape):
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 8), (8, 0), (0, 8, 3), (8, 8, 2)])
-def test_an_image_without_pixels_is_refused_with_the_reason(extractor, shape):
+def test_an_empty_image_is_rejected_with_the_reason(extractor, shape):
     with pytest.raises(InvalidMessage) as caught:
         extractor.detect(np.zeros(shape, np.uint8))
     assert caught.value.reason == "image_shape"
 
 
 @pytest.mark.parametrize("kind", ["mono8", "mono16", "bgr8", "bgr16"])
-def test_detection_repeats_in_any_object_and_leaves_the_image_alone(extractor, name, texture_image, kind):
+def test_detection_is_deterministic_and_does_not_modify_the_image(extractor, name, texture_image, kind):
     image = texture_image(*size_for(name))
     if kind.startswith("bgr"):
         image = np.dstack([image, np.roll(image, 7, axis=0), 255 - image])
@@ -109,7 +109,7 @@ def test_detection_repeats_in_any_object_and_leaves_the_image_alone(extractor, n
     assert_same(EXTRACTORS[name](CONFIG).detect(image), first)
 
 
-def test_colour_counts_for_those_that_see_it_alone(extractor, name, texture_image):
+def test_only_colour_extractors_depend_on_colour(extractor, name, texture_image):
     grey = texture_image(*SMALL)
     equal = np.dstack([grey] * 3)
     assert_same(extractor.detect(equal), extractor.detect(grey))
@@ -127,13 +127,13 @@ def test_a_blob_is_found_at_its_centre(name, sigma):
     for centre in centres:
         found = extractor.detect(blob(*centre, sigma))
         errors.append(min(np.abs(found.pixels - np.array(centre)).max(axis=1), default=np.inf))
-    # SURF loses some points: mahotas drops what lies half-way between two samples.
+    # SURF loses some points: mahotas drops those half-way between two samples.
     assert sorted(errors)[1 if name == "surf" else 2] < POSITION_TOLERANCE_PX[name]
 
 
 @pytest.mark.parametrize("name", sorted(POSITION_TOLERANCE_PX))
-def test_a_turned_image_has_its_points_at_the_turned_places(name, texture_image):
-    """What is off at larger scales, by a level's resizing or a quarter of a pixel, shows as a shift."""
+def test_keypoints_rotate_with_the_image(name, texture_image):
+    """Position errors at larger scales, from a level's resizing or a quarter-pixel bias, show as a shift."""
     height, width = size_for(name)
     image = texture_image(height, width)
     extractor = EXTRACTORS[name](FrontendConfig(max_features=1000))
@@ -152,7 +152,7 @@ def test_sift_finds_the_smallest_and_largest_blobs_too(sigma):
     np.testing.assert_allclose(found.pixels[0], [50.3, 45.8], atol=0.05)
 
 
-def test_sift_descriptors_are_the_integers_that_opencv_computes_in_float(texture_image):
+def test_sift_descriptors_equal_opencvs_float_ones(texture_image):
     image = texture_image(240, 320)
     found = EXTRACTORS["sift"](CONFIG).detect(image)
     reference = cv2.SIFT_create(200, 3, CONFIG.contrast_threshold, 10, 1.6, cv2.CV_32F, True)
@@ -163,7 +163,7 @@ def test_sift_descriptors_are_the_integers_that_opencv_computes_in_float(texture
     assert len(points) >= len(found)
 
 
-def test_affine_sift_sees_what_sift_does_and_more(texture_image):
+def test_affine_sift_contains_sifts_points_and_more(texture_image):
     image = texture_image(*SMALL)
     config = FrontendConfig(max_features=100_000)
     plain, affine = (EXTRACTORS[name](config).detect(image) for name in ("sift", "asift"))
@@ -171,14 +171,14 @@ def test_affine_sift_sees_what_sift_does_and_more(texture_image):
     assert {tuple(row) for row in plain.pixels} <= {tuple(row) for row in affine.pixels}
 
 
-def test_surf_tells_dark_from_bright_blobs_by_a_descriptors_length():
+def test_surf_separates_dark_and_bright_blobs_by_a_descriptor_length():
     bright, dark = blob(50.0, 50.0, 5.0), 255 - blob(50.0, 50.0, 5.0)
     signs = [EXTRACTORS["surf"](CONFIG).detect(image).descriptors[0, -1] for image in (bright, dark)]
     assert sorted(signs) == [0, 255]
 
 
-def test_surf_is_indifferent_to_brightness(texture_image):
-    """mahotas as it is sees the brightness at about half of the scales."""
+def test_surf_is_invariant_to_brightness(texture_image):
+    """Uncorrected mahotas depends on brightness at about half of the scales."""
     image = texture_image(240, 321) // 2
     dark, bright = (EXTRACTORS["surf"](CONFIG).detect(image + np.uint8(offset)) for offset in (0, 100))
     np.testing.assert_array_equal(bright.pixels, dark.pixels)
@@ -194,7 +194,7 @@ def test_orb_distances_count_the_bits_that_differ(texture_image):
 
 
 @pytest.mark.parametrize("count", [1, 7, 100, 1500])
-def test_a_grid_is_the_densest_of_at_most_so_many_points(count):
+def test_a_grid_is_the_densest_within_the_limit(count):
     pixels = grid((96, 130), margin_px=16.5, count=count)
     assert 0 < len(pixels) <= count
     assert ((pixels >= 17) & (pixels < [113, 79])).all()
@@ -204,7 +204,7 @@ def test_a_grid_is_the_densest_of_at_most_so_many_points(count):
 
 @pytest.mark.parametrize("shift", [(8, 0), (-5, 12)])
 def test_dense_descriptors_move_with_the_image(shift, texture_image):
-    """Every pixel is a grid point here, so the same patches are described elsewhere."""
+    """Every pixel is a grid point here, so the same patches are described at shifted positions."""
     everything = FrontendConfig(max_features=100_000)
     image = texture_image(120, 140)
     moved = image[20 : 20 + 80, 20 : 20 + 80], image[20 + shift[1] : 100 + shift[1], 20 + shift[0] : 100 + shift[0]]
@@ -217,16 +217,16 @@ def test_dense_descriptors_move_with_the_image(shift, texture_image):
     ]
     differences = np.array([np.linalg.norm(a.astype(float) - b) for a, b in pairs])
     assert len(pairs) > 500
-    assert np.median(differences) < 10  # of a length of 512: smoothing at the border alone differs
+    assert np.median(differences) < 10  # of a length of 512: only smoothing at the border differs
 
 
-def test_surf_without_its_package_says_how_to_install_it(monkeypatch):
+def test_surf_without_mahotas_names_the_install_command(monkeypatch):
     monkeypatch.setitem(sys.modules, "mahotas.features", None)
     with pytest.raises(ConfigError, match=r"needs the package mahotas; install it: pip install mahotas==\d"):
         make_extractor(FrontendConfig(extractor="surf"))
 
 
-def test_the_package_that_surf_wants_is_the_one_that_is_tested():
+def test_the_install_command_has_the_tested_version():
     root = Path(__file__).parents[2]
     wanted = INSTALL.split()[-1]
     assert f"\n{wanted} " in (root / "requirements/lock.txt").read_text()
@@ -234,7 +234,7 @@ def test_the_package_that_surf_wants_is_the_one_that_is_tested():
 
 
 def test_the_front_end_runs_with_each(name, flight_scene):
-    """Sparse extractors give right points; those on a grid match to half a step and so give few or none."""
+    """Sparse extractors give correct points; grid extractors match to half a step and so give few or none."""
     scale = 0.125 if name == "asift" else 0.5
     frontend = StereoFrontend(flight_scene.rig, FrontendConfig(extractor=name, max_features=400, scale=scale))
     found = frontend.process(flight_scene.frame)
@@ -246,7 +246,7 @@ def test_the_front_end_runs_with_each(name, flight_scene):
 
 
 @pytest.mark.parametrize("name", ["sift", "phow_rgb"])
-def test_the_front_end_takes_colour(name, flight_scene):
+def test_the_front_end_accepts_colour(name, flight_scene):
     frontend = StereoFrontend(flight_scene.rig, FrontendConfig(extractor=name, max_features=400))
     frame = flight_scene.frame
     colour = StereoFrame(frame.stamp_ns, *(np.dstack([image] * 3) for image in (frame.left, frame.right)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contract of every front end: what it must do with any images, here of a small rendered flight."""
+"""The contract of every front end, on a small rendered flight."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def process(rig: StereoRig, frames: list[StereoFrame], config: FrontendConfig) -
     return [frontend.process(frame) for frame in frames]
 
 
-def test_the_same_images_give_the_same_bytes_and_stay_as_they_are(flight: Flown, config: FrontendConfig) -> None:
+def test_processing_is_deterministic_and_does_not_modify_the_images(flight: Flown, config: FrontendConfig) -> None:
     rig, frames = flight
     before = [(frame.left.copy(), frame.right.copy()) for frame in frames]
     first, second = process(rig, frames, config), process(rig, frames, config)
@@ -63,7 +63,7 @@ def test_colour_images_give_the_same_points_and_16_bit_ones_nearly(flight: Flown
         assert len(c) > 0.8 * len(a)
 
 
-def test_an_image_of_another_size_is_refused_and_changes_nothing(flight: Flown, config: FrontendConfig) -> None:
+def test_an_image_of_another_size_is_rejected_and_changes_nothing(flight: Flown, config: FrontendConfig) -> None:
     rig, frames = flight
     frontend = make_frontend(rig, config, RigConfig())
     frontend.process(frames[0])
@@ -73,7 +73,7 @@ def test_an_image_of_another_size_is_refused_and_changes_nothing(flight: Flown, 
     np.testing.assert_array_equal(frontend.process(frames[1]).pixels, process(rig, frames[:2], config)[1].pixels)
 
 
-def test_a_frozen_camera_is_told_and_gives_no_points(flight: Flown, config: FrontendConfig) -> None:
+def test_a_frozen_camera_is_reported_and_gives_no_points(flight: Flown, config: FrontendConfig) -> None:
     rig, frames = flight
     frontend = make_frontend(rig, config, RigConfig())
     frontend.process(frames[0])

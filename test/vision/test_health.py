@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the points of both images lie to one another, and whether all pairs come."""
+"""Monitoring of the rig's epipolar geometry and of missing pairs."""
 
 import dataclasses
 
@@ -28,70 +28,70 @@ def points_of(rig: StereoRig, *, noise_px: float = 0.3) -> np.ndarray:
 
 
 def turned(rig: StereoRig, degrees: float) -> StereoRig:
-    """Return the rig with its right camera turned about its y axis, which moves points off their epipolar lines."""
+    """Return the rig with its right camera rotated about its y axis, which moves points off their epipolar lines."""
     turn = Pose(so3_exp(np.deg2rad([0.0, degrees, 0.0])), np.zeros(3))
     return dataclasses.replace(rig, T_body_right=rig.T_body_right @ turn)
 
 
-def judged(calibrated: StereoRig, pixels: np.ndarray, frames: int) -> dict[str, str]:
+def alarms_after(calibrated: StereoRig, pixels: np.ndarray, frames: int) -> dict[str, str]:
     health = FrontendHealth(calibrated, EPIPOLAR_PX)
     for _ in range(frames):
-        health.judge(pixels)
+        health.check_points(pixels)
     return health.alarms
 
 
-def test_a_rig_as_it_was_calibrated_raises_no_alarm(rig: StereoRig) -> None:
-    assert judged(rig, points_of(rig), EPIPOLAR_FRAMES) == {}
+def test_a_calibrated_rig_raises_no_alarm(rig: StereoRig) -> None:
+    assert alarms_after(rig, points_of(rig), EPIPOLAR_FRAMES) == {}
 
 
-def test_a_rig_that_was_bent_is_told_after_some_frames(rig: StereoRig) -> None:
+def test_a_bent_rig_is_reported_after_some_frames(rig: StereoRig) -> None:
     pixels = points_of(turned(rig, 0.1))  # 2.9 px at a focal length of 1645 px
-    assert judged(rig, pixels, EPIPOLAR_FRAMES - 1) == {}
-    assert "2.9 px off their epipolar lines" in judged(rig, pixels, EPIPOLAR_FRAMES)["rig"]
+    assert alarms_after(rig, pixels, EPIPOLAR_FRAMES - 1) == {}
+    assert "2.9 px off their epipolar lines" in alarms_after(rig, pixels, EPIPOLAR_FRAMES)["rig"]
 
 
 def test_points_outside_the_lens_do_not_hide_a_bent_rig(rig: StereoRig) -> None:
     pixels = points_of(turned(rig, 0.1))
     pixels[3, 2:] = np.nan
-    assert "2.9 px off their epipolar lines" in judged(rig, pixels, EPIPOLAR_FRAMES)["rig"]
+    assert "2.9 px off their epipolar lines" in alarms_after(rig, pixels, EPIPOLAR_FRAMES)["rig"]
 
 
-def test_points_of_swapped_images_are_told_at_once(rig: StereoRig) -> None:
-    alarms = judged(rig, points_of(rig)[:, [2, 3, 0, 1]], 1)
-    assert "changed places" in alarms["image order"]
+def test_swapped_images_are_reported_at_once(rig: StereoRig) -> None:
+    alarms = alarms_after(rig, points_of(rig)[:, [2, 3, 0, 1]], 1)
+    assert "swapped" in alarms["image order"]
 
 
 @pytest.mark.parametrize("count", [0, 5])
-def test_a_few_points_say_nothing(rig: StereoRig, count: int) -> None:
-    assert judged(rig, points_of(turned(rig, 0.5))[:count], EPIPOLAR_FRAMES) == {}
+def test_too_few_points_raise_no_alarm(rig: StereoRig, count: int) -> None:
+    assert alarms_after(rig, points_of(turned(rig, 0.5))[:count], EPIPOLAR_FRAMES) == {}
 
 
-def told_of_pairs(rig: StereoRig, stamps_s: np.ndarray) -> list[str]:
-    """Return what was said of missing pairs at each stamp."""
+def pair_alarms(rig: StereoRig, stamps_s: np.ndarray) -> list[str]:
+    """Return the alarm about missing pairs at each stamp."""
     health, rng = FrontendHealth(rig, EPIPOLAR_PX), np.random.default_rng(2)
-    told = []
+    texts = []
     for stamp_s in stamps_s:
-        health.look(round(stamp_s * 1e9), *rng.integers(0, 255, (2, 120, 160), np.uint8))
-        told.append(health.alarms.get("pairs", ""))
-    return told
+        health.check_images(round(stamp_s * 1e9), *rng.integers(0, 255, (2, 120, 160), np.uint8))
+        texts.append(health.alarms.get("pairs", ""))
+    return texts
 
 
-def test_missing_pairs_are_counted_until_all_have_come_for_a_while(rig: StereoRig) -> None:
+def test_missing_pairs_are_counted_until_none_was_missing_for_a_while(rig: StereoRig) -> None:
     numbers = np.delete(np.arange(1, 60), [20, 21, 25])
-    told = told_of_pairs(rig, 0.1 * numbers)
-    assert told[:20] == [""] * 20
-    assert told[20] == "2 of the last 22 image pairs are missing"
-    assert told[23] == "3 of the last 23 image pairs are missing"
-    assert told[23 + COUNTED_PAIRS] == ""
+    texts = pair_alarms(rig, 0.1 * numbers)
+    assert texts[:20] == [""] * 20
+    assert texts[20] == "2 of the last 22 image pairs are missing"
+    assert texts[23] == "3 of the last 23 image pairs are missing"
+    assert texts[23 + COUNTED_PAIRS] == ""
 
 
-def test_a_third_of_the_pairs_missing_for_long_stays_told(rig: StereoRig) -> None:
+def test_a_third_of_the_pairs_missing_for_long_stays_reported(rig: StereoRig) -> None:
     rng = np.random.default_rng(3)
     numbers = np.concatenate([np.arange(1, 40), 40 + np.flatnonzero(rng.random(400) > 0.3)])
-    assert all(told_of_pairs(rig, 0.1 * numbers)[60:])
+    assert all(pair_alarms(rig, 0.1 * numbers)[60:])
 
 
 @pytest.mark.parametrize("jitter", [0.02, 5.0])
-def test_a_jitter_of_the_stamps_and_a_rate_that_is_none_raise_no_alarm(rig: StereoRig, jitter: float) -> None:
+def test_jittering_and_irregular_stamps_raise_no_alarm(rig: StereoRig, jitter: float) -> None:
     stamps_s = np.cumsum(0.1 + jitter * np.random.default_rng(4).random(60))
-    assert told_of_pairs(rig, 1.0 + stamps_s) == [""] * 60
+    assert pair_alarms(rig, 1.0 + stamps_s) == [""] * 60

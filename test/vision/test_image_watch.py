@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one camera's images say about it."""
+"""Faults detected from one camera's images."""
 
 from collections.abc import Callable
 
@@ -15,18 +15,18 @@ Grey = NDArray[np.uint8]
 
 @pytest.fixture
 def images(texture_image: Callable[[int, int], Grey]) -> list[Grey]:
-    """Views of one texture, each moved on by a few pixels."""
+    """Views of one texture, each shifted by a few pixels."""
     texture = texture_image(300, 400)
     return [np.ascontiguousarray(texture[:240, 5 * k : 5 * k + 320]) for k in range(10)]
 
 
-def test_a_camera_that_moves_over_texture_is_well(images: list[Grey]) -> None:
+def test_a_camera_moving_over_texture_has_no_fault(images: list[Grey]) -> None:
     watch = ImageWatch()
     assert [watch.add(image) for image in images] == [[]] * 10
     assert not watch.blind
 
 
-def test_an_image_that_comes_again_is_frozen(images: list[Grey]) -> None:
+def test_a_repeated_image_is_frozen(images: list[Grey]) -> None:
     watch = ImageWatch()
     watch.add(images[0])
     (text,) = watch.add(images[0].copy())
@@ -37,7 +37,7 @@ def test_an_image_that_comes_again_is_frozen(images: list[Grey]) -> None:
 
 
 @pytest.mark.parametrize("grey", [0, 200, 255])
-def test_an_image_without_contrast_shows_nothing_however_often_it_comes(images: list[Grey], grey: int) -> None:
+def test_an_image_without_contrast_is_reported_every_time(images: list[Grey], grey: int) -> None:
     watch = ImageWatch()
     watch.add(images[0])
     for _ in range(2):
@@ -48,7 +48,7 @@ def test_an_image_without_contrast_shows_nothing_however_often_it_comes(images: 
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.6])
-def test_a_jump_in_brightness_is_told_once_and_blinds_nobody(images: list[Grey], factor: float) -> None:
+def test_a_jump_in_brightness_is_reported_once_and_the_image_used(images: list[Grey], factor: float) -> None:
     watch = ImageWatch()
     watch.add(images[0])
     changed = [np.clip(factor * image, 0, 255).astype(np.uint8) for image in images[1:3]]
@@ -58,19 +58,19 @@ def test_a_jump_in_brightness_is_told_once_and_blinds_nobody(images: list[Grey],
     assert watch.add(changed[1]) == []
 
 
-def test_smoother_ground_becomes_usual(images: list[Grey]) -> None:
+def test_smoother_ground_becomes_the_baseline(images: list[Grey]) -> None:
     watch = ImageWatch()
     for k in range(30):
         watch.add(images[k % 10])
     smooth = [cv2.blur(image, (9, 9)) for image in images]
-    told = [watch.add(smooth[k % 10]) != [] for k in range(2 * USUAL_FRAMES)]
-    assert all(told[: USUAL_FRAMES - 1])
-    assert not any(told[USUAL_FRAMES:])
+    reported = [watch.add(smooth[k % 10]) != [] for k in range(2 * USUAL_FRAMES)]
+    assert all(reported[: USUAL_FRAMES - 1])
+    assert not any(reported[USUAL_FRAMES:])
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 45.0, 90.0, 150.0])
-def test_a_smear_is_told_from_smooth_ground_whatever_its_direction(images: list[Grey], angle_deg: float) -> None:
-    """Seven pixels are smeared; ground that is smoother all round is as sharp as it can be."""
+def test_motion_blur_in_any_direction_is_distinguished_from_smooth_ground(images: list[Grey], angle_deg: float) -> None:
+    """Motion blur of seven pixels; isotropically smoother ground is not blurred."""
     watch, line = ImageWatch(), np.zeros((9, 9), np.float32)
     reach = 3.0 * np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
     for share in np.linspace(-1.0, 1.0, 41):
@@ -83,7 +83,7 @@ def test_a_smear_is_told_from_smooth_ground_whatever_its_direction(images: list[
     assert "by motion" in text
 
 
-def test_motion_blur_is_told_as_long_as_it_lasts(images: list[Grey]) -> None:
+def test_motion_blur_is_reported_as_long_as_it_lasts(images: list[Grey]) -> None:
     watch = ImageWatch()
     for image in images[:6]:
         watch.add(image)

@@ -26,7 +26,7 @@ def test_a_rounded_size_sets_the_scale_of_each_axis():
     np.testing.assert_allclose(full, [[37.5 * 75 / 37 - 0.5, 48.5]])
 
 
-def test_16_bit_images_fill_8_bits_whatever_their_depth():
+def test_16_bit_images_of_any_depth_fill_8_bits():
     ramp = np.tile(np.arange(200, 3000, 10, dtype=np.uint16), (40, 1))
     grey = to_grey8(ramp)
     assert grey.dtype == np.uint8
@@ -47,7 +47,7 @@ def test_a_uniform_16_bit_image_stays_uniform():
         (np.zeros((0, 4), np.uint8), "image_shape"),
     ],
 )
-def test_other_images_are_refused_with_a_reason(image, reason):
+def test_other_images_are_rejected_with_a_reason(image, reason):
     with pytest.raises(InvalidMessage) as caught:
         to_grey8(image)
     assert caught.value.reason == reason
@@ -61,7 +61,7 @@ def test_a_grey_image_in_colour_has_equal_channels():
     np.testing.assert_array_equal(to_bgr8(grey[:, :, None]), colour)
 
 
-def test_the_channels_of_a_16_bit_image_are_stretched_similar():
+def test_the_channels_of_a_16_bit_image_are_stretched_equally():
     ramp = np.tile(np.arange(200, 3000, 10, dtype=np.uint16), (40, 1))
     colour = to_bgr8(np.dstack([ramp, ramp // 2, ramp // 4]))
     assert colour.dtype == np.uint8

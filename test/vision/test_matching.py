@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contract of every matcher, and what the ratio matcher promises beyond it."""
+"""The contract of every matcher, and further properties of the ratio test."""
 
 import numpy as np
 import pytest
@@ -29,8 +29,8 @@ def test_shuffled_noisy_copies_are_found(matcher):
     order = rng.permutation(80)
     noisy = np.clip(a.descriptors[order].astype(int) + rng.integers(-9, 10, (80, 128)), 0, 255).astype(np.uint8)
     pairs = matcher(a, Keypoints(a.pixels[order] + 7, a.responses, noisy), 0.8)
-    thinned = matcher in (MATCHERS["cds_nn"], MATCHERS["cds_gtm"])
-    assert len(pairs) == 80 or (thinned and len(pairs) > 8)
+    reduced = matcher in (MATCHERS["cds_nn"], MATCHERS["cds_gtm"])
+    assert len(pairs) == 80 or (reduced and len(pairs) > 8)
     np.testing.assert_array_equal(order[pairs[:, 1]], pairs[:, 0])
 
 
@@ -42,18 +42,18 @@ def test_empty_sides_match_nothing(matcher, rows_a, rows_b):
 
 
 @pytest.mark.parametrize(("rows_a", "rows_b"), [(1, 1), (1, 5), (5, 1), (2, 2), (3, 3), (5, 5)])
-def test_few_keypoints_are_no_hindrance(matcher, rows_a, rows_b):
+def test_few_keypoints_are_handled(matcher, rows_a, rows_b):
     pairs = matcher(keypoints(descriptors(rows_a)), keypoints(descriptors(rows_b, 1)), 0.99)
     assert pairs.shape[1] == 2
     assert len(pairs) <= rows_a
 
 
-def test_equal_keypoints_are_told_apart_or_left_out(matcher):
+def test_equal_keypoints_are_resolved_or_rejected(matcher):
     same = Keypoints(np.full((40, 2), 9, np.float32), np.ones(40, np.float32), np.repeat(descriptors(1), 40, axis=0))
     assert len(matcher(same, same, 1.0)) == 0
 
 
-def test_matching_repeats_and_changes_nothing(matcher):
+def test_matching_is_deterministic_and_does_not_modify_its_input(matcher):
     a, b = keypoints(descriptors(50, 1), 1), keypoints(descriptors(60, 2), 2)
     copies = [array.copy() for side in (a, b) for array in (side.pixels, side.descriptors)]
     np.testing.assert_array_equal(matcher(a, b, 0.99), matcher(a, b, 0.99))
@@ -86,20 +86,20 @@ def test_equally_near_candidates_are_no_match():
     assert len(match_descriptors(a, np.vstack([a, a]), 1.0)) == 0
 
 
-def test_mutual_keeps_one_of_two_claims():
+def test_mutual_keeps_one_of_two_matches():
     a, b = np.array([[1.0], [2.0]]), np.array([[0.0], [100.0]])
     assert match_descriptors(a, b, 0.8).tolist() == [[0, 0]]
     assert match_descriptors(a, b, 0.8, mutual=False).tolist() == [[0, 0], [1, 0]]
 
 
-def test_a_gate_removes_rivals_from_the_ratio():
+def test_the_gate_applies_to_the_ratio_test():
     a, b = np.array([[0.0]]), np.array([[7.0], [8.0], [100.0]])
     assert len(match_descriptors(a, b, 0.8)) == 0
     allowed = np.array([[True, False, True]])
     assert match_gated(a, b, allowed, 0.8).tolist() == [[0, 0]]
 
 
-def test_a_single_candidate_must_be_near_in_itself():
+def test_a_single_candidate_must_be_near():
     a, b = np.array([[0.0], [500.0]]), np.array([[100.0], [900.0]])
     allowed = np.eye(2, dtype=bool)
     assert match_gated(a, b, allowed, 0.8, single_distance=101.0).tolist() == [[0, 0]]
@@ -121,6 +121,6 @@ def test_an_open_gate_changes_nothing():
     np.testing.assert_array_equal(match_gated(a, b, open_gate, 0.9), match_descriptors(a, b, 0.9))
 
 
-def test_a_gate_of_the_wrong_shape_is_refused():
+def test_a_gate_of_the_wrong_shape_is_rejected():
     with pytest.raises(ValueError, match=r"\(2, 3\)"):
         match_gated(descriptors(3), descriptors(2), np.ones((2, 3), bool), 0.8)

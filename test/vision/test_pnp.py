@@ -13,7 +13,7 @@ T_MAP_LEFT = Pose(so3_exp([np.pi - 0.05, 0.1, 0.04]), np.array([120.0, -40.0, 71
 
 
 def observe(count=120, wrong=0.0, noise_px=0.3, seed=0):
-    """Return ground points, their pixels, and which pixels are true."""
+    """Return ground points, their pixels, and the mask of correct pixels."""
     rng = np.random.default_rng(seed)
     pixels = rng.uniform([0, 0], [1280, 960], (count, 2))
     rays_map = CAMERA.bearings(pixels) @ T_MAP_LEFT.R.T
@@ -55,7 +55,7 @@ def test_few_exact_points_are_enough(count):
     assert pose_error(T)[0] < 1e-3
 
 
-def test_a_good_guess_saves_what_sampling_can_not_find():
+def test_a_good_guess_succeeds_where_sampling_fails():
     points, pixels, true = observe(150, wrong=0.92, seed=3)
     close = Pose(T_MAP_LEFT.R @ so3_exp([1e-3, 0, 0]), T_MAP_LEFT.t + np.array([0.05, 0.0, 0.05]))
     T, inliers = pnp_ransac(points, pixels, CAMERA, close, threshold_px=6.0)
@@ -70,7 +70,7 @@ def test_a_bad_guess_does_no_harm():
     np.testing.assert_array_equal(alone[0].matrix, misled[0].matrix)
 
 
-def test_the_result_does_not_depend_on_what_was_drawn_before():
+def test_the_result_does_not_depend_on_earlier_random_draws():
     points, pixels, _ = observe(wrong=0.5)
     cv2.setRNGSeed(1)
     first = pnp_ransac(points, pixels, CAMERA, None, threshold_px=3.0)

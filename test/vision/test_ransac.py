@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RANSAC keeps the matches that agree on one geometry, and says nothing where there is none."""
+"""RANSAC keeps the inliers of one two-view geometry, and none if there is no such geometry."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def projected(points, shift):
 
 @pytest.fixture
 def scene():
-    """Return descriptors and, of a plane and of points in space, the views of two cameras; a third is wrong."""
+    """Return descriptors and two views of a plane and of points in space; a third of the matches is wrong."""
     rng = np.random.default_rng(1)
     descriptors = rng.integers(0, 256, (150, 128)).astype(np.uint8)
     space = rng.uniform([-5, -5, 8], [5, 5, 16], (150, 3))
@@ -37,7 +37,7 @@ def test_a_plane_is_one_homography(scene):
     pairs = ransac_homography(*scene["plane"], 0.8)
     np.testing.assert_array_equal(pairs[:, 0], pairs[:, 1])
     assert set(range(50, 150)) <= set(pairs[:, 0].tolist())
-    assert len(pairs) <= 102  # a stranger may be right by chance
+    assert len(pairs) <= 102  # wrong ones may fit by chance
 
 
 def test_points_in_space_share_an_epipolar_geometry_but_no_homography(scene):
@@ -48,7 +48,7 @@ def test_points_in_space_share_an_epipolar_geometry_but_no_homography(scene):
 
 
 @pytest.mark.parametrize("matcher", [ransac_homography, ransac_fundamental])
-def test_no_more_points_than_the_model_takes_say_nothing(matcher, scene):
+def test_a_minimal_sample_gives_no_matches(matcher, scene):
     a, b = scene["plane"]
     few = slice(50, 54 if matcher is ransac_homography else 57)
     a, b = (keypoints(side.pixels[few], side.descriptors[few]) for side in (a, b))

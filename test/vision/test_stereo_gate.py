@@ -17,8 +17,8 @@ CAMERA = PinholeCamera(1280, 960, 1642.0, 1642.0, 640.0, 480.0)
 
 @pytest.fixture(params=[[0.776, 0.0, 0.0], [0.0, 0.776, 0.0], [0.5, 0.5, 0.1]], ids=["along u", "along v", "oblique"])
 def rig(request):
-    squint = Pose(so3_exp([0.05, -0.04, 0.2]), np.array(request.param))
-    return StereoRig(CAMERA, CAMERA, Pose.identity(), squint)
+    T_body_right = Pose(so3_exp([0.05, -0.04, 0.2]), np.array(request.param))
+    return StereoRig(CAMERA, CAMERA, Pose.identity(), T_body_right)
 
 
 def observe(rig, depth, count=30):
@@ -41,7 +41,7 @@ def test_depth_range_closes_the_gate(rig):
         assert not np.diagonal(allowed).any()
 
 
-def test_all_pairs_have_the_distance_that_the_rig_gives_one_by_one(rig):
+def test_all_pair_distances_equal_the_rigs_single_ones(rig):
     z = observe(rig, 70.0)
     distances = epipolar_distances(z[:, :2], z[::-1, 2:], rig)
     np.testing.assert_allclose(np.diagonal(distances), rig.epipolar_distance(np.hstack([z[:, :2], z[::-1, 2:]])))
@@ -56,11 +56,11 @@ def test_no_points_give_an_empty_gate(rig, count_left, count_right):
     assert allowed.shape == (count_left, count_right)
 
 
-def test_a_rig_that_does_not_flex_has_the_gate_of_the_configuration(rig):
+def test_a_rigid_rig_has_the_configured_gate(rig):
     assert epipolar_gate(rig, 2.0, RigConfig(attitude_sigma_deg=1.0, vibration_sigma_deg=1.0)) == 2.0
 
 
-def test_the_gate_of_a_flexing_rig_lets_the_pairs_of_a_turned_camera_pass(rig):
+def test_the_gate_of_a_flexing_rig_accepts_pairs_of_a_rotated_camera(rig):
     config = RigConfig(flexing=True, attitude_sigma_deg=0.04, vibration_sigma_deg=0.03)
     epipolar_px = epipolar_gate(rig, 0.5, config)
     farthest = []

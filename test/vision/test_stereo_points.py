@@ -21,18 +21,18 @@ LARGEST_WRONG_SHARE = 0.01  # measured 0 above ground and 0.007 indoors; 0.02 th
 LARGEST_DISPARITY_SIGMA_PX = 0.35  # half-resolution SIFT: 0.22 to 0.26 px measured
 
 
-def test_wrong_matches_are_rare_and_right_ones_many(scene):
+def test_wrong_matches_are_rare_and_correct_ones_many(scene):
     every = dataclasses.replace(CONFIG, max_matches=CONFIG.max_features)
     features = StereoFrontend(scene.rig, every).process(scene.frame)
     assert len(features) >= 500
     assert scene.wrong(features.pixels).mean() <= LARGEST_WRONG_SHARE
 
 
-def test_right_pixels_are_precise_and_unbiased(flight_scene):
+def test_pixels_in_the_right_image_are_precise_and_unbiased(flight_scene):
     features = StereoFrontend(flight_scene.rig, CONFIG).process(flight_scene.frame)
     error = flight_scene.right_error(features.pixels)[~flight_scene.wrong(features.pixels)]
     assert (error.std(axis=0) < LARGEST_DISPARITY_SIGMA_PX).all()
-    assert (abs(np.median(error, axis=0)) < 0.05).all()  # the mean is that of a few coarse points' tails
+    assert (abs(np.median(error, axis=0)) < 0.05).all()  # the mean is dominated by a few outliers
 
 
 def test_depths_of_a_flight_are_those_of_the_ground(flight_scene):
@@ -61,7 +61,7 @@ def test_full_resolution_gives_the_same_pixel_frame(flight_scene):
     assert (abs(offset) < 0.1).all()  # a wrong half-pixel convention shows as 0.5
 
 
-def test_the_pair_before_leaves_no_trace(indoor_scene):
+def test_pairs_are_processed_independently(indoor_scene):
     frame = indoor_scene.frame
     first = StereoFrontend(indoor_scene.rig, CONFIG).process(frame)
     frontend = StereoFrontend(indoor_scene.rig, CONFIG)
@@ -77,14 +77,14 @@ def test_no_point_appears_twice(scene):
     assert len(np.unique(pixels[:, 2:], axis=0)) == len(pixels)
 
 
-def test_points_outside_the_depth_range_are_not_handed_on(flight_scene):
+def test_points_outside_the_depth_range_are_dropped(flight_scene):
     config = dataclasses.replace(CONFIG, max_depth_m=60.0)
     depth = flight_scene.rig.triangulate(StereoFrontend(flight_scene.rig, config).process(flight_scene.frame).pixels)
     assert (depth[:, 2] <= 60.5).all()
     assert len(depth) < 0.1 * CONFIG.max_matches
 
 
-def test_a_camera_that_is_turned_across_the_epipolar_lines_costs_a_flexing_rig_no_matches(flight_scene):
+def test_a_rotated_camera_costs_a_flexing_rig_no_matches(flight_scene):
     rig, every = flight_scene.rig, dataclasses.replace(CONFIG, max_matches=CONFIG.max_features)
     turn = Pose(so3_exp(np.deg2rad([0.0, 0.15, 0.0])), np.zeros(3))  # 4.3 px, two sigma of the default flexing rig
     calibrated = dataclasses.replace(rig, T_body_right=rig.T_body_right @ turn)
@@ -95,7 +95,7 @@ def test_a_camera_that_is_turned_across_the_epipolar_lines_costs_a_flexing_rig_n
     assert flight_scene.wrong(features.pixels).mean() <= LARGEST_WRONG_SHARE
 
 
-def test_what_was_detected_once_can_be_matched_for_any_trust_in_the_rig(flight_scene):
+def test_detections_can_be_matched_for_any_rig_uncertainty(flight_scene):
     rigid, flexing = (StereoFrontend(flight_scene.rig, CONFIG, RigConfig(flexing=flag)) for flag in (False, True))
     detected = rigid.detect(flight_scene.frame)
     np.testing.assert_array_equal(flexing.match(detected).pixels, flexing.process(flight_scene.frame).pixels)

@@ -129,7 +129,7 @@ class Filter:
 
     @property
     def can_add_landmarks(self) -> bool:
-        """Tell whether landmarks can be added.
+        """Return whether landmarks can be added.
 
         If the time offset is a state, only after the first increment: their positions depend on the angular rate.
         """

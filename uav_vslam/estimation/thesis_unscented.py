@@ -59,7 +59,9 @@ class ThesisUnscentedFilter(Filter):
         P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T
         self.belief = CovarianceBelief(symmetrise(P), self.vehicle)
 
-    def _updated(self, predicted: PredictedObservation, nu: Array, trust: Array) -> tuple[Update, Array, int]:
+    def _updated(
+        self, predicted: PredictedObservation, nu: Array, observation_weights: Array
+    ) -> tuple[Update, Array, int]:
         chi, mean_weights, weights = self._sigma_points()
         P = self.covariance()
         seen = self._project(chi, predicted) / self._sigma_px
@@ -67,12 +69,12 @@ class ThesisUnscentedFilter(Filter):
         D_y, D_x = seen - expected, chi - mean_weights @ chi
         P_yy, P_xy = (D_y.T * weights) @ D_y, (D_x.T * weights) @ D_y
         innovation = (nu + predicted.expected).ravel() / self._sigma_px - expected
-        S = P_yy + np.diag(1.0 / np.repeat(trust, STEREO_DOF))
+        S = P_yy + np.diag(1.0 / np.repeat(observation_weights, STEREO_DOF))
         K = np.linalg.solve(S, P_xy.T).T
         after = P - K @ S @ K.T if self._gamma is None else _bounded(P, P_xy, P_yy)
         nis = float(innovation @ np.linalg.solve(S, innovation))
         belief = CovarianceBelief(symmetrise(after), self.vehicle)
-        return Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1])), trust, 0
+        return Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1])), observation_weights, 0
 
     def _sigma_points(self) -> tuple[Array, Array, Array]:
         """Return chi (2n+1, n) and the weights of mean and covariance; Eq. (4.3.2)."""

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIFT descriptors in 32 bytes instead of 128: RootSIFT, its principal components, each rounded to 8 bits.
+"""SIFT descriptors compressed from 128 to 32 bytes: principal components of RootSIFT, quantised to 8 bits.
 
 RootSIFT (the square root of each share of the histogram, [arandjelovic12]) makes Euclidean distances those of the
-Hellinger kernel. All components are rounded in the same steps, so that distances between codes are those between
-descriptors but for rounding and for what the components that are left out held. Codes are offset by 128 into uint8,
-which `match_descriptors` compares exactly.
+Hellinger kernel. All components have the same quantisation step, so distances between codes equal those between
+descriptors up to quantisation and the omitted components. Codes are offset by 128 into uint8, which `match_descriptors`
+compares exactly.
 
-A basis has a number that travels in each packet, and never changes once released: `data/descriptor_basis_<number>.npz`
-is shipped, `scripts/train_descriptors.py` makes it.
+A basis is identified by a number in each packet and never changes once released: `data/descriptor_basis_<number>.npz`
+is shipped, made by `scripts/train_descriptors.py`.
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.vision.matching.nn_ratio import SINGLE_CANDIDATE_DISTANCE
 
-RAW = 0  # descriptors as the extractor gave them
+RAW = 0  # descriptors as extracted
 COMPACT = 1  # trained on rendered and on real ground, see `provenance` in its file
 BASES = (COMPACT,)
 ZERO_LEVEL = 128
-LEVELS = 127  # on either side of it
-CLIPPED_SHARE = 1e-3  # of the first component's values in training: rounding steps are as small as that allows
+LEVELS = 127  # on either side of zero
+CLIPPED_SHARE = 1e-3  # of the first component's values in training; sets the quantisation step
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +35,9 @@ class DescriptorBasis:
     Attributes:
         mean: (128,) of RootSIFT.
         components: (K, 128) orthonormal.
-        levels_per_unit: steps of a code for a unit of length, which is that of a whole RootSIFT vector.
-        single_distance: between codes, what `SINGLE_CANDIDATE_DISTANCE` is between raw descriptors.
-        provenance: what it was trained on.
+        levels_per_unit: quantisation levels per unit; a RootSIFT vector has length one.
+        single_distance: `SINGLE_CANDIDATE_DISTANCE` for codes.
+        provenance: training data.
     """
 
     mean: NDArray[np.float32]
@@ -59,10 +59,10 @@ class DescriptorBasis:
 
 
 def in_basis(descriptors: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
-    """Return raw descriptors as a packet of that basis holds them.
+    """Convert raw descriptors to a basis.
 
     Raises:
-        InvalidMessage: the basis is not known here, or not for descriptors of this length.
+        InvalidMessage: the basis is unknown, or for another descriptor length.
     """
     if number == RAW:
         return descriptors
@@ -73,7 +73,7 @@ def in_basis(descriptors: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
 
 
 def single_distance(number: int) -> float:
-    """Return the largest distance at which a lone candidate is a match."""
+    """Return the largest distance at which a single candidate is a match."""
     return SINGLE_CANDIDATE_DISTANCE if number == RAW else load_basis(number).single_distance
 
 
@@ -82,7 +82,7 @@ def load_basis(number: int) -> DescriptorBasis:
     """Read a shipped basis.
 
     Raises:
-        InvalidMessage: this release has none of that number.
+        InvalidMessage: the number is unknown to this release.
     """
     if number not in BASES:
         raise InvalidMessage("descriptors", f"descriptor basis {number} is not known; this release has {BASES}")
@@ -98,7 +98,7 @@ def load_basis(number: int) -> DescriptorBasis:
 
 
 def root_sift(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return (N, D) vectors of length 1: square roots of each entry's share; all zeros stay so."""
+    """Return (N, D) vectors of length 1: square roots of each entry's share; zeros stay zero."""
     values = descriptors.astype(np.float32)
     return np.asarray(np.sqrt(values / np.maximum(values.sum(axis=1, keepdims=True), 1.0)), np.float32)
 
@@ -109,7 +109,7 @@ def train_basis(descriptors: NDArray[np.uint8], *, components: int, provenance: 
     mean = vectors.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov(vectors.T))
     kept = axes[:, ::-1][:, :components].T
-    kept *= np.sign(kept[np.arange(components), np.abs(kept).argmax(axis=1)])[:, None]  # the same on each machine
+    kept *= np.sign(kept[np.arange(components), np.abs(kept).argmax(axis=1)])[:, None]  # fixes the arbitrary sign
     projected = (vectors - mean) @ kept.T
     levels = LEVELS / float(np.quantile(np.abs(projected[:, 0]), 1.0 - CLIPPED_SHARE))
     reach = _typical_distance(projected * levels) / _typical_distance(descriptors.astype(float))
@@ -123,6 +123,6 @@ def train_basis(descriptors: NDArray[np.uint8], *, components: int, provenance: 
 
 
 def _typical_distance(vectors: NDArray[np.float64]) -> float:
-    """Return the median distance between neighbours in a random order."""
+    """Return the median distance between random pairs."""
     order = np.random.default_rng(0).permutation(len(vectors))
     return float(np.median(np.linalg.norm(np.diff(vectors[order], axis=0), axis=1)))

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Removes stereo matches whose disparity nothing around them supports.
+"""Removes stereo matches whose disparity is not supported by their neighbours.
 
-A surface bends little between neighbours: the disparity gradient is limited (Pollard, Mayhew, Frisby, "PMF: a stereo
-correspondence algorithm using a disparity gradient limit", Perception 1985). The limit is taken from the image itself,
-as a multiple of the median gradient: tight above flat ground, wide indoors. A match stays when a few of its neighbours
-agree with it, not most of them: a point at the edge of a foreground object keeps its own side's votes, where a local
-median would remove it.
+The disparity gradient between neighbours on a surface is limited (Pollard, Mayhew, Frisby, "PMF: a stereo
+correspondence algorithm using a disparity gradient limit", Perception 1985). The limit is a multiple of the image's
+median gradient: tight above flat ground, wide indoors. A match is kept if a few of its neighbours agree with it, not
+the majority: a point at the edge of a foreground object is supported by its own side, where a local median would remove
+it.
 """
 
 import numpy as np
@@ -17,16 +17,16 @@ Array = NDArray[np.float64]
 NEIGHBOURS = 12
 NEEDED_VOTES = 3
 GRADIENT_FACTOR = 3.0  # the limit, in median gradients
-LARGEST_GRADIENT = 0.3  # of a surface three baselines away, seen edge-on; more, and strangers would support strangers
+LARGEST_GRADIENT = 0.3  # of a surface three baselines away, seen edge-on; above it, outliers support each other
 
 
 def supported_disparities(pixels: Array, disparity: Array, *, noise_px: float) -> NDArray[np.bool_]:
-    """Return which matches have enough neighbours of like disparity.
+    """Return which matches have enough neighbours of similar disparity.
 
     Args:
         pixels: (N, 2) undistorted left pixels.
-        disparity: (N,) focal length x baseline / depth [px], which any rig has, rectified or not.
-        noise_px: largest difference of two disparities of one surface that noise explains [px].
+        disparity: (N,) focal length x baseline / depth [px], defined for any rig, rectified or not.
+        noise_px: largest difference of two disparities on one surface due to noise [px].
 
     Returns:
         (N,) mask.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every front end is: it judges its matches by one gate and watches over the images of one rig."""
+"""Base of the front ends: one stereo gate for the matches and health monitoring of images and rig."""
 
 from abc import ABC, abstractmethod
 
@@ -12,7 +12,7 @@ from uav_vslam.vision.stereo_gate import StereoGate
 
 
 class Frontend(ABC):
-    """Turns the image pairs of one vehicle into matched points, in the order of their stamps."""
+    """Turns the image pairs of one vehicle into stereo features, in stamp order."""
 
     def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig | None, noise_px: float) -> None:
         """Prepare for one rig.
@@ -20,8 +20,8 @@ class Frontend(ABC):
         Args:
             rig: calibration.
             config: of the front end.
-            rig_config: how far the calibration is trusted; a rig that does not flex if None.
-            noise_px: largest difference of two disparities of one surface that noise explains [px].
+            rig_config: uncertainty of the calibration; None for a rigid rig.
+            noise_px: largest difference of two disparities on one surface due to noise [px].
         """
         self._rig, self._config = rig, config
         self._gate = StereoGate(rig, config, rig_config or RigConfig(), noise_px=noise_px)
@@ -29,19 +29,19 @@ class Frontend(ABC):
 
     @property
     def alarms(self) -> dict[str, str]:
-        """What is wrong with the images or the rig at present, by subject; empty as a rule."""
+        """Current faults of the images or the rig, by subject; normally empty."""
         return self._health.alarms
 
     @abstractmethod
     def process(self, frame: StereoFrame) -> StereoFeatures:
-        """Return the matched points of a pair; none where the images hold no texture or can't be believed.
+        """Return the stereo features of a pair; none if the images have no texture or are faulty.
 
         Raises:
             InvalidMessage: an image has another size than the calibration, or a type that can't be used.
         """
 
     def _check_sizes(self, frame: StereoFrame) -> None:
-        """Refuse images of another size than the calibration's, or of none: they could not be read."""
+        """Reject images of another size than the calibration's, and empty ones, which could not be decoded."""
         for name, image, camera in (("left", frame.left, self._rig.left), ("right", frame.right, self._rig.right)):
             if image.size == 0:
                 raise InvalidMessage("image", f"the {name} image could not be read")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Front ends by name: image pairs in, matched points out."""
+"""Front ends by name: image pairs in, stereo features out."""
 
 from collections.abc import Callable
 
@@ -16,9 +16,9 @@ FRONTENDS: dict[str, Callable[[StereoRig, FrontendConfig, RigConfig], Frontend]]
 
 
 def make_frontend(rig: StereoRig, config: FrontendConfig, rig_config: RigConfig) -> Frontend:
-    """Build the front end that the configuration names.
+    """Build the configured front end.
 
     Raises:
-        ConfigError: a package that the extractor needs is not installed.
+        ConfigError: a package required by the extractor is not installed.
     """
     return FRONTENDS[config.method](rig, config, rig_config)

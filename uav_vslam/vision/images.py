@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera images as the extractors want them: of 8 bits, grey or in colour, shrunk."""
+"""Conversion of camera images for the extractors: 8 bits, grey or colour, downscaled."""
 
 from typing import TypeVar
 
@@ -35,7 +35,7 @@ def to_bgr8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return an image that can be used, a grey one as (H, W)."""
+    """Return a valid image, a grey one as (H, W)."""
     if image.dtype not in (np.uint8, np.uint16):
         raise InvalidMessage("image_type", f"images of {image.dtype} can't be used; send mono8, bgr8 or mono16")
     if image.ndim == 3 and image.shape[2] == 1:
@@ -50,7 +50,7 @@ def _to_8_bits(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def _stretch(image: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """Map a 16-bit image's own range to 8 bits: sensors fill 10, 12 or 16 of the bits and don't say which."""
+    """Map a 16-bit image's own range to 8 bits: sensors fill 10, 12 or 16 bits, and which is unknown."""
     low, high = np.percentile(image[::STRETCH_STEP, ::STRETCH_STEP].astype(np.float32), STRETCH_PERCENTILES)
     if high - low < 1.0:
         return np.zeros(image.shape, np.uint8)
@@ -59,10 +59,10 @@ def _stretch(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def shrink(image: NDArray[Pixel], scale: float) -> NDArray[Pixel]:
-    """Return an image shrunk by `scale` with an area average, which neither aliases nor shifts.
+    """Downscale an image by `scale` with an area average, which neither aliases nor shifts.
 
     Raises:
-        InvalidMessage: a shape or type that `to_grey8` refuses.
+        InvalidMessage: a shape or type that `to_grey8` rejects.
     """
     if scale == 1.0:
         return image
@@ -75,11 +75,11 @@ def shrink(image: NDArray[Pixel], scale: float) -> NDArray[Pixel]:
 def to_full_resolution(
     pixels: NDArray[np.floating], shrunk: tuple[int, ...], full: tuple[int, ...]
 ) -> NDArray[np.float64]:
-    """Map pixels of a shrunk image to the full one: p_full = (p + 0.5) / scale - 0.5, as pixel centres are integers.
+    """Map pixels to the full-resolution image: p_full = (p + 0.5) / scale - 0.5, as pixel centres are integers.
 
     Args:
-        pixels: (N, 2) u, v in the shrunk image [px].
-        shrunk, full: (height, width) of both images [px]; their quotient is the scale that rounding left.
+        pixels: (N, 2) u, v in the downscaled image [px].
+        shrunk, full: (height, width) of both images [px]; their ratio is the scale after rounding.
     """
     scale = np.array([shrunk[1] / full[1], shrunk[0] / full[0]])
     return np.asarray((np.asarray(pixels, float) + 0.5) / scale - 0.5)

@@ -26,10 +26,10 @@ def pnp_ransac(
     *,
     threshold_px: float,
 ) -> tuple[Pose, Mask] | None:
-    """Find the pose under which most points reproject onto their pixels.
+    """Find the pose with the largest consensus of reprojections.
 
-    The consensus of RANSAC (P3P) and that of the guess compete, each refitted by Levenberg-Marquardt. OpenCV's RANSAC
-    draws from a generator of its own with a fixed seed: the same input gives the same result, whatever ran before.
+    The better of RANSAC's (P3P) and the guess's consensus, each refitted by Levenberg-Marquardt. OpenCV's RANSAC has a
+    fixed seed: the same input always gives the same result.
 
     Args:
         points_map: (N, 3) mapped points [m].
@@ -39,7 +39,7 @@ def pnp_ransac(
         threshold_px: largest reprojection error of an inlier [px].
 
     Returns:
-        T_map_left and the (N,) inlier mask, or None where no pose has at least 4 inliers.
+        T_map_left and the (N,) inlier mask, or None if no pose has at least 4 inliers.
     """
     points = np.asarray(points_map, float).reshape(-1, 3)
     pixels = np.asarray(pixels_left, float).reshape(-1, 2)
@@ -56,7 +56,7 @@ def pnp_ransac(
 
 
 def _ransac(points: Array, pixels: Array, camera: PinholeCamera, *, threshold_px: float) -> Pose | None:
-    """Return T_left_map of the largest consensus among random samples of four, or None."""
+    """Return T_left_map with the largest consensus over random samples of four, or None."""
     try:
         found, rotation_vector, translation, _ = cv2.solvePnPRansac(
             points,
@@ -68,7 +68,7 @@ def _ransac(points: Array, pixels: Array, camera: PinholeCamera, *, threshold_px
             confidence=CONFIDENCE,
             flags=cv2.SOLVEPNP_AP3P,
         )
-    except cv2.error:  # degenerate points: OpenCV asserts instead of answering no
+    except cv2.error:  # degenerate points: OpenCV fails an assertion
         return None
     return _pose(rotation_vector, translation) if found else None
 

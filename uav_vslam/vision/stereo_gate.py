@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which left and right points can be images of one point: on each other's epipolar line, at a possible depth.
+"""Stereo gate: left and right pixels must satisfy the epipolar constraint at a possible depth.
 
-Nothing is assumed of the rig: the baseline may run along the image's vertical and the cameras may squint. Where it
-flexes, points lie off the epipolar line of the calibration, and the gate is wider by what the rig's configuration says.
+Any rig will do: the baseline may be along the image's vertical and the cameras may converge. If the rig flexes, points
+are off the calibrated epipolar line, and the gate is wider by the configured uncertainty.
 """
 
 import math
@@ -16,11 +16,11 @@ from uav_vslam.vision.disparity_filter import supported_disparities
 
 Array = NDArray[np.float64]
 
-SIGMAS = 3.0  # of the right camera's attitude: at two, one frame of twenty would lose its matches
+SIGMAS = 3.0  # of the right camera's attitude; with two, one frame in twenty would lose its matches
 
 
 class StereoGate:
-    """What every match must pass, however it was found.
+    """Gate for stereo matches from any matcher.
 
     Attributes:
         epipolar_px: largest distance of the right point from the left point's epipolar line [px].
@@ -32,16 +32,16 @@ class StereoGate:
         Args:
             rig: calibration.
             config: range of depths and the gate of a rigid rig.
-            rig_config: how far the calibration is trusted.
-            noise_px: largest difference of two disparities of one surface that noise explains [px].
+            rig_config: uncertainty of the calibration.
+            noise_px: largest difference of two disparities on one surface due to noise [px].
         """
         self._rig, self._config, self._noise_px = rig, config, noise_px
         self.epipolar_px = epipolar_gate(rig, config.epipolar_px, rig_config)
 
-    def judge(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the (N,) depths [m] of (N, 4) undistorted stereo pixels, and which of them are to be believed.
+    def check(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the (N,) depths [m] of (N, 4) undistorted stereo pixels, and the mask of valid matches.
 
-        Those are on their epipolar lines, at a possible depth, and have a disparity that their neighbours support.
+        Valid ones are on their epipolar lines, at a possible depth, and have a disparity supported by their neighbours.
         """
         depth = self._rig.triangulate(pixels)[:, 2]
         good = self._rig.epipolar_distance(pixels) <= self.epipolar_px
@@ -52,9 +52,9 @@ class StereoGate:
 
 
 def epipolar_gate(rig: StereoRig, epipolar_px: float, rig_config: RigConfig) -> float:
-    """Return the largest distance to the epipolar line [px] of points that are `epipolar_px` off in a rigid rig.
+    """Return the gate's distance from the epipolar line [px], which is `epipolar_px` for a rigid rig.
 
-    0.05 degrees of slow error and 0.05 of vibration turn a point by 2 px, one sigma, at a focal length of 1642 px.
+    0.05 degrees of slow error and 0.05 of vibration move a point by 2 px, one sigma, at a focal length of 1642 px.
     """
     if not rig_config.flexing:
         return epipolar_px
@@ -65,7 +65,7 @@ def epipolar_gate(rig: StereoRig, epipolar_px: float, rig_config: RigConfig) -> 
 def stereo_candidates(
     left: Array, right: Array, rig: StereoRig, *, epipolar_px: float, depth_range_m: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Return the pairs that stereo geometry allows.
+    """Return the pairs allowed by stereo geometry.
 
     Args:
         left, right: (Na, 2), (Nb, 2) undistorted pixels.

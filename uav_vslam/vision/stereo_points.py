@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stereo front end: an image pair in, matched undistorted points with descriptors out."""
+"""The stereo front end: an image pair in, matched undistorted keypoints with descriptors out."""
 
 from dataclasses import dataclass
 
@@ -19,18 +19,18 @@ from uav_vslam.vision.stereo_gate import stereo_candidates
 
 Array = NDArray[np.float64]
 
-LOOKED_AT = 300  # strongest points of either image that are matched without a gate, to watch the rig
-DISPARITY_NOISE_PX = 0.5  # four sigma of the disparity, in pixels of the shrunk image
+RIG_CHECK_POINTS = 300  # strongest keypoints of each image, matched without a gate to check the rig
+DISPARITY_NOISE_PX = 0.5  # four sigma of the disparity, in pixels of the downscaled image
 
 
 @dataclass(frozen=True, slots=True)
 class DetectedPair:
-    """What both images of a pair hold, not matched yet.
+    """Keypoints of both images of a pair, before matching.
 
     Attributes:
         stamp_ns: exposure time [ns].
         left, right: keypoints.
-        pixels_left, pixels_right: (Nl, 2), (Nr, 2) where they are, in undistorted full-resolution pixels.
+        pixels_left, pixels_right: (Nl, 2), (Nr, 2) undistorted full-resolution pixels.
     """
 
     stamp_ns: int
@@ -41,19 +41,19 @@ class DetectedPair:
 
 
 class StereoFrontend(Frontend):
-    """Extracts and matches stereo points, each pair by itself; only a frozen camera is told by the pair before."""
+    """Extracts and matches keypoints of each pair independently; only fault detection uses earlier pairs."""
 
     def __init__(self, rig: StereoRig, config: FrontendConfig, rig_config: RigConfig | None = None) -> None:
-        """Prepare as any front end; raises `ConfigError` where the extractor is not known."""
+        """As `Frontend`; raises `ConfigError` if the extractor is unknown."""
         super().__init__(rig, config, rig_config, DISPARITY_NOISE_PX / config.scale)
         self._extractor = make_extractor(config)
 
     def process(self, frame: StereoFrame) -> StereoFeatures:
         self._check_sizes(frame)
-        if not self._health.look(frame.stamp_ns, to_grey8(frame.left), to_grey8(frame.right)):
+        if not self._health.check_images(frame.stamp_ns, to_grey8(frame.left), to_grey8(frame.right)):
             return StereoFeatures.empty(frame.stamp_ns)
         detected = self.detect(frame)
-        self._health.judge(self._matched_by_descriptor(detected))
+        self._health.check_points(self._matched_by_descriptor(detected))
         return self.match(detected)
 
     def detect(self, frame: StereoFrame) -> DetectedPair:
@@ -64,25 +64,25 @@ class StereoFrontend(Frontend):
         return DetectedPair(frame.stamp_ns, left, right, pixels_left, pixels_right)
 
     def match(self, detected: DetectedPair) -> StereoFeatures:
-        """Return the points found in both images."""
+        """Match the keypoints and apply the stereo gate."""
         pairs = self._match(detected)
         pixels = np.hstack([detected.pixels_left[pairs[:, 0]], detected.pixels_right[pairs[:, 1]]])
-        _, keep = self._gate.judge(pixels)
+        _, keep = self._gate.check(pixels)
         pairs, pixels = pairs[keep], pixels[keep]
         size = (self._rig.left.width, self._rig.left.height)
-        chosen = spread(pixels[:, :2], self._config.max_matches, size=size)  # they come strongest first
+        chosen = spread(pixels[:, :2], self._config.max_matches, size=size)  # strongest first
         descriptors = detected.left.descriptors[pairs[chosen, 0]]
         return StereoFeatures(detected.stamp_ns, pixels[chosen].astype(np.float32), descriptors)
 
     def _detect(self, image: NDArray[np.generic], camera: PinholeCamera) -> tuple[Keypoints, Array]:
         """Return one camera's keypoints and their (N, 2) undistorted full-resolution pixels."""
-        small = shrink(image, self._config.scale)  # an extractor may want the colours
+        small = shrink(image, self._config.scale)  # an extractor may use colours
         keypoints = self._extractor.detect(small)
         raw = to_full_resolution(keypoints.pixels, small.shape, image.shape)
         return keypoints, camera.undistort(raw)
 
     def _match(self, detected: DetectedPair) -> NDArray[np.intp]:
-        """Return (M, 2) indices of matches that stereo geometry allows, each point used once."""
+        """Return (M, 2) indices of matches allowed by stereo geometry, each point used at most once."""
         allowed = stereo_candidates(
             detected.pixels_left,
             detected.pixels_right,
@@ -91,17 +91,17 @@ class StereoFrontend(Frontend):
             depth_range_m=(self._config.min_depth_m, self._config.max_depth_m),
         )
         pairs = match_gated(detected.left.descriptors, detected.right.descriptors, allowed, self._config.ratio)
-        return _without_twins(pairs, detected.pixels_left, detected.pixels_right)
+        return _without_duplicates(pairs, detected.pixels_left, detected.pixels_right)
 
     def _matched_by_descriptor(self, detected: DetectedPair) -> Array:
-        """Return (M, 4) pixels of the strongest points, matched by descriptors alone: they show where the rig is."""
-        left, right = (keypoints.descriptors[:LOOKED_AT] for keypoints in (detected.left, detected.right))
+        """Return (M, 4) pixels of the strongest keypoints, matched by descriptors alone, to check the rig."""
+        left, right = (keypoints.descriptors[:RIG_CHECK_POINTS] for keypoints in (detected.left, detected.right))
         pairs = match_descriptors(left, right, self._config.ratio)
         return np.hstack([detected.pixels_left[pairs[:, 0]], detected.pixels_right[pairs[:, 1]]])
 
 
-def _without_twins(pairs: NDArray[np.intp], pixels_left: Array, pixels_right: Array) -> NDArray[np.intp]:
-    """Keep one match a place: a point with two dominant orientations is two keypoints at the same pixel."""
+def _without_duplicates(pairs: NDArray[np.intp], pixels_left: Array, pixels_right: Array) -> NDArray[np.intp]:
+    """Keep one match per pixel: a point with two dominant orientations is two keypoints."""
     for column, pixels in enumerate((pixels_left, pixels_right)):
         _, first = np.unique(pixels[pairs[:, column]], axis=0, return_index=True)
         pairs = pairs[np.sort(first)]

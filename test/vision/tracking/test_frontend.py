@@ -41,7 +41,7 @@ def process(rig: StereoRig, frames: list[StereoFrame]) -> list[StereoFeatures]:
 
 
 def right_errors(vehicle: SimulatedVehicle, k: int, features: StereoFeatures) -> np.ndarray:
-    """Return (N, 2) right pixel minus the true image of what the left pixel shows [px]."""
+    """Return (N, 2) right pixel minus the true projection of the left pixel's surface point [px]."""
     pose = vehicle.truth.pose(float(vehicle.frame_times_s[k]))
     rig = vehicle.true_rig(k)
     T_world_left = pose @ rig.T_body_left
@@ -50,7 +50,7 @@ def right_errors(vehicle: SimulatedVehicle, k: int, features: StereoFeatures) ->
     return features.pixels[:, 2:] - rig.right.project((pose @ rig.T_body_right).inverse().apply(points))
 
 
-def test_points_are_precise_and_hardly_one_is_wrong(flight: Flown) -> None:
+def test_points_are_precise_and_wrong_ones_rare(flight: Flown) -> None:
     vehicle, frames = flight
     errors = np.vstack([right_errors(vehicle, k, found) for k, found in enumerate(process(vehicle.rig, frames))])
     assert len(errors) > 0.5 * CONFIG.max_tracks * FRAMES
@@ -59,7 +59,7 @@ def test_points_are_precise_and_hardly_one_is_wrong(flight: Flown) -> None:
 
 
 def drifts_px(vehicle: SimulatedVehicle, first: tuple[int, StereoFeatures], last: tuple[int, StereoFeatures]) -> Array:
-    """Return how far the points that two frames' features share have moved over the ground, in pixels there."""
+    """Return the drift over the ground of the tracks common to two frames [px]."""
     _, *rows = np.intersect1d(first[1].tracks, last[1].tracks, return_indices=True)
     places = []
     for (k, features), chosen in zip((first, last), rows, strict=True):
@@ -69,7 +69,7 @@ def drifts_px(vehicle: SimulatedVehicle, first: tuple[int, StereoFeatures], last
     return np.linalg.norm(places[1] - places[0], axis=1) * vehicle.rig.left.fx / 70.0
 
 
-def test_a_track_stays_on_its_point_of_the_ground(flight: Flown) -> None:
+def test_tracks_do_not_drift(flight: Flown) -> None:
     vehicle, frames = flight
     first, *later = process(vehicle.rig, frames)
     drifts = drifts_px(vehicle, (0, first), (4, later[3]))
@@ -87,7 +87,7 @@ def test_tracks_that_leave_the_image_in_a_long_gap_do_not_mislead_the_others() -
     assert np.median(drifts) < 0.5
 
 
-def test_every_point_has_a_track_and_no_number_is_used_again(flight: Flown) -> None:
+def test_every_point_has_a_track_and_ids_are_never_reused(flight: Flown) -> None:
     vehicle, frames = flight
     gone: set[int] = set()
     before: set[int] = set()
@@ -118,7 +118,7 @@ def test_a_jump_in_brightness_and_a_lost_frame_keep_most_tracks(flight: Flown) -
     assert kept.mean() > 0.6
 
 
-def test_black_images_end_the_tracks_and_new_ones_begin_at_once(flight: Flown) -> None:
+def test_black_images_end_the_tracks_and_new_ones_start_at_once(flight: Flown) -> None:
     vehicle, frames = flight
     frontend = TrackingFrontend(vehicle.rig, CONFIG)
     seen = [frontend.process(frame) for frame in frames[:2]]
@@ -131,7 +131,7 @@ def test_black_images_end_the_tracks_and_new_ones_begin_at_once(flight: Flown) -
     assert frontend.alarms == {}
 
 
-def test_after_a_long_gap_nothing_is_followed(flight: Flown) -> None:
+def test_after_a_long_gap_all_tracks_are_new(flight: Flown) -> None:
     vehicle, frames = flight
     late = dataclasses.replace(frames[1], stamp_ns=frames[0].stamp_ns + 2_000_000_000)
     first, second = process(vehicle.rig, [frames[0], late])
@@ -139,10 +139,10 @@ def test_after_a_long_gap_nothing_is_followed(flight: Flown) -> None:
     assert not set(first.tracks.tolist()) & set(second.tracks.tolist())
 
 
-def test_swapped_images_are_told_and_give_no_points(flight: Flown) -> None:
+def test_swapped_images_are_reported_and_give_no_points(flight: Flown) -> None:
     vehicle, frames = flight
     frontend = TrackingFrontend(vehicle.rig, CONFIG)
     frontend.process(frames[0])
     swapped = frontend.process(StereoFrame(frames[1].stamp_ns, frames[1].right, frames[1].left))
     assert len(swapped) < 10
-    assert "changed places" in frontend.alarms["image order"]
+    assert "swapped" in frontend.alarms["image order"]

@@ -146,9 +146,9 @@ class TimedFrontend(TrackingFrontend):
         self.spent_ms["images"] += (time.thread_time() - begin) * 1e3 - others
         return features
 
-    def _follow(self, stamp_ns: int, left: NDArray[np.uint8]) -> None:
+    def _track(self, stamp_ns: int, left: NDArray[np.uint8]) -> None:
         begin = time.thread_time()
-        super()._follow(stamp_ns, left)
+        super()._track(stamp_ns, left)
         self.spent_ms["in time"] += (time.thread_time() - begin) * 1e3
 
     def _features(self, stamp_ns: int, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> StereoFeatures:

@@ -26,9 +26,9 @@ EXTRACTORS: dict[str, Callable[[FrontendConfig], Extractor]] = {
 
 
 def make_extractor(config: FrontendConfig) -> Extractor:
-    """Build the extractor that the configuration names.
+    """Build the configured extractor.
 
     Raises:
-        ConfigError: a package that it needs is not installed.
+        ConfigError: a required package is not installed.
     """
     return EXTRACTORS[config.extractor](config)

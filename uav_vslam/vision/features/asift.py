@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Affine SIFT [morel09], section 3.4.2 of [thesis]: SIFT on simulated views, by OpenCV.
 
-As the authors': tilts 1, sqrt 2, ... 4 sqrt 2, and for a tilt t camera longitudes every 72 deg / t; 43 views in all, at
-full resolution (their two-resolution shortcut, which only picks the views worth the effort, isn't taken). OpenCV tilts
-a view by leaving columns out, so that the points of tilted views scatter by a quarter of a pixel.
+As in the paper: tilts 1, sqrt 2, ... 4 sqrt 2, and for a tilt t camera longitudes every 72 deg / t; 43 views in all, at
+full resolution (without their two-resolution preselection of views). OpenCV tilts a view by subsampling columns, so
+points of tilted views scatter by a quarter of a pixel.
 """
 
 import cv2
@@ -18,11 +18,11 @@ from uav_vslam.vision.images import to_grey8
 MAX_TILT = 5  # exponents of sqrt 2
 TILT_STEP = 2.0**0.5
 LONGITUDE_STEP_DEG = 72.0
-SMALLEST_PX = 16  # side of an image; OpenCV fails where a tilted view has no pixel
+SMALLEST_PX = 16  # side of an image; OpenCV fails if a tilted view is empty
 
 
 class AffineSiftExtractor:
-    """SIFT points of simulated views, brought back into the image that was given."""
+    """SIFT points of simulated views, mapped back to the original image."""
 
     def __init__(self, config: FrontendConfig, *, precise: bool = True) -> None:
         """Prepare; the arguments are `SiftExtractor`'s."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every feature extractor offers."""
+"""Interface of the feature extractors."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,9 +13,9 @@ class Keypoints:
     """Points of one image, strongest first.
 
     Attributes:
-        pixels: (N, 2) float32 u, v [px] of the image that was given; (0, 0) is the centre of the first pixel.
-        responses: (N,) float32 strength, larger is better; comparable within one extractor only.
-        descriptors: (N, D) uint8, compared by their squared Euclidean distance whatever the extractor.
+        pixels: (N, 2) float32 u, v [px] of the original image; (0, 0) is the centre of the first pixel.
+        responses: (N,) float32 strength; comparable within one extractor only.
+        descriptors: (N, D) uint8, compared by squared Euclidean distance for every extractor.
     """
 
     pixels: NDArray[np.float32]
@@ -27,13 +27,13 @@ class Keypoints:
 
 
 class Extractor(Protocol):
-    """Finds and describes points; the same image gives the same points in the same order, every time."""
+    """Detects and describes keypoints; deterministic, including their order."""
 
     def detect(self, image: NDArray[np.generic]) -> Keypoints:
-        """Return the keypoints of an image; none where there is no texture.
+        """Return the keypoints of an image; none without texture.
 
         Args:
-            image: (H, W) grey or (H, W, 3) BGR, uint8 or uint16; an extractor that needs grey converts it.
+            image: (H, W) grey or (H, W, 3) BGR, uint8 or uint16; extractors that need grey convert it.
 
         Raises:
             InvalidMessage: another shape or type, or no pixels.

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """SIFT descriptors on a grid, upright and of one size: section 3.4.3.2 of [thesis], as VLFeat's `vl_dsift` [vedaldi10].
 
-As there, a spatial bin is `bin_px` wide and the image is smoothed to a scale of `bin_px / magnification`, of which the
-camera has done 0.5 px. What differs from VLFeat:
+As there, a spatial bin is `bin_px` wide and the image is smoothed to a scale of `bin_px / magnification`, assuming
+0.5 px from the camera. Differences from VLFeat:
 - The descriptors are OpenCV's, at integer pixels, with Lowe's Gaussian window of two bins (VLFeat's own is 2 too).
 - The step isn't fixed: it is the smallest that gives at most `max_features` points.
-- Places whose contrast, the mean length of the image's gradient over the descriptor, is no more than noise are left
-  out; VLFeat keeps them.
+- Points whose contrast, the mean gradient magnitude over the descriptor, is no more than noise are dropped; VLFeat
+  keeps them.
 
-Grid points don't move with what they show, so a match is right to half a step only: good for telling images apart, bad
-for triangulation.
+Grid points do not move with the scene, so a match is accurate to half a step only: good for image recognition, bad for
+triangulation.
 """
 
 import math
@@ -34,7 +34,7 @@ class DenseSiftExtractor:
     """Upright SIFT descriptors on a grid."""
 
     def __init__(self, config: FrontendConfig) -> None:
-        """Prepare to describe `max_features` places."""
+        """Prepare for at most `max_features` points."""
         self._max_features = config.max_features
 
     def detect(self, image: NDArray[np.generic]) -> Keypoints:
@@ -52,7 +52,7 @@ def grid(shape: tuple[int, ...], *, margin_px: float, count: int) -> NDArray[np.
 
     Args:
         shape: (height, width) of the image [px].
-        margin_px: distance kept to the border; an image that is too small has no point.
+        margin_px: distance to the border; too small an image has no point.
         count: largest N.
     """
     first = math.ceil(margin_px)
@@ -71,7 +71,7 @@ def describe(
     if not len(pixels):
         return np.zeros((0, DESCRIPTOR_LENGTH), np.uint8)
     points = [cv2.KeyPoint(u, v, size=bin_px / OPENCV_SIZE_BINS, angle=0.0) for u, v in pixels.tolist()]
-    # One layer of one octave: only its first image, smoothed to sigma, is read. The thresholds are the detector's.
+    # One layer of one octave: only its first image, smoothed to sigma, is used. The thresholds concern the detector.
     sift = cv2.SIFT_create(0, 1, 0.0, 0.0, bin_px / magnification, cv2.CV_8U)
     _, descriptors = sift.compute(channel, points)
     return np.asarray(descriptors, np.uint8)

@@ -17,21 +17,21 @@ from uav_vslam.vision.images import to_full_resolution, to_grey8
 LEVEL_FACTOR = 1.2
 LEVELS = 8
 BITS = 256
-BORDER_PX = 31  # where OpenCV finds no corners
+BORDER_PX = 31  # OpenCV detects no corners there
 
 
 class OrbExtractor:
-    """Corners with one number, 0 or 1, a bit: the squared Euclidean distance is the Hamming distance."""
+    """Corners with descriptors of one number, 0 or 1, per bit: squared Euclidean distance equals Hamming distance."""
 
     def __init__(self, config: FrontendConfig) -> None:
-        """Prepare to find `max_features` points."""
+        """Prepare for at most `max_features` points."""
         self._max_features = config.max_features
         self._orb = cv2.ORB_create(nfeatures=config.max_features, scaleFactor=LEVEL_FACTOR, nlevels=LEVELS)
 
     def detect(self, image: NDArray[np.generic]) -> Keypoints:
         """Return at most `max_features` keypoints of an image."""
         grey = to_grey8(image)
-        if min(grey.shape) <= 2 * BORDER_PX:  # OpenCV fails where a level has no pixel
+        if min(grey.shape) <= 2 * BORDER_PX:  # OpenCV fails if a level is empty
             return no_keypoints(BITS)
         points, descriptors = self._orb.detectAndCompute(grey, None)
         if not points:
@@ -42,10 +42,10 @@ class OrbExtractor:
 
 
 def _positions(points: Sequence[cv2.KeyPoint], shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return (N, 2) pixels in an image of (height, width), from where the points lie in their level's.
+    """Return (N, 2) pixels in an image of (height, width), from the points' positions in their pyramid level.
 
-    OpenCV multiplies by the level's nominal factor, which is off by up to a pixel: levels are resized by their centres,
-    and to whole pixels.
+    OpenCV multiplies by the level's nominal scale, which is off by up to a pixel: levels are resized to whole pixels,
+    about pixel centres.
     """
     pixels = np.asarray(cv2.KeyPoint_convert(points), dtype=float).reshape(-1, 2)
     octaves = np.array([point.octave for point in points])

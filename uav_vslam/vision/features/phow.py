@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dense colour SIFT of several sizes: section 3.4.3.3 of [thesis], as VLFeat's `vl_phow` [bosch07, vedaldi10].
 
-As there: bins of 4, 6, 8 and 10 px around the same places, smoothed to bin / 6, one descriptor of 128 numbers for each
-of three colour channels, side by side; an image without colour counts as one whose channels are equal; the contrast is
+As there: bins of 4, 6, 8 and 10 px around the same points, smoothed to bin / 6, one descriptor of 128 numbers for each
+of three colour channels, side by side; a grey image has three equal channels; the contrast is
 that of the intensity (HSV: of the value; RGB: the mean of the three). The opponent channels are VLFeat's: the first is
-the luminance, and a hundredth of it is added to the others so that places without colour aren't empty.
+the luminance, and a hundredth of it is added to the others so that grey areas are not empty.
 
-What differs from VLFeat, besides what `dense` says: the Gaussian window is 2 bins, not 1.5; a place below the contrast
-threshold, VLFeat's, is left out, where VLFeat sets its descriptor to zero; the opponent channels are stretched to 8
-bits, which OpenCV's SIFT wants and to which the descriptor is indifferent.
+Differences from VLFeat, besides those of `dense`: the Gaussian window is 2 bins, not 1.5; points below VLFeat's
+contrast threshold are dropped, where VLFeat zeroes their descriptors; the opponent channels are stretched to 8 bits for
+OpenCV's SIFT, to which the descriptor is invariant.
 """
 
 from collections.abc import Callable
@@ -31,10 +31,10 @@ MONOCHROME_SHARE = 0.01  # of the luminance in the opponent channels
 
 
 class PhowExtractor:
-    """Dense SIFT of four sizes in three colour channels: 384 numbers a point, four points a place."""
+    """Dense SIFT of four sizes in three colour channels: 384 numbers a descriptor, four sizes a grid point."""
 
     def __init__(self, config: FrontendConfig, colour: str) -> None:
-        """Prepare to describe `max_features` places and sizes in a colour space: a name in COLOURS."""
+        """Prepare for at most `max_features` points and sizes in a colour space: a name in COLOURS."""
         self._max_features = config.max_features
         self._channels = COLOURS[colour]
 
@@ -86,7 +86,7 @@ def _opponent(bgr: NDArray[np.uint8]) -> Channels:
 
 
 def _stretched(channel: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return a channel over the whole of 0..255."""
+    """Stretch a channel to 0..255."""
     low, high = float(channel.min()), float(channel.max())
     return np.asarray(np.rint((channel - low) * (255.0 / max(high - low, 1e-3))), np.uint8)
 

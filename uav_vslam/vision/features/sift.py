@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """SIFT [lowe04], section 3.4.1 of [thesis], by OpenCV.
 
-Parameters are Lowe's (three layers an octave, sigma 1.6, edges up to a ratio of curvatures of 10) but for the contrast
-threshold: his 0.03 is 0.04 in OpenCV's scale, and `frontend.contrast_threshold` lies lower because grass has little.
+Parameters are Lowe's (three layers an octave, sigma 1.6, edges up to a ratio of curvatures of 10) except the contrast
+threshold: his 0.03 is 0.04 in OpenCV's scale; `frontend.contrast_threshold` is lower, for low-contrast grass.
 """
 
 from collections.abc import Sequence
@@ -28,9 +28,9 @@ class SiftExtractor:
         """Prepare.
 
         Args:
-            config: count of points and contrast threshold.
-            precise: where points lie. False is OpenCV's default, kept by it for compatibility: every point is off by
-                a quarter of a pixel, half a pixel at full resolution, a bias that no average removes.
+            config: number of points and contrast threshold.
+            precise: precise upscaling. False is OpenCV's default, for compatibility: every point is biased by a quarter
+                of a pixel, half a pixel at full resolution.
         """
         self._max_features = config.max_features
         self._sift = opencv_sift(config, count=config.max_features, precise=precise)
@@ -42,7 +42,7 @@ class SiftExtractor:
 
 
 def opencv_sift(config: FrontendConfig, *, count: int, precise: bool) -> cv2.SIFT:
-    """Return OpenCV's SIFT; a `count` of 0 keeps every point."""
+    """Return OpenCV's SIFT; a `count` of 0 keeps all points."""
     return cv2.SIFT_create(
         nfeatures=count,
         nOctaveLayers=OCTAVE_LAYERS,

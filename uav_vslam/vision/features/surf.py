@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SURF [bay08], section 3.4.4 of [thesis], by mahotas, an optional extra: OpenCV's wheels leave it out.
+"""SURF [bay08], section 3.4.4 of [thesis], by mahotas, an optional dependency: OpenCV's wheels do not include it.
 
-The threshold is OpenSURF's 0.0004 for images of 0 to 1. What differs from the paper:
+The threshold is OpenSURF's 0.0004 for images of 0 to 1. Differences from the paper:
 - One octave of eight box filters, 9 to 51 px wide in steps of 6, at every other pixel, spans the paper's first two
-  octaves: mahotas starts its higher octaves so far from the border that common images hold no point of them.
-- Descriptors are rounded to steps of 1/255. The sign of the Laplacian, by which the paper refuses to compare dark with
-  bright blobs, is a 65th number that puts them at least a descriptor's length apart.
+  octaves: mahotas starts its higher octaves so far from the border that common images have no points in them.
+- Descriptors are rounded to steps of 1/255. The sign of the Laplacian, by which the paper does not compare dark with
+  bright blobs, is a 65th number that puts them at least one descriptor length apart.
 """
 
 import cv2
@@ -19,7 +19,7 @@ from uav_vslam.vision.images import to_grey8
 
 DESCRIPTOR_LENGTH = 65
 FILTERS = 8  # box filters 9, 15, ... 51 px wide
-STEP_PX = 2  # between places where they are tried
+STEP_PX = 2  # between filter positions
 THRESHOLD = 0.0004 * 255.0**2  # of the determinant of the Hessian
 LEVELS = 255  # of a descriptor of length one
 ZERO_LEVEL = 128
@@ -31,7 +31,7 @@ class SurfExtractor:
     """Blobs of the box-filtered Hessian with sums of Haar wavelets."""
 
     def __init__(self, config: FrontendConfig) -> None:
-        """Prepare to find `max_features` points.
+        """Prepare for at most `max_features` points.
 
         Raises:
             ConfigError: mahotas is not installed.
@@ -62,11 +62,11 @@ class SurfExtractor:
 
 
 def _corrected(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, 5) points (y, x, scale, ...) for which mahotas 1.4 gives right descriptors at the right places.
+    """Return (N, 5) points (y, x, scale, ...) corrected for two defects of mahotas 1.4.
 
-    Its subpixel step goes from the strongest place in the opposite direction. And its wavelets have a half too wide, so
-    that they see the brightness itself, where twice the scale rounds to an odd number: such scales go to the nearest
-    that rounds to an even one, by a tenth at most.
+    Its subpixel step has the wrong sign. Its wavelets have one half too wide, so they respond to brightness, if twice
+    the scale rounds to an odd number: such scales are moved, by at most a tenth, to the nearest that rounds to an even
+    one.
     """
     corrected = points.copy()
     corrected[:, :2] = 2.0 * STEP_PX * np.rint(points[:, :2] / STEP_PX) - points[:, :2]
@@ -76,7 +76,7 @@ def _corrected(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _descriptors(values: NDArray[np.float64], laplacian: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return (N, 65) uint8 of (N, 64) numbers, of which no row is longer than one, and the (N,) Laplacian's signs."""
+    """Return (N, 65) uint8 of (N, 64) numbers, with rows of norm at most one, and the (N,) Laplacian's signs."""
     rounded = np.clip(np.rint(ZERO_LEVEL + LEVELS * values), 0, 255)
     sign = np.where(laplacian > 0, LEVELS, 0)
     return np.asarray(np.hstack([rounded, sign[:, None]]), np.uint8)

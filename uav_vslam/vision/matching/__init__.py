@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Matchers of two images' keypoints by name, section 3.4.5 and chapter 6 of [thesis].
 
-`gtm` is the thesis's NN + GTM, for GTM cleans up matches that there are; `cds_nn` and `cds_gtm` match a few points of
-the first image that are spread over it. `match_descriptors` and `match_gated` are the array functions underneath, for
-those that have no images.
+`gtm` is the thesis's NN + GTM, as GTM rejects outliers of given matches; `cds_nn` and `cds_gtm` match a few points
+spread over the first image. `match_descriptors` and `match_gated` are the underlying array functions.
 """
 
 from typing import Protocol
@@ -21,10 +20,10 @@ __all__ = ["MATCHERS", "Matcher", "match_descriptors", "match_gated"]
 
 
 class Matcher(Protocol):
-    """Finds the points that two images share; the same keypoints give the same matches, every time."""
+    """Matches the keypoints of two images; deterministic."""
 
     def __call__(self, a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
-        """Return (M, 2) indices into `a` and `b`, ascending in `a`, each of `a` once; no keypoints give no matches.
+        """Return (M, 2) indices into `a` and `b`, ascending in `a`, each of `a` at most once.
 
         Args:
             a, b: keypoints of the two images.

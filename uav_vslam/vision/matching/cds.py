@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Connected dominating sets of keypoints, sections 6.2.3 and 6.2.4 of [thesis]: fewer points, spread over the image.
 
-Of the graph of each keypoint with its K nearest, the set has at least one neighbour of every point, and hangs together;
+In the graph of each keypoint with its K nearest, the set contains a neighbour of every point and is connected. It is
 found by the greedy algorithm I of [guha98]: a tree grows from the point with most neighbours, always at the leaf that
-brings most new points, and what is no leaf in the end is the set.
+adds most new points; its inner nodes are the set.
 
-Only the first image is thinned: of two sets found apart hardly any point is in both, and without its rivals the ratio
-test in the second image would say less.
+Only the first image is reduced: two independent sets hardly share points, and the ratio test in the second image needs
+all candidates.
 """
 
 import numpy as np
@@ -67,7 +67,7 @@ def connected_dominating_set(graph: csr_array) -> Rows:
     starts, ends = graph.indptr, graph.indices
     degree = np.diff(starts)
     found, reached = np.zeros(len(degree), bool), np.zeros(len(degree), bool)
-    gain = degree.astype(np.intp)  # neighbours that are not reached yet
+    gain = degree.astype(np.intp)  # neighbours not reached yet
 
     def reach(rows: Rows) -> None:
         reached[rows] = True
@@ -78,7 +78,7 @@ def connected_dominating_set(graph: csr_array) -> Rows:
         leaves = np.flatnonzero(reached & (gain > 0))
         if len(leaves):
             grown = leaves[np.argmax(gain[leaves])]
-        elif not reached.all():  # this component is done, the next begins
+        elif not reached.all():  # this component is complete; start the next
             grown = np.argmax(np.where(reached, -1, degree))
             reach(np.array([grown]))
         else:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Graph transformation matching [aguilar09], section 6.3.4 of [thesis].
 
-Right matches have the same neighbours in both images, whatever smooth deformation lies between. The matched points of
-each image are a graph, with an edge from each point to its K nearest that are no farther than the median distance of
-two points. While the graphs differ, the match goes that most differing edges lead to; edges that led to it then lead
-to the next nearest. The median stays that of all matches: of many points the K nearest lie far below it.
+Correct matches have the same neighbours in both images under any smooth deformation. The matched points of each image
+form a graph, with an edge from each point to its K nearest within the median distance of two points. While the graphs
+differ, the match with most differing edges is removed, and edges to it move to the next nearest point. The median
+remains that of all matches: with many points, the K nearest are far closer.
 """
 
 import numpy as np
@@ -20,20 +20,20 @@ Rows = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 NEIGHBOURS = 5  # K
-LOOKAHEAD = 40  # nearest points that are known in advance; who has lost too many of them looks again
+LOOKAHEAD = 40  # nearest points queried in advance; a point that has lost too many queries again
 
 
 def gtm(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
-    """Match mutual nearest descriptors, and keep those whose neighbours are the same in both images."""
+    """Match mutual nearest descriptors, and keep those with the same neighbours in both images."""
     pairs = nn_mutual(a, b, ratio)
     return pairs[same_neighbours(a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]])]
 
 
 def same_neighbours(a: NDArray[np.floating], b: NDArray[np.floating], *, neighbours: int = NEIGHBOURS) -> Rows:
-    """Return the matches that are left when both graphs are equal; nothing speaks for a match without neighbours.
+    """Return the matches left when both graphs are equal; matches without neighbours are dropped.
 
     Args:
-        a, b: (N, D), (N, E) matched points: row k of `a` is believed to be row k of `b`.
+        a, b: (N, D), (N, E) matched points: row k of `a` matches row k of `b`.
         neighbours: K.
 
     Returns:
@@ -43,44 +43,44 @@ def same_neighbours(a: NDArray[np.floating], b: NDArray[np.floating], *, neighbo
         return np.zeros(0, np.intp)
     left = np.ones(len(a), bool)
     graphs = tuple(_Neighbourhoods(np.asarray(points, float), left, neighbours) for points in (a, b))
-    differing: list[set[int]] = [set() for _ in left]  # ends of the edges from each match that one graph has alone
-    votes = np.zeros(len(a), np.intp)  # how many of these lead to each match
+    differing: list[set[int]] = [set() for _ in left]  # ends of the edges from each match that only one graph has
+    votes = np.zeros(len(a), np.intp)  # number of these edges to each match
 
-    def renew(row: int) -> None:
+    def update(row: int) -> None:
         votes[list(differing[row])] -= 1
         first, second = (graph.connect(row) for graph in graphs)
         differing[row] = first ^ second
         votes[list(differing[row])] += 1
 
     for row in range(len(a)):
-        renew(row)
+        update(row)
     while votes.any():
         worst = int(np.argmax(votes))
         left[worst] = False
         for row in sorted({worst, *graphs[0].starts[worst], *graphs[1].starts[worst]}):
-            renew(row)
+            update(row)
     return np.array([row for row in np.flatnonzero(left) if graphs[0].ends[row]], np.intp)
 
 
 class _Neighbourhoods:
-    """One graph: from each point that is left, edges to its nearest ones that are left.
+    """One graph: edges from each remaining point to its nearest remaining ones.
 
     Attributes:
-        ends: where the edges of each point lead.
-        starts: whose edges lead to each point.
+        ends: targets of each point's edges.
+        starts: sources of the edges to each point.
     """
 
     def __init__(self, points: Array, left: Mask, neighbours: int) -> None:
         self.ends: list[set[int]] = [set() for _ in points]
         self.starts: list[set[int]] = [set() for _ in points]
         self._points, self._left, self._neighbours = points, left, neighbours
-        self._reach = np.nextafter(np.median(pdist(points)), np.inf)  # the tree wants a bound that is not reached
+        self._reach = np.nextafter(np.median(pdist(points)), np.inf)  # the tree's bound is exclusive
         self._lookahead = max(LOOKAHEAD, neighbours)
         self._near: list[Rows] = [np.zeros(0, np.intp)] * len(points)
-        self._look()
+        self._query()
 
     def connect(self, row: int) -> set[int]:
-        """Lead the edges of a point to whom they now have to, and return their ends; who has gone has none."""
+        """Reconnect a point to its nearest remaining points and return these; a removed point has none."""
         for end in self.ends[row]:
             self.starts[end].discard(row)
         self.ends[row] = set(self._nearest(row).tolist()) if self._left[row] else set()
@@ -91,13 +91,13 @@ class _Neighbourhoods:
     def _nearest(self, row: int) -> Rows:
         near = self._near[row]
         found = near[self._left[near]]
-        if len(found) < self._neighbours and len(near) == self._lookahead:  # there are more than it knows of
-            self._look()
+        if len(found) < self._neighbours and len(near) == self._lookahead:  # the queried points are exhausted
+            self._query()
             found = self._near[row]
         return found[: self._neighbours]
 
-    def _look(self) -> None:
-        """List the nearest of every point that is left, nearest first, none out of reach."""
+    def _query(self) -> None:
+        """Query the nearest points of every remaining point within reach, nearest first."""
         rows = np.flatnonzero(self._left)
         points = self._points[rows]
         ranks = np.arange(1, min(len(rows), self._lookahead + 1) + 1)

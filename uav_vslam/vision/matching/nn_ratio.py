@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nearest neighbour with ratio test (Lowe 2004) and mutual check, section 3.4 of [thesis].
 
-Distances of 8-bit descriptors are integers below 2^24, so they are exact in float32 whatever the order in which BLAS
-sums: the result is the same on every machine.
+Distances of 8-bit descriptors are integers below 2^24, so they are exact in float32 for any summation order of BLAS:
+the result is the same on every machine.
 """
 
 import numpy as np
@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from uav_vslam.vision.features.base import Keypoints
 
 SINGLE_CANDIDATE_DISTANCE = 250.0  # between SIFT descriptors, whose length is about 512
-# The same by how many numbers a descriptor has: SIFT and its kind, SURF, ORB, PHOW. It is 0.7 of the distance within
-# which one stranger in a hundred lies, on rendered images; where nothing is known, a candidate alone isn't believed.
+# The same by descriptor length: SIFT and variants, SURF, ORB, PHOW. It is 0.7 of the first percentile of distances
+# between wrong pairs on rendered images; for unknown lengths a single candidate is never accepted.
 SINGLE_CANDIDATE_DISTANCES = {128: SINGLE_CANDIDATE_DISTANCE, 65: 53.0, 256: 6.3, 384: 390.0}
 
 
 def nn(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
-    """Match each keypoint of `a` to its nearest of `b` if the second nearest is clearly farther; `b`'s may repeat."""
+    """Match each keypoint of `a` to its nearest of `b` if it passes the ratio test; `b`'s may repeat."""
     return match_descriptors(a.descriptors, b.descriptors, ratio, mutual=False)
 
 
 def nn_mutual(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
-    """Match as `nn` does, where each is the other's nearest: no keypoint is used twice."""
+    """Match mutual nearest keypoints that pass the ratio test: none is used twice."""
     return match_descriptors(a.descriptors, b.descriptors, ratio)
 
 
@@ -39,9 +39,9 @@ def match_descriptors(
     Args:
         a, b: (Na, D), (Nb, D) uint8 or float descriptors.
         ratio: the nearest must be closer than this times the second nearest.
-        mutual: keep a match only where the row of `a` is also the nearest one to the row of `b`.
-        single_distance: where `b` has one row only there is no ratio; the distance must be below this instead. None:
-            that of SINGLE_CANDIDATE_DISTANCES.
+        mutual: keep only mutual nearest neighbours.
+        single_distance: largest distance if `b` has one row only, where there is no ratio; None: that of
+            SINGLE_CANDIDATE_DISTANCES.
 
     Returns:
         (M, 2) indices into `a` and `b`, ascending in `a`.
@@ -58,14 +58,14 @@ def match_gated(
     mutual: bool = True,
     single_distance: float | None = None,
 ) -> NDArray[np.intp]:
-    """Match as `match_descriptors` does, among allowed pairs only: what the gate excludes is no rival in the ratio.
+    """Match as `match_descriptors` does, among allowed pairs only; the ratio test ignores excluded candidates too.
 
     Args:
         a, b: (Na, D), (Nb, D) uint8 or float descriptors.
         allowed: (Na, Nb) pairs that may match.
         ratio: the nearest allowed must be closer than this times the second nearest allowed.
-        mutual: keep a match only where it is the nearest allowed one from both sides.
-        single_distance: largest distance where only one candidate is allowed; None: that of
+        mutual: keep only mutual nearest allowed neighbours.
+        single_distance: largest distance if only one candidate is allowed; None: that of
             SINGLE_CANDIDATE_DISTANCES.
 
     Returns:
@@ -115,7 +115,7 @@ def _single(descriptors: NDArray[np.generic], single_distance: float | None) -> 
 
 
 def _second_smallest(squared: NDArray[np.float32], best: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return each row's smallest value but the one at `best`; inf where there is none."""
+    """Return each row's smallest value except at `best`; inf if there is none."""
     rows = np.arange(len(squared))
     others = squared.copy()
     others[rows, best] = np.inf

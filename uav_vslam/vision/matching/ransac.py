@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matches that agree on one geometry between the images, by RANSAC: section 3.4.5 of [thesis].
+"""Matches consistent with one two-view geometry, by RANSAC: section 3.4.5 of [thesis].
 
-OpenCV's USAC framework with its local optimisation. It draws from a generator of its own, whose seed is given: the same
-keypoints give the same matches, whatever ran before.
+OpenCV's USAC framework with local optimisation and a fixed seed: the same keypoints always give the same matches.
 """
 
 from collections.abc import Callable
@@ -18,9 +17,9 @@ Pixels = NDArray[np.float32]
 Rows = NDArray[np.intp]
 Fit = Callable[[Pixels, Pixels, cv2.UsacParams], tuple[object, NDArray[np.uint8] | None]]
 
-HOMOGRAPHY_PX = 3.0  # error of an inlier; the ground is not quite a plane
+HOMOGRAPHY_PX = 3.0  # reprojection error of an inlier; the ground is not exactly a plane
 EPIPOLAR_PX = 1.5  # distance of an inlier from its epipolar line
-HOMOGRAPHY_POINTS = 4  # that a homography fits whatever they are
+HOMOGRAPHY_POINTS = 4  # that always fit a homography
 FUNDAMENTAL_POINTS = 7
 SEED = 1
 CONFIDENCE = 0.999
@@ -28,29 +27,29 @@ MAX_ITERATIONS = 5000
 
 
 def ransac_homography(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
-    """Match mutual nearest descriptors, and keep those that one homography maps onto each other."""
+    """Match mutual nearest descriptors, and keep the inliers of a homography."""
     pairs = nn_mutual(a, b, ratio)
     return pairs[same_homography(a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]])]
 
 
 def ransac_fundamental(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
-    """Match mutual nearest descriptors, and keep those that lie on each other's epipolar lines."""
+    """Match mutual nearest descriptors, and keep the inliers of a fundamental matrix."""
     pairs = nn_mutual(a, b, ratio)
     return pairs[same_epipolar_geometry(a.pixels[pairs[:, 0]], b.pixels[pairs[:, 1]])]
 
 
 def same_homography(a: NDArray[np.floating], b: NDArray[np.floating]) -> Rows:
-    """Return the ascending rows of (N, 2) pixels `a` and `b` that the best homography maps onto each other."""
+    """Return the ascending rows of (N, 2) pixels `a` and `b` that are inliers of the best homography."""
     return _agreeing(a, b, cv2.findHomography, HOMOGRAPHY_POINTS, HOMOGRAPHY_PX)
 
 
 def same_epipolar_geometry(a: NDArray[np.floating], b: NDArray[np.floating]) -> Rows:
-    """Return the ascending rows of (N, 2) pixels `a` and `b` that agree with the best fundamental matrix."""
+    """Return the ascending rows of (N, 2) pixels `a` and `b` that are inliers of the best fundamental matrix."""
     return _agreeing(a, b, cv2.findFundamentalMat, FUNDAMENTAL_POINTS, EPIPOLAR_PX)
 
 
 def _agreeing(a: NDArray[np.floating], b: NDArray[np.floating], fit: Fit, sample: int, threshold_px: float) -> Rows:
-    """Return the rows that agree with the best geometry; none unless there are more than a sample of them."""
+    """Return the inliers of the best model; none unless there are more than in a minimal sample."""
     none = np.zeros(0, np.intp)
     if len(a) <= sample:
         return none
@@ -61,7 +60,7 @@ def _agreeing(a: NDArray[np.floating], b: NDArray[np.floating], fit: Fit, sample
     parameters.maxIterations = MAX_ITERATIONS
     try:
         _, inliers = fit(np.asarray(a, np.float32), np.asarray(b, np.float32), parameters)
-    except cv2.error:  # degenerate points: OpenCV asserts instead of answering no
+    except cv2.error:  # degenerate points: OpenCV fails an assertion
         return none
     if inliers is None or int(inliers.sum()) <= sample:
         return none

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Following points from one image to another (Lucas and Kanade 1981; pyramids: Bouguet 2001), by OpenCV.
+"""Pyramidal KLT optical flow (Lucas and Kanade 1981, Bouguet 2001), by OpenCV.
 
-Lucas-Kanade takes brightness for constant. Cameras that differ in gain and vignette, and an exposure that jumps, break
-that: so each image is first freed of its local mean, which costs 1.5 ms at 1280 x 960. With the right camera at gain
-1.15 and 35 % vignette that keeps 99.9 % of the points at the same accuracy (without it 90 %, 5 % of them wrong), and an
-exposure that jumps by a factor of 1.4 costs 2 % (without it nearly all); dividing by the local standard deviation as
-well gains nothing more.
+Lucas-Kanade assumes constant brightness, which different gains, vignettes and exposure jumps violate. So the local mean
+is subtracted from each image first, in 1.5 ms at 1280 x 960. With the right camera at gain 1.15 and 35 % vignette this
+keeps 99.9 % of the points at the same accuracy (otherwise 90 %, 5 % of them wrong), and an exposure jump by a factor of
+1.4 loses 2 % (otherwise nearly all). Also dividing by the local standard deviation gains nothing.
 """
 
 import cv2
@@ -16,31 +15,31 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 WINDOW_PX = 15  # 0.055 px of disparity noise; 11: 0.07, 21: 0.043 for 1.3 times the time
-MEAN_WINDOW_PX = 127  # 31 would take from the pyramid's upper levels all that they could see
+MEAN_WINDOW_PX = 127  # 31 would remove all texture from the pyramid's upper levels
 MIDDLE_GREY = 128.0
-LEVELS = 5  # of the pyramid: a guess may be about 60 px off
-MAX_RETURN_PX = 0.5  # a point that is followed there and back ends so near to where it was, or it was lost
-BORDER_PX = 8.0  # half a window: nearer to the border the window shows what is not there
+LEVELS = 5  # of the pyramid: tolerates a guess about 60 px off
+MAX_RETURN_PX = 0.5  # largest forward-backward error of a tracked point
+BORDER_PX = 8.0  # half a window: closer to the border the window is outside the image
 SHIFT_STEP_PX = 8
 _ENOUGH = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
 
 
 def without_local_mean(image: Grey) -> Grey:
-    """Return an (H, W) image less the mean around each pixel, plus middle grey."""
+    """Return an (H, W) image minus its local mean, plus middle grey."""
     mean = cv2.blur(image, (MEAN_WINDOW_PX, MEAN_WINDOW_PX))
     return np.asarray(cv2.addWeighted(image, 1.0, mean, -1.0, MIDDLE_GREY), np.uint8)
 
 
-def follow(first: Grey, second: Grey, pixels: Array, guess: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Find the points of one image in another, and back again.
+def track_points(first: Grey, second: Grey, pixels: Array, guess: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Track points from one image to another, with a forward-backward check.
 
     Args:
         first, second: (H, W) images without local mean.
         pixels: (N, 2) points of the first image [px].
-        guess: (N, 2) where they may be in the second one [px].
+        guess: (N, 2) predicted pixels in the second one [px].
 
     Returns:
-        (N, 2) where they are in the second image, and (N,) which were found there.
+        (N, 2) pixels in the second image, and the (N,) mask of the points tracked.
     """
     if len(pixels) == 0:
         return np.zeros((0, 2)), np.zeros(0, bool)
@@ -52,7 +51,7 @@ def follow(first: Grey, second: Grey, pixels: Array, guess: Array) -> tuple[Arra
 
 
 def shift_between(first: Grey, second: Grey) -> Array:
-    """Return (2,) by how much the image as a whole has moved [px], by phase correlation of shrunk images."""
+    """Return the (2,) global shift of the image [px], by phase correlation of downscaled images."""
     small = [
         cv2.resize(image, None, fx=1 / SHIFT_STEP_PX, fy=1 / SHIFT_STEP_PX, interpolation=cv2.INTER_AREA)
         for image in (first, second)
@@ -63,7 +62,7 @@ def shift_between(first: Grey, second: Grey) -> Array:
 
 
 def inside(pixels: NDArray[np.floating], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Tell which (N, 2) pixels have their whole window inside an image of (height, width)."""
+    """Return which (N, 2) pixels have their window inside an image of (height, width)."""
     high = np.array([shape[1], shape[0]]) - 1 - BORDER_PX
     return np.asarray(((pixels >= BORDER_PX) & (pixels <= high)).all(axis=1))
 
@@ -75,7 +74,7 @@ def _lucas_kanade(
         first,
         second,
         pixels,
-        guess.copy(),  # it is written to
+        guess.copy(),  # OpenCV modifies it
         winSize=(WINDOW_PX, WINDOW_PX),
         maxLevel=levels,
         criteria=_ENOUGH,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where followed points will be seen: in the next left image by the flow so far, in the right one by their depth.
+"""Prediction of tracked points: in the next left image by the last flow, in the right one by their depth.
 
-The front end has no inertial unit, and at these rates needs none: the image's last motion, as an affine function of the
-place, is off by what turning changes between two images, which the pyramid bridges.
+The front end does without IMU: an affine model of the last image motion is wrong only by the change of rotation between
+two images, which the pyramid tolerates.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from uav_vslam.geometry.stereo import StereoRig
 
 Array = NDArray[np.float64]
 
-MIN_POINTS = 8  # fewer say too little of the flow
+MIN_POINTS = 8  # fewer do not determine the flow
 OUTLIER_FACTOR = 3.0  # times the median distance from the first fit
 
 
@@ -22,20 +22,20 @@ class FlowModel:
     def __init__(self) -> None:
         self._velocity = np.zeros((3, 2))  # [px/s], for (u, v, 1)
 
-    def learn(self, before: Array, after: Array, dt_s: float) -> None:
-        """Fit the motion of (N, 2) pixels within a time; too few of them mean that nothing is known."""
+    def fit(self, before: Array, after: Array, dt_s: float) -> None:
+        """Fit the motion of (N, 2) pixels over `dt_s`; zero flow if there are too few."""
         if len(before) < MIN_POINTS:
             self._velocity = np.zeros((3, 2))
             return
         velocity = (after - before) / dt_s
         A = _homogeneous(before)
-        fit = np.linalg.lstsq(A, velocity, rcond=None)[0]
-        distance = np.linalg.norm(velocity - A @ fit, axis=1)
+        initial = np.linalg.lstsq(A, velocity, rcond=None)[0]
+        distance = np.linalg.norm(velocity - A @ initial, axis=1)
         near = distance <= OUTLIER_FACTOR * np.median(distance)
         self._velocity = np.linalg.lstsq(A[near], velocity[near], rcond=None)[0]
 
     def predict(self, pixels: Array, dt_s: float) -> Array:
-        """Return where (N, 2) pixels will be after a time."""
+        """Predict (N, 2) pixels after `dt_s`."""
         return np.asarray(pixels + _homogeneous(pixels) @ self._velocity * dt_s)
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""New points to follow, found and described in a second thread while the images go on.
+"""Detection and description of new keypoints to track, in a second thread.
 
-What is found in one image joins the tracks when the next one comes, waiting for the thread if it must: so the result
-does not depend on how fast the machine is.
+Keypoints of one image join the tracks at the next image, which waits for the thread if necessary: the result does not
+depend on the machine's speed.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,29 +19,29 @@ from uav_vslam.vision.tracking.flow import inside
 
 Array = NDArray[np.float64]
 
-MIN_DISTANCE_PX = 10.0  # of a new point from those that are followed, at full resolution
+MIN_DISTANCE_PX = 10.0  # of a new keypoint from tracked ones, at full resolution
 
 
 class Refill:
-    """Searches images for points, one image at a time."""
+    """Detects keypoints, in one image at a time."""
 
     def __init__(self, config: FrontendConfig) -> None:
         """Prepare the extractor.
 
         Raises:
-            ConfigError: it is not known.
+            ConfigError: it is unknown.
         """
         self._scale = config.search_scale
         self._extractor = make_extractor(config)
         self._thread = ThreadPoolExecutor(1, "refill")
         self._search: Future[Keypoints] | None = None
 
-    def begin(self, image: NDArray[np.generic]) -> None:
-        """Begin to search an (H, W) or (H, W, 3) image."""
+    def start(self, image: NDArray[np.generic]) -> None:
+        """Start detection in an (H, W) or (H, W, 3) image."""
         self._search = self._thread.submit(self._detect, image)
 
     def result(self) -> Keypoints | None:
-        """Wait for what was begun last and return its points at full resolution; None where nothing was begun."""
+        """Wait for the last detection and return its keypoints at full resolution; None if none was started."""
         if self._search is None:
             return None
         search, self._search = self._search, None
@@ -54,13 +54,13 @@ class Refill:
         return Keypoints(pixels.astype(np.float32), found.responses, found.descriptors)
 
 
-def choose_new(found: Keypoints, followed: Array, count: int, shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Choose points to follow from now on: not where one is followed already, spread over the image.
+def choose_new(found: Keypoints, tracked: Array, count: int, shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Select new keypoints to track: away from existing tracks, spread over the image.
 
     Args:
-        found: points of an image, strongest first.
-        followed: (N, 2) points that are followed already [px].
-        count: how many are wanted.
+        found: keypoints of an image, strongest first.
+        tracked: (N, 2) points tracked already [px].
+        count: number wanted.
         shape: (height, width) of the image [px].
 
     Returns:
@@ -68,10 +68,10 @@ def choose_new(found: Keypoints, followed: Array, count: int, shape: tuple[int, 
     """
     if count <= 0 or len(found) == 0:
         return np.zeros(0, np.intp)
-    _, first = np.unique(found.pixels, axis=0, return_index=True)  # two orientations of one point are one point
+    _, first = np.unique(found.pixels, axis=0, return_index=True)  # one point may have two orientations
     rows = np.sort(first)
     rows = rows[inside(found.pixels[rows], shape)]
-    if len(followed):
-        distance, _ = cKDTree(followed).query(found.pixels[rows])
+    if len(tracked):
+        distance, _ = cKDTree(tracked).query(found.pixels[rows])
         rows = rows[distance >= MIN_DISTANCE_PX]
-    return rows[spread(found.pixels[rows], count, size=(shape[1], shape[0]), taken=followed)]
+    return rows[spread(found.pixels[rows], count, size=(shape[1], shape[0]), taken=tracked)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The points that are being followed, as they were last seen."""
+"""Feature tracks and their last observations."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Followed points; every one was described where it was first found.
+    """Feature tracks; descriptors are from the start of the track.
 
     Attributes:
-        ids: (N,) uint32 from 1, never used again.
-        pixels: (N, 2) where they were last seen in the left image, raw [px].
-        depth_m: (N,) depth in the left camera [m]; NaN for those that were not yet seen in the right image.
+        ids: (N,) uint32 from 1, never reused.
+        pixels: (N, 2) last observation in the left image, raw [px].
+        depth_m: (N,) depth in the left camera [m]; NaN before the first match in the right image.
         descriptors: (N, D) uint8.
     """
 
@@ -37,8 +37,8 @@ class Tracks:
         """Return some of the tracks, by rows or mask."""
         return Tracks(self.ids[rows], self.pixels[rows], self.depth_m[rows], self.descriptors[rows])
 
-    def and_new(self, pixels: Array, descriptors: NDArray[np.uint8], first_id: int) -> "Tracks":
-        """Return the tracks and, after them, (M, 2) points that are seen for the first time."""
+    def with_new(self, pixels: Array, descriptors: NDArray[np.uint8], first_id: int) -> "Tracks":
+        """Append (M, 2) new points as tracks."""
         if len(self) == 0:
             descriptors_before = np.zeros((0, descriptors.shape[1]), np.uint8)
         else:
