@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the offline graph takes the start state from, and what its result is compared with."""
+"""The offline graph's start state, and the reference of its result."""
 
 import dataclasses
 
@@ -29,8 +29,8 @@ def config(source: SimulatedSource, start: StartConfig) -> VehicleConfig:
     return VehicleConfig(imu=source.simulated.scenario.imu_config, start=start)
 
 
-def test_a_start_found_in_flight_is_compared_in_its_own_frame(source: SimulatedSource) -> None:
-    """The recorded start state lies 70 m up in the world; what is found in flight is the origin."""
+def test_an_in_flight_start_is_compared_in_its_own_frame(source: SimulatedSource) -> None:
+    """The recorded start state is 70 m up in the world; in-flight initialisation puts the origin there."""
     settings = {source.vehicle: config(source, IN_FLIGHT)}
     track = track_vehicle(source, settings[source.vehicle])
     truths = {source.vehicle: true_trajectory(source.simulated)}
@@ -51,10 +51,10 @@ def test_a_given_start_is_compared_in_the_world(source: SimulatedSource) -> None
     assert abs(result.s_slam.positions[0, 2] - 70.0) < 5.0
 
 
-def test_a_flight_that_never_lets_a_start_be_found_says_why(source: SimulatedSource) -> None:
+def test_a_failed_in_flight_initialisation_says_why(source: SimulatedSource) -> None:
     blind = tuple(StereoFeatures.empty(int(stamp_ns)) for stamp_ns in source.simulated.frame_stamps_ns)
     dark = dataclasses.replace(source, features=blind)
-    with pytest.raises(UavVslamError, match=rf"none of {FRAMES} frames would do to start in flight; the last: of 0"):
+    with pytest.raises(UavVslamError, match=rf"none of {FRAMES} frames allowed a start in flight; the last: of 0"):
         track_vehicle(dark, config(source, IN_FLIGHT))
 
 
@@ -68,5 +68,5 @@ def test_a_recording_without_a_start_state_names_all_remedies(source: SimulatedS
         vehicle, rig, initial_state = source.vehicle, source.rig, None
         iter_events = source.iter_events
 
-    with pytest.raises(UavVslamError, match=r"static for a vehicle that starts at rest, in_flight for one that flies"):
+    with pytest.raises(UavVslamError, match=r"static for a vehicle that starts at rest, in_flight for one"):
         track_vehicle(Nameless(), config(source, StartConfig()))

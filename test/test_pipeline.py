@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole simulated flights through the offline twin: repeatable, consistent, and better together than alone."""
+"""Whole simulated flights through the offline graph: repeatable, consistent, and better with peers than alone."""
 
 import dataclasses
 import functools
@@ -29,7 +29,7 @@ RUNS = 12  # of the consistency test
 SEEDS_IN_FLIGHT = range(1, 7)
 
 # A consistent filter's end NEES over 12 flights of 3 degrees of freedom each is chi-square with 36. The 99 % band of
-# its mean is 0.50 to 1.71. Power: an over-confidence of 2.5 (sigmas too small by 1.6) is noticed with 92 %, the
+# its mean is 0.50 to 1.71. Power: an over-confidence of 2.5 (sigmas too small by 1.6) is detected with 92 %, the
 # thesis's model (27 here) always.
 BAND = tuple(chi2.ppf([0.005, 0.995], 3 * RUNS) / (3 * RUNS))
 
@@ -77,7 +77,7 @@ def end_nees(seed: int, model: str) -> float:
     return float(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3)
 
 
-def test_the_default_model_is_as_good_as_it_says() -> None:
+def test_the_default_model_is_consistent() -> None:
     mean = np.mean([end_nees(seed, "ri15") for seed in range(1, RUNS + 1)])
     assert BAND[0] < mean < BAND[1]
 
@@ -101,7 +101,7 @@ def test_the_same_flight_twice_gives_the_same_bytes() -> None:
             assert a.dead_reckoning.covariance.tobytes() == b.dead_reckoning.covariance.tobytes()
 
 
-def test_the_network_does_not_reach_the_own_track() -> None:
+def test_the_network_does_not_affect_the_own_track() -> None:
     """The own-only track of a vehicle is the same whether or not there is a peer, and whatever the mode."""
     _, alone, _ = fly_fleet(1, mode="none")
     _, together, _ = flown()
@@ -121,7 +121,7 @@ def test_without_cooperation_the_fused_track_is_the_own_one() -> None:
             assert np.trace(fused.covariance[:3, :3]) < 1.1 * np.trace(own.covariance[:3, :3])
 
 
-def test_peers_share_landmarks_and_lower_each_others_doubt() -> None:
+def test_peers_share_landmarks_and_reduce_each_others_uncertainty() -> None:
     sources, tracks, fleet = flown()
     for source in sources:
         member, own = fleet[source.vehicle], tracks[source.vehicle].outputs[-1].report.pose
@@ -137,7 +137,7 @@ def test_peers_share_landmarks_and_lower_each_others_doubt() -> None:
         assert np.linalg.norm(position_error(source.simulated, fused)) < 3 * sigma
 
 
-def test_every_frame_has_an_output_a_reckoning_and_a_fused_pose() -> None:
+def test_every_frame_has_an_output_dead_reckoning_and_a_fused_pose() -> None:
     sources, tracks, fleet = flown()
     for source in sources:
         track = tracks[source.vehicle]
@@ -183,7 +183,7 @@ def test_a_lone_reading_from_the_future_is_dropped_and_stops_nothing() -> None:
         np.testing.assert_array_equal(a.report.nav.covariance, b.report.nav.covariance)
 
 
-def test_frames_at_the_end_are_completed_with_the_readings_there_are() -> None:
+def test_frames_at_the_end_are_completed_with_the_last_readings() -> None:
     (source,) = simulated(1, frames=8)
     last = int(source.simulated.frame_stamps_ns[-1])
     events = [e for e in source.iter_events() if not (isinstance(e, ImuSample) and e.stamp_ns > last - 50_000_000)]
@@ -191,7 +191,7 @@ def test_frames_at_the_end_are_completed_with_the_readings_there_are() -> None:
     assert len(track.outputs) == 8
 
 
-def test_an_output_is_given_as_soon_as_the_readings_reach_its_frame() -> None:
+def test_an_output_is_yielded_as_soon_as_readings_reach_its_frame() -> None:
     (source,) = simulated(1, frames=5)
     pipeline = VehiclePipeline(source.initial_state, rig=source.rig, config=config_of(source), vehicle="uav1")
     for event in source.iter_events():
@@ -205,7 +205,7 @@ def test_an_output_is_given_as_soon_as_the_readings_reach_its_frame() -> None:
 
 @functools.cache
 def flown_from_nowhere(seed: int) -> tuple[SimulatedSource, VehicleTrack]:
-    """A flight of 8 s without any start state but gravity; the filter is told 5 m/s."""
+    """A flight of 8 s without any start state but gravity; the filter's prior sigma is 5 m/s."""
     (source,) = simulated(seed, frames=58)
     config = dataclasses.replace(config_of(source), start=StartConfig(method="in_flight", velocity_sigma=5.0))
     pipeline = VehiclePipeline(None, rig=source.rig, config=config, vehicle=source.vehicle)
@@ -231,7 +231,7 @@ def test_a_start_in_flight_settles_within_five_seconds(seed: int) -> None:
         assert np.rad2deg(np.arccos(R[2] @ R_true[2])) < 1.5  # five sigmas of the accelerometer's bias
 
 
-def test_after_a_start_in_flight_the_filter_is_as_good_as_it_says() -> None:
+def test_after_a_start_in_flight_the_filter_is_consistent() -> None:
     """In the vehicle's own frame: its first frame is the origin and faces yaw zero, by definition."""
     found = []
     for seed in SEEDS_IN_FLIGHT:
@@ -246,7 +246,7 @@ def test_after_a_start_in_flight_the_filter_is_as_good_as_it_says() -> None:
     assert np.mean(found) < 2.0
 
 
-def test_a_start_that_the_first_frames_contradict_is_told() -> None:
+def test_a_start_that_the_first_frames_contradict_is_reported() -> None:
     (source,) = simulated(1, frames=24)
     initial = source.initial_state
     wrong = dataclasses.replace(initial.state, v_map=initial.state.v_map + np.array([2.0, 0.0, 0.0]))

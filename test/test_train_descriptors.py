@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The script that trains compact descriptors makes a basis that can be used like the shipped one."""
+"""The training script for compact descriptors makes a usable basis."""
 
 import subprocess
 import sys

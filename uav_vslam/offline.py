@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole graph offline: every source through its vehicle's pipeline, then packets and fusion, as fast as it goes.
+"""The whole graph offline: each source through its vehicle's pipeline, then packets and fusion, at full speed.
 
-Own-only tracks know nothing of each other, so each vehicle has a worker process where cores allow. The result is the
-same, bit for bit, however many workers there are.
+Own-only tracks are independent, so each vehicle has a worker process if cores allow. The result is the same, bit for
+bit, for any number of workers.
 """
 
 import multiprocessing
@@ -29,7 +29,7 @@ POLL_S = 0.2
 
 
 class FlightSource(Protocol):
-    """One vehicle's sensor data, recorded or simulated; it travels to a worker process."""
+    """One vehicle's sensor data, recorded or simulated; it must be picklable, for a worker process."""
 
     @property
     def vehicle(self) -> str:
@@ -41,7 +41,7 @@ class FlightSource(Protocol):
 
     @property
     def initial_state(self) -> NavEstimate | None:
-        """Start state, None where nobody gave one."""
+        """Start state, or None."""
 
     def iter_events(self) -> Iterable[ImuSample | StereoFrame | StereoFeatures]:
         """Yield sensor data in stamp order."""
@@ -53,8 +53,8 @@ def track_vehicle(
     """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the damage.
 
     Raises:
-        UavVslamError: the source has no start state and the configuration does not say how to find one, or it could
-            not be found.
+        UavVslamError: the source has no start state and the configuration does not set how to find one, or none was
+            found.
     """
     cv2.setNumThreads(1)
     pipeline = VehiclePipeline(_start(source, config), rig=source.rig, config=config, vehicle=source.vehicle, session=1)
@@ -65,7 +65,7 @@ def track_vehicle(
         pipeline.track.broken = str(error)
     if pipeline.missing_start:
         raise UavVslamError(
-            f"{source.vehicle}: none of {pipeline.track.frames_in} frames would do to start in flight; "
+            f"{source.vehicle}: none of {pipeline.track.frames_in} frames allowed a start in flight; "
             f"the last: {pipeline.missing_start}"
         )
     return pipeline.track
@@ -85,8 +85,8 @@ def fly(
         sources: one per vehicle.
         configs: by vehicle.
         workers: processes; 1 runs everything in this one.
-        on_frame: told how many frames have been processed since the last call.
-        links: makes the radio link from a sender to a receiver; without it all arrives at once.
+        on_frame: called with the number of frames processed since the last call.
+        links: makes the radio link from a sender to a receiver; without it packets arrive at once.
     """
     if workers == 1 or len(sources) == 1:
         tracks = [track_vehicle(s, configs[s.vehicle], lambda: on_frame(1)) for s in sources]
@@ -106,7 +106,7 @@ def flight_result(
     seed: int | None = None,
     wall_s: float = 0.0,
 ) -> FlightResult:
-    """Gather what evaluation needs."""
+    """Collect the data for evaluation."""
     modes = {vehicle: configs[vehicle].fusion.mode if len(tracks) > 1 else "none" for vehicle in tracks}
     members = {vehicle: None if modes[vehicle] == "none" else fleet[vehicle] for vehicle in tracks}
     vehicles = {
@@ -126,7 +126,7 @@ def flight_result(
 
 
 def link_counters(member: CooperativeTrack) -> LinkCounters:
-    """Return what a vehicle's radio did."""
+    """Return the statistics of a vehicle's radio link."""
     peers = member.fusion.inbox.peers.values()
     dropped = {"budget": member.outbox.over_budget} if member.outbox.over_budget else {}
     for record in peers:
@@ -161,7 +161,7 @@ def _vehicle_result(
 
 
 def _start(source: FlightSource, config: VehicleConfig) -> NavEstimate | None:
-    """Return the start state, None where it is to be found in flight."""
+    """Return the start state, None if it is to be estimated in flight."""
     if config.start.method == "in_flight":
         return None
     if config.start.method == "static":
@@ -169,7 +169,7 @@ def _start(source: FlightSource, config: VehicleConfig) -> NavEstimate | None:
     if source.initial_state is None:
         raise UavVslamError(
             f"{source.vehicle}: the recording has no {source.vehicle}/initial_state; record one, or set "
-            "start.method: static for a vehicle that starts at rest, in_flight for one that flies already"
+            "start.method: static for a vehicle that starts at rest, in_flight for one that is already flying"
         )
     return source.initial_state
 
@@ -185,10 +185,10 @@ def _static_start(source: FlightSource, config: VehicleConfig) -> NavEstimate:
     return static_alignment(samples, samples[-1].stamp_ns if samples else 0, config.imu)
 
 
-_progress: Any = None  # a worker's way to say that it finished a frame
+_progress: Any = None  # a worker's queue to report finished frames
 
 
-def _adopt(queue: Any) -> None:
+def _init_worker(queue: Any) -> None:
     global _progress
     _progress = queue
 
@@ -201,7 +201,7 @@ def _track_in_workers(
     sources: list[FlightSource], configs: dict[str, VehicleConfig], workers: int, on_frame: Callable[[int], None]
 ) -> list[VehicleTrack]:
     queue = multiprocessing.get_context("spawn").Queue()
-    with worker_pool(min(workers, len(sources)), _adopt, queue) as pool:
+    with worker_pool(min(workers, len(sources)), _init_worker, queue) as pool:
         futures: list[Future[VehicleTrack]] = [pool.submit(_track_for_pool, s, configs[s.vehicle]) for s in sources]
         while not all(future.done() for future in futures):
             time.sleep(POLL_S)

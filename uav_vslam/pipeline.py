@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One vehicle without ROS: the same stages that the nodes run, chained in one process."""
+"""One vehicle without ROS: the nodes' stages, chained in one process."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -24,9 +24,9 @@ class VehicleTrack:
         frames_in: stereo pairs offered.
         outputs: one per frame processed, in stamp order.
         dropped: frames that were not processed, by reason.
-        alarms: frames that had something wrong with cameras or rig, by subject.
-        broken: why the recording ended early; empty if it did not.
-        warnings: what its user should look into.
+        alarms: frames with a camera or rig fault, by subject.
+        broken: why the recording ended early; empty if complete.
+        warnings: problems for the user.
     """
 
     vehicle: str
@@ -39,12 +39,12 @@ class VehicleTrack:
 
 
 class VehiclePipeline:
-    """Front end, INS and backend of one vehicle."""
+    """Front end, INS and back end of one vehicle."""
 
     def __init__(
         self, initial: NavEstimate | None, *, rig: StereoRig, config: VehicleConfig, vehicle: str, session: int = 1
     ) -> None:
-        """Begin at a state, or with `start.method: in_flight` at the one that is found: then it may be None."""
+        """Start at a state; with `start.method: in_flight` it may be None and is estimated."""
         self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._preintegrator = ImuPreintegrator(config.imu, initial.state if initial else None)
         self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
@@ -57,7 +57,7 @@ class VehiclePipeline:
 
     @property
     def missing_start(self) -> str:
-        """Why there is no start state yet; empty once there is one."""
+        """Reason for the missing start state; empty once there is one."""
         return self._slam.missing_start
 
     def run(self, events: Iterable[ImuSample | StereoFrame | StereoFeatures]) -> Iterator[FrameOutput]:
@@ -70,23 +70,23 @@ class VehiclePipeline:
         yield from self._complete(self._preintegrator.increments(flush=True))
 
     def add_imu(self, sample: ImuSample) -> list[FrameOutput]:
-        """Take in a reading; it may complete a waiting frame."""
+        """Add an IMU sample; it may complete a waiting frame."""
         self._imu_stamps.check(sample.stamp_ns)
         self._preintegrator.add_imu(sample)
         return self._complete(self._preintegrator.increments())
 
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
-        """Take in a frame, or its features where they are simulated; frames before the start state are dropped."""
+        """Add a frame, or its simulated features; frames before the start state are dropped."""
         self.track.frames_in += 1
-        self._slam.add_features(self._look(frame) if isinstance(frame, StereoFrame) else frame)
+        self._slam.add_features(self._extract_features(frame) if isinstance(frame, StereoFrame) else frame)
         if self._preintegrator.start_ns is None or frame.stamp_ns > self._preintegrator.start_ns:
             self._preintegrator.add_frame_stamp(frame.stamp_ns)
         return self._complete(self._preintegrator.increments())
 
-    def _look(self, frame: StereoFrame) -> StereoFeatures:
-        """Run the front end; what it finds wrong is counted, and told when it happens first.
+    def _extract_features(self, frame: StereoFrame) -> StereoFeatures:
+        """Run the front end; its alarms are counted, and reported the first time.
 
-        A pair that it refuses is a frame without points: the vehicle coasts.
+        A refused pair becomes a frame without points: the vehicle is dead-reckoned.
         """
         try:
             features = self._frontend.process(frame)

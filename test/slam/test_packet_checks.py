@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damage and nonsense are refused by name."""
+"""Corrupted and invalid packets are refused with a reason."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def anchored(make_joint) -> LandmarkPacket:
 
 
 def resealed(packet: LandmarkPacket, **changes) -> LandmarkPacket:
-    """Return the packet with other fields and a checksum that fits them; fields of its points go into those."""
+    """Return the packet with changed fields (its points' included) and a valid checksum."""
     inside = {k: changes.pop(k) for k in list(changes) if hasattr(packet.points, k)}
     changed = dataclasses.replace(packet, points=dataclasses.replace(packet.points, **inside), **changes)
     return dataclasses.replace(changed, checksum=checksum(changed))
@@ -96,7 +96,7 @@ ANCHORED_ONLY = {
     ("form", "kind"),
     [("dense", k) for k in COMMON | DENSE_ONLY] + [("anchored", k) for k in COMMON | ANCHORED_ONLY],
 )
-def test_nonsense_with_a_good_checksum_is_refused_by_its_reason(request, form: str, kind: str) -> None:
+def test_invalid_content_with_a_valid_checksum_is_refused_with_its_reason(request, form: str, kind: str) -> None:
     packet = request.getfixturevalue(form)
     validate(packet)
     reason, change = (COMMON | (DENSE_ONLY if form == "dense" else ANCHORED_ONLY))[kind]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A packet shows what a peer shares, then what is new, and in time everything."""
+"""A packet sends shared landmarks, then new ones, and over time all."""
 
 import dataclasses
 from collections import Counter
@@ -16,7 +16,7 @@ TWENTY = JointInformation(
     1,
     "uav1",
     1,
-    None,  # type: ignore[arg-type]  # the choice looks at landmarks only
+    None,  # type: ignore[arg-type]  # the choice uses landmarks only
     np.arange(1, 21, dtype=np.uint32),
     np.random.default_rng(0).uniform(-40, 40, (20, 3)),
     np.eye(66),
@@ -36,7 +36,7 @@ def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, sh
 
 
 @pytest.mark.parametrize("count", [3, 6, 7, 19])
-def test_all_are_shown_once_before_any_is_shown_again(count: int) -> None:
+def test_all_are_sent_once_before_any_is_sent_again(count: int) -> None:
     shown: Counter[int] = Counter()
     for _ in range(20):
         rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=(2, 9), shown=shown)
@@ -46,7 +46,7 @@ def test_all_are_shown_once_before_any_is_shown_again(count: int) -> None:
         assert max(others) - min(others) <= 1
 
 
-def test_of_those_shown_as_often_the_newest_go_first() -> None:
+def test_of_those_sent_equally_often_the_newest_go_first() -> None:
     shown = {20: 1, 18: 1, 3: 2}
     rows = choose_landmarks(TWENTY, EQUAL, 5, matched_ids=(1,), shown=shown)
     assert (rows + 1).tolist() == [1, 15, 16, 17, 19]
@@ -54,7 +54,7 @@ def test_of_those_shown_as_often_the_newest_go_first() -> None:
     assert (choose_landmarks(TWENTY, EQUAL, 3, matched_ids=(), shown=all_but_three) + 1).tolist() == [3, 19, 20]
 
 
-def test_of_two_in_one_place_the_more_promising_goes_first() -> None:
+def test_of_two_in_one_cell_the_one_with_more_gain_goes_first() -> None:
     positions = np.repeat(np.random.default_rng(1).uniform(-40, 40, (10, 3)), 2, axis=0)
     joint = dataclasses.replace(TWENTY, positions=positions)
     rows = choose_landmarks(joint, np.tile([1.0, 2.0], 10), 10, matched_ids=range(1, 21), shown={})
@@ -69,7 +69,7 @@ def test_surplus_shared_landmarks_are_spread_over_the_ground() -> None:
     assert rows.tolist() == [0, 16, 17, 18, 19]
 
 
-def test_nothing_is_chosen_of_nothing() -> None:
+def test_without_landmarks_none_is_chosen() -> None:
     none = dataclasses.replace(TWENTY, ids=TWENTY.ids[:0], positions=TWENTY.positions[:0])
     assert choose_landmarks(none, EQUAL[:0], 5, matched_ids=(3,), shown={}).shape == (0,)
 

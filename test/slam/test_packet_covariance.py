@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a packet tells never understates the sender's doubt, whatever rounding does, and hardly overstates it."""
+"""A packet's covariance bounds the sender's despite rounding, and hardly exceeds it."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from uav_vslam.types import JointInformation
 Array = NDArray[np.float64]
 
 FORMS = {"dense": code_dense, "anchor": code_anchored}
-EIGENVALUE = 1e-12  # allowed above 1: the coding keeps a margin of 1e-9 for what eigh itself errs by
+EIGENVALUE = 1e-12  # allowed above 1: the encoder keeps a margin of 1e-9 for eigh's own error
 
 
 def random_covariance(rng: np.random.Generator, n: int, decades: float) -> Array:
@@ -29,8 +29,8 @@ def random_covariance(rng: np.random.Generator, n: int, decades: float) -> Array
     return np.asarray(0.5 * (P + P.T))
 
 
-def largest_share(exact: Array, coded: Array) -> float:
-    """Return lambda_max(R^-1 P): how much of the exact uncertainty the coded one holds, at worst."""
+def largest_ratio(exact: Array, coded: Array) -> float:
+    """Return lambda_max(R^-1 P): the largest ratio of exact to encoded variance."""
     return float(eigh(exact, coded, eigvals_only=True)[-1])
 
 
@@ -45,7 +45,7 @@ def test_the_coded_covariance_bounds_the_exact_one(
     rng = np.random.default_rng(seed)
     P = 10.0**log_scale * random_covariance(rng, 3 * count, decades)
     points, scale = FORMS[form](rng.uniform(-100, 100, (count, 3)), P)
-    assert largest_share(P, scale * points.covariance) <= 1.0 + EIGENVALUE
+    assert largest_ratio(P, scale * points.covariance) <= 1.0 + EIGENVALUE
     assert scale >= 1.0
 
 
@@ -64,7 +64,7 @@ def test_landmarks_that_share_the_drift_of_their_map_are_bounded(form: str, rela
     drift = np.tile(np.eye(3), (20, 1))
     P = drift @ drift.T + relative_m**2 * np.diag(rng.uniform(0.5, 2.0, 60))
     points, scale = FORMS[form](rng.uniform(-100, 100, (20, 3)), P)
-    assert largest_share(P, scale * points.covariance) <= 1.0 + EIGENVALUE
+    assert largest_ratio(P, scale * points.covariance) <= 1.0 + EIGENVALUE
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -76,14 +76,14 @@ def test_no_landmarks_have_no_covariance(form: str) -> None:
 def test_rounded_positions_stay_within_half_a_step_and_add_their_variance() -> None:
     rng = np.random.default_rng(1)
     offsets = rng.uniform(-655, 655, (50, 3))
-    points, scale = code_anchored(offsets[:9], 1e-6 * np.eye(27))  # far better known than the code can tell
+    points, scale = code_anchored(offsets[:9], 1e-6 * np.eye(27))  # far more certain than the code can represent
     R = scale * points.covariance
     assert np.abs(points.offsets_m - offsets[:9]).max() <= OFFSET_STEP_M / 2 + 1e-9
-    assert largest_share((1e-6 + OFFSET_STEP_M**2 / 12) * np.eye(27), R) <= 1.0 + EIGENVALUE
+    assert largest_ratio((1e-6 + OFFSET_STEP_M**2 / 12) * np.eye(27), R) <= 1.0 + EIGENVALUE
 
 
-def test_a_landmark_pays_for_its_own_rounding_only() -> None:
-    """One flat ellipsoid, as of a landmark seen once, is coarsely rounded; the others must not suffer from it."""
+def test_rounding_inflates_each_landmark_separately() -> None:
+    """One flat ellipsoid, as of a landmark seen once, is coarsely rounded; the others must not be inflated."""
     P = 0.3**2 * np.eye(18)
     P[:3, :3] = np.diag([0.04, 0.04, 8.0]) ** 2
     points, scale = code_anchored(np.random.default_rng(2).uniform(-50, 50, (6, 3)), P)
@@ -93,7 +93,7 @@ def test_a_landmark_pays_for_its_own_rounding_only() -> None:
 
 @pytest.fixture(scope="module")
 def beliefs() -> list[JointInformation]:
-    """What our filter believes, once a second, on a flight over simulated landmarks."""
+    """The filter's joint information, once a second, on a flight over simulated landmarks."""
     scenario = Scenario(frames=50)
     vehicle = simulate_vehicle(scenario, 0)
     source = SimulatedSource(vehicle, scatter_landmarks([vehicle]))
@@ -103,7 +103,7 @@ def beliefs() -> list[JointInformation]:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_filters_own_beliefs_are_bounded_and_hardly_scaled(beliefs: list[JointInformation], form: str) -> None:
+def test_the_filters_own_covariances_are_bounded_and_hardly_scaled(beliefs: list[JointInformation], form: str) -> None:
     rng = np.random.default_rng(3)
     assert len(beliefs) >= 6
     for joint in beliefs:
@@ -112,11 +112,11 @@ def test_the_filters_own_beliefs_are_bounded_and_hardly_scaled(beliefs: list[Joi
         columns = (6 + 3 * rows[:, None] + np.arange(3)).ravel()
         P, offsets = exact[np.ix_(columns, columns)], joint.positions[rows] - joint.positions[rows].mean(axis=0)
         points, scale = FORMS[form](offsets, P)
-        assert largest_share(P, scale * points.covariance) <= 1.0 + EIGENVALUE
+        assert largest_ratio(P, scale * points.covariance) <= 1.0 + EIGENVALUE
         assert scale < 1.001
 
 
-def test_the_compact_form_keeps_what_a_peer_gains_from(beliefs: list[JointInformation]) -> None:
+def test_the_compact_form_keeps_the_informative_part(beliefs: list[JointInformation]) -> None:
     """The common error of 14 landmarks, with 0.3 m of each one's own added: a fifth more of its sigma at most."""
     floor = 0.3**2 * np.eye(42)
     for joint in beliefs[1:]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A packet holds the marginal of its landmarks, in as many bytes as it may have."""
+"""A packet holds the marginal of its landmarks, within its byte limit."""
 
 import dataclasses
 
@@ -58,7 +58,7 @@ def test_a_packet_holds_the_marginal_of_its_landmarks(
     validate(packet)
 
 
-def test_making_a_packet_twice_makes_the_same(joint: JointInformation, packet: LandmarkPacket, form: str) -> None:
+def test_making_a_packet_is_deterministic(joint: JointInformation, packet: LandmarkPacket, form: str) -> None:
     again = make_packet(joint, sequence=3, policy=POLICIES[form], prior_id="survey")
     assert again.checksum == packet.checksum
 
@@ -70,7 +70,7 @@ def test_offsets_keep_their_digits_far_from_the_maps_origin(make_joint, form: st
     np.testing.assert_allclose(packet.positions, joint.positions, rtol=0, atol=POSITION_M[form])
 
 
-def test_a_landmark_out_of_the_compact_forms_reach_is_left_out(make_joint) -> None:
+def test_a_landmark_out_of_the_compact_forms_range_is_left_out(make_joint) -> None:
     positions = np.zeros((5, 3))
     positions[1:, 0] = [OFFSET_LIMIT_M - 1.0, OFFSET_LIMIT_M + 9.0, -1e6, 3.0]
     positions[4, 2] = -OFFSET_LIMIT_M - 1.0
@@ -79,7 +79,7 @@ def test_a_landmark_out_of_the_compact_forms_reach_is_left_out(make_joint) -> No
     assert len(make_packet(joint, sequence=1, policy=PacketPolicy())) == 5
 
 
-def test_a_belief_without_landmarks_makes_an_empty_valid_packet(make_joint, form: str) -> None:
+def test_an_estimate_without_landmarks_makes_an_empty_valid_packet(make_joint, form: str) -> None:
     packet = make_packet(make_joint(np.zeros((0, 3)), np.eye(6)), sequence=1, policy=POLICIES[form])
     validate(packet)
     assert len(packet) == 0
@@ -87,7 +87,7 @@ def test_a_belief_without_landmarks_makes_an_empty_valid_packet(make_joint, form
     assert packet.positions.shape == (0, 3)
 
 
-def test_a_belief_that_lost_its_definiteness_makes_no_packet(joint: JointInformation, form: str) -> None:
+def test_indefinite_joint_information_makes_no_packet(joint: JointInformation, form: str) -> None:
     with pytest.raises(FilterDivergence, match="joint information"):
         make_packet(dataclasses.replace(joint, information=-joint.information), sequence=1, policy=POLICIES[form])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each communication mode makes packets that its budget has room for."""
+"""Each communication mode makes packets within its budget."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_narrowband_sends_the_compact_form() -> None:
 
 
 @pytest.mark.parametrize(("byte_limit", "landmarks"), [(450, 5), (900, 14), (1800, 22), (None, 22)])
-def test_a_narrowband_packet_fills_what_is_left_of_one_frame_of_ethernet(make_joint, byte_limit, landmarks) -> None:
+def test_a_narrowband_packet_fills_one_ethernet_frame(make_joint, byte_limit, landmarks) -> None:
     joint = make_joint(np.random.default_rng(0).uniform(-50, 50, (40, 3)), np.eye(126))
     policy = packet_policy(FusionConfig(mode="narrowband"))
     packet = make_packet(joint, sequence=1, policy=policy, byte_limit=byte_limit)
@@ -29,7 +29,7 @@ def test_a_narrowband_packet_fills_what_is_left_of_one_frame_of_ethernet(make_jo
     assert payload_bytes(packet) <= min(byte_limit or 1340, 1340)
 
 
-def test_a_wideband_packet_is_an_epochs_share_of_a_budget_of_ones_own() -> None:
+def test_a_wideband_packet_is_an_epochs_share_of_the_budget() -> None:
     assert packet_policy(FusionConfig(budget_bytes_per_s=700, epoch_s=0.5)).max_bytes == 350
 
 

@@ -51,7 +51,7 @@ def test_every_bit_of_every_array_counts(packet: LandmarkPacket) -> None:
     ],
     ids=str,
 )
-def test_every_other_field_counts_and_none_can_lend_bytes_to_another(packet: LandmarkPacket, change: dict) -> None:
+def test_every_other_field_counts_and_none_can_pass_for_another(packet: LandmarkPacket, change: dict) -> None:
     own = {"sources": (f"{change.get('vehicle', 'uav1')}/{change.get('session', 1)}",)}
     assert canonical_bytes(dataclasses.replace(packet, **(own | change))) != canonical_bytes(packet)
 
@@ -73,7 +73,7 @@ def test_neither_checksum_nor_tag_counts(packet: LandmarkPacket) -> None:
     assert canonical_bytes(dataclasses.replace(packet, checksum=0, tag=b"x" * 16)) == canonical_bytes(packet)
 
 
-def test_the_payload_grows_by_what_landmarks_need(make_joint) -> None:
+def test_the_payload_grows_linearly_with_landmarks(make_joint) -> None:
     joint = make_joint(np.random.default_rng(1).uniform(-40, 40, (30, 3)), np.eye(96))
 
     def sizes(policy: PacketPolicy, *counts: int) -> list[int]:

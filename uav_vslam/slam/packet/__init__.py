@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The landmark information packet: made from the sender's belief, checked by the receiver.
+"""The landmark information packet: made from the sender's estimate, checked by the receiver.
 
 The sender marginalises its pose and chooses landmarks. Their joint covariance is coded so that R, what the receiver
-decodes, bounds the exact P: `lambda_max(R^-1 P) <= 1` makes `R - P` positive semidefinite, so no receiver is told more
-than the sender knows.
+decodes, bounds the exact P: `lambda_max(R^-1 P) <= 1` makes `R - P` positive semidefinite, so a packet is never
+over-confident.
 """
 
 from uav_vslam.slam.packet.checks import check_contents, check_form, validate

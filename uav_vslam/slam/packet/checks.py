@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that a receiver relies on, checked before it does; whether the sender is who it says is another matter."""
+"""Validation of received packets. Authentication of the sender is separate: cooperation/authentication.py."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ from uav_vslam.vision.compact_descriptors import RAW, load_basis
 
 MAX_SOURCES = 100
 MAX_TEXT = 100  # characters of a name
-MAX_OFFSET_M = 1e6  # numbers beyond these would only break the receiver's algebra
+MAX_OFFSET_M = 1e6  # numbers beyond these would break the receiver's numerics
 MAX_SIGMA_M = 1e5
 MAX_SCALE = 1e6
 
@@ -28,7 +28,7 @@ def validate(packet: LandmarkPacket) -> None:
 
 
 def check_form(packet: LandmarkPacket) -> None:
-    """Check what costs little, before anybody knows who made the packet.
+    """Cheap checks, before authentication.
 
     Raises:
         InvalidMessage: with reason shape, name, sources, descriptors or checksum.
@@ -37,11 +37,11 @@ def check_form(packet: LandmarkPacket) -> None:
     _check_names(packet)
     _check_descriptors(packet)
     if checksum(packet) != packet.checksum:
-        raise InvalidMessage("checksum", f"{_name(packet)} was damaged on its way")
+        raise InvalidMessage("checksum", f"{_name(packet)} was corrupted in transit")
 
 
 def check_contents(packet: LandmarkPacket) -> None:
-    """Check the numbers of a packet whose form is right.
+    """Check the numbers of a packet of valid form.
 
     Raises:
         InvalidMessage: with reason not_finite, position, covariance or duplicate_id.
@@ -92,7 +92,7 @@ def _check_descriptors(packet: LandmarkPacket) -> None:
 
 def _check_numbers(packet: LandmarkPacket) -> None:
     points = packet.points
-    own: NDArray[Any]  # diagonals that must be positive; the common error may be singular
+    own: NDArray[Any]  # diagonals that must be positive; the common error's covariance may be singular
     if isinstance(points, AnchoredPoints):
         factor, own = points.common_factor, points.own_factors[:, [0, 2, 5]]
         largest = size_m(points.own_sizes).max(initial=0.0)
@@ -104,9 +104,9 @@ def _check_numbers(packet: LandmarkPacket) -> None:
     if not (np.abs(points.offsets_m) <= MAX_OFFSET_M).all():
         raise InvalidMessage("position", f"{_name(packet)} has landmarks over {MAX_OFFSET_M} m from its origin")
     if not (own > 0).all() or not 1.0 <= packet.covariance_scale <= MAX_SCALE:
-        raise InvalidMessage("covariance", f"{_name(packet)} is not positive definite, or scaled by no sane factor")
+        raise InvalidMessage("covariance", f"{_name(packet)} is not positive definite, or its scale is out of range")
     if max(np.abs(factor).max(initial=0.0), largest) > MAX_SIGMA_M:
-        raise InvalidMessage("covariance", f"{_name(packet)} doubts by over {MAX_SIGMA_M} m")
+        raise InvalidMessage("covariance", f"{_name(packet)} has a sigma above {MAX_SIGMA_M} m")
     try:
         cholesky(packet.covariance, "covariance")
     except FilterDivergence as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which landmarks a packet shows: shared ones first, those that promise most, then the others in turn."""
+"""Landmark selection for packets: shared landmarks first by expected gain, then the others in turn."""
 
 from collections.abc import Collection, Mapping
 
@@ -17,9 +17,9 @@ POSE_DIM = 6
 
 
 def expected_gain(P: Array) -> Array:
-    """Return (N,) what a peer learns from each landmark, 1/2 log det(I + P_i^-1 P_pos) [nat].
+    """Return the (N,) information a peer gains from each landmark, 1/2 log det(I + P_i^-1 P_pos) [nat].
 
-    The peer, which flies alike, is taken to be as uncertain of the landmark as this vehicle is of its own position.
+    The peer is assumed to be as uncertain of the landmark as this vehicle is of its own position.
 
     Args:
         P: (6+3N, 6+3N) covariance of position, rotation and landmarks.
@@ -33,16 +33,16 @@ def choose_landmarks(
 ) -> Rows:
     """Return at most `count` ascending rows.
 
-    Landmarks that a peer is known to share go first, the most gainful of each place on the ground. What room they leave
-    goes to those shown least often, of which the newest first: peers that fly near look at the same ground now, and
-    what was shown in vain they hardly have.
+    Landmarks known to be shared with a peer go first, by gain within each ground cell. The rest goes to those sent
+    least often, newest first: peers nearby see the same ground now, and probably lack landmarks that were sent
+    without a match.
 
     Args:
-        joint: the belief.
-        gain: (N,) what each landmark is worth.
-        count: how many are wanted.
-        matched_ids: landmarks that a peer was found to share.
-        shown: how often landmarks were shown, by identifier; those that are not in it never were.
+        joint: the estimate.
+        gain: (N,) expected gain of each landmark.
+        count: largest number to return.
+        matched_ids: landmarks found to be shared with a peer.
+        shown: how often landmarks were sent, by identifier; missing ones never were.
     """
     plan, size = ground_plan(joint.positions)
     matched = np.isin(joint.ids, np.fromiter(matched_ids, np.uint32, len(matched_ids)))

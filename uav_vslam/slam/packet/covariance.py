@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rounding points and their covariance, so that what is decoded bounds the exact one.
+"""Encoding of points and their covariance, so that the decoded covariance bounds the exact one.
 
-Whatever rounding did, one factor on the whole makes up for it: s = max(1, lambda_max(R^-1 P)), which the packet states.
+A scalar factor in the packet compensates all rounding: s = max(1, lambda_max(R^-1 P)).
 """
 
 import numpy as np
@@ -25,20 +25,20 @@ from uav_vslam.numerics import cholesky, symmetrise
 
 Array = NDArray[np.float64]
 
-MARGIN = 1e-9  # error of the computed largest eigenvalue
+MARGIN = 1e-9  # numerical error of the largest eigenvalue
 ROUNDING_VARIANCE = OFFSET_STEP_M**2 / 12.0  # of an anchored offset, per axis [m^2]
 
 
 def code_dense(offsets: Array, P: Array) -> tuple[DensePoints, float]:
-    """Return offsets (N, 3) and covariance P (3N, 3N) in single precision, and the factor s that R takes."""
+    """Return offsets (N, 3) and covariance P (3N, 3N) in single precision, and the factor s of R."""
     factor = pack_lower(cholesky(symmetrise(P), "covariance of a packet")).astype(np.float32)
     return DensePoints(offsets.astype(np.float32), factor), bounding_scale(unpack_lower(factor.astype(float)), P)
 
 
 def code_anchored(offsets: Array, P: Array) -> tuple[AnchoredPoints, float]:
-    """Return offsets (N, 3) in steps of 2 cm, the rigid and the own errors that P comes to, and the factor s.
+    """Return offsets (N, 3) in steps of 2 cm, the rigid and own errors that approximate P, and the factor s.
 
-    P grows by the variance of rounding the offsets, which a receiver can't know of otherwise.
+    P includes the variance of rounding the offsets.
     """
     rounded = np.round(offsets / OFFSET_STEP_M).astype(np.int16)
     if len(offsets) == 0:
@@ -62,13 +62,13 @@ def bounding_scale(L: Array, P: Array) -> float:
 def _code_own(factors: Array) -> tuple[NDArray[np.int8], NDArray[np.uint16]]:
     """Return the (N, 6) entries and (N,) sizes of factors (N, 3, 3), enlarged until each L L^T bounds its own.
 
-    Each landmark pays for its own rounding: through s all would pay for the worst.
+    Each landmark's rounding is compensated by itself: through s the worst would inflate all.
     """
     packed = pack_lower(factors)
     sizes = np.abs(packed).max(axis=1)
     entries = np.round(packed / sizes[:, None] * FACTOR_STEPS)
     diagonal = np.cumsum(np.arange(1, 4)) - 1
     entries[:, diagonal] = np.maximum(entries[:, diagonal], 1.0)
-    lost = np.linalg.solve(unpack_lower(entries / FACTOR_STEPS), factors)  # its norm: how much too small L is
+    lost = np.linalg.solve(unpack_lower(entries / FACTOR_STEPS), factors)  # its norm: how much L is too small
     codes = size_code(np.linalg.norm(lost, ord=2, axis=(1, 2)))
     return entries.astype(np.int8), codes

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the sender's belief to a packet."""
+"""Makes packets from the sender's estimate."""
 
 import dataclasses
 from collections.abc import Collection, Mapping
@@ -32,23 +32,23 @@ def make_packet(
     prior_id: str = "",
     byte_limit: int | None = None,
 ) -> LandmarkPacket:
-    """Choose landmarks and code their joint marginal.
+    """Choose landmarks and encode their joint marginal.
 
     Args:
-        joint: the sender's belief.
+        joint: the sender's estimate.
         sequence: number of the packet within the session.
         policy: form and size.
-        matched_ids: landmarks that a peer was found to share; they go first.
-        shown: how often others were shown before; they take turns.
-        prior_id: hash of a loaded map or shared survey behind the belief.
-        byte_limit: what the link has room for now, beside the policy's own limit.
+        matched_ids: landmarks found to be shared with a peer; they go first.
+        shown: how often landmarks were sent before; the least sent go first.
+        prior_id: hash of a loaded map or shared survey used by the estimate.
+        byte_limit: free capacity of the link, in addition to the policy's own limit.
 
     Returns:
-        A packet with as many landmarks as the limits allow; where they allow none, one without landmarks, which says
-        nothing and takes nothing back.
+        A packet with as many landmarks as the limits allow; it may have none, which carries no information and
+        revokes none.
     """
     codes = in_basis(joint.descriptors, policy.descriptor_basis)
-    count = _most(joint, policy, codes.shape[1], prior_id, byte_limit)
+    count = _max_landmarks(joint, policy, codes.shape[1], prior_id, byte_limit)
     P = joint.covariance
     rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, shown=shown)
     origin = _origin(joint, rows)
@@ -80,15 +80,15 @@ def _code(form: str, offsets: Array, P: Array) -> tuple[CodedPoints, float]:
 
 
 def _origin(joint: JointInformation, rows: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Return the middle of the chosen landmarks [m]: a single far one does not move it."""
+    """Return the median of the chosen landmarks [m], robust to a single far one."""
     middle = np.median(joint.positions[rows], axis=0) if len(rows) else joint.T_map_body.t
     return np.clip(np.round(middle), INT32.min, INT32.max).astype(np.int32)
 
 
-def _most(
+def _max_landmarks(
     joint: JointInformation, policy: PacketPolicy, descriptor_size: int, prior_id: str, byte_limit: int | None
 ) -> int:
-    """Return how many landmarks number, bytes and belief allow."""
+    """Return the number of landmarks that count limit, byte limits and estimate allow."""
     count = min(policy.max_landmarks, len(joint.ids))
     limits = [limit for limit in (policy.max_bytes, byte_limit) if limit is not None]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a packet may be: its form, how many landmarks, which descriptors, how many bytes."""
+"""Packet policy: form, number of landmarks, descriptors and bytes."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from uav_vslam.config import MODE_BUDGETS, FusionConfig
 from uav_vslam.vision.compact_descriptors import COMPACT, RAW
 
 DENSE, ANCHOR = "dense", "anchor"
-NARROWBAND_PACKET_BYTES = 1340  # 132 more of RTPS, 28 of UDP and IP: not fragmented, at an MTU of 1500
+NARROWBAND_PACKET_BYTES = 1340  # plus 132 of RTPS and 28 of UDP and IP: not fragmented at an MTU of 1500
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,10 +16,10 @@ class PacketPolicy:
 
     Attributes:
         form: DENSE or ANCHOR, see geometry.coded_points.
-        max_landmarks: how many at most.
+        max_landmarks: largest number of landmarks.
         descriptor_basis: RAW, or the number of a basis in vision.compact_descriptors.
         max_bytes: of the payload; None for no limit.
-        tag_bytes: room to leave in it for the sender's authentication.
+        tag_bytes: bytes reserved for the authentication tag.
     """
 
     form: str = DENSE
@@ -36,8 +36,8 @@ class PacketPolicy:
 def packet_policy(config: FusionConfig, *, tag_bytes: int = 0) -> PacketPolicy:
     """Return the policy of the configured communication mode.
 
-    A wideband packet is no more than an epoch's share of the budget; narrowband ones, of which a large one says more
-    for its bytes, are as large as can be, and fewer.
+    A wideband packet is at most one epoch's share of the budget; narrowband packets are as large as possible and less
+    frequent, because a larger one carries more information per byte.
     """
     if config.mode == "narrowband":
         return PacketPolicy(

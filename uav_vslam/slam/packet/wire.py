@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A packet's bytes: how many it takes on the radio, and the canonical ones that checksum and signature cover."""
+"""A packet's bytes: its size on the radio, and the canonical bytes under checksum and signature."""
 
 import struct
 import zlib
@@ -14,7 +14,7 @@ from uav_vslam.types import LandmarkPacket
 
 VERSION = 2  # of the layout, as in LandmarkInformation.msg
 
-ENCAPSULATION = 4  # bytes that DDS puts before each serialised message
+ENCAPSULATION = 4  # bytes of DDS's header of a serialised message
 
 
 def payload_bytes(packet: LandmarkPacket) -> int:
@@ -53,7 +53,7 @@ def payload_size(
     cdr.numbers(4, 3)  # origin
     cdr.numbers(1)  # descriptor_basis
     cdr.text(vehicle)
-    cdr.numbers(4)  # how many sources
+    cdr.numbers(4)  # number of sources
     for source in sources:
         cdr.text(source)
     cdr.text(prior_id)
@@ -70,7 +70,7 @@ def payload_size(
 
 
 class _CdrSize:
-    """Adds up what the Common Data Representation (version 1) takes: each number is aligned to its own width."""
+    """Size in the Common Data Representation (version 1): each number is aligned to its own width."""
 
     def __init__(self) -> None:
         self.size = 0
@@ -89,7 +89,7 @@ class _CdrSize:
 
 
 def canonical_bytes(packet: LandmarkPacket) -> bytes:
-    """Return every field but checksum and tag. Each part's length leads it, so no two packets have the same bytes."""
+    """Return every field but checksum and tag. Parts are length-prefixed, so no two packets have the same bytes."""
     points = packet.points
     others = packet.other_sources
     numbers = (VERSION, packet.stamp_ns, packet.session, packet.sequence, packet.covariance_scale)
@@ -105,9 +105,9 @@ def canonical_bytes(packet: LandmarkPacket) -> bytes:
 
 
 def _encoded(text: str) -> bytes:
-    return text.encode(errors="surrogatepass")  # what came garbled must be refused for that, not fail here
+    return text.encode(errors="surrogatepass")  # invalid text is refused later and must not fail here
 
 
 def checksum(packet: LandmarkPacket) -> int:
-    """Return the CRC-32 of the canonical bytes: it tells of accidents, not of intent."""
+    """Return the CRC-32 of the canonical bytes: it detects accidents, not attacks."""
     return zlib.crc32(canonical_bytes(packet))
