@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-# Source this (bash, sh or zsh, from anywhere) to use what `make setup` made: `uav-vslam`, `python`, the ROS messages.
-# It names each path itself, because colcon's own setup.bash takes many times longer and doesn't know the PyPI wheels.
+# Source this (bash, sh or zsh, from anywhere) for the environment of `make setup`: `uav-vslam`, `python`, messages.
+# It sets each path itself, because colcon's own setup.bash is many times slower and doesn't know the PyPI wheels.
 
-# Where this file lies: bash and zsh say so; for plain sh, look for the script that it is reading.
+# Path of this file: bash and zsh provide it; in plain sh, search the shell's open files for it.
 _uav_root=
 if [ -n "${BASH_SOURCE:-}" ]; then
   _uav_root=$BASH_SOURCE
@@ -35,7 +35,7 @@ fi
 if [ "$(cat "$_uav_root/.venv/ros")" = jazzy ]; then
   [ -n "${ROS_DISTRO:-}" ] || . /opt/ros/jazzy/setup.sh
 else
-  # The wheels restart Python to set the first of these, unless the second says that it has been done: both or neither.
+  # The wheels restart Python to set the first variable, unless the second marks that as done: set both or neither.
   for _uav_folder in "$_uav_root"/.venv/lib/python3.*/site-packages/ros_*.libs "$_uav_root/.venv/lib"; do
     _uav_prepend LD_LIBRARY_PATH "$_uav_folder"
   done
@@ -54,8 +54,8 @@ for _uav_folder in tf2_msgs uav_vslam_msgs uav_vslam; do
     _uav_prepend PYTHONPATH "$_uav_site"
   done
 done
-_uav_prepend PYTHONPATH "$_uav_root/build/uav_vslam" # the metadata that the installed programs look up
-_uav_prepend PYTHONPATH "$_uav_root"                 # the sources themselves: edits count at once
+_uav_prepend PYTHONPATH "$_uav_root/build/uav_vslam" # metadata of the installed programs
+_uav_prepend PYTHONPATH "$_uav_root"                 # the sources: edits take effect at once
 
 # Images pass between the processes of one host through shared memory.
 export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_uav_root/config/fastdds_shm.xml}"

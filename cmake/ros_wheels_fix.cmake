@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# Reached through CMAKE_PROJECT_TOP_LEVEL_INCLUDES.
+# Included through CMAKE_PROJECT_TOP_LEVEL_INCLUDES.
 # The PyPI ROS wheels bake their build machine's Python and NumPy include
 # directories into the exported <pkg>__rosidl_generator_py targets.  Once the
 # whole list file has run, drop include directories that do not exist here.

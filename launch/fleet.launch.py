@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start a fleet under ROS 2 launch: `ros2 launch uav_vslam fleet.launch.py fleet:=FILE`.
 
-The same nodes with the same parameters as `uav-vslam launch FILE`; both read uav_vslam.ros.fleet_commands.
+The same nodes with the same parameters as `uav-vslam launch FILE`; both use uav_vslam.ros.fleet_commands.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ from uav_vslam.ros.fleet_commands import node_specs
 
 
 def start_fleet(context):
-    """Return one action a node; the end of the replay ends the launch."""
+    """Return one action per node; when the replay ends, the launch shuts down."""
     file = Path(LaunchConfiguration("fleet").perform(context)).resolve()
     link = LaunchConfiguration("link").perform(context)
     return [
@@ -36,7 +36,7 @@ def start_fleet(context):
 
 
 def generate_launch_description():
-    """Read by `ros2 launch`."""
+    """Entry point of `ros2 launch`."""
     demo = PathJoinSubstitution([FindPackageShare("uav_vslam"), "config", "fleet_demo.yaml"])
     return LaunchDescription(
         [

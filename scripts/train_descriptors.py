@@ -27,8 +27,8 @@ from uav_vslam.vision.features import make_extractor
 from uav_vslam.vision.images import shrink, to_grey8
 
 COMPONENTS = 32
-WIDTH_PX = 1280  # of a camera image; larger ones are shrunk to it before the front end shrinks them
-FRAMES_APART = 20  # of a rendered flight: each shows new ground
+WIDTH_PX = 1280  # of a camera image; larger ones are downscaled to it before the front end's own scaling
+FRAMES_APART = 20  # of a rendered flight, so that each shows new ground
 SUFFIXES = {".jpg", ".jpeg", ".png", ".tif"}
 
 
@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def images(folders: list[Path], rendered: int) -> Iterator[np.ndarray]:
-    """Yield grey images as the extractor is given them."""
+    """Yield grey images as passed to the extractor."""
     scale = FrontendConfig().scale
     for path in sorted(p for folder in folders for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
         image = to_grey8(cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR))

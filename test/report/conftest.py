@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights whose tracks err by a known amount."""
+"""Flights whose tracks have known errors."""
 
 import numpy as np
 import pytest
@@ -43,11 +43,11 @@ def pair() -> FlightResult:
 
 @pytest.fixture
 def single() -> FlightResult:
-    """One vehicle whose INS drifts far out of sight."""
+    """One vehicle whose INS drifts far out of view."""
     return make_flight(peers=False, ins_end_m=5000.0)
 
 
 @pytest.fixture
 def blind() -> FlightResult:
-    """One vehicle without truth."""
+    """One vehicle without ground truth."""
     return make_flight(peers=False, truth_known=False)

@@ -16,7 +16,7 @@ def lines(axes, name):
     return [line for line in axes.lines if line.get_color() == STYLES[name].colour]
 
 
-def test_every_plot_is_a_readable_picture(pair, tmp_path):
+def test_every_plot_is_a_valid_image(pair, tmp_path):
     paths = write_plots(pair, tmp_path)
     assert [path.name for path in paths] == ["plan_view.png", "view_3d.png", "errors.png"]
     for path in paths:
@@ -30,7 +30,7 @@ def test_the_same_flight_is_drawn_to_the_same_bytes(pair, tmp_path):
     assert [path.read_bytes() for path in write_plots(pair, tmp_path)] == first
 
 
-def test_without_truth_there_is_no_error_plot(blind, tmp_path):
+def test_without_ground_truth_there_is_no_error_plot(blind, tmp_path):
     assert error_plot(blind) is None
     assert {path.name for path in write_plots(blind, tmp_path)} == {"plan_view.png", "view_3d.png"}
 
@@ -43,7 +43,7 @@ def test_views_show_each_track_of_each_vehicle_in_its_colour(pair, draw):
     assert axes.get_ylabel() == "North [m]"
 
 
-def test_the_plan_view_draws_metres_alike_on_both_axes(pair):
+def test_the_plan_view_has_equal_scales(pair):
     axes = plan_view(pair).axes[0]
     assert axes.get_aspect() == 1.0
     np.testing.assert_allclose(lines(axes, "c_slam")[1].get_xydata(), pair.vehicles["uav2"].c_slam.positions[:, :2])

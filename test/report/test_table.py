@@ -35,14 +35,14 @@ def test_a_single_vehicle_has_neither_peer_nor_pool(single):
     assert "uav1: 198 m, 100 of 101 frames; no peer" in text
 
 
-def test_the_link_line_tells_rates_and_drops(pair):
+def test_the_link_line_shows_rates_and_drops(pair):
     line = link_line("uav2", build_summary(pair, git=None)["vehicles"]["uav2"])
     assert line == ("uav2: 198 m, 100 of 101 frames; sent 10 packets, 18.23 kB/s; received 9, used 8; dropped: 1 stale")
 
 
-def test_an_alignment_is_said(pair):
+def test_an_alignment_is_named(pair):
     assert "aligned (se3)" in printed(pair, alignment="se3")
 
 
-def test_unknown_figures_are_dashes(blind):
+def test_unknown_values_are_dashes(blind):
     assert row(printed(blind), "S-SLAM", "–")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Position errors over time inside the bands that the filters claim."""
+"""Position errors over time with the filters' sigma bands."""
 
 from typing import Any
 
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 
 SIGMAS = 3.0
 BAND_COLOURS = {"s_slam": "#e2e2e2", "c_slam": "#c2ebf2"}
-LOWEST = {"s_slam": 0.5, "c_slam": 0.6}  # the bands lie under the grid
+LOWEST = {"s_slam": 0.5, "c_slam": 0.6}  # the bands are drawn below the grid
 AXES = ("East", "North", "Up")
 
 
 def error_plot(result: FlightResult) -> Figure | None:
-    """Return the errors of S-SLAM and C-SLAM per axis, a column per vehicle; None where no truth is known."""
+    """Return the errors of S-SLAM and C-SLAM per axis, a column per vehicle; None without ground truth."""
     vehicles = [vehicle for vehicle in result.vehicles.values() if _scored(vehicle)]
     if not vehicles:
         return None
@@ -44,7 +44,7 @@ def error_plot(result: FlightResult) -> Figure | None:
 
 
 def _scored(vehicle: VehicleResult) -> dict[str, tuple[Trajectory, Trajectory]]:
-    """Return the SLAM tracks that have a truth, each with it."""
+    """Return the SLAM tracks with ground truth, and the ground truth of each."""
     if vehicle.truth is None:
         return {}
     tracks = {name: track for name, track in tracks_of(vehicle).items() if name in BAND_COLOURS}

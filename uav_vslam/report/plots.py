@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws a flight into its results folder; without a display and without pyplot's global state."""
+"""Plots of a flight, written to its results folder without a display or pyplot's global state."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ DRAWINGS = {"plan_view.png": plan_view, "view_3d.png": view_3d, "errors.png": er
 
 
 def write_plots(result: FlightResult, folder: Path) -> list[Path]:
-    """Write every plot that the flight has the data for, and return their paths."""
+    """Write every plot for which the flight has data, and return the paths."""
     written = []
     for name, draw in DRAWINGS.items():
         figure = draw(result)

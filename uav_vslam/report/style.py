@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How all plots look: the thesis's colours, and the part of the world worth showing."""
+"""Style of all plots: the thesis's colours, and the view limits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +19,18 @@ Array = NDArray[np.float64]
 
 DPI = 150
 GRID = "#d9d9d9"
-BAND = "#d7ecd9"  # behind figures that are as they should be
-LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")  # told apart by all eyes
-MANY_DECADES = 500.0  # largest over smallest above which a logarithmic axis has room for powers of ten only
-INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; what lies beyond is cut off
+BAND = "#d7ecd9"  # background of the consistent range
+LINE_COLOURS = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#e69f00",
+    "#555555",
+)  # safe for colour-blind readers
+MANY_DECADES = 500.0  # largest over smallest from which a logarithmic axis shows powers of ten only
+INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; the rest is clipped
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +44,7 @@ class TrackStyle:
     order: int = 2
 
 
-STYLES = {  # the truth is a broad ribbon under the estimates
+STYLES = {  # the ground truth is a broad line below the estimates
     "c_slam": TrackStyle("C-SLAM", "#00b8d4", 1.8, order=5),
     "s_slam": TrackStyle("S-SLAM", "black", 1.3, order=4),
     "ins": TrackStyle("INS", "#d62728", 1.3, "--", order=3),
@@ -45,13 +53,13 @@ STYLES = {  # the truth is a broad ribbon under the estimates
 
 
 def tracks_of(vehicle: VehicleResult) -> dict[str, Trajectory]:
-    """Return the tracks that the vehicle has and that hold a pose, by name."""
+    """Return the vehicle's tracks that have at least one pose, by name."""
     found = {name: getattr(vehicle, name) for name in STYLES}
     return {name: track for name, track in found.items() if track is not None and len(track)}
 
 
 def view_limits(vehicles: list[VehicleResult]) -> tuple[Array, Array]:
-    """Return the (3,) lower and upper corner of what is worth showing [m]: all SLAM and truth, and INS near them."""
+    """Return the view's (3,) lower and upper corners [m]: all SLAM tracks and ground truth, and the INS near them."""
     tracks = [tracks_of(vehicle) for vehicle in vehicles]
     core = [track.positions for named in tracks for name, track in named.items() if name != "ins"]
     drift = [named["ins"].positions for named in tracks if "ins" in named]
@@ -73,7 +81,7 @@ def _extent(positions: list[Array]) -> tuple[Array, Array]:
 
 
 def clean(axes: Axes) -> None:
-    """Give a flat plot a light grid and no box."""
+    """Give a 2-D plot a light grid and no box."""
     axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow("line")
     for side in ("top", "right"):
@@ -81,7 +89,7 @@ def clean(axes: Axes) -> None:
 
 
 def plain_log(axes: Axes, which: str) -> None:
-    """Make the "x" or "y" axis logarithmic, with ticks written out: at 1, 2, 5, or at 1 over many decades."""
+    """Make the "x" or "y" axis logarithmic, with plain tick labels: at 1, 2, 5, or powers of ten over many decades."""
     axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     low, high = axis.get_view_interval()
@@ -92,11 +100,11 @@ def plain_log(axes: Axes, which: str) -> None:
 
 
 def column(rows: Sequence[Row], key: str) -> list[float]:
-    """Return what rows hold under a key, NaN where that is nothing."""
+    """Return the rows' values of a key, NaN for None."""
     return [float("nan") if row[key] is None else row[key] for row in rows]
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a picture; no date and no version inside, so that the same figures give the same bytes."""
+    """Write an image without date and version, so that the same figure gives the same bytes."""
     figure.savefig(path, dpi=DPI, bbox_inches="tight", pad_inches=0.15, metadata={"Software": None})
     return path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of a flight as a table for the terminal."""
+"""A flight's results as a table for the terminal."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ ABSENT = "–"
 
 
 def print_summary(summary: Figures, console: Console | None = None) -> None:
-    """Print the table of a `build_summary` result, and a line per vehicle about its link."""
+    """Print the table of a `build_summary` result, and one line per vehicle about its radio link."""
     console = console or Console()
     console.print(_title(summary), style="bold", markup=False, highlight=False, soft_wrap=True)
     console.print(summary_table(summary))
@@ -23,7 +23,7 @@ def print_summary(summary: Figures, console: Console | None = None) -> None:
 
 
 def summary_table(summary: Figures) -> Table:
-    """Return rows of vehicle and track with ATE, end error and NEES; the pooled ones last."""
+    """Return rows per vehicle and track with ATE, end error and NEES; pooled rows last."""
     table = Table()
     table.add_column("Vehicle")
     table.add_column("Estimate")
@@ -41,7 +41,7 @@ def summary_table(summary: Figures) -> Table:
 
 
 def link_line(name: str, vehicle: Figures) -> str:
-    """Return distance, frames and what went over the radio, in one line."""
+    """Return one line with distance, frames and radio statistics."""
     link = vehicle["link"]
     offered = "" if vehicle["frames_in"] is None else f" of {vehicle['frames_in']}"
     flown = f"{name}: {vehicle['distance_m']:.0f} m, {vehicle['frames_processed']}{offered} frames"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flight from above and in space."""
+"""Plan view and 3-D view of a flight."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ from uav_vslam.report.style import STYLES, clean, tracks_of, view_limits
 
 Array = NDArray[np.float64]
 
-MAX_POINTS = 3000  # of a drawn line: an INS at 200 Hz has no more to show
+MAX_POINTS = 3000  # of a drawn line: more of a 200 Hz INS would not be visible
 LABEL_BOX = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 
 
@@ -37,7 +37,7 @@ def plan_view(result: FlightResult) -> Figure:
 
 
 def view_3d(result: FlightResult) -> Figure:
-    """Return the view in space, equally scaled on all axes."""
+    """Return the 3-D view."""
     low, high = view_limits(list(result.vehicles.values()))
     figure = Figure(figsize=(10.0, 7.0))
     axes: Any = figure.add_axes((0.0, 0.04, 1.0, 0.96), projection="3d")
@@ -48,7 +48,7 @@ def view_3d(result: FlightResult) -> Figure:
     # A flight is far wider than high: exaggerate the height until it can be seen.
     size = high - low
     box = np.maximum(size, 0.25 * size.max())
-    axes.set_box_aspect(box, zoom=1.25)  # beyond the axes' rectangle: what is drawn must not be clipped to it
+    axes.set_box_aspect(box, zoom=1.25)  # larger than the axes' rectangle: lines must not be clipped to it
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_xlabel("East [m]", labelpad=10)
     axes.set_ylabel("North [m]", labelpad=10)
@@ -68,7 +68,7 @@ def _thin(track: Trajectory) -> Array:
 
 
 def _inside(points: Array, low: Array, high: Array) -> Array:
-    """Return the points with NaN for those out of view, which 3-D axes would draw all the same."""
+    """Return the points with NaN for those out of view, which 3-D axes don't clip."""
     seen = np.asarray(((points >= low) & (points <= high)).all(axis=1))
     return np.where(seen[:, None], points, np.nan)
 
