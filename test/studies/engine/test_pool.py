@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from uav_vslam.studies.engine.pool import in_pool, mean, median, ratio, ratio_interval, rms
+from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, median, ratio, ratio_interval, rms
 
 
 def test_one_worker_is_this_process_and_keeps_the_order():
@@ -35,3 +35,11 @@ def test_the_interval_holds_the_ratio_and_three_seeds_are_the_least():
     assert interval["low"] < 0.5 < interval["high"]
     assert ratio_interval(own, 0.25 * own) == pytest.approx({"low": 0.5, "high": 0.5})
     assert ratio_interval(own[:2], own[:2]) == {}
+
+
+def test_the_interval_of_a_mean_is_as_wide_as_theory_says():
+    values = np.random.default_rng(3).normal(5.0, 2.0, 400)
+    half = 1.96 * values.std() / np.sqrt(400)
+    interval = mean_interval(values)
+    assert interval == pytest.approx({"low": values.mean() - half, "high": values.mean() + half}, abs=0.03)
+    assert mean_interval(np.array([1.0, np.nan, 2.0])) == mean_interval(values[:2]) == {}

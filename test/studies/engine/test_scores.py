@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
+
 import numpy as np
 import pytest
 
 from uav_vslam.studies.engine.own_only import INS
-from uav_vslam.studies.engine.scores import breakdowns, failures, is_finished, pooled, relative_error_rate
+from uav_vslam.studies.engine.scores import breakdowns, failures, is_finished, nees_figures, pooled, relative_error_rate
 
 
 def test_errors_and_nees_are_pooled_over_the_runs(make_run):
@@ -11,6 +13,24 @@ def test_errors_and_nees_are_pooled_over_the_runs(make_run):
     assert row["end_rms_m"] == pytest.approx(np.sqrt(12.5))
     assert row["nees_position_end"] == pytest.approx((9.0 + 16.0) / 2 / 3)
     assert (row["runs"], row["failures"]) == (2, 0)
+
+
+def test_consistency_is_judged_over_seeds_over_time_and_by_run():
+    settled, late = np.full(60, 1.0), np.r_[np.full(20, 99.0), np.full(30, 1.0), np.full(10, 16.0)]
+    found = nees_figures([(1, settled), (1, settled), (2, settled), (3, late)], "nees_position")
+    assert found["nees_position"] == pytest.approx((3 * 1.0 + 4.75) / 4)  # the first 20 keyframes do not count
+    assert found["nees_position_worst_quarter"] == pytest.approx((3 * 1.0 + 16.0) / 4)
+    assert found["nees_position_outside"] == 0.25  # 4.75 is beyond 3.1, which one NEES exceeds once in 40 times
+    assert found["nees_position_low"] == pytest.approx(1.0)
+    assert found["nees_position_high"] == pytest.approx(4.75)
+
+
+def test_a_cautious_run_is_outside_of_the_band_as_well():
+    assert nees_figures([(1, np.full(40, 0.05)), (2, np.full(40, 0.1))])["nees_outside"] == 0.5
+
+
+def test_flights_that_are_too_short_to_judge_have_no_consistency():
+    assert nees_figures([(1, np.ones(21))]) == {"nees": None}
 
 
 def test_the_time_is_the_median_of_all_frames(make_run):
@@ -58,6 +78,15 @@ def test_the_ins_can_not_fail_by_its_own_measure(make_run):
 
 def test_the_relative_error_rate_is_the_mean_over_the_axes(make_run):
     assert relative_error_rate([make_run(end=(1.0, 2.0, 6.0), ins=(10.0, 10.0, 20.0))]) == pytest.approx(0.6 / 3)
+
+
+def test_the_relative_error_rate_sums_over_all_steps_of_a_flight(make_run):
+    run = make_run(end=(0.0, 0.0, 0.0), ins=(8.0, 8.0, 8.0))  # the INS is off by 4 m on average
+    bumped = run.track.estimate.positions.copy()
+    bumped[10:20] += 2.0  # in a quarter of the steps; at the last one SLAM is exact
+    estimate = dataclasses.replace(run.track.estimate, positions=bumped)
+    run = dataclasses.replace(run, track=dataclasses.replace(run.track, estimate=estimate))
+    assert relative_error_rate([run]) == pytest.approx(0.25 * 2.0 / 4.0)
 
 
 def test_the_rate_of_many_runs_sums_before_it_divides(make_run):

@@ -58,13 +58,23 @@ def ratio_interval(own: Array, other: Array) -> dict[str, float]:
     """Return the bootstrap's interval, "low" and "high", of the root mean square of `other` over that of `own`.
 
     Args:
-        own, other: (S,) mean squares of each seed; fewer than three tell nothing.
+        own, other: (S,) mean squares of each seed.
     """
-    if len(own) < 3:
+    return _interval((own, other), lambda a, b, axis: np.sqrt(b.mean(axis=axis) / a.mean(axis=axis)))
+
+
+def mean_interval(values: Array) -> dict[str, float]:
+    """Return the bootstrap's interval, "low" and "high", of the mean of (S,) values, one of each seed."""
+    return _interval((values,), np.mean)
+
+
+def _interval(of_seeds: tuple[Array, ...], statistic: Callable[..., Array]) -> dict[str, float]:
+    """Return the percentile interval over seeds, drawn together from all arrays; none from fewer than three seeds."""
+    if len(of_seeds[0]) < 3 or not all(np.isfinite(values).all() for values in of_seeds):
         return {}
     found = bootstrap(
-        (own, other),
-        lambda a, b, axis: np.sqrt(b.mean(axis=axis) / a.mean(axis=axis)),
+        of_seeds,
+        statistic,
         paired=True,
         vectorized=True,
         method="percentile",

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.consistency import nees, summarise
+from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES, chi_square_band, nees, summarise
 from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.studies.engine.own_only import INS, Run
-from uav_vslam.studies.engine.pool import mean, median, rms
+from uav_vslam.studies.engine.pool import CONFIDENCE, mean, mean_interval, median, rms
 
 Array = NDArray[np.float64]
+
+WINDOWS = 4  # of a flight, each of which is judged: a filter may be honest on average and over-confident at the end
 
 FAILURE_RULE = (
     "a run fails if the filter breaks down, so that the back end gives up or begins anew, if its estimate is not "
@@ -25,17 +27,47 @@ def pooled(runs: Sequence[Run]) -> Row:
     """Return the figures of one candidate under one condition: root mean squares of errors, means of NEES."""
     finished = [run for run in runs if is_finished(run)]
     errors = [error for run in finished if (error := absolute_error(run.track.estimate, run.truth))]
-    consistency = [summarise(found.position) for run in finished if (found := nees(run.track.estimate, run.truth))]
+    found = [(run.seed, of.position) for run in finished if (of := nees(run.track.estimate, run.truth))]
     frame_ms = [ms for run in runs for ms in run.track.frame_ms]
     return {
         "end_rms_m": rms([error.end_m for error in errors]),
         "ate_rms_m": rms([error.ate_m for error in errors]),
-        "nees_position": mean([summary.mean for summary in consistency]),
-        "nees_position_end": mean([summary.end for summary in consistency]),
+        **nees_figures(found, "nees_position"),
+        "nees_position_end": mean([summarise(values).end for _, values in found]),
         "failures": failures(runs),
         "runs": len(runs),
         "restarts": mean([run.track.restarts for run in runs]),
         "ms_per_frame": median(frame_ms),
+    }
+
+
+def nees_figures(runs: Sequence[tuple[int, Array]], name: str = "nees") -> Row:
+    """Return whether many runs are consistent: each one, at any time of the flight, and on average.
+
+    Errors within a run are correlated, at worst wholly. So a run's mean over time is judged by the chi-square band of
+    one single NEES, the widest: a consistent filter leaves it in 5 % of its runs at most.
+
+    Args:
+        runs: seed and (F,) position NEES over 3 at every keyframe.
+        name: of the mean over keyframes after the 20th and runs; it begins the other keys.
+
+    Returns:
+        The mean; `_low` and `_high`, its bootstrap interval over seeds; `_worst_quarter`, the largest mean of a quarter
+        of the flight; `_outside`, the share of runs whose mean over time is outside of the band.
+    """
+    counted = [(seed, values[SKIPPED_KEYFRAMES:]) for seed, values in runs]
+    counted = [(seed, values) for seed, values in counted if len(values) >= WINDOWS]
+    if not counted:
+        return {name: None}
+    seeds, means = np.array([seed for seed, _ in counted]), np.array([values.mean() for _, values in counted])
+    interval = mean_interval(np.array([means[seeds == seed].mean() for seed in np.unique(seeds)]))
+    quarters = [[part.mean() for part in np.array_split(values, WINDOWS)] for _, values in counted]
+    low, high = chi_square_band(1, probability=CONFIDENCE)
+    return {
+        name: float(means.mean()),
+        **{f"{name}_{end}": bound for end, bound in interval.items()},
+        f"{name}_worst_quarter": float(np.mean(quarters, axis=0).max()),
+        f"{name}_outside": float(np.mean((means < low) | (means > high))),
     }
 
 
