@@ -3,6 +3,7 @@
 
 import pytest
 
+from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.link import LinkConfig
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.cooperation import Setting
@@ -13,6 +14,8 @@ SETTINGS = (
     Setting("narrow", {"mode": "narrowband"}),
     Setting("nothing arrives", link=LinkConfig(loss=1.0)),
     Setting("restarts", restarts=2),
+    Setting("sum", {"scheme": "overlay"}),
+    Setting("sum, feedback", {"scheme": "overlay", "feedback": True}),
     Setting("written back", write_back="overwrite"),
 )
 
@@ -40,8 +43,27 @@ def test_no_packet_told_more_than_was_known_and_the_narrow_one_is_small(rows) ->
         assert rows[name]["lambda_excess"] <= 0.0
     assert rows["narrow"]["largest_packet"] < 1400
     assert rows["narrow"]["sent_bytes_per_s"] <= 900
-    assert rows["narrow"]["sent_bytes_per_s"] <= 900
     assert rows["all"]["sent_bytes_per_s"] <= 100_000
+
+
+def test_a_plain_sum_of_own_maps_is_split_ci_and_counts_twice_what_feedback_returns(rows) -> None:
+    for key in ("ate_m", "nees"):
+        assert rows["sum"][key] == rows["all"][key]
+    assert rows["sum, feedback"]["nees"] > 1.3 * rows["sum"]["nees"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "channel"),
+    [
+        (Setting(""), "own maps, up to 64 landmarks"),
+        (Setting("", {"feedback": True, "relay": True}), "own maps, up to 64 landmarks, feedback, relay"),
+        (Setting("", {"mode": "narrowband", "feedback": True}), "own maps, narrowband"),  # it returns none
+        (Setting("", {"mode": "none"}), "nothing"),
+        (Setting("", write_back="landmark_ci"), "fused maps, all landmarks (7.4.2, wideband)"),
+    ],
+)
+def test_a_row_names_the_channel_that_it_was_measured_with(setting: Setting, channel: str) -> None:
+    assert setting.channel(FusionConfig()) == channel
 
 
 def test_runs_that_break_down_are_counted_and_leave_no_error(rows) -> None:

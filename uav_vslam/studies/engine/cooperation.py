@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import FusionConfig, VehicleConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link, LinkConfig
 from uav_vslam.errors import UavVslamError
@@ -49,6 +49,17 @@ class Setting:
     out_of_range: tuple[str, ...] = ()
     restarts: int = 0
     write_back: str = ""
+
+    def channel(self, base: FusionConfig) -> str:
+        """Return what crosses the radio, with what the setting leaves as in `base`."""
+        if self.write_back:
+            return WRITE_BACK[self.write_back].channel
+        fusion = dataclasses.replace(base, **self.fusion)
+        if fusion.mode == "none":
+            return "nothing"
+        size = fusion.mode if fusion.mode == "narrowband" else f"up to {fusion.max_packet_landmarks} landmarks"
+        more = [name for name, on in (("feedback", fusion.returns_feedback), ("relay", fusion.relay)) if on]
+        return ", ".join([f"own maps, {size}", *more])
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,7 +52,22 @@ class Shared:
         return cls(packet.ids[rows], packet.positions[rows], Y)
 
 
-WriteBack = Callable[[Filter, Pairs, Shared, Shared | None], None]
+Write = Callable[[Filter, Pairs, Shared, Shared | None], None]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class WriteBack:
+    """One of the thesis's ways to share a map.
+
+    Attributes:
+        write: writes what a peer sent into the own filter.
+        channel: what crosses the radio, and where the thesis says so.
+        sends_own: the map of a filter that no peer writes to is sent; otherwise the one with peers' information in it.
+    """
+
+    write: Write
+    channel: str
+    sends_own: bool = False
 
 
 def intersect_each(own: Filter, rows: Pairs, told: Shared, before: Shared | None) -> None:
@@ -96,12 +111,20 @@ def add_deltas(own: Filter, rows: Pairs, told: Shared, before: Shared | None) ->
     _add_information(own, at, Y_now - Y_then, gradient)
 
 
-WRITE_BACK: dict[str, WriteBack] = {"landmark_ci": intersect_each, "overwrite": overwrite, "deltas": add_deltas}
+FUSED, OWN = "fused maps, all landmarks (7.4.2, wideband)", "own maps, all landmarks (7.4.2, narrowband)"
+WRITE_BACK = {
+    "landmark_ci": WriteBack(intersect_each, FUSED),
+    "landmark_ci_own": WriteBack(intersect_each, OWN, sends_own=True),
+    "overwrite": WriteBack(overwrite, FUSED),
+    "deltas": WriteBack(add_deltas, "growth of fused maps since they were sent last (4.5.1)"),
+    "deltas_own": WriteBack(add_deltas, "growth of own maps since they were sent last", sends_own=True),
+}
 
 
 def fly_with_write_back(flights: Sequence[Flight], config: VehicleConfig, scheme: WriteBack) -> dict[str, Track]:
     """Fly two or more vehicles that write what they hear into their filters at each epoch, until one breaks down."""
     backends = {flight.vehicle.name: _backend(flight, config) for flight in flights}
+    senders = {flight.vehicle.name: _backend(flight, config) for flight in flights} if scheme.sends_own else backends
     names = list(backends)
     told: dict[tuple[str, str], Shared] = {}
     poses: dict[str, list[PoseEstimate]] = {name: [] for name in names}
@@ -111,9 +134,11 @@ def fly_with_write_back(flights: Sequence[Flight], config: VehicleConfig, scheme
             for name, (features, increment) in zip(names, steps, strict=True):
                 report = backends[name].process(features, increment)
                 failure = failure or report.recovery
+                if scheme.sends_own:
+                    senders[name].process(features, increment)
             stamp_ns = backends[names[0]].stamp_ns
             if crosses_epoch(previous_ns, stamp_ns, config.fusion.epoch_s):
-                _exchange(backends, told, config, scheme)
+                _exchange(backends, senders, told, config, scheme.write)
             previous_ns = stamp_ns
             for name in names:
                 poses[name].append(backends[name].filter.nav_estimate().pose)
@@ -140,19 +165,21 @@ def _backend(flight: Flight, config: VehicleConfig) -> _OpenBackend:
 
 def _exchange(
     backends: Mapping[str, _OpenBackend],
+    senders: Mapping[str, _OpenBackend],
     told: dict[tuple[str, str], Shared],
     config: VehicleConfig,
-    scheme: WriteBack,
+    write: Write,
 ) -> None:
-    """Let each vehicle tell each other one what it knew at the beginning of the exchange."""
+    """Send each vehicle's map to every other one, as it was before the exchange."""
+    packets = {name: _everything(backend.joint_information()) for name, backend in senders.items()}
     joints = {name: backend.joint_information() for name, backend in backends.items()}
     for receiver, sender in itertools.permutations(backends, 2):
-        packet, own = _everything(joints[sender]), joints[receiver]
+        packet, own = packets[sender], joints[receiver]
         P = own.covariance[POSE_DIM:, POSE_DIM:]
         pairs = find_common(own.positions, P, own.descriptors, packet, config=config.fusion)
         if len(pairs):
             shared = Shared.of(packet, pairs[:, 1])
-            scheme(backends[receiver].filter, pairs[:, 0], shared, told.get((sender, receiver)))
+            write(backends[receiver].filter, pairs[:, 0], shared, told.get((sender, receiver)))
             told[sender, receiver] = shared
 
 
