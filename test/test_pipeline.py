@@ -102,7 +102,7 @@ def test_the_same_flight_twice_gives_the_same_bytes() -> None:
 
 
 def test_the_network_does_not_affect_the_own_track() -> None:
-    """The own-only track of a vehicle is the same whether or not there is a peer, and whatever the mode."""
+    """The own-only track of a vehicle is the same with and without a peer, in any mode."""
     _, alone, _ = fly_fleet(1, mode="none")
     _, together, _ = flown()
     for a, b in zip(alone["uav1"].outputs, together["uav1"].outputs, strict=True):

@@ -33,7 +33,7 @@ def test_correlated_covariances_are_inverted_whole():
 
 
 def test_the_rotation_error_is_a_map_frame_vector(truth):
-    xi = np.array([0.0, 0.0, 0.02])  # pure yaw error, whatever the vehicle's attitude
+    xi = np.array([0.0, 0.0, 0.02])  # pure yaw error at any attitude
     R = so3_exp(-xi) @ truth.rotations
     covariance = np.tile(np.diag([1.0, 1, 1, 1e-6, 1e-6, 1e-4]), (len(truth), 1, 1))
     turned = Trajectory(truth.stamps_ns, truth.positions, quaternion_wxyz_from_rotation(R), covariance)

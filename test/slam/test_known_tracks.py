@@ -13,17 +13,18 @@ from uav_vslam.types import StereoFeatures
 CONFIG = BackendConfig()
 RNG = np.random.default_rng(1)
 EXPECTED = RNG.uniform(50, 900, (5, 4))
-LOOKS = RNG.integers(0, 256, (5, 128), np.uint8)
-PERMUTED = np.array([3, 0, 4, 1, 2])  # feature k shows landmark PERMUTED[k]
+DESCRIPTORS = RNG.integers(0, 256, (5, 128), np.uint8)
+PERMUTED = np.array([3, 0, 4, 1, 2])  # feature k observes landmark PERMUTED[k]
 
 
 def landmarks() -> InView:
-    return InView(np.arange(5) + 10, EXPECTED, np.tile(np.eye(4), (5, 1, 1)), LOOKS, DescriptorStatistics.of(LOOKS))
+    statistics = DescriptorStatistics.of(DESCRIPTORS)
+    return InView(np.arange(5) + 10, EXPECTED, np.tile(np.eye(4), (5, 1, 1)), DESCRIPTORS, statistics)
 
 
 def features(tracks: list[int], *, offset_px: float = 0.0) -> StereoFeatures:
     pixels = (EXPECTED[PERMUTED] + offset_px).astype(np.float32)
-    return StereoFeatures(1, pixels, LOOKS[PERMUTED], np.array(tracks, np.uint32))
+    return StereoFeatures(1, pixels, DESCRIPTORS[PERMUTED], np.array(tracks, np.uint32))
 
 
 def pairs_of(found: np.ndarray) -> set[tuple[int, int]]:

@@ -59,10 +59,10 @@ def test_rows_are_unique_ascending_integers_and_nothing_is_modified(policy: str)
         variance=rng.random(n),
     )
     before = [view.positions.copy(), view.landmarks.observations.copy(), view.landmarks.ids.copy()]
-    gone = rows_to_remove(view, dataclasses.replace(CONFIG, retention=policy))
-    assert gone.dtype == np.intp
-    assert (np.diff(gone) > 0).all()
-    assert n - len(gone) <= CONFIG.max_landmarks
+    removed = rows_to_remove(view, dataclasses.replace(CONFIG, retention=policy))
+    assert removed.dtype == np.intp
+    assert (np.diff(removed) > 0).all()
+    assert n - len(removed) <= CONFIG.max_landmarks
     for then, now in zip(before, (view.positions, view.landmarks.observations, view.landmarks.ids), strict=True):
         np.testing.assert_array_equal(then, now)
 
@@ -94,8 +94,8 @@ def spaced(count: int) -> np.ndarray:
 
 def test_cells_grow_until_there_is_capacity_for_new_landmarks() -> None:
     config = dataclasses.replace(CONFIG, max_in_view=50, max_landmarks=60, max_new_landmarks=20)
-    gone = rows_to_remove(view_of(positions=spaced(64), in_view=[False] * 64), config)
-    kept = np.setdiff1d(np.arange(64), gone)
+    removed = rows_to_remove(view_of(positions=spaced(64), in_view=[False] * 64), config)
+    kept = np.setdiff1d(np.arange(64), removed)
     assert 32 <= len(kept) <= 40  # the capacity is 40; 64 cells of twice the size would be 32
     assert np.diff(kept).max() == 2  # the whole ground stays covered
 

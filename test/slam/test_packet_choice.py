@@ -27,8 +27,8 @@ EQUAL = np.ones(20)
 
 @given(st.integers(0, 25), st.dictionaries(st.integers(1, 20), st.integers(0, 3)), st.sets(st.integers(1, 20)))
 @settings(max_examples=50)
-def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, shown, matched) -> None:
-    rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=matched, shown=shown)
+def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, times_sent, matched) -> None:
+    rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=matched, times_sent=times_sent)
     assert len(rows) == min(count, 20)
     assert (np.diff(rows) > 0).all()
     chosen_matched = len(matched & set((rows + 1).tolist()))
@@ -37,27 +37,27 @@ def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, sh
 
 @pytest.mark.parametrize("count", [3, 6, 7, 19])
 def test_all_are_sent_once_before_any_is_sent_again(count: int) -> None:
-    shown: Counter[int] = Counter()
+    times_sent: Counter[int] = Counter()
     for _ in range(20):
-        rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=(2, 9), shown=shown)
+        rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=(2, 9), times_sent=times_sent)
         assert {1, 8} <= set(rows.tolist())
-        shown.update(TWENTY.ids[rows].tolist())
-        others = [shown[landmark] for landmark in set(TWENTY.ids.tolist()) - {2, 9}]
+        times_sent.update(TWENTY.ids[rows].tolist())
+        others = [times_sent[landmark] for landmark in set(TWENTY.ids.tolist()) - {2, 9}]
         assert max(others) - min(others) <= 1
 
 
 def test_of_those_sent_equally_often_the_newest_go_first() -> None:
-    shown = {20: 1, 18: 1, 3: 2}
-    rows = choose_landmarks(TWENTY, EQUAL, 5, matched_ids=(1,), shown=shown)
+    times_sent = {20: 1, 18: 1, 3: 2}
+    rows = choose_landmarks(TWENTY, EQUAL, 5, matched_ids=(1,), times_sent=times_sent)
     assert (rows + 1).tolist() == [1, 15, 16, 17, 19]
     all_but_three = dict.fromkeys(range(1, 21), 1) | {3: 0}
-    assert (choose_landmarks(TWENTY, EQUAL, 3, matched_ids=(), shown=all_but_three) + 1).tolist() == [3, 19, 20]
+    assert (choose_landmarks(TWENTY, EQUAL, 3, matched_ids=(), times_sent=all_but_three) + 1).tolist() == [3, 19, 20]
 
 
 def test_of_two_in_one_cell_the_one_with_more_gain_goes_first() -> None:
     positions = np.repeat(np.random.default_rng(1).uniform(-40, 40, (10, 3)), 2, axis=0)
     joint = dataclasses.replace(TWENTY, positions=positions)
-    rows = choose_landmarks(joint, np.tile([1.0, 2.0], 10), 10, matched_ids=range(1, 21), shown={})
+    rows = choose_landmarks(joint, np.tile([1.0, 2.0], 10), 10, matched_ids=range(1, 21), times_sent={})
     assert rows.tolist() == list(range(1, 20, 2))
 
 
@@ -65,13 +65,13 @@ def test_surplus_shared_landmarks_are_spread_over_the_ground() -> None:
     corners = np.array([[0, 0], [0, 40], [40, 0], [40, 40]], float)
     positions = np.vstack([np.full((16, 2), 20.0), corners])
     joint = dataclasses.replace(TWENTY, positions=np.column_stack([positions, np.zeros(20)]))
-    rows = choose_landmarks(joint, EQUAL, 5, matched_ids=range(1, 21), shown={})
+    rows = choose_landmarks(joint, EQUAL, 5, matched_ids=range(1, 21), times_sent={})
     assert rows.tolist() == [0, 16, 17, 18, 19]
 
 
 def test_without_landmarks_none_is_chosen() -> None:
     none = dataclasses.replace(TWENTY, ids=TWENTY.ids[:0], positions=TWENTY.positions[:0])
-    assert choose_landmarks(none, EQUAL[:0], 5, matched_ids=(3,), shown={}).shape == (0,)
+    assert choose_landmarks(none, EQUAL[:0], 5, matched_ids=(3,), times_sent={}).shape == (0,)
 
 
 def test_the_gain_is_half_the_bits_that_a_peer_as_uncertain_as_the_vehicle_would_learn() -> None:

@@ -92,7 +92,7 @@ def test_rounding_inflates_each_landmark_separately() -> None:
 
 
 @pytest.fixture(scope="module")
-def beliefs() -> list[JointInformation]:
+def joints() -> list[JointInformation]:
     """The filter's joint information, once a second, on a flight over simulated landmarks."""
     scenario = Scenario(frames=50)
     vehicle = simulate_vehicle(scenario, 0)
@@ -103,10 +103,10 @@ def beliefs() -> list[JointInformation]:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_filters_own_covariances_are_bounded_and_hardly_scaled(beliefs: list[JointInformation], form: str) -> None:
+def test_the_filters_own_covariances_are_bounded_and_hardly_scaled(joints: list[JointInformation], form: str) -> None:
     rng = np.random.default_rng(3)
-    assert len(beliefs) >= 6
-    for joint in beliefs:
+    assert len(joints) >= 6
+    for joint in joints:
         exact = np.linalg.inv(joint.information)
         rows = np.sort(rng.choice(len(joint.ids), 14, replace=False))
         columns = (6 + 3 * rows[:, None] + np.arange(3)).ravel()
@@ -116,10 +116,10 @@ def test_the_filters_own_covariances_are_bounded_and_hardly_scaled(beliefs: list
         assert scale < 1.001
 
 
-def test_the_compact_form_keeps_the_informative_part(beliefs: list[JointInformation]) -> None:
+def test_the_compact_form_keeps_the_informative_part(joints: list[JointInformation]) -> None:
     """The common error of 14 landmarks, with 0.3 m of each one's own added: a fifth more of its sigma at most."""
     floor = 0.3**2 * np.eye(42)
-    for joint in beliefs[1:]:
+    for joint in joints[1:]:
         P = np.linalg.inv(joint.information)[6:48, 6:48]
         offsets = joint.positions[:14] - joint.positions[:14].mean(axis=0)
         points, scale = code_anchored(offsets, P)

@@ -21,7 +21,7 @@ from uav_vslam.studies.engine.own_only import reckon
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
 CONFIG = BackendConfig()
-HOME_M = 120.0  # all that it sees when it is back lies so near to the start, and nothing that it sees half way
+HOME_M = 120.0  # radius around the start of all ground seen on return, and of none seen half way
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_look_alike_ground_at_the_place_closes_no_loop(vehicle, increments) -> N
 class Meeting:
     """Landmarks revisited by a vehicle of uncertain speed; names are true identities."""
 
-    belief: Filter
+    slam_filter: Filter
     landmark_map: LandmarkMap
     names: np.ndarray
     features: StereoFeatures
@@ -107,7 +107,7 @@ class Meeting:
     def recognise(self, rows: np.ndarray, features: StereoFeatures | None = None, **options) -> np.ndarray:
         config = BackendConfig(**options)
         return recognise(
-            self.belief, self.landmark_map, self.features if features is None else features, rows, config=config
+            self.slam_filter, self.landmark_map, self.features if features is None else features, rows, config=config
         )
 
     @property
@@ -120,12 +120,12 @@ def meeting(vehicle, increments) -> Meeting:
     (first, names), (second, feature_names) = itertools.islice(observe(vehicle, scatter_landmarks([vehicle])), 2)
     sigma = np.sqrt(np.diag(vehicle.initial.covariance))
     start = dataclasses.replace(vehicle.initial, covariance=np.diag(np.r_[sigma[:3], 3.0, 3.0, 3.0, sigma[6:]] ** 2))
-    belief = Filter(start, rig=vehicle.rig, imu=vehicle.scenario.imu_config)
-    belief.add_landmarks(first.pixels.astype(float))
-    belief.predict(increments[1])
+    slam_filter = Filter(start, rig=vehicle.rig, imu=vehicle.scenario.imu_config)
+    slam_filter.add_landmarks(first.pixels.astype(float))
+    slam_filter.predict(increments[1])
     landmark_map = LandmarkMap()
     landmark_map.append(first.descriptors, 0)
-    return Meeting(belief, landmark_map, names, second, feature_names)
+    return Meeting(slam_filter, landmark_map, names, second, feature_names)
 
 
 def test_a_group_is_recognised_in_wide_gates(meeting: Meeting) -> None:

@@ -83,9 +83,9 @@ def test_innovations_that_are_too_large_as_a_whole_are_detected() -> None:
 
 def test_frames_with_features_but_no_association_are_detected() -> None:
     monitor = StartMonitor()
-    said = [monitor.add(report(0.1 * k), DEAD_RECKONED) for k in range(MAX_COASTED + 1)]
-    assert said[:-1] == [""] * MAX_COASTED  # at the first frame the map is empty
-    assert said[-1].startswith(f"{MAX_COASTED} of the first frames match no landmark")
+    warnings = [monitor.add(report(0.1 * k), DEAD_RECKONED) for k in range(MAX_COASTED + 1)]
+    assert warnings[:-1] == [""] * MAX_COASTED  # at the first frame the map is empty
+    assert warnings[-1].startswith(f"{MAX_COASTED} of the first frames match no landmark")
 
 
 @pytest.mark.parametrize("poor", [{"features": 5}, {"landmarks": 5}])

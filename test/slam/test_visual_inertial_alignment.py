@@ -119,7 +119,7 @@ def test_the_covariance_is_as_large_as_the_errors(grade: str, hover: bool) -> No
         found.append(case.nees(case.solve(imu=imu)))
     velocity, gravity = np.mean(found, axis=0)
     assert BAND[0] < velocity < BAND[1]
-    assert gravity < BAND[1]  # its norm is known better than the 0.03 m/s^2 that are allowed for
+    assert gravity < BAND[1]  # its norm is more certain than the modelled 0.03 m/s^2
 
 
 def test_a_noisy_inertial_unit_is_not_trusted_over_a_long_window() -> None:

@@ -52,7 +52,7 @@ class Fusion:
         self._used: dict[str, LandmarkPacket] = {}
         self._shared: set[int] = set()
         self._offered: set[int] = set()  # landmarks of the last packet, where no feedback tells what became of them
-        self._shown: Counter[int] = Counter()  # how often packets showed a landmark, of those in the belief
+        self._times_sent: Counter[int] = Counter()  # how often each landmark of the estimate was sent
         self._sequence = 0
         self._told: dict[str, tuple[str, NDArray[np.intp], NDArray[np.uint32]]] = {}  # its source, own rows, its ids
         self.belief: JointInformation | None = None
@@ -77,12 +77,12 @@ class Fusion:
             sequence=self._sequence,
             policy=packet_policy(self._config, tag_bytes=self._authentication.tag_bytes),
             matched_ids=self._shared,
-            shown=self._shown,
+            times_sent=self._times_sent,
             prior_id=self._config.prior_id,
             byte_limit=byte_limit,
         )
-        self._shown = Counter({i: self._shown[i] for i in joint.ids.tolist()})
-        self._shown.update(packet.ids.tolist())
+        self._times_sent = Counter({i: self._times_sent[i] for i in joint.ids.tolist()})
+        self._times_sent.update(packet.ids.tolist())
         self._offered = set() if self._config.returns_feedback else set(packet.ids.tolist())
         return self._authentication.sign(packet)
 
@@ -114,7 +114,7 @@ class Fusion:
     def fuse(self, joint: JointInformation) -> FusedEpoch:
         """Start from the own belief and bring in each peer's newest packet, and feedback, that is old enough."""
         if self.belief is not None and joint.session != self.belief.session:  # its landmarks are numbered anew
-            self._shared, self._offered, self._shown = set(), set(), Counter()
+            self._shared, self._offered, self._times_sent = set(), set(), Counter()
         self.belief = self._memory.extended(joint, self._shared, self._offered)
         config = self._config
         overlay = Overlay(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)

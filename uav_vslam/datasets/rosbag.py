@@ -105,7 +105,7 @@ def decode(raw: RawMessage) -> Any:
     _require_type(raw.msgtype)
     try:
         return typestore().deserialize_cdr(raw.data, raw.msgtype)
-    except Exception as error:  # rosbags' generated code fails in many ways on wrong bytes
+    except Exception as error:  # rosbags' generated code raises many kinds of errors on wrong bytes
         raise BagError(f"{raw.topic} at {raw.stamp_ns} ns: not a valid {raw.msgtype} ({error})") from None
 
 

@@ -88,7 +88,7 @@ def interpolate(
     Args:
         trajectory: poses to interpolate; their covariance is not interpolated.
         stamps_ns: (M,) wanted stamps, strictly increasing [ns].
-        max_gap_s: no value is given between poses farther apart than this [s].
+        max_gap_s: no interpolation between poses farther apart than this [s].
 
     Returns:
         K <= M interpolated poses, and the (K,) rows of `stamps_ns` that they belong to.

@@ -23,7 +23,7 @@ Grey = NDArray[np.uint8]
 
 GRID_PX = 8
 HEIGHT_STEPS = 4
-STEEPEST_RAY = -0.1  # least downward component of a ray; flatter ones are bent down to it
+STEEPEST_RAY = -0.1  # least downward component of a ray; flatter ones are clamped to it
 BLUR_SAMPLES = 33
 MEAN_GREY = np.float32(128.0)  # towards which reduced contrast fades
 MOTION_STEP_S = 1e-3

@@ -22,7 +22,7 @@ LEFT_LEVER_ARM_M = (0.2, 0.0, -0.1)  # front camera in the body; not in the thes
 def kagaru_rig(scale: float = 1.0) -> StereoRig:
     """Return the rig for images of `scale` times 1280 x 960 px.
 
-    "Left" is the front camera, the reference. The baseline lies along the flight direction, that is along the image's
+    "Left" is the front camera, the reference. The baseline is along the flight direction, that is along the image's
     vertical: disparity is in v.
     """
     left = PinholeCamera(1280, 960, 1641.99751, 1642.30964, 642.15139, 470.34929)

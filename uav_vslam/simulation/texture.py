@@ -142,7 +142,7 @@ class ImageTexture(_Tiled):
     def _make_tile(self, column: int, row: int) -> Grey:
         out = np.empty((TILE, TILE), np.uint8)
         height, width = self._pictures[0].shape
-        x0, y0 = column * TILE + width // 2, row * TILE + height // 2  # the world origin lies inside a picture
+        x0, y0 = column * TILE + width // 2, row * TILE + height // 2  # the world origin is inside a picture
         for i in range(y0 // height, (y0 + TILE - 1) // height + 1):
             for j in range(x0 // width, (x0 + TILE - 1) // width + 1):
                 _paste(out, self._pictures[(j + 2 * i) % len(self._pictures)], j * width - x0, i * height - y0)

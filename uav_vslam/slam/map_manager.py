@@ -120,14 +120,14 @@ def rows_to_remove(view: MapView, config: BackendConfig) -> Rows:
     landmark_map = view.landmarks
     unseen = view.frame - landmark_map.seen
     failed = view.in_view & (unseen >= FAILED_AFTER_FRAMES) & (landmark_map.observations < ESTABLISHED_OBSERVATIONS)
-    gone = np.union1d(np.flatnonzero(failed), RETENTION[config.retention](view, config))
-    rest = np.setdiff1d(np.arange(len(landmark_map)), gone)
+    rows = np.union1d(np.flatnonzero(failed), RETENTION[config.retention](view, config))
+    rest = np.setdiff1d(np.arange(len(landmark_map)), rows)
     out = rest[~view.in_view[rest]]
-    gone = np.union1d(gone, _longest_unseen(landmark_map, out)[: max(0, len(out) - capacity_out_of_view(view, config))])
-    rest = np.setdiff1d(rest, gone)
+    rows = np.union1d(rows, _longest_unseen(landmark_map, out)[: max(0, len(out) - capacity_out_of_view(view, config))])
+    rest = np.setdiff1d(rest, rows)
     mature = rest[view.frame - landmark_map.born[rest] >= config.young_frames]
-    gone = np.union1d(gone, _longest_unseen(landmark_map, mature)[: max(0, len(rest) - config.max_landmarks)])
-    return gone.astype(np.intp)
+    rows = np.union1d(rows, _longest_unseen(landmark_map, mature)[: max(0, len(rest) - config.max_landmarks)])
+    return rows.astype(np.intp)
 
 
 def capacity_out_of_view(view: MapView, config: BackendConfig) -> int:

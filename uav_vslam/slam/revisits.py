@@ -20,12 +20,12 @@ Rows = NDArray[np.intp]
 
 
 def recognise(
-    belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, rows: Rows, *, config: BackendConfig
+    slam_filter: Filter, landmark_map: LandmarkMap, features: StereoFeatures, rows: Rows, *, config: BackendConfig
 ) -> Rows:
     """Return (K, 2) pairs (landmark row, feature row) that are jointly compatible; none if too few are.
 
     Args:
-        belief: predicted to the frame.
+        slam_filter: predicted to the frame.
         landmark_map: the landmarks' descriptors.
         features: of the frame.
         rows: projectable landmarks to be recognised; each may match any feature.
@@ -34,7 +34,7 @@ def recognise(
     none = np.zeros((0, 2), np.intp)
     if len(rows) < config.min_revisited:
         return none
-    predicted, pixels = belief.predict_observations(rows), features.pixels.astype(float)
+    predicted, pixels = slam_filter.predict_observations(rows), features.pixels.astype(float)
     found = associate(
         predicted.expected,
         predicted.S,
@@ -46,7 +46,7 @@ def recognise(
     )
     if len(found) < config.min_revisited:
         return none
-    nu, S = belief.joint_innovation(rows[found[:, 0]], pixels[found[:, 1]])
+    nu, S = slam_filter.joint_innovation(rows[found[:, 0]], pixels[found[:, 1]])
     S = S + config.redetection_px**2 * np.eye(len(S))
     agreeing = found[consensus(nu, S, probability=config.gate_probability)]
     if len(agreeing) < config.min_revisited:

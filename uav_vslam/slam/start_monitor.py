@@ -18,7 +18,7 @@ from uav_vslam.types import NS_PER_S, NavEstimate
 
 WATCHED_S = 5.0  # later the start hardly matters
 SIGNIFICANCE = 1e-4  # false-alarm probability per frame of a correct start
-NEGLIGIBLE = 0.01  # [m/s] a negligible correction, whatever the covariances
+NEGLIGIBLE = 0.01  # [m/s] corrections below are negligible at any covariance
 MAX_NIS_PER_DOF = 2.0  # of all updates since the start; a consistent filter is within a few percent of 1
 MAX_COASTED = 3  # frames with enough features but no associated landmark
 MIN_FEATURES = 20  # fewer, in the frame or in the map, are too few to judge

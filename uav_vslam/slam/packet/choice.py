@@ -29,7 +29,7 @@ def expected_gain(P: Array) -> Array:
 
 
 def choose_landmarks(
-    joint: JointInformation, gain: Array, count: int, *, matched_ids: Collection[int], shown: Mapping[int, int]
+    joint: JointInformation, gain: Array, count: int, *, matched_ids: Collection[int], times_sent: Mapping[int, int]
 ) -> Rows:
     """Return at most `count` ascending rows.
 
@@ -42,7 +42,7 @@ def choose_landmarks(
         gain: (N,) expected gain of each landmark.
         count: largest number to return.
         matched_ids: landmarks found to be shared with a peer.
-        shown: how often landmarks were sent, by identifier; missing ones never were.
+        times_sent: how often landmarks were sent, by identifier; missing ones never were.
     """
     plan, size = ground_plan(joint.positions)
     matched = np.isin(joint.ids, np.fromiter(matched_ids, np.uint32, len(matched_ids)))
@@ -50,6 +50,6 @@ def choose_landmarks(
     first = by_gain[matched[by_gain]]
     first = first[spread(plan[first], count, size=size)]
     others = np.flatnonzero(~matched)
-    times = np.array([shown.get(landmark, 0) for landmark in joint.ids[others].tolist()], np.intp)
+    times = np.array([times_sent.get(landmark, 0) for landmark in joint.ids[others].tolist()], np.intp)
     in_turn = others[np.lexsort((-joint.ids[others].astype(np.int64), times))]
     return np.sort(np.concatenate([first, in_turn[: count - len(first)]]))

@@ -28,7 +28,7 @@ def make_packet(
     sequence: int,
     policy: PacketPolicy,
     matched_ids: Collection[int] = (),
-    shown: Mapping[int, int] = MappingProxyType({}),
+    times_sent: Mapping[int, int] = MappingProxyType({}),
     prior_id: str = "",
     byte_limit: int | None = None,
 ) -> LandmarkPacket:
@@ -39,7 +39,7 @@ def make_packet(
         sequence: number of the packet within the session.
         policy: form and size.
         matched_ids: landmarks found to be shared with a peer; they go first.
-        shown: how often landmarks were sent before; the least sent go first.
+        times_sent: how often landmarks were sent before; the least sent go first.
         prior_id: hash of a loaded map or shared survey used by the estimate.
         byte_limit: free capacity of the link, in addition to the policy's own limit.
 
@@ -50,7 +50,7 @@ def make_packet(
     codes = in_basis(joint.descriptors, policy.descriptor_basis)
     count = _max_landmarks(joint, policy, codes.shape[1], prior_id, byte_limit)
     P = joint.covariance
-    rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, shown=shown)
+    rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, times_sent=times_sent)
     origin = _origin(joint, rows)
     if policy.form == ANCHOR:
         near = np.abs(joint.positions[rows] - origin) <= OFFSET_LIMIT_M
