@@ -127,13 +127,7 @@ def test_the_capacity_is_used_even_for_rarely_observed_landmarks() -> None:
     tight = dataclasses.replace(config, max_landmarks=6)
     assert rows_to_remove(view, tight).tolist() == [0, 1]  # seen once; of these, the longest unseen
     tighter = dataclasses.replace(config, max_landmarks=3)
-    assert rows_to_remove(view, tighter).tolist() == [
-        0,
-        1,
-        2,
-        3,
-        5,
-    ]  # of established ones the longest unseen goes
+    assert rows_to_remove(view, tighter).tolist() == [0, 1, 2, 3, 5]  # of established ones, the longest unseen
 
 
 def test_without_retention_only_what_is_in_view_stays() -> None:

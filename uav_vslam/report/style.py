@@ -20,15 +20,7 @@ Array = NDArray[np.float64]
 DPI = 150
 GRID = "#d9d9d9"
 BAND = "#d7ecd9"  # background of the consistent range
-LINE_COLOURS = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#56b4e9",
-    "#e69f00",
-    "#555555",
-)  # safe for colour-blind readers
+LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")  # colour-blind safe
 MANY_DECADES = 500.0  # largest over smallest from which a logarithmic axis shows powers of ten only
 INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; the rest is clipped
 
