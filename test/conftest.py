@@ -6,7 +6,7 @@ import subprocess
 import sys
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,6 +92,21 @@ def make_joint() -> Callable[..., JointInformation]:
     return make
 
 
+@pytest.fixture
+def make_domain_id() -> Iterator[Callable[[], int]]:
+    """Return a maker of ROS domains that nobody else uses before the test ends."""
+    from uav_vslam.ros.domain import claimed_domain
+
+    with ExitStack() as claims:
+        yield lambda: claims.enter_context(claimed_domain())
+
+
+@pytest.fixture
+def domain_id(make_domain_id: Callable[[], int]) -> int:
+    """Return a ROS domain of the test's own."""
+    return make_domain_id()
+
+
 MARK = "UAV_VSLAM_TEST_RUN"  # in the environment of a launcher and so of all that it starts
 
 
@@ -109,6 +124,10 @@ class Graph:
     domain_id: int
     mark: str
 
+    def alive(self) -> bool:
+        """Whether the launcher runs."""
+        return self.process.poll() is None
+
     def running(self) -> list[str]:
         """Command lines of the launcher and of whatever it started, as far as they live."""
         needle, found = f"{MARK}={self.mark}".encode(), []
@@ -124,18 +143,18 @@ class Graph:
 @contextmanager
 def _launched(*arguments: str) -> Iterator[Graph]:
     """Run `uav-vslam launch`; whatever a failing test leaves is killed."""
-    from uav_vslam.ros.supervisor import free_domain_id
+    from uav_vslam.ros.domain import claimed_domain
 
-    domain_id, mark = free_domain_id(), uuid.uuid4().hex
-    command = [sys.executable, "-m", "uav_vslam.cli.main", "launch", *arguments, "--domain", str(domain_id)]
-    process = subprocess.Popen(
-        command, env=os.environ | {MARK: mark}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    try:
-        yield Graph(process, domain_id, mark)
-    finally:
-        process.kill()  # takes the nodes with it
-        process.communicate()
+    with claimed_domain() as domain_id:
+        mark = uuid.uuid4().hex
+        command = [sys.executable, "-m", "uav_vslam.cli.main", "launch", *arguments, "--domain", str(domain_id)]
+        with subprocess.Popen(
+            command, env=os.environ | {MARK: mark}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as process:
+            try:
+                yield Graph(process, domain_id, mark)
+            finally:
+                process.kill()  # takes the nodes with it
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 
 import os
 import socket
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -25,27 +24,27 @@ from uav_vslam.ros.convert import joint_to_msg, odometry_to_msg  # noqa: E402
 from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
 from uav_vslam.ros.packet_message import packet_to_msg  # noqa: E402
 from uav_vslam.ros.qos import RADIO, STATE  # noqa: E402
-from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
 from uav_vslam.types import NS_PER_S, JointInformation, PoseEstimate  # noqa: E402
 from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
-PATIENCE_S = 10.0
-QUIET_S = 0.7  # long enough for what should not come
+QUIET_TURNS = 35  # enough for what should not come
 PACKETS = "/uav1/landmark_information"
 
 
 class Flight:
     """A fusion node of uav1, spun here, with its back end and its peer uav2 played by a second node."""
 
-    def __init__(self, make_joint: Callable[..., JointInformation], *parameters: str, peers: str = "[uav2]") -> None:
+    def __init__(
+        self, make_joint: Callable[..., JointInformation], domain_id: int, *parameters: str, peers: str = "[uav2]"
+    ) -> None:
         arguments = ["--ros-args", "-r", "__ns:=/uav1", "-p", f"peers:={peers}"]
         for parameter in parameters:
             arguments += ["-p", parameter]
-        self.domain_id = free_domain_id()
-        rclpy.init(args=arguments, domain_id=self.domain_id)
+        rclpy.init(args=arguments, domain_id=domain_id)
         self._make_joint = make_joint
         self._peer = Fusion("uav2", FusionConfig())
         self.executor = SingleThreadedExecutor()
@@ -62,14 +61,15 @@ class Flight:
         assert self.spin(lambda: status.get_publisher_count() and self.node._status.get_subscription_count())
         self._move(NS_PER_S // 2)  # a frame before the first epoch
 
-    def spin(self, until: Callable[[], Any], timeout_s: float = PATIENCE_S) -> bool:
-        end_s = time.monotonic() + timeout_s
-        while not until() and time.monotonic() < end_s:
-            self.executor.spin_once(timeout_sec=0.02)
-        return bool(until())
+    def turn(self) -> None:
+        self.executor.spin_once(timeout_sec=0.02)
 
-    def rest(self, duration_s: float = QUIET_S) -> None:
-        self.spin(lambda: False, duration_s)
+    def spin(self, until: Callable[[], Any]) -> bool:
+        return wait_for(until, self.turn)
+
+    def rest(self) -> None:
+        for _ in range(QUIET_TURNS):
+            self.turn()
 
     def listen(self, mode: str, node: Any = None) -> Any:
         """Hear uav1 as a peer in that mode does; return the subscription once it is matched."""
@@ -123,11 +123,11 @@ class Flight:
 
 
 @pytest.fixture
-def fly(make_joint: Callable[..., JointInformation]) -> Iterator[Callable[..., Flight]]:
+def fly(make_joint: Callable[..., JointInformation], domain_id: int) -> Iterator[Callable[..., Flight]]:
     made: list[Flight] = []
 
     def start(*parameters: str, peers: str = "[uav2]") -> Flight:
-        made.append(Flight(make_joint, *parameters, peers=peers))
+        made.append(Flight(make_joint, domain_id, *parameters, peers=peers))
         return made[-1]
 
     yield start
@@ -194,8 +194,8 @@ def test_an_epoch_that_fails_leaves_the_vehicle_its_pose(
     assert flight.epoch(3).header.stamp.sec == 3
 
 
-def test_a_mode_that_there_is_not_ends_the_node_at_its_start() -> None:
-    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "mode:=radio"], domain_id=free_domain_id())
+def test_a_mode_that_there_is_not_ends_the_node_at_its_start(domain_id: int) -> None:
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "mode:=radio"], domain_id=domain_id)
     try:
         with pytest.raises(ConfigError, match="mode = 'radio' is not allowed; use one of wideband, narrowband, none"):
             FusionNode()
@@ -341,11 +341,11 @@ def test_a_missed_deadline_and_bytes_that_are_no_packet_are_counted(fly: Callabl
 
 
 def test_a_radio_domain_carries_the_packets_and_nothing_else(
-    fly: Callable[..., Flight], monkeypatch: pytest.MonkeyPatch
+    fly: Callable[..., Flight], make_domain_id: Callable[[], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_STATIC_PEERS", "127.0.0.1")
-    radio_id = (free_domain_id() + 50) % 101 + 1
-    flight = fly(f"radio_domain_id:={radio_id}", "radio_peers:=['127.0.0.1']")
+    radio_id = make_domain_id()
+    flight = fly(f"radio_domain_id:={radio_id}", "radio_peers:=['127.0.0.1']", "fusion.feedback:=true")
     assert os.environ["ROS_STATIC_PEERS"] == "127.0.0.1"
     context = rclpy.Context()
     context.init(args=[], domain_id=radio_id)
@@ -363,14 +363,10 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         assert flight.epoch(2).bytes_sent == (1 + 2) * size  # each peer is sent its own copy
         nodes = peer.get_node_names_and_namespaces
         assert flight.spin(lambda: [name for name, namespace in nodes() if namespace == "/uav1"] == ["radio"])
-        assert [t for t, _ in peer.get_publisher_names_and_types_by_node("radio", "/uav1")] == [
-            PACKETS,
-            "/uav2/fusion/feedback",
-        ]
-        assert [t for t, _ in peer.get_subscriber_names_and_types_by_node("radio", "/uav1")] == [
-            "/uav1/fusion/feedback",
-            "/uav2/landmark_information",
-        ]
+        sent, received = [PACKETS, "/uav2/fusion/feedback"], ["/uav1/fusion/feedback", "/uav2/landmark_information"]
+        published, subscribed = peer.get_publisher_names_and_types_by_node, peer.get_subscriber_names_and_types_by_node
+        assert flight.spin(lambda: [topic for topic, _ in published("radio", "/uav1")] == sent)
+        assert flight.spin(lambda: [topic for topic, _ in subscribed("radio", "/uav1")] == received)
         assert peer.get_service_names_and_types_by_node("radio", "/uav1") == []
         assert flight.others.get_publishers_info_by_topic(PACKETS) == []
     finally:

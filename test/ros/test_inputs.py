@@ -10,16 +10,15 @@ from std_msgs.msg import String  # noqa: E402
 
 from uav_vslam.ros.inputs import STREAM, Input, silent, stopped, unmatched  # noqa: E402
 from uav_vslam.ros.qos import STATE  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
-PATIENCE_S = 10.0
-DOMAIN_ID = 93
 
 
 @pytest.fixture
-def node():
+def node(domain_id):
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=DOMAIN_ID)
+    rclpy.init(context=context, domain_id=domain_id)
     made = rclpy.create_node("listener", context=context)
     yield made
     made.destroy_node()
@@ -29,12 +28,12 @@ def node():
 def spin_until(node, condition, step=lambda: None):
     executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
-    deadline = time.monotonic() + PATIENCE_S
-    met = condition()
-    while not met and time.monotonic() < deadline:
+
+    def turn():
         step()
-        executor.spin_once(timeout_sec=0.05)
-        met = condition()
+        executor.spin_once(timeout_sec=0.02)
+
+    met = wait_for(condition, turn)
     executor.remove_node(node)
     return met
 

@@ -18,20 +18,19 @@ from uav_vslam.types import NS_PER_S, NavEstimate, NavState  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
 
 pytestmark = pytest.mark.ros
-DOMAIN_ID = 96
 NOW_NS = 1_700_000_000 * NS_PER_S
 STEP_NS = 5_000_000
 Make = Callable[..., InsPropagatorNode]
 
 
 @pytest.fixture
-def make() -> Iterator[Make]:
+def make(domain_id: int) -> Iterator[Make]:
     """Return a maker of a node with parameters; what it is fed goes to its callbacks directly."""
     nodes = []
 
     def made(*parameters: str) -> InsPropagatorNode:
         arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
-        rclpy.init(args=arguments, domain_id=DOMAIN_ID)
+        rclpy.init(args=arguments, domain_id=domain_id)
         nodes.append(InsPropagatorNode())
         return nodes[-1]
 

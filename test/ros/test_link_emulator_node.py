@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulated radio in the graph: packets pass as its file says, on the ROS clock, and their fate is told."""
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,23 +16,22 @@ from uav_vslam.errors import ConfigError  # noqa: E402
 from uav_vslam.ros.convert import stamp_from_ns  # noqa: E402
 from uav_vslam.ros.link_emulator_node import LinkEmulatorNode  # noqa: E402
 from uav_vslam.ros.qos import RADIO  # noqa: E402
-from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
 from uav_vslam.types import NS_PER_S  # noqa: E402
 from uav_vslam_msgs.msg import LandmarkInformation  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
-PATIENCE_S = 10.0
-QUIET_S = 0.3  # long enough for what should not come
+QUIET_TURNS = 15  # enough for what should not come
 VEHICLES = ("uav1", "uav2", "uav3")
 
 
 class Air:
     """An emulator over three vehicles, a clock that stands still unless told, and ears at every receiver."""
 
-    def __init__(self, link: Path, mode: str) -> None:
+    def __init__(self, link: Path, mode: str, domain_id: int) -> None:
         parameters = ["-p", f"vehicles:=[{', '.join(VEHICLES)}]", "-p", f"link:={link}", "-p", "use_sim_time:=true"]
-        rclpy.init(args=["--ros-args", *parameters], domain_id=free_domain_id())
+        rclpy.init(args=["--ros-args", *parameters], domain_id=domain_id)
         self.executor = SingleThreadedExecutor()
         self.node = LinkEmulatorNode()
         self.others = rclpy.create_node("others", use_global_arguments=False)
@@ -62,18 +60,19 @@ class Air:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.diagnostics = {entry.key: entry.value for entry in message.status[0].values}
 
-    def spin(self, until: Callable[[], Any], timeout_s: float = PATIENCE_S) -> bool:
-        end_s = time.monotonic() + timeout_s
-        while not until() and time.monotonic() < end_s:
-            self.executor.spin_once(timeout_sec=0.02)
-        return bool(until())
+    def turn(self) -> None:
+        self.executor.spin_once(timeout_sec=0.02)
+
+    def spin(self, until: Callable[[], Any]) -> bool:
+        return wait_for(until, self.turn)
 
     def at(self, time_s: float) -> None:
         """Set the clock, and let come what comes."""
         now_ns = round(time_s * NS_PER_S)
         self._clock.publish(Clock(clock=stamp_from_ns(now_ns)))
         assert self.spin(lambda: self.node.get_clock().now().nanoseconds == now_ns)
-        self.spin(lambda: False, QUIET_S)
+        for _ in range(QUIET_TURNS):
+            self.turn()
 
     def send(self, sender: str, sequence: int) -> None:
         count = sum(link.packets["offered"] for link in self.node._links.values())
@@ -82,12 +81,12 @@ class Air:
 
 
 @pytest.fixture
-def air(tmp_path: Path) -> Iterator[Callable[..., Air]]:
+def air(tmp_path: Path, domain_id: int) -> Iterator[Callable[..., Air]]:
     made: list[Air] = []
 
     def make(text: str, mode: str = "wideband") -> Air:
         (tmp_path / "link.yaml").write_text(text)
-        made.append(Air(tmp_path / "link.yaml", mode))
+        made.append(Air(tmp_path / "link.yaml", mode, domain_id))
         return made[-1]
 
     yield make
@@ -106,6 +105,7 @@ def test_a_packet_reaches_every_peer_after_the_delay_by_the_ros_clock(air: Calla
     radio.at(100.9)
     assert radio.heard == []
     radio.at(101.0)
+    assert radio.spin(lambda: len(radio.heard) == 2)
     assert sorted(radio.heard) == [("uav2", "uav1", 7), ("uav3", "uav1", 7)]
 
 
@@ -116,6 +116,7 @@ def test_the_fate_of_packets_is_told_by_direction(air: Callable[..., Air]) -> No
         radio.send("uav2", second)
     radio.at(103.0)
     expected = [(receiver, "uav2", second) for receiver in ("uav1", "uav3") for second in (100, 100, 102, 102)]
+    assert radio.spin(lambda: len(radio.heard) == len(expected))
     assert sorted(radio.heard) == expected
     assert radio.spin(lambda: radio.diagnostics.get("uav2>uav1/delivered", "").startswith("4 packets"))
     told = {key: value.split(" ")[0] for key, value in radio.diagnostics.items() if key.startswith("uav2>uav3")}
@@ -137,11 +138,12 @@ def test_feedback_takes_the_link_from_who_gives_it(air: Callable[..., Air]) -> N
     radio.at(100.9)
     assert heard == []
     radio.at(101.0)
+    assert radio.spin(lambda: heard)
     assert [message.vehicle for message in heard] == ["uav3"]
 
 
-def test_without_vehicles_or_link_it_says_what_to_set() -> None:
-    rclpy.init(args=["--ros-args", "-p", "vehicles:=[uav1]"], domain_id=free_domain_id())
+def test_without_vehicles_or_link_it_says_what_to_set(domain_id: int) -> None:
+    rclpy.init(args=["--ros-args", "-p", "vehicles:=[uav1]"], domain_id=domain_id)
     try:
         with pytest.raises(ConfigError, match="set the parameters vehicles"):
             LinkEmulatorNode()

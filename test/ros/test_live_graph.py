@@ -6,8 +6,7 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -20,14 +19,12 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa:
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
-from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
 from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).parents[2]
-END_S = 5.0  # from SIGINT until nothing runs any more
-PATIENCE_S = 120.0  # a busy machine takes long to start eleven processes
 
 LISTENER = """
 import rclpy
@@ -53,63 +50,66 @@ def in_a_fresh_shell(program: str, domain_id: int) -> list[str]:
     return ["env", "-i", "PATH=/usr/bin:/bin", home, f"ROS_DOMAIN_ID={domain_id}", "bash", "-c", script]
 
 
-def test_a_users_own_node_hears_the_graph_and_ctrl_c_ends_all_of_it(
-    launched: Callable[..., AbstractContextManager[Any]], tmp_path: Path
-) -> None:
-    with launched(str(ROOT / "config" / "fleet_demo.yaml"), "--log-dir", str(tmp_path)) as graph:
-        heard = subprocess.run(
-            in_a_fresh_shell(LISTENER, graph.domain_id), capture_output=True, text=True, timeout=100.0
-        )
-        assert heard.stdout.splitlines() == ["uav1/map uav1/base_link", "uav1 True"], heard.stderr
-        assert len(graph.running()) == 10  # the launcher, four nodes a vehicle, the replay
-        begin_s = time.monotonic()
-        graph.process.send_signal(signal.SIGINT)
-        output, _ = graph.process.communicate(timeout=END_S)
-        assert time.monotonic() - begin_s < END_S
-        assert graph.running() == []
-        assert graph.process.returncode == 128 + signal.SIGINT
-        assert "Traceback" not in output
+@pytest.fixture(scope="module")
+def graph(
+    launched: Callable[..., AbstractContextManager[Any]], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Any]:
+    """Two vehicles that fly over an emulated radio; the last test ends them."""
+    arguments = ["--link", "clean", "--log-dir", str(tmp_path_factory.mktemp("log"))]
+    with launched(str(ROOT / "config" / "fleet_demo.yaml"), *arguments) as started:
+        yield started
 
 
-@pytest.mark.timeout(300)
-def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(
-    launched: Callable[..., AbstractContextManager[Any]], tmp_path: Path
-) -> None:
-    fleet = str(ROOT / "config" / "fleet_demo.yaml")
-    with launched(fleet, "--link", "clean", "--log-dir", str(tmp_path)) as graph:
-        heard: list[LandmarkInformation] = []
-        modes: list[str] = []
-        context = rclpy.Context()
-        context.init(domain_id=graph.domain_id)
-        node = rclpy.create_node("pilot", context=context)
-        node.create_subscription(LandmarkInformation, "/uav1/heard/uav2", heard.append, 10)
-        node.create_subscription(FusionStatus, "/uav1/fusion/status", lambda status: modes.append(status.mode), 10)
-        client = node.create_client(SetParameters, "/uav1/fusion/set_parameters")
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-
-        def spin(until: Callable[[], Any]) -> bool:
-            end_s = time.monotonic() + PATIENCE_S
-            while not until() and time.monotonic() < end_s:
-                executor.spin_once(timeout_sec=0.1)
-            return bool(until())
-
-        try:
-            assert spin(lambda: heard and modes)
-            assert (heard[0].vehicle, modes[-1]) == ("uav2", "wideband")
-            assert client.wait_for_service(10.0)
-            value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="narrowband")
-            request = SetParameters.Request(parameters=[Parameter(name="mode", value=value)])
-            answer = client.call_async(request)
-            assert spin(answer.done)
-            assert [result.successful for result in answer.result().results] == [True]
-            assert spin(lambda: modes[-1] == "narrowband")
-        finally:
-            node.destroy_node()
-            context.try_shutdown()
+@pytest.mark.slow
+def test_a_users_own_node_hears_the_graph(graph: Any) -> None:
+    heard = subprocess.run(in_a_fresh_shell(LISTENER, graph.domain_id), capture_output=True, text=True)
+    assert heard.stdout.splitlines() == ["uav1/map uav1/base_link", "uav1 True"], heard.stderr
 
 
-def diagnostics_until(domain_id: int, done: Callable[[DiagnosticStatus], bool], timeout_s: float) -> list[str]:
+@pytest.mark.slow
+def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(graph: Any) -> None:
+    heard: list[LandmarkInformation] = []
+    modes: list[str] = []
+    context = rclpy.Context()
+    context.init(domain_id=graph.domain_id)
+    node = rclpy.create_node("pilot", context=context)
+    node.create_subscription(LandmarkInformation, "/uav1/heard/uav2", heard.append, 10)
+    node.create_subscription(FusionStatus, "/uav1/fusion/status", lambda status: modes.append(status.mode), 10)
+    client = node.create_client(SetParameters, "/uav1/fusion/set_parameters")
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def spin(until: Callable[[], Any]) -> bool:
+        return wait_for(until, lambda: executor.spin_once(timeout_sec=0.02), alive=graph.alive)
+
+    try:
+        assert spin(lambda: heard and modes)
+        assert (heard[0].vehicle, modes[-1]) == ("uav2", "wideband")
+        assert spin(client.service_is_ready)
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="narrowband")
+        request = SetParameters.Request(parameters=[Parameter(name="mode", value=value)])
+        answer = client.call_async(request)
+        assert spin(answer.done)
+        assert [result.successful for result in answer.result().results] == [True]
+        assert spin(lambda: modes[-1] == "narrowband")
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_all_of_the_graph(graph: Any) -> None:
+    assert wait_for(
+        lambda: len(graph.running()) == 11, alive=graph.alive
+    )  # the launcher, four nodes a vehicle, the link, the replay
+    graph.process.send_signal(signal.SIGINT)
+    output, _ = graph.process.communicate()
+    assert graph.running() == []
+    assert graph.process.returncode == 128 + signal.SIGINT
+    assert "Traceback" not in output
+
+
+def diagnostics_until(domain_id: int, done: Callable[[DiagnosticStatus], bool], alive: Callable[[], bool]) -> list[str]:
     """Return the texts on /diagnostics up to the one wanted."""
     texts: list[str] = []
     found: list[None] = []
@@ -126,22 +126,19 @@ def diagnostics_until(domain_id: int, done: Callable[[DiagnosticStatus], bool], 
     node.create_subscription(DiagnosticArray, "/diagnostics", note, 10)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    end_s = time.monotonic() + timeout_s
-    while not found and time.monotonic() < end_s:
-        executor.spin_once(timeout_sec=0.1)
+    wait_for(lambda: found, lambda: executor.spin_once(timeout_sec=0.02), alive=alive)
     node.destroy_node()
     context.try_shutdown()
     return texts
 
 
-def test_a_node_that_waits_for_a_topic_nobody_publishes_says_which() -> None:
-    domain_id = free_domain_id()
+def test_a_node_that_waits_for_a_topic_nobody_publishes_says_which(domain_id: int) -> None:
     command = [sys.executable, "-m", "uav_vslam.ros.slam_backend_node", "--ros-args", "-r", "__ns:=/uav1"]
     node = subprocess.Popen(
         command, env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)}, stderr=subprocess.PIPE, text=True
     )
     try:
-        texts = diagnostics_until(domain_id, lambda s: s.level == DiagnosticStatus.WARN, 30.0)
+        texts = diagnostics_until(domain_id, lambda s: s.level == DiagnosticStatus.WARN, lambda: node.poll() is None)
         assert texts[-1].startswith("uav1: slam_backend: waiting for ")
         awaited = {"left/camera_info", "right/camera_info", "/tf_static", "initial_state", "ins/increment"}
         assert awaited | {"stereo_features"} <= set(texts[-1].partition("waiting for ")[2].split(", "))
@@ -150,7 +147,7 @@ def test_a_node_that_waits_for_a_topic_nobody_publishes_says_which() -> None:
         for topic in (*awaited - {"/tf_static"}, "stereo_features"):
             assert f"/uav1/{topic} (nobody publishes it)" in said
         node.send_signal(signal.SIGINT)
-        assert node.wait(END_S) == 0
+        assert node.wait() == 0
     finally:
         node.kill()
         node.communicate()

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
@@ -30,9 +31,9 @@ from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.geometry.stereo import StereoRig  # noqa: E402
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE  # noqa: E402
 from uav_vslam.ros.recording import Recording  # noqa: E402
-from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
 from uav_vslam.types import ImuSample, NavEstimate, NavState, StereoFrame  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -123,21 +124,28 @@ class Vehicle:
 class Fleet:
     """Two such vehicles on a ROS domain of their own, spun in a thread."""
 
-    def __init__(self) -> None:
-        self.domain_id = free_domain_id()
+    def __init__(self, domain_id: int) -> None:
+        self.domain_id = domain_id
         self.answers: Callable[[int], bool] = lambda stamp_ns: True
         self.clock: list[int] = []
         self.static: list[TFMessage] = []
+        self.recorder: dict[str, str] = {}
         self._context = rclpy.Context()
         self._context.init(domain_id=self.domain_id)
         self.node = rclpy.create_node("fleet", context=self._context)
         self.vehicles = {name: Vehicle(self.node, name, lambda s: self.answers(s)) for name in ("uav1", "uav2")}
         self.node.create_subscription(Clock, "/clock", lambda m: self.clock.append(m.clock.sec), STATE)
         self.node.create_subscription(TFMessage, "/tf_static", self.static.append, LATCHED)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin)
         self._thread.start()
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "fleet: recorder":
+                self.recorder = {entry.key: entry.value for entry in status.values}
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
@@ -163,9 +171,7 @@ def node_command(name: str, parameters: list[str]) -> list[str]:
 
 
 def run_node(name: str, parameters: list[str], domain_id: int) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        node_command(name, parameters), env=environment(domain_id), capture_output=True, text=True, timeout=60
-    )
+    return subprocess.run(node_command(name, parameters), env=environment(domain_id), capture_output=True, text=True)
 
 
 def environment(domain_id: int) -> dict[str, str]:
@@ -173,8 +179,8 @@ def environment(domain_id: int) -> dict[str, str]:
 
 
 @pytest.fixture
-def fleet() -> Iterator[Fleet]:
-    started = Fleet()
+def fleet(domain_id: int) -> Iterator[Fleet]:
+    started = Fleet(domain_id)
     yield started
     started.close()
 
@@ -273,18 +279,18 @@ def test_a_truncated_bag_is_replayed_up_to_the_damage_and_fails(fleet: Fleet, ba
     [(["bags:=[nowhere]"], "nowhere"), ([], "bags"), (["bags:=[BAG]", "vehicles:=[ghost]"], "vehicle ghost")],
 )
 def test_what_can_not_be_replayed_is_one_line_and_exit_code_2(
-    bags: list[Path], parameters: list[str], said: str
+    bags: list[Path], domain_id: int, parameters: list[str], said: str
 ) -> None:
     given = [parameter.replace("BAG", str(bags[0])) for parameter in parameters]
-    done = run_node("replay", given, free_domain_id())
+    done = run_node("replay", given, domain_id)
     assert done.returncode == 2
     assert said in done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.count("\n") == 1
 
 
-def test_without_consumers_it_gives_up_and_names_the_topics(bags: list[Path]) -> None:
-    done = run_node("replay", [f"bags:=[{bags[0]}]", "timeout_s:=1.0"], free_domain_id())
+def test_without_consumers_it_gives_up_and_names_the_topics(bags: list[Path], domain_id: int) -> None:
+    done = run_node("replay", [f"bags:=[{bags[0]}]", "timeout_s:=1.0"], domain_id)
     assert done.returncode == 1
     assert "/uav1/imu/data_raw has no subscriber" in done.stderr
     assert "/uav1/fused/odometry has no publisher" in done.stderr
@@ -300,11 +306,16 @@ def test_the_recorder_leaves_a_whole_bag_at_a_signal(
     try:
         assert recorder.stderr is not None
         assert "recording to" in recorder.stderr.readline()
-        time.sleep(1.0)
+        answers = {f"/{name}/{topic}" for name in fleet.vehicles for topic in ("odometry", "fused/odometry")}
+        assert wait_for(
+            lambda: fleet.recorder and not answers & set(fleet.recorder["unmatched"].split()),
+            alive=lambda: recorder.poll() is None,
+        )
         assert fleet.replay(bags).returncode == 0
-        time.sleep(0.5)
+        count = len(answers) * (FRAMES - FRAMES_BEFORE_START)
+        assert wait_for(lambda: int(fleet.recorder["written"]) >= count, alive=lambda: recorder.poll() is None)
         recorder.send_signal(number)
-        assert recorder.wait(3.0) == 0
+        assert recorder.wait() == 0
     finally:
         recorder.kill()
         recorder.communicate()

@@ -11,7 +11,6 @@ from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.ros.stereo_frontend_node import StereoFrontendNode  # noqa: E402
-from uav_vslam.ros.supervisor import free_domain_id  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -34,8 +33,8 @@ def allowed(node: str, what: str) -> set[str]:
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_a_node_is_allowed_just_what_it_does(name: str) -> None:
-    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "peers:=[uav2]"], domain_id=free_domain_id())
+def test_a_node_is_allowed_just_what_it_does(name: str, domain_id: int) -> None:
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "peers:=[uav2]"], domain_id=domain_id)
     node = NODES[name]()
     try:
         said = {p.topic_name for p in node.publishers} - OF_EVERY_NODE

@@ -2,7 +2,6 @@
 """The back end finds the start and publishes it; the INS cuts increments before and reckons from it afterwards."""
 
 import dataclasses
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -22,10 +21,9 @@ from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_
 from uav_vslam.types import ImuSample, StereoFeatures  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
-DOMAIN_ID = 95
-PATIENCE_S = 20.0
 FRAMES = 12
 
 
@@ -56,10 +54,7 @@ class Graph:
             self._executor.add_node(node)
 
     def spin_until(self, condition) -> bool:
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition() and time.monotonic() < deadline:
-            self._executor.spin_once(timeout_sec=0.05)
-        return condition()
+        return wait_for(condition, lambda: self._executor.spin_once(timeout_sec=0.02))
 
     def connected(self) -> bool:
         publishers = (self._imu, self._info, self._features)
@@ -87,9 +82,9 @@ def vehicle() -> SimulatedVehicle:
 
 
 @pytest.fixture
-def graph(vehicle: SimulatedVehicle) -> Iterator[Graph]:
+def graph(vehicle: SimulatedVehicle, domain_id: int) -> Iterator[Graph]:
     arguments = ["--ros-args", "-r", "__ns:=/uav1", "-p", "start.method:=in_flight"]
-    rclpy.init(args=arguments, domain_id=DOMAIN_ID)
+    rclpy.init(args=arguments, domain_id=domain_id)
     graph = Graph(vehicle)
     yield graph
     graph.close()

@@ -2,7 +2,6 @@
 import struct
 import subprocess
 import sys
-import time
 import zlib
 
 import cv2
@@ -19,18 +18,18 @@ from uav_vslam.ros.convert import flat, header, transform_to_msg  # noqa: E402
 from uav_vslam.ros.qos import IMAGE, LATCHED, STATE  # noqa: E402
 from uav_vslam.ros.stereo_frontend_node import RAW_AWAITED, StereoFrontendNode  # noqa: E402
 from uav_vslam_msgs.msg import StereoFeatures  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
-DOMAIN_ID = 94
-PATIENCE_S = 15.0
+QUIET_TURNS = 25  # enough for what should not come
 STAMP_NS = 5_000_000_000
 WIDTH, HEIGHT = 64, 48
 
 
 @pytest.fixture
-def graph():
+def graph(domain_id):
     """The node and a test node beside it in one executor."""
-    rclpy.init(domain_id=DOMAIN_ID)
+    rclpy.init(domain_id=domain_id)
     front, other = StereoFrontendNode(), rclpy.create_node("tester")
     executor = SingleThreadedExecutor()
     executor.add_node(front)
@@ -39,13 +38,6 @@ def graph():
     front.destroy_node()
     other.destroy_node()
     rclpy.shutdown()
-
-
-def spin_until(executor, condition, patience_s=PATIENCE_S):
-    deadline = time.monotonic() + patience_s
-    while not condition() and time.monotonic() < deadline:
-        executor.spin_once(timeout_sec=0.05)
-    return condition()
 
 
 def blank_image(side):
@@ -88,8 +80,15 @@ class Rig:
         publishers = [*self.images.values(), *self._infos.values()]
         assert self.until(lambda: all(p.get_subscription_count() for p in publishers))
 
+    def turn(self):
+        self.executor.spin_once(timeout_sec=0.02)
+
     def until(self, condition):
-        return spin_until(self.executor, condition)
+        return wait_for(condition, self.turn)
+
+    def rest(self):
+        for _ in range(QUIET_TURNS):
+            self.turn()
 
     def calibrate(self) -> None:
         for side, publisher in self._infos.items():
@@ -138,7 +137,7 @@ def test_a_camera_that_sends_each_picture_twice_is_taken_once(graph):
         png = cv2.imencode(".png", np.zeros((HEIGHT, WIDTH), np.uint8))[1].tobytes()
         publisher.publish(image if kind is Image else encoded(image, png))
     assert rig.until(lambda: len(rig.heard) == 1)
-    spin_until(rig.executor, lambda: False, 0.5)
+    rig.rest()
     assert rig.front.counts["pairs"] == 1
     assert rig.front.counts["dropped/unpaired"] == 0
     assert all(list(choices) == [Image] for choices in rig.front._choices.values())
@@ -156,7 +155,7 @@ def test_compressed_pictures_are_taken_where_the_raw_ones_are_offered_but_never_
 
     for _ in range(RAW_AWAITED):
         publish()
-    spin_until(rig.executor, lambda: False, 0.5)
+    rig.rest()
     assert rig.front.counts["pairs"] == 0
     publish()
     assert rig.until(lambda: len(rig.heard) == 1)
@@ -173,6 +172,6 @@ def test_an_extractor_that_can_not_be_made_ends_the_node(extractor, text):
         "-p",
         f"frontend.extractor:={extractor}",
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert text in done.stderr

@@ -50,14 +50,16 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
     from uav_vslam.cli import evaluate
     from uav_vslam.cli.launch import launch, read_fleet
     from uav_vslam.config import find_config, to_tree
-    from uav_vslam.ros.supervisor import free_domain_id, print_line
+    from uav_vslam.ros.domain import claimed_domain
+    from uav_vslam.ros.supervisor import print_line
 
     fleet = read_fleet(find_config(FLEET), bags=None, rate=args.rate, mode=args.mode)
-    estimates, domain_id = folder / "demo", free_domain_id()
-    print(f"starting {', '.join(fleet.vehicles)} and their replay on ROS domain {domain_id}", flush=True)
+    estimates = folder / "demo"
     on_line = print_line if args.verbose else print_progress
     started = time.monotonic()
-    code = launch(fleet, record=estimates, log_dir=folder / "log", domain_id=domain_id, on_line=on_line)
+    with claimed_domain() as domain_id:
+        print(f"starting {', '.join(fleet.vehicles)} and their replay on ROS domain {domain_id}", flush=True)
+        code = launch(fleet, record=estimates, log_dir=folder / "log", domain_id=domain_id, on_line=on_line)
     if code != 0:
         hint = "; see --verbose" if args.keep is None else f"; each process's output is in {folder / 'log'}"
         print(f"uav-vslam: the node graph failed (exit code {code}){hint}", file=sys.stderr)

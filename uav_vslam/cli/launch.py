@@ -110,8 +110,9 @@ def launch(
     from uav_vslam.config import load
     from uav_vslam.cooperation.link import LinkConfig
     from uav_vslam.errors import ConfigError
+    from uav_vslam.ros.domain import MAX_DOMAIN_ID
     from uav_vslam.ros.fleet_commands import NodeSpec, node_specs
-    from uav_vslam.ros.supervisor import MAX_DOMAIN_ID, Supervisor, node_command
+    from uav_vslam.ros.supervisor import Supervisor, node_command
 
     if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")

@@ -8,7 +8,6 @@ kernel if the supervisor dies without a chance to end it. One thread does it all
 import os
 import selectors
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -25,7 +24,6 @@ PACKAGE = "uav_vslam"
 DRAIN_S = 1.0  # after the replay's end, for messages that are still under way
 ESCALATION = ((0.0, signal.SIGINT), (2.0, signal.SIGTERM), (4.0, signal.SIGKILL))  # seconds after the order to end
 POLL_S = 0.05
-MAX_DOMAIN_ID = 101  # above, DDS ports collide with those that Linux gives to clients
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +56,14 @@ class Supervisor:
     Attributes:
         environment: variables that differ from ours.
         log_dir: also keep each process's output in a file here.
+        escalation: what is sent to those that still run, and how many seconds after the order to end.
         on_line: called with (name, line) for all output; the default prints it with its prefix.
     """
 
     environment: dict[str, str] = field(default_factory=dict)
     log_dir: Path | None = None
     on_line: Callable[[str, str], None] | None = None
+    escalation: tuple[tuple[float, signal.Signals], ...] = ESCALATION
     _children: list[_Child] = field(default_factory=list)
     _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
     _signal: int = 0
@@ -151,7 +151,7 @@ class Supervisor:
         led = any(child.command.leads and child.process.poll() is not None for child in self._children)
         if led and not self._signal:
             self._relay_for(DRAIN_S)
-        begin_s, steps = time.monotonic(), list(ESCALATION)
+        begin_s, steps = time.monotonic(), list(self.escalation)
         while any(child.process.poll() is None for child in self._children):
             while steps and time.monotonic() - begin_s >= steps[0][0]:
                 self._send(steps.pop(0)[1])
@@ -206,19 +206,6 @@ def find_executable(name: str) -> list[str]:
         if os.access(folder / name, os.X_OK) and (folder / name).is_file():
             return [str(folder / name)]
     return [sys.executable, "-m", f"{PACKAGE}.ros.{name}_node"]
-
-
-def free_domain_id() -> int:
-    """Return a ROS domain that no participant on this host uses, found by its first unicast port."""
-    first = os.getpid() % MAX_DOMAIN_ID
-    for domain_id in (1 + (first + step) % MAX_DOMAIN_ID for step in range(MAX_DOMAIN_ID)):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7400 + 250 * domain_id + 10))
-            except OSError:
-                continue
-            return domain_id
-    raise ConfigError(f"all {MAX_DOMAIN_ID} ROS domains are in use on this host; give one with --domain")
 
 
 def describe_exit(code: int) -> str:

@@ -15,7 +15,7 @@ from uav_vslam.evaluation.output import LATEST
 from uav_vslam.evaluation.study import TABLE
 from uav_vslam.studies.radio.compute import MODES, NARROWBAND, WIDEBAND, Run, packet_sizes, radio_rows
 
-FRAMES = 16  # 2.1 s: epochs at 1 and 2 s
+FRAMES = 16  # 2.1 s: epochs at 1 and 2 s, so that a packet of the first can be used in the second
 
 
 def make_run(
@@ -118,12 +118,12 @@ def test_a_graph_that_fails_is_told_and_stops_no_other(
 
 
 @pytest.mark.ros
-@pytest.mark.timeout(400)
+@pytest.mark.slow
 def test_both_modes_fly_the_same_flight_through_the_graph(tmp_path: Path) -> None:
-    options = ["--seeds", "1", "--frames", str(FRAMES), "--results", str(tmp_path)]
+    options = ["--seeds", "1", "--frames", str(FRAMES), "--scale", "0.25", "--results", str(tmp_path)]
     assert command.main(["study", "radio", *options]) == 0
     wide, narrow = table(json.loads((tmp_path / LATEST / "study.json").read_text())["rows"], "Modes")
     assert (wide["failures"], narrow["failures"]) == (0, 0)
     assert wide["s_ate_m"] == narrow["s_ate_m"]  # to the last bit: nothing of the network enters it
-    assert wide["packets_sent"] == 4 + 2  # two epochs of two vehicles; the second one's packets bring feedback too
+    assert wide["packets_sent"] == 4  # two epochs of two vehicles
     assert narrow["packet_bytes_max"] < 1400 < wide["packet_bytes_max"]

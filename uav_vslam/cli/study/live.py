@@ -82,14 +82,16 @@ def fly(fleet: Path, args: argparse.Namespace, *, frames: int, duration_s: float
     """
     from uav_vslam.datasets.outputs import read_outputs
     from uav_vslam.errors import UavVslamError
-    from uav_vslam.ros.supervisor import free_domain_id
+    from uav_vslam.ros.domain import claimed_domain
     from uav_vslam.studies.live.compute import frame_rows, processor_rows
 
     estimates, log = fleet.parent / "estimates", fleet.parent / "launch.txt"
     command = [sys.executable, "-m", "uav_vslam.cli.main", "launch", str(fleet), "--rate", str(args.rate)]
-    command += ["--mode", args.mode, "--record", str(estimates), "--domain", str(free_domain_id())]
-    with log.open("wb") as stream, subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT) as launcher:
-        samples = watch(launcher)
+    command += ["--mode", args.mode, "--record", str(estimates)]
+    with claimed_domain() as domain_id, log.open("wb") as stream:
+        command += ["--domain", str(domain_id)]
+        with subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT) as launcher:
+            samples = watch(launcher)
     if launcher.returncode != 0:
         said = " | ".join(log.read_text(encoding="utf-8", errors="replace").splitlines()[-3:])
         raise UavVslamError(f"the node graph failed (exit code {launcher.returncode}): {said}")

@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's arguments."""
     add_seeds(parser, 5)
     parser.add_argument("--frames", type=int, default=160, help="frames of each vehicle (default 160)")
+    parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
@@ -44,13 +45,13 @@ def run(args: argparse.Namespace) -> int:
     seeds, runs = seeds_of(args), []
     with progress_bar("study radio", len(seeds) * len(MODES)) as advance:
         for seed in seeds:
-            for found in fly_seed(seed, args.frames):
+            for found in fly_seed(seed, args.frames, args.scale):
                 runs += found
                 advance()
     return publish("radio", radio_rows(runs, len(seeds)), seeds, args.results, notes=NOTES)
 
 
-def fly_seed(seed: int, frames: int) -> Iterator[list[Run]]:
+def fly_seed(seed: int, frames: int, scale: float) -> Iterator[list[Run]]:
     """Record a flight and yield its runs in each mode; none where the graph failed. The recording is not kept."""
     from uav_vslam.cli.simulate import record
     from uav_vslam.datasets.flight_writer import ImageCoding
@@ -58,7 +59,7 @@ def fly_seed(seed: int, frames: int) -> Iterator[list[Run]]:
     from uav_vslam.simulation.scenario import SCENARIOS
     from uav_vslam.studies.radio.compute import MODES
 
-    scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames)
+    scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, scale=scale)
     with tempfile.TemporaryDirectory(prefix="uav_vslam_radio_") as name:
         folder = Path(name)
         record(scenario, folder / "flight", coding=ImageCoding("jpeg"))
@@ -91,12 +92,14 @@ def run_graph(fleet: Path, mode: str, seed: int) -> list[Run]:
         UavVslamError: a process failed, or what was recorded is damaged.
     """
     from uav_vslam.errors import UavVslamError
-    from uav_vslam.ros.supervisor import free_domain_id
+    from uav_vslam.ros.domain import claimed_domain
 
     estimates = fleet.parent / mode
     launch = [sys.executable, "-m", "uav_vslam.cli.main", "launch", str(fleet), "--mode", mode]
-    launch += ["--record", str(estimates), "--domain", str(free_domain_id())]
-    done = subprocess.run(launch, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    launch += ["--record", str(estimates)]
+    with claimed_domain() as domain_id:
+        launch += ["--domain", str(domain_id)]
+        done = subprocess.run(launch, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     if done.returncode != 0:
         said = " | ".join(done.stdout.splitlines()[-LAST_WORDS:])
         raise UavVslamError(f"the node graph failed (exit code {done.returncode}): {said}")

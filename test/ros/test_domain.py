@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A claimed ROS domain is nobody else's while it is held; tested with real sockets and processes, without ROS."""
+
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import ExitStack
+
+import pytest
+
+from uav_vslam.errors import ConfigError
+from uav_vslam.ros import domain
+from uav_vslam.ros.domain import MAX_DOMAIN_ID, claimed_domain
+from waiting import wait_for
+
+HOLDER = """
+import signal
+from uav_vslam.ros.domain import claimed_domain
+with claimed_domain() as domain_id:
+    print(domain_id, flush=True)
+    signal.pause()
+"""
+
+
+def claim_once() -> int:
+    with claimed_domain() as domain_id:
+        return domain_id
+
+
+def test_two_claims_never_meet_and_one_that_ends_is_free_again() -> None:
+    with claimed_domain() as first:
+        with claimed_domain() as second:
+            assert 1 <= min(first, second) < max(first, second) <= MAX_DOMAIN_ID
+        with claimed_domain() as third:
+            assert third != first
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_another_process_holds_its_domain_until_it_ends_however_that_happens(
+    monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    with subprocess.Popen([sys.executable, "-c", HOLDER], stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        held = int(holder.stdout.readline())
+        monkeypatch.setattr(domain.os, "getpid", lambda: held - 1)  # search from there
+        assert claim_once() != held
+        holder.send_signal(number)
+        holder.wait()
+    assert wait_for(lambda: claim_once() == held)  # somebody else may have it for a while
+
+
+def test_a_domain_with_a_participant_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        with claimed_domain() as taken:
+            participant.bind(("", 7400 + 250 * taken + 10))
+        monkeypatch.setattr(domain.os, "getpid", lambda: taken - 1)
+        assert claim_once() != taken
+
+
+def test_where_all_are_in_use_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(domain, "MAX_DOMAIN_ID", 2)
+    with ExitStack() as claims, pytest.raises(ConfigError, match="give one with --domain"):
+        list(map(claims.enter_context, (claimed_domain() for _ in range(3))))

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds a free ROS domain on this host and holds it; imports no ROS."""
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from uav_vslam.errors import ConfigError
+
+MAX_DOMAIN_ID = 101  # above, DDS ports collide with those that Linux gives to clients
+
+
+@contextmanager
+def claimed_domain() -> Iterator[int]:
+    """Hold a ROS domain in which no participant of this host runs and that no one else has claimed.
+
+    The claim is an abstract Unix socket. The kernel keeps those per network namespace, as it does the ports of DDS,
+    and drops one when its process ends, however that happens: no file is left behind.
+    """
+    first = os.getpid() % MAX_DOMAIN_ID
+    for domain_id in (1 + (first + step) % MAX_DOMAIN_ID for step in range(MAX_DOMAIN_ID)):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as claim:
+            if _bound(claim, f"\0uav_vslam/ros_domain/{domain_id}") and not _has_participant(domain_id):
+                yield domain_id
+                return
+    raise ConfigError(f"all {MAX_DOMAIN_ID} ROS domains are in use on this host; give one with --domain")
+
+
+def _has_participant(domain_id: int) -> bool:
+    """Tell whether the domain's first unicast port is taken: a participant runs that claimed nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        return not _bound(probe, ("", 7400 + 250 * domain_id + 10))
+
+
+def _bound(endpoint: socket.socket, address: str | tuple[str, int]) -> bool:
+    try:
+        endpoint.bind(address)
+    except OSError:
+        return False
+    return True
