@@ -2,11 +2,12 @@
 # Each target works from a fresh clone: it sets up what is missing first.
 SHELL := /bin/bash
 ACTIVATE := . ./env.sh &&
+PYTEST := pytest --numprocesses auto --maxprocesses 8 --dist loadfile # a file's tests share fixtures
 
-.PHONY: help setup demo test check bench clean
+.PHONY: help setup demo test test-quick check bench clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST)
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST)
 
 setup: ## make .venv and build the messages and the package (again: nothing to do)
 	@scripts/setup
@@ -14,8 +15,11 @@ setup: ## make .venv and build the messages and the package (again: nothing to d
 demo: setup ## replay the sample recordings of two vehicles and report
 	@$(ACTIVATE) uav-vslam demo
 
-test: setup ## run the tests; ARGS="-k camera" chooses
-	@$(ACTIVATE) pytest $(ARGS)
+test: setup ## run the tests on all cores; ARGS="-k camera" chooses
+	@$(ACTIVATE) $(PYTEST) $(ARGS)
+
+test-quick: setup ## run the tests without the slow ones
+	@$(ACTIVATE) $(PYTEST) -m "not slow" $(ARGS)
 
 check: setup ## lint, formatting, types
 	@$(ACTIVATE) status=0; ruff check . || status=1; ruff format --check . || status=1; mypy || status=1; exit $$status

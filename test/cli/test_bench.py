@@ -10,6 +10,7 @@ from uav_vslam.cli.main import main
 from uav_vslam.evaluation.output import LATEST
 
 
+@pytest.mark.slow
 def test_the_quick_bench_measures_every_stage_and_writes_the_study(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

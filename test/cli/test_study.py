@@ -35,6 +35,7 @@ PICTURES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", SMALL)
 def test_a_study_leaves_its_tables_and_pictures(study: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["study", study, *SMALL[study], "--workers", "1", "--results", str(tmp_path)]) == 0

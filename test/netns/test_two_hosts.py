@@ -42,7 +42,7 @@ def _namespaces_work() -> bool:
 
 pytestmark = [
     pytest.mark.ros,
-    pytest.mark.timeout(600),
+    pytest.mark.slow,
     pytest.mark.skipif(os.environ.get("UAV_VSLAM_NETNS") != "1", reason="opt-in: set UAV_VSLAM_NETNS=1"),
     pytest.mark.skipif(
         os.environ.get("UAV_VSLAM_NETNS") == "1" and not _namespaces_work(), reason=f"needs root and {', '.join(TOOLS)}"

@@ -30,6 +30,8 @@ from uav_vslam.studies.engine.write_back import (
 
 Array = NDArray[np.float64]
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 160
 NAV, LANDMARKS = 15, 5
 ROWS = np.array([3, 0, 4])  # of the own landmarks that are shared, in the order in which the peer names them

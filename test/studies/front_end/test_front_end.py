@@ -15,7 +15,7 @@ from uav_vslam.simulation.faults import FAULTS
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.terrain import ground_of
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = pytest.mark.slow
 KLT = "frontend.method=klt,frontend.search_scale=1.0,frontend.max_tracks=100"
 
 
