@@ -18,7 +18,7 @@ from uav_vslam.vision.compact_descriptors import RAW
 
 @pytest.fixture(scope="session")
 def make_small_packet(make_joint) -> Callable[..., LandmarkPacket]:
-    """Return a maker of valid packets that differ in their key and stamp only."""
+    """Return a factory of valid packets that differ in their key and stamp only."""
 
     def make(sequence: int, *, vehicle: str = "uav2", session: int = 1, stamp_ns: int | None = None) -> LandmarkPacket:
         joint = make_joint(
@@ -45,13 +45,13 @@ class SentMap:
     descriptors: np.ndarray
     session: int = 1
     descriptor_basis: int = RAW
-    told: np.ndarray | None = None
+    identifiers: np.ndarray | None = None
     order: tuple[int, int] = field(default_factory=lambda: (next(NUMBERS), 1))
 
     @property
     def ids(self) -> np.ndarray:
-        """Identifiers: those told, or the rows."""
-        return np.arange(len(self.positions), dtype=np.uint32) if self.told is None else self.told
+        """Identifiers: those given, or the rows."""
+        return np.arange(len(self.positions), dtype=np.uint32) if self.identifiers is None else self.identifiers
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -66,7 +66,7 @@ def sent_map() -> type[SentMap]:
 def _drifted(
     points: np.ndarray, rng, sigma_m: float, drift: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw a map of (K, 3) points: a shift, turn and tilt that all share, and each one's own error; and its covariance.
+    """Draw a map of (K, 3) points: a common shift, yaw and tilt, and independent errors; and its covariance.
 
     `drift` holds the sigmas of the shift [m], the yaw and the tilt [rad].
     """
@@ -83,7 +83,7 @@ def _drifted(
 
 @pytest.fixture(scope="session")
 def two_maps() -> Callable[..., tuple[PointPairs, Pose]]:
-    """Return a maker of pairs between two maps, and of the true T_own_peer between their frames.
+    """Return a factory of pairs between two maps, and of the true T_own_peer between their frames.
 
     The last `wrong` pairs join landmarks that are not the same.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The transform between two maps is found among wrong matches, its covariance is true, and thin evidence is refused."""
+"""The alignment is found despite wrong matches, its covariance is consistent, and weak evidence is refused."""
 
 import dataclasses
 
@@ -51,7 +51,7 @@ def error_of(found: Pose, T: Pose) -> np.ndarray:
     wrong=st.integers(0, RIGHT),
 )
 @settings(max_examples=40)
-def test_maps_without_noise_are_aligned_exactly_wherever_they_lie(two_maps, yaw: float, t, wrong: int) -> None:
+def test_maps_without_noise_are_aligned_exactly_for_any_transform(two_maps, yaw: float, t, wrong: int) -> None:
     pairs, T = two_maps(right=RIGHT, wrong=wrong, sigma_m=0.0, drift=NO_DRIFT, yaw=yaw, t=t)
     found = aligned(pairs)
     np.testing.assert_array_equal(found.inliers, np.arange(RIGHT))
@@ -61,7 +61,7 @@ def test_maps_without_noise_are_aligned_exactly_wherever_they_lie(two_maps, yaw:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("wrong", [6, 14])
-def test_drifted_maps_are_aligned_among_wrong_matches(two_maps, seed: int, wrong: int) -> None:
+def test_drifted_maps_are_aligned_despite_wrong_matches(two_maps, seed: int, wrong: int) -> None:
     pairs, T = two_maps(seed, right=RIGHT, wrong=wrong)
     found = aligned(pairs)
     assert set(found.inliers) <= set(range(RIGHT))
@@ -70,16 +70,16 @@ def test_drifted_maps_are_aligned_among_wrong_matches(two_maps, seed: int, wrong
     assert np.linalg.norm(error[:3]) < 5 * np.sqrt(np.trace(found.covariance[:3, :3]))
 
 
-def test_what_a_whole_map_drifted_by_does_not_count_against_its_pairs(two_maps) -> None:
-    """Each map may be 50 m and 20 degrees off: the transform absorbs it, and its covariance says so."""
+def test_common_drift_of_a_map_rejects_no_pairs(two_maps) -> None:
+    """Each map may be 50 m and 20 degrees off: the transform absorbs it, and its covariance includes it."""
     pairs, _ = two_maps(drift=(50.0, 0.0, 0.0), wrong=6)
-    sure, _ = two_maps(drift=NO_DRIFT, wrong=6)
+    exact, _ = two_maps(drift=NO_DRIFT, wrong=6)
     found = aligned(pairs)
-    np.testing.assert_array_equal(found.inliers, aligned(sure).inliers)
+    np.testing.assert_array_equal(found.inliers, aligned(exact).inliers)
     assert np.sqrt(found.covariance[0, 0]) > 50.0
 
 
-def test_the_covariance_is_true(two_maps) -> None:
+def test_the_covariance_is_consistent(two_maps) -> None:
     """NEES over draws of both maps from their own covariances; the bounds hold in 999 of 1000 studies."""
     runs, total = 200, 0.0
     for seed in range(runs):
@@ -91,11 +91,11 @@ def test_the_covariance_is_true(two_maps) -> None:
     assert low < total / FRAME_DIM / runs < high
 
 
-def test_the_fit_does_not_depend_on_where_it_begins(two_maps) -> None:
+def test_the_fit_does_not_depend_on_its_initial_value(two_maps) -> None:
     pairs, T = two_maps(right=10)
     there, covariance = fit(pairs, T)
-    away = Pose(rotation_from_rpy(0.0, 0.0, 0.3) @ T.R, T.t + 20.0)
-    again, same = fit(pairs, away)
+    distant = Pose(rotation_from_rpy(0.0, 0.0, 0.3) @ T.R, T.t + 20.0)
+    again, same = fit(pairs, distant)
     np.testing.assert_allclose(again.matrix, there.matrix, rtol=0, atol=1e-5)
     np.testing.assert_allclose(same, covariance, rtol=1e-3)
 
@@ -107,8 +107,8 @@ def test_tilt_is_never_estimated(two_maps) -> None:
     np.testing.assert_array_equal(R[:, 2], [0.0, 0.0, 1.0])
 
 
-def test_a_wrong_match_inside_its_own_gate_is_found_by_its_neighbours(two_maps) -> None:
-    """The own map may be too long or too short by a tenth, so each landmark's gate is wide, but all share one error."""
+def test_an_outlier_inside_its_own_gate_is_rejected_by_the_others(two_maps) -> None:
+    """The own map has a scale error of a tenth, so each landmark's gate is wide, but all share one error."""
     pairs, T = two_maps(sigma_m=0.1, drift=NO_DRIFT)
     stretch = 0.1 * (pairs.own - pairs.own.mean(axis=0))
     k = int(np.argmax(np.linalg.norm(stretch, axis=1)))
@@ -136,7 +136,7 @@ def test_landmarks_along_one_line_are_enough(two_maps) -> None:
     assert np.abs(error_of(aligned(pairs).T_own_peer, T)).max() < 1.0
 
 
-def test_landmarks_above_one_another_are_refused(two_maps) -> None:
+def test_vertically_aligned_landmarks_are_refused(two_maps) -> None:
     points = np.column_stack([np.zeros((RIGHT, 2)), np.linspace(0.0, 40.0, RIGHT)])
     pairs, _ = two_maps(points=points)
     assert "no two" in refused(pairs)
@@ -157,13 +157,13 @@ def test_matches_that_are_all_wrong_are_refused(two_maps, seed: int) -> None:
     assert refused(pairs)
 
 
-def test_agreement_within_wide_gates_may_be_chance(two_maps) -> None:
+def test_agreement_in_wide_gates_may_be_chance(two_maps) -> None:
     pairs, _ = two_maps(right=RIGHT, wrong=RIGHT, sigma_m=6.0)
     assert "chance" in refused(pairs)
 
 
 def test_landmarks_in_one_spot_are_refused(two_maps) -> None:
-    """Eight right matches within two metres say where the other map lies, but not how it is turned."""
+    """Right matches within two metres determine the other map's translation, but not its yaw."""
     rng = np.random.default_rng(5)
     spot = rng.normal(0.0, 1.0, (RIGHT, 3)) * [1.0, 1.0, 0.1]
     far = np.column_stack([rng.uniform(-50, 50, (6, 2)), np.zeros(6)])
@@ -180,7 +180,7 @@ def test_a_second_transform_that_explains_the_rest_is_refused(two_maps) -> None:
 
 
 @pytest.mark.parametrize("right", [3, 5])
-def test_a_frame_that_is_known_is_followed_by_few_matches(two_maps, right: int) -> None:
+def test_a_known_frame_is_refined_from_few_matches(two_maps, right: int) -> None:
     pairs, T = two_maps(right=right, wrong=4, drift=(0.3, 0.01, 0.001))
     near = Pose(rotation_from_rpy(0.0, 0.0, 0.01) @ T.R, T.t + np.array([0.3, -0.2, 0.1]))
     found = follow(pairs, near)
@@ -188,7 +188,7 @@ def test_a_frame_that_is_known_is_followed_by_few_matches(two_maps, right: int) 
     np.testing.assert_array_equal(found.inliers, np.arange(right))
 
 
-def test_what_a_rough_frame_misses_is_gathered_by_the_fit(two_maps) -> None:
+def test_inliers_outside_a_rough_frame_s_gate_are_recovered_by_the_fit(two_maps) -> None:
     pairs, T = two_maps(right=RIGHT, wrong=4)
     turn = Pose(rotation_from_rpy(0.0, 0.0, 0.15), np.zeros(3))
     centre = Pose(np.eye(3), pairs.own.mean(axis=0))
@@ -199,13 +199,13 @@ def test_what_a_rough_frame_misses_is_gathered_by_the_fit(two_maps) -> None:
     np.testing.assert_array_equal(found.inliers, np.arange(RIGHT))
 
 
-def test_nothing_near_a_frame_is_followed_by_nothing(two_maps) -> None:
+def test_a_frame_without_inliers_is_not_refined(two_maps) -> None:
     pairs, T = two_maps(right=6)
     assert follow(pairs, Pose(T.R, T.t + 100.0)) is None
     assert follow(pairs.take(np.zeros(0, np.intp)), T) is None
 
 
-def test_yaw_is_as_sure_as_the_landmarks_are_spread(two_maps) -> None:
+def test_sigma_of_yaw_falls_with_the_spread_of_the_landmarks(two_maps) -> None:
     pairs, T = two_maps()
     covariance = fit(pairs, T)[1]
     all_of_them = Alignment(T, covariance, np.arange(len(pairs)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A tag is made by who has the key and by nobody else, and every field is under it."""
+"""Only the holder of the key can make a tag, and it covers every field."""
 
 import dataclasses
 from collections.abc import Callable
@@ -37,7 +37,7 @@ def public_pem(key) -> bytes:
 
 @pytest.fixture
 def with_fleet_key(tmp_path: Path) -> Callable[[str], Authentication]:
-    """Return what each vehicle of a fleet with one secret has."""
+    """Return the authentication of each vehicle of a fleet with one secret."""
     path = tmp_path / "fleet.key"
     path.write_bytes(bytes(range(32)))
     return lambda vehicle: authentication_for(vehicle, FusionConfig(fleet_key_file=str(path)))
@@ -60,7 +60,7 @@ def folder_of_keys(tmp_path: Path) -> Path:
 
 @pytest.fixture(params=["fleet", "vehicle"])
 def keyed(request: pytest.FixtureRequest) -> Callable[[str], Authentication]:
-    """Return what each vehicle has, in a fleet of either kind."""
+    """Return the authentication of each vehicle, for either kind of key."""
     if request.param == "fleet":
         return request.getfixturevalue("with_fleet_key")
     folder = request.getfixturevalue("folder_of_keys")
@@ -100,25 +100,23 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_whatever_is_changed_on_the_way_is_noticed_though_the_checksum_is_made_anew(
-    keyed, make_small_packet, change: str
-) -> None:
+def test_any_change_in_transit_is_detected_even_with_a_new_checksum(keyed, make_small_packet, change: str) -> None:
     packet = dataclasses.replace(keyed("uav2").sign(make_small_packet(1)), **CHANGES[change])
     packet = dataclasses.replace(packet, checksum=checksum(packet))
     assert refusal(keyed("uav1"), packet) == "signature"
 
 
-def test_a_changed_position_is_noticed(keyed, make_small_packet) -> None:
+def test_a_changed_position_is_detected(keyed, make_small_packet) -> None:
     packet = keyed("uav2").sign(make_small_packet(1))
     moved = dataclasses.replace(packet.points, offsets=packet.points.offsets + np.float32(1.0))
     assert refusal(keyed("uav1"), dataclasses.replace(packet, points=moved)) == "signature"
 
 
-def test_another_fleets_key_signs_nothing(with_fleet_key, make_small_packet) -> None:
+def test_another_fleets_key_is_rejected(with_fleet_key, make_small_packet) -> None:
     assert refusal(with_fleet_key("uav1"), FleetKey(b"x" * 32).sign(make_small_packet(1))) == "signature"
 
 
-def test_a_shared_key_lets_a_member_speak_for_another_and_vehicle_keys_do_not(
+def test_vehicle_keys_prevent_impersonation_by_a_member_and_a_fleet_key_does_not(
     with_fleet_key, folder_of_keys, make_small_packet
 ) -> None:
     as_uav2 = make_small_packet(1, vehicle="uav2")
@@ -127,13 +125,13 @@ def test_a_shared_key_lets_a_member_speak_for_another_and_vehicle_keys_do_not(
     assert refusal(uav1, uav3.sign(as_uav2)) == "signature"
 
 
-def test_a_vehicle_without_a_known_key_is_not_believed(folder_of_keys, make_small_packet) -> None:
+def test_a_vehicle_without_a_known_key_is_rejected(folder_of_keys, make_small_packet) -> None:
     (folder_of_keys / "keys" / "uav2.pem").unlink()
     uav1, uav2 = (authentication_for(v, signing(folder_of_keys, v)) for v in ("uav1", "uav2"))
     assert refusal(uav1, uav2.sign(make_small_packet(1))) == "signature"
 
 
-def test_without_keys_everybody_is_believed(make_small_packet) -> None:
+def test_without_keys_every_packet_is_accepted(make_small_packet) -> None:
     open_fleet = authentication_for("uav1", FusionConfig())
     assert isinstance(open_fleet, NoAuthentication)
     packet = make_small_packet(1)
@@ -142,7 +140,7 @@ def test_without_keys_everybody_is_believed(make_small_packet) -> None:
     assert open_fleet.tag_bytes == 0
 
 
-def test_keys_that_can_not_be_used_are_told(folder_of_keys: Path, tmp_path: Path) -> None:
+def test_unusable_keys_are_reported(folder_of_keys: Path, tmp_path: Path) -> None:
     def complaint(**settings: str) -> str:
         with pytest.raises(ConfigError) as error:
             authentication_for("uav1", FusionConfig(**{k: str(v) for k, v in settings.items()}))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A budget grants what it earned, to the byte, and nothing on credit."""
+"""The token bucket grants what it earned, to the byte, without credit."""
 
 import pytest
 from hypothesis import given
@@ -15,12 +15,12 @@ def test_a_new_budget_is_full() -> None:
     assert ByteBudget(900, 1400).available(123) == 1400
 
 
-def test_a_new_budget_has_what_it_is_told_to_have_saved_but_never_more_than_the_burst() -> None:
+def test_a_new_budget_starts_with_its_initial_bytes_up_to_the_burst() -> None:
     assert ByteBudget(900, 1400, 900).available(123) == 900
     assert ByteBudget(900, 1400, 2000).available(123) == 1400
 
 
-def test_what_was_spent_is_earned_again_at_the_rate_and_no_further_than_the_burst() -> None:
+def test_the_bucket_refills_at_the_rate_up_to_the_burst() -> None:
     budget = ByteBudget(900, 1400)
     assert budget.spend(0, 1400)
     assert budget.available(0) == 0
@@ -29,7 +29,7 @@ def test_what_was_spent_is_earned_again_at_the_rate_and_no_further_than_the_burs
     assert budget.available(100 * NS_PER_S) == 1400
 
 
-def test_what_does_not_fit_is_refused_whole() -> None:
+def test_a_packet_that_exceeds_the_budget_takes_nothing() -> None:
     budget = ByteBudget(900, 1000)
     assert budget.spend(0, 400)
     assert not budget.spend(0, 601)
@@ -37,7 +37,7 @@ def test_what_does_not_fit_is_refused_whole() -> None:
     assert budget.spend(0, 600)
 
 
-def test_many_small_steps_earn_as_much_as_one_large() -> None:
+def test_many_small_steps_add_as_much_as_one_large() -> None:
     budget = ByteBudget(900, 5000)
     budget.spend(0, 5000)
     for step in range(1, 1001):
@@ -45,14 +45,14 @@ def test_many_small_steps_earn_as_much_as_one_large() -> None:
     assert budget.available(1000 * 3_333_333) == 900 * 1000 * 3_333_333 // NS_PER_S
 
 
-def test_a_clock_that_steps_back_earns_nothing() -> None:
+def test_a_clock_that_steps_back_adds_nothing() -> None:
     budget = ByteBudget(900, 1000)
     assert budget.spend(10 * NS_PER_S, 1000)
     assert budget.available(0) == 0
     assert budget.available(10 * NS_PER_S) == 0
 
 
-def test_a_rate_of_zero_never_earns() -> None:
+def test_a_rate_of_zero_never_refills() -> None:
     budget = ByteBudget(0, 0)
     assert not budget.spend(0, 1)
     assert not budget.spend(10**18, 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""True pairs are found, wrong ones are not, and too few are not believed."""
+"""True matches are found, wrong ones are rejected, and too few are not accepted."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ COMPACT = PacketPolicy(form=ANCHOR, max_landmarks=COUNT, descriptor_basis=1)
 
 
 def block_covariance(count: int, drift_m: float) -> np.ndarray:
-    """Return (6+3N, 6+3N): a drift that all landmarks share, and 0.3 m of each one's own."""
+    """Return (6+3N, 6+3N): a drift that all landmarks share, and 0.3 m of independent error."""
     shared = np.zeros((6 + 3 * count, 3))
     shared[:3] = np.eye(3)
     shared[6:] = np.tile(np.eye(3), (count, 1))
@@ -43,11 +43,11 @@ def scene(make_joint):
         P = block_covariance(COUNT, drift_m)
         own = make_joint(truth + rng.normal(0, 0.5 * SIGMA_M, truth.shape), P)
         identities = np.arange(COUNT)
-        identities[shared:] += 1000  # the rest is the peer's alone
-        looks = identities.copy()
-        looks[:wrong] = np.roll(identities[:wrong], 1)  # the descriptors of other landmarks: certain wrong matches
+        identities[shared:] += 1000  # the rest only the peer has
+        appearance = identities.copy()
+        appearance[:wrong] = np.roll(identities[:wrong], 1)  # the descriptors of other landmarks: certain wrong matches
         positions = truth + rng.normal(0, 0.5 * SIGMA_M, truth.shape) + shift_m * np.array([0.7, -0.7, 0.1])
-        peer = make_joint(positions, P, vehicle="uav2", identities=looks)
+        peer = make_joint(positions, P, vehicle="uav2", identities=appearance)
         packet = make_packet(peer, sequence=1, policy=policy)
         pairs = find_common(own.positions, P[6:, 6:], own.descriptors, packet, config=config)
         return [(int(a), int(packet.ids[b]) - 1) for a, b in pairs]
@@ -79,31 +79,31 @@ def test_descriptors_of_another_kind_match_nothing(make_joint) -> None:
 
 
 @pytest.mark.parametrize("wrong", [2, 5, 8])
-def test_wrong_matches_are_thrown_out(scene, wrong: int) -> None:
+def test_wrong_matches_are_rejected(scene, wrong: int) -> None:
     found = scene(wrong=wrong)
     assert all(a == b for a, b in found)
     assert len(found) >= 12 - wrong - 1
 
 
 @pytest.mark.parametrize("wrong", [2, 4])
-def test_wrong_matches_that_a_wide_gate_lets_pass_contradict_the_others(scene, wrong: int) -> None:
-    """After a drift of 30 m any landmark may be any other; only their mutual offsets are known to half a metre."""
+def test_wrong_matches_inside_a_wide_gate_are_inconsistent_with_the_others(scene, wrong: int) -> None:
+    """After a drift of 30 m the gate accepts any pair; only relative offsets are known to half a metre."""
     found = scene(wrong=wrong, drift_m=30.0, shift_m=20.0)
     assert all(a == b for a, b in found)
     assert len(found) >= 12 - wrong - 1
 
 
-def test_maps_farther_apart_than_their_doubt_share_nothing(scene) -> None:
+def test_maps_farther_apart_than_their_uncertainty_have_no_matches(scene) -> None:
     assert scene(shift_m=15.0) == []
 
 
 @pytest.mark.parametrize(("shared", "min_common", "count"), [(2, 3, 0), (3, 3, 3), (1, 1, 1), (0, 1, 0)])
-def test_fewer_than_the_smallest_number_is_not_believed(scene, shared: int, min_common: int, count: int) -> None:
+def test_fewer_than_the_minimum_are_not_accepted(scene, shared: int, min_common: int, count: int) -> None:
     assert len(scene(shared=shared, config=FusionConfig(min_common=min_common))) == count
 
 
 @pytest.mark.parametrize(("own_count", "peer_count"), [(0, 0), (0, 4), (4, 0)])
-def test_an_empty_side_shares_nothing(make_joint, own_count: int, peer_count: int) -> None:
+def test_an_empty_map_has_no_matches(make_joint, own_count: int, peer_count: int) -> None:
     rng = np.random.default_rng(0)
     own, peer = (
         make_joint(rng.normal(0, 9, (n, 3)), np.eye(6 + 3 * n), vehicle=v)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An emulated link does what its numbers say, the same each time, and loses count of nothing."""
+"""An emulated link follows its configuration, is reproducible, and accounts for every packet."""
 
 import dataclasses
 from typing import Any
@@ -56,12 +56,12 @@ def test_the_rate_spaces_packets_once_the_burst_is_spent() -> None:
     assert arrivals(link, [0.0, 0.0, 0.0], 500) == [(0, 0.0), (1, 0.5), (2, 1.0)]
 
 
-def test_after_a_pause_no_more_than_the_burst_leaves_at_once() -> None:
+def test_after_a_pause_at_most_the_burst_leaves_at_once() -> None:
     link: Link[int] = Link(LinkConfig(rate_bytes_per_s=1000.0, burst_bytes=500))
     assert arrivals(link, [0.0, 60.0, 60.0, 60.0], 250) == [(0, 0.0), (1, 60.0), (2, 60.0), (3, 60.25)]
 
 
-def test_each_direction_draws_its_own_numbers_and_the_same_each_time() -> None:
+def test_each_direction_has_its_own_reproducible_random_sequence() -> None:
     def received(sender: str, receiver: str) -> list[int]:
         link: Link[int] = link_between(LinkConfig(loss=0.5), sender, receiver)
         for number in range(100):
@@ -71,7 +71,7 @@ def test_each_direction_draws_its_own_numbers_and_the_same_each_time() -> None:
     assert received("a", "b") == received("a", "b") != received("b", "a")
 
 
-def test_a_packet_larger_than_the_burst_takes_its_time() -> None:
+def test_a_packet_larger_than_the_burst_is_delayed() -> None:
     link: Link[int] = Link(LinkConfig(rate_bytes_per_s=1000.0, burst_bytes=500))
     assert arrivals(link, [0.0, 0.0], 1500) == [(0, 1.0), (1, 2.5)]
 
@@ -79,12 +79,12 @@ def test_a_packet_larger_than_the_burst_takes_its_time() -> None:
 def test_a_full_queue_drops_the_newcomer() -> None:
     link: Link[int] = Link(LinkConfig(rate_bytes_per_s=100.0, burst_bytes=100, queue_bytes=250))
     found = arrivals(link, [0.0, 0.0, 0.0, 0.0, 1.0], 100)
-    assert [number for number, _ in found] == [0, 1, 2, 4]  # 0 leaves at once, 1 and 2 wait, 3 finds 200 of 250
+    assert [number for number, _ in found] == [0, 1, 2, 4]  # 0 leaves at once, 1 and 2 wait, 3 would exceed 250
     assert link.packets["queue_dropped"] == 1
     assert link.size_bytes["queue_dropped"] == 100
 
 
-def test_jitter_lets_packets_overtake_each_other() -> None:
+def test_jitter_reorders_packets() -> None:
     found = arrivals(Link(LinkConfig(delay_s=0.1, jitter_s=1.0, seed=1)), [0.05 * k for k in range(40)])
     numbers = [number for number, _ in found]
     assert sorted(numbers) == list(range(40))
@@ -94,14 +94,14 @@ def test_jitter_lets_packets_overtake_each_other() -> None:
 
 def test_nothing_passes_in_a_blackout() -> None:
     link: Link[int] = Link(LinkConfig(blackouts=((1.0, 2.0), (3.0, 3.5))))
-    start_s = 1000.0  # a link's time begins with its first packet
+    start_s = 1000.0  # a link's time starts with its first packet
     found = arrivals(link, [start_s + 0.5 * k for k in range(9)])
     assert [number for number, _ in found] == [0, 1, 4, 5, 7, 8]
     assert link.packets["blacked_out"] == 3
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2, 0.7])
-def test_the_shares_lost_and_doubled_are_as_set(share: float) -> None:
+def test_loss_and_duplication_rates_are_as_configured(share: float) -> None:
     link: Link[int] = Link(LinkConfig(loss=share, duplication=share, seed=11))
     for number in range(MANY):
         link.send(number, 10, number)
@@ -112,7 +112,7 @@ def test_the_shares_lost_and_doubled_are_as_set(share: float) -> None:
     assert len(link.receive(FOREVER_NS)) == kept + link.packets["duplicated"]
 
 
-def test_a_link_without_loss_or_with_nothing_but_loss_is_certain() -> None:
+def test_loss_of_zero_and_one_is_deterministic() -> None:
     for loss, expected in ((0.0, 200), (1.0, 0)):
         link: Link[int] = Link(LinkConfig(loss=loss))
         for number in range(200):
@@ -127,7 +127,7 @@ def test_the_same_seed_gives_the_same_packets_and_another_seed_others() -> None:
     assert arrivals(Link(dataclasses.replace(BAD, seed=4)), times) != first
 
 
-def test_the_fate_of_a_packet_does_not_hang_on_the_size_of_those_before() -> None:
+def test_a_packet_s_fate_does_not_depend_on_the_size_of_earlier_ones() -> None:
     def lost(sizes: list[int]) -> list[int]:
         link: Link[int] = Link(LinkConfig(rate_bytes_per_s=100.0, queue_bytes=10**9, loss=0.5, seed=5))
         for number, size in enumerate(sizes):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is remembered of landmarks that left is just what a filter that had kept them would know."""
+"""Remembered landmarks match a filter that keeps all landmarks."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ SIGMA_M = 0.1  # of a measurement
 
 
 class Kept:
-    """A linear filter over the pose and all landmarks that never lets one go; what it shows leaves some out."""
+    """A linear filter over the pose and all landmarks; its published belief omits some."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
@@ -63,10 +63,10 @@ def covariance_of(joint: JointInformation, ids: list[int]) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_left_is_known_as_well_as_by_a_filter_that_keeps_everything(make_joint, seed: int) -> None:
-    """The pose moves on and others are measured again: the remembered ones follow, with the right covariance.
+def test_removed_landmarks_match_a_filter_that_keeps_everything(make_joint, seed: int) -> None:
+    """The pose moves and others are measured again: the remembered ones are updated, with the right covariance.
 
-    What the poses would add, themselves correlated with what left, is a fraction of a measurement's error.
+    The neglected correlation with the poses is a fraction of a measurement's error.
     """
     filter_ = Kept(seed)
     everything, staying = list(range(COUNT)), [k for k in range(COUNT) if k not in LEAVING]
@@ -85,7 +85,7 @@ def test_what_left_is_known_as_well_as_by_a_filter_that_keeps_everything(make_jo
     np.testing.assert_allclose(extended.positions[-len(LEAVING) :], mean, rtol=0, atol=0.2 * SIGMA_M)
 
 
-def test_the_state_itself_is_not_known_better_by_remembering(make_joint) -> None:
+def test_remembering_adds_no_information_on_the_state(make_joint) -> None:
     filter_ = Kept(0)
     filter_.measure(list(range(COUNT)))
     memory = LandmarkMemory(capacity=10)
@@ -109,9 +109,7 @@ def test_only_shared_landmarks_are_remembered_and_at_most_the_capacity(make_join
 
 
 @pytest.mark.parametrize(("shared", "offered"), [([], [102, 104]), ([103], [102, 104, 105])])
-def test_offered_landmarks_are_remembered_where_shared_ones_leave_room(
-    make_joint, shared: list[int], offered: list[int]
-) -> None:
+def test_offered_landmarks_fill_the_remaining_capacity(make_joint, shared: list[int], offered: list[int]) -> None:
     filter_ = Kept(4)
     filter_.measure(list(range(COUNT)))
     memory = LandmarkMemory(capacity=2)
@@ -121,7 +119,7 @@ def test_offered_landmarks_are_remembered_where_shared_ones_leave_room(
     assert set(shared) <= remembered <= {*shared, *offered}
 
 
-def test_what_was_remembered_by_a_landmark_that_leaves_too_is_passed_on(make_joint) -> None:
+def test_remembered_landmarks_survive_the_removal_of_those_they_are_conditioned_on(make_joint) -> None:
     filter_ = Kept(2)
     filter_.measure(list(range(COUNT)))
     memory, shared = LandmarkMemory(10), [102, 105]
@@ -133,7 +131,7 @@ def test_what_was_remembered_by_a_landmark_that_leaves_too_is_passed_on(make_joi
     np.testing.assert_allclose(covariance_of(extended, shared), wanted, rtol=0, atol=ROUNDING + 4 * OWN_SIGMA_M**2)
 
 
-def test_a_new_session_and_a_filter_that_began_anew_forget(make_joint) -> None:
+def test_a_new_session_and_a_reinitialised_filter_clear_the_memory(make_joint) -> None:
     filter_ = Kept(3)
     filter_.measure(list(range(COUNT)))
     for later in (filter_.joint(make_joint, [0, 1], session=2), filter_.joint(make_joint, [])):

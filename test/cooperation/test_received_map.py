@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest word on each landmark counts, and there is a limit to what is kept."""
+"""The newest estimate of each landmark counts, and the size is bounded."""
 
 import numpy as np
 
-from uav_vslam.cooperation.received_map import RECEIVED_LANDMARKS, heard
+from uav_vslam.cooperation.received_map import RECEIVED_LANDMARKS, updated_map
 
 
 def packet_of(sent_map, ids, height: float, *, basis: int = 0, size: int = 128):
@@ -13,9 +13,9 @@ def packet_of(sent_map, ids, height: float, *, basis: int = 0, size: int = 128):
     return sent_map(positions, covariance, np.full((count, size), ids[0], np.uint8), 1, basis, np.array(ids, np.uint32))
 
 
-def test_the_newest_packet_comes_first_and_replaces_what_it_tells_again(sent_map) -> None:
-    first = heard(packet_of(sent_map, [1, 2, 3], 1.0), None)
-    both = heard(packet_of(sent_map, [3, 4], 2.0), first)
+def test_the_newest_packet_comes_first_and_replaces_repeated_landmarks(sent_map) -> None:
+    first = updated_map(packet_of(sent_map, [1, 2, 3], 1.0), None)
+    both = updated_map(packet_of(sent_map, [3, 4], 2.0), first)
     np.testing.assert_array_equal(both.ids, [3, 4, 1, 2])
     np.testing.assert_array_equal(both.positions[:, 0], [3, 4, 1, 2])
     np.testing.assert_array_equal(both.positions[:, 2], [2, 2, 1, 1])
@@ -28,23 +28,23 @@ def test_the_newest_packet_comes_first_and_replaces_what_it_tells_again(sent_map
 
 def test_the_same_packet_again_changes_nothing(sent_map) -> None:
     packet = packet_of(sent_map, [5, 6], 1.0)
-    once = heard(packet, heard(packet_of(sent_map, [1], 1.0), None))
-    twice = heard(packet, once)
+    once = updated_map(packet, updated_map(packet_of(sent_map, [1], 1.0), None))
+    twice = updated_map(packet, once)
     np.testing.assert_array_equal(twice.ids, once.ids)
     np.testing.assert_array_equal(twice.covariance, once.covariance)
 
 
-def test_what_was_told_longest_ago_goes_first(sent_map) -> None:
+def test_the_oldest_landmarks_are_removed_first(sent_map) -> None:
     known = None
     for k in range(5):
-        known = heard(packet_of(sent_map, list(range(20 * k, 20 * k + 20)), 1.0), known)
+        known = updated_map(packet_of(sent_map, list(range(20 * k, 20 * k + 20)), 1.0), known)
     assert len(known) == RECEIVED_LANDMARKS
     np.testing.assert_array_equal(known.ids[:20], np.arange(80, 100))
     np.testing.assert_array_equal(known.ids[-4:], np.arange(20, 24))
-    large = heard(packet_of(sent_map, list(range(200, 280)), 1.0), known)
+    large = updated_map(packet_of(sent_map, list(range(200, 280)), 1.0), known)
     assert len(large) == 80
 
 
-def test_other_descriptors_can_not_be_kept_together(sent_map) -> None:
-    known = heard(packet_of(sent_map, [1, 2], 1.0), None)
-    np.testing.assert_array_equal(heard(packet_of(sent_map, [3], 1.0, basis=1, size=32), known).ids, [3])
+def test_descriptors_of_different_kinds_are_not_mixed(sent_map) -> None:
+    known = updated_map(packet_of(sent_map, [1, 2], 1.0), None)
+    np.testing.assert_array_equal(updated_map(packet_of(sent_map, [3], 1.0, basis=1, size=32), known).ids, [3])

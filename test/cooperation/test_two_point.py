@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two pairs make a transform where distance and height agree."""
+"""Two pairs with equal distance and height give a transform."""
 
 import dataclasses
 
@@ -29,13 +29,13 @@ def test_two_pairs_at_another_distance_or_height_are_not_tried(two_maps, stretch
     assert len(tried(dataclasses.replace(pairs, peer=pairs.peer * stretch + [0.0, 0.0, 0.0]))) == 0
 
 
-def test_points_above_one_another_say_nothing_about_yaw(two_maps) -> None:
+def test_vertically_aligned_points_do_not_determine_yaw(two_maps) -> None:
     points = np.column_stack([np.zeros((9, 2)), np.linspace(0, 40, 9)])
     pairs, _ = two_maps(right=9, points=points, sigma_m=0.01, drift=(0.0, 0.0, 0.0))
     assert len(tried(pairs)) == 0
 
 
-def test_wrong_pairs_seldom_make_transforms_and_are_outliers_of_the_best(two_maps) -> None:
+def test_wrong_pairs_rarely_give_transforms_and_are_outliers_of_the_best(two_maps) -> None:
     pairs, T = two_maps(right=12, wrong=12, sigma_m=0.1)
     found = tried(pairs)
     assert len(found) < 0.5 * 24 * 23 / 2
@@ -46,7 +46,7 @@ def test_wrong_pairs_seldom_make_transforms_and_are_outliers_of_the_best(two_map
     np.testing.assert_allclose(found.best().R, T.R, rtol=0, atol=0.1)
 
 
-def test_distances_are_of_the_residuals(two_maps) -> None:
+def test_distances_are_those_of_the_residuals(two_maps) -> None:
     pairs, _ = two_maps(right=6)
     relative = pairs.relative()
     found = tried(pairs)
@@ -58,7 +58,7 @@ def test_distances_are_of_the_residuals(two_maps) -> None:
     np.testing.assert_array_equal(found.inliers[h], found.distance2[h] <= GATE)
 
 
-def test_of_very_many_some_are_drawn_the_same_for_a_seed(two_maps, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_random_subset_depends_on_the_seed_alone(two_maps, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(two_point, "MAX_HYPOTHESES", 20)
     pairs, _ = two_maps(right=14)
     assert len(tried(pairs)) == 20
@@ -66,7 +66,7 @@ def test_of_very_many_some_are_drawn_the_same_for_a_seed(two_maps, monkeypatch: 
     assert not np.array_equal(tried(pairs, 3).t, tried(pairs, 4).t)
 
 
-def test_a_transform_that_may_be_off_fits_more(two_maps) -> None:
+def test_slack_widens_the_gate(two_maps) -> None:
     pairs, T = two_maps(sigma_m=0.1, drift=(0.0, 0.0, 0.0))
     off = Pose(T.R, T.t + np.array([1.5, 0.0, 0.0]))
     assert len(gated(pairs.relative(), off)) == 0
@@ -74,7 +74,7 @@ def test_a_transform_that_may_be_off_fits_more(two_maps) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_less_than_two_pairs_make_no_transform(two_maps, count: int) -> None:
+def test_fewer_than_two_pairs_give_no_transform(two_maps, count: int) -> None:
     pairs, _ = two_maps(right=2)
     few = pairs.take(np.arange(count))
     assert len(hypotheses(few, rng=np.random.default_rng(0))) == 0

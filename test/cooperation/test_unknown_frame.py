@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frame that is estimated along: as a state with a flat prior would be, and no landmark counts twice."""
+"""Joint estimation of the frame: equals a state with a flat prior, and no landmark counts twice."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from uav_vslam.cooperation.point_pairs import FRAME_DIM, moved, turned
+from uav_vslam.cooperation.point_pairs import FRAME_DIM, corrected, rotated
 from uav_vslam.cooperation.schemes import SCHEMES
 from uav_vslam.cooperation.unknown_frame import Framed, framed
 from uav_vslam.estimation.covariance_intersection import Fused, Split, split_covariance_intersection
@@ -20,7 +20,7 @@ FLOOR_M = 0.2
 PAIRS = np.column_stack([np.arange(COUNT)] * 2)
 T_TRUE = Pose(rotation_from_rpy(0.0, 0.0, 2.5), np.array([40.0, -30.0, 6.0]))
 POINTS = np.column_stack([np.random.default_rng(0).uniform(-40, 40, (COUNT, 2)), np.linspace(-3, 3, COUNT)])
-SECOND_ORDER = 0.06  # of a sigma: a turn of 0.02 rad bends what lies 60 m away by 12 mm, known to 0.2 m
+SECOND_ORDER = 0.06  # of a sigma: 0.02 rad of yaw at 60 m, second order 12 mm against 0.2 m
 RELATIVE = 1e-6  # of a sigma
 
 
@@ -40,11 +40,11 @@ PEER = covariance(shift_m=2.0, tilt=0.001)
 
 @pytest.fixture
 def packet_of(sent_map):
-    """Return a maker of packets from positions in the own frame: what a peer sees of them in its own."""
+    """Return a factory of packets from positions in the own frame: expressed in the peer's."""
 
     def make(positions=POINTS, P=PEER, T: Pose = T_TRUE):
-        looks = np.zeros((len(positions), 128), np.uint8)
-        return sent_map(T.inverse().apply(positions), turned(P[6:, 6:], T.R.T), looks)
+        appearance = np.zeros((len(positions), 128), np.uint8)
+        return sent_map(T.inverse().apply(positions), rotated(P[6:, 6:], T.R.T), appearance)
 
     return make
 
@@ -56,8 +56,8 @@ def independent(P: np.ndarray) -> Split:
 def fuse(
     packet, T=T_TRUE, positions=POINTS, *, P=OWN, scheme="split_ci", weighing="position_trace", dependent=False
 ) -> tuple[Framed, Fused]:
-    brought = framed(positions, packet, PAIRS, T, floor_sigma_m=FLOOR_M, dependent=dependent)
-    return brought, SCHEMES[scheme](independent(P), brought.evidence, weighing)
+    in_own_frame = framed(positions, packet, PAIRS, T, floor_sigma_m=FLOOR_M, dependent=dependent)
+    return in_own_frame, SCHEMES[scheme](independent(P), in_own_frame.evidence, weighing)
 
 
 def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
@@ -68,35 +68,35 @@ def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
     )
 
 
-def test_it_is_what_a_state_with_a_flat_prior_gives(packet_of) -> None:
+def test_it_equals_a_state_with_a_flat_prior(packet_of) -> None:
     """In information form a flat prior is zeros, so that nothing is lost to large numbers."""
     seen = POINTS + np.random.default_rng(1).normal(0, 0.3, POINTS.shape)
     packet = packet_of(seen)
-    brought, fused = fuse(packet)
-    whole = brought.whole
+    in_own_frame, fused = fuse(packet)
+    whole = in_own_frame.whole
     n = len(OWN)
-    Y, E = np.zeros((n + FRAME_DIM,) * 2), np.hstack([whole.E, -brought.A])
+    Y, E = np.zeros((n + FRAME_DIM,) * 2), np.hstack([whole.E, -in_own_frame.A])
     R_inv = np.linalg.inv(whole.R + whole.floor)
     Y[:n, :n] = np.linalg.inv(OWN)
     P = np.linalg.inv(Y + E.T @ R_inv @ E)
     delta = P @ E.T @ R_inv @ whole.innovation
-    frame = brought.frame(fused)
+    frame = in_own_frame.frame(fused)
     assert_close(fused.P.total, P[:n, :n])
     assert_close(frame.covariance, P[n:, n:])
     np.testing.assert_allclose(fused.delta, delta[:n], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(frame.T_own_peer.matrix, moved(T_TRUE, delta[n:]).matrix, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(frame.T_own_peer.matrix, corrected(T_TRUE, delta[n:]).matrix, rtol=0, atol=1e-8)
 
 
-def test_it_is_what_a_state_gives_where_all_is_dependent(packet_of) -> None:
+def test_it_equals_a_state_with_a_flat_prior_if_all_is_dependent(packet_of) -> None:
     """The same weight is found, and the belief is the same; here the flat prior is a large number."""
-    brought, fused = fuse(packet_of(), dependent=True)
-    whole, n = brought.whole, len(OWN)
+    in_own_frame, fused = fuse(packet_of(), dependent=True)
+    whole, n = in_own_frame.whole, len(OWN)
     flat = np.diag([1e3**2, 1e3**2, 1e3**2, np.pi**2])
     independent_part, dependent_part = np.zeros((n + FRAME_DIM,) * 2), np.zeros((n + FRAME_DIM,) * 2)
     independent_part[n:, n:], dependent_part[:n, :n] = flat, OWN
     with_state = split_covariance_intersection(
         Split(independent_part, dependent_part),
-        np.hstack([whole.E, -brought.A]),
+        np.hstack([whole.E, -in_own_frame.A]),
         whole.innovation,
         Split(whole.floor, whole.R),
     )
@@ -107,39 +107,39 @@ def test_it_is_what_a_state_gives_where_all_is_dependent(packet_of) -> None:
 
 
 @pytest.mark.parametrize("scheme", sorted(SCHEMES))
-def test_where_the_peers_map_lies_teaches_nothing(packet_of, scheme: str) -> None:
-    """Shifted by metres and turned by a degree it says the same of the own state, in every scheme."""
+def test_the_pose_of_the_peers_map_is_no_information(packet_of, scheme: str) -> None:
+    """A shift by metres and a yaw of a degree leave the own state's update unchanged, in every scheme."""
     seen = POINTS + np.random.default_rng(2).normal(0, 0.3, POINTS.shape)
-    vague, sharp = covariance(shift_m=0.05, own_m=1.0), covariance(own_m=0.05)
-    _, here = fuse(packet_of(seen, sharp), P=vague, scheme=scheme, weighing="trace")
+    uncertain, sharp = covariance(shift_m=0.05, own_m=1.0), covariance(own_m=0.05)
+    _, here = fuse(packet_of(seen, sharp), P=uncertain, scheme=scheme, weighing="trace")
     drift = Pose(rotation_from_rpy(0.0, 0.0, 0.02), np.array([3.0, -2.0, 4.0]))
-    _, there = fuse(packet_of(seen, sharp, T=drift @ T_TRUE), P=vague, scheme=scheme, weighing="trace")
-    sigma = np.sqrt(np.diag(vague))
+    _, there = fuse(packet_of(seen, sharp, T=drift @ T_TRUE), P=uncertain, scheme=scheme, weighing="trace")
+    sigma = np.sqrt(np.diag(uncertain))
     assert np.abs(here.delta / sigma).max() > 0.1
     np.testing.assert_allclose(there.delta / sigma, here.delta / sigma, rtol=0, atol=SECOND_ORDER)
     assert there.weight == pytest.approx(here.weight, abs=0.02)
 
 
 def test_a_frame_taken_as_known_would_count_the_landmarks_twice(packet_of) -> None:
-    """Maps of perfect shape: with the frame unknown nothing is learnt of where the own map lies."""
+    """Maps of perfect shape: with an unknown frame the own position gains no information."""
     rigid = covariance(tilt=1e-6, own_m=1e-3)
-    brought, fused = fuse(packet_of(P=rigid), P=rigid)
+    in_own_frame, fused = fuse(packet_of(P=rigid), P=rigid)
     position = slice(0, 3)
     np.testing.assert_allclose(fused.P.total[position, position], rigid[position, position], rtol=1e-3, atol=1e-6)
     naive = split_covariance_intersection(
         independent(rigid),
-        brought.whole.E,
-        brought.whole.innovation,
-        independent(brought.whole.R + brought.whole.floor),
+        in_own_frame.whole.E,
+        in_own_frame.whole.innovation,
+        independent(in_own_frame.whole.R + in_own_frame.whole.floor),
     )
     assert np.trace(naive.P.total[position, position]) < 0.8 * np.trace(rigid[position, position])
 
 
-def test_a_peers_better_tilt_and_shape_are_learnt(packet_of) -> None:
-    vague = covariance(tilt=0.01, own_m=0.5)
-    _, fused = fuse(packet_of(P=covariance(tilt=1e-4, own_m=0.01)), P=vague)
-    assert vague[3, 3] - fused.P.total[3, 3] > 0.5 * 0.01**2  # of the tilt that pose and landmarks share
-    assert np.trace(fused.P.total[6:, 6:]) < 0.9 * np.trace(vague[6:, 6:])
+def test_a_peers_better_tilt_and_shape_are_fused(packet_of) -> None:
+    uncertain = covariance(tilt=0.01, own_m=0.5)
+    _, fused = fuse(packet_of(P=covariance(tilt=1e-4, own_m=0.01)), P=uncertain)
+    assert uncertain[3, 3] - fused.P.total[3, 3] > 0.5 * 0.01**2  # of the tilt that pose and landmarks share
+    assert np.trace(fused.P.total[6:, 6:]) < 0.9 * np.trace(uncertain[6:, 6:])
 
 
 @pytest.mark.parametrize("dependent", [False, True])
@@ -149,13 +149,13 @@ def test_belief_and_frame_are_consistent(packet_of, dependent: bool) -> None:
     rng = np.random.default_rng(3)
     L_own, L_peer = np.linalg.cholesky(OWN), np.linalg.cholesky(PEER)
     shape = packet_of()
-    T_0 = moved(T_TRUE, np.array([0.5, -0.3, 0.2, 0.005]))
+    T_0 = corrected(T_TRUE, np.array([0.5, -0.3, 0.2, 0.005]))
     for _ in range(runs):
         own, peer = L_own @ rng.normal(size=len(OWN)), L_peer @ rng.normal(size=len(PEER))
         seen = T_TRUE.inverse().apply(POINTS + peer[6:].reshape(-1, 3) + FLOOR_M * rng.normal(size=POINTS.shape))
         packet = dataclasses.replace(shape, positions=seen)
-        brought, fused = fuse(packet, T_0, POINTS + own[6:].reshape(-1, 3), dependent=dependent)
-        frame = brought.frame(fused)
+        in_own_frame, fused = fuse(packet, T_0, POINTS + own[6:].reshape(-1, 3), dependent=dependent)
+        frame = in_own_frame.frame(fused)
         pose = own[:6] + fused.delta[:6]
         error = np.append(T_TRUE.t - frame.T_own_peer.t, so3_log(T_TRUE.R @ frame.T_own_peer.R.T)[2])
         scores += (
@@ -168,30 +168,30 @@ def test_belief_and_frame_are_consistent(packet_of, dependent: bool) -> None:
         assert dependent or score > low
 
 
-def test_maps_that_err_together_leave_a_doubtful_frame(packet_of) -> None:
-    """The maps share a source, and where one is off to the left the other is off to the right by twice as much."""
+def test_correlated_maps_leave_an_uncertain_frame(packet_of) -> None:
+    """The maps share a source with opposite errors, the peer's twice as large."""
     runs, score = 150, 0.0
     rng = np.random.default_rng(4)
     for _ in range(runs):
         shift = rng.normal(size=3)
         packet = packet_of(POINTS - 2.0 * shift)
-        brought, fused = fuse(packet, T_TRUE, POINTS + shift, dependent=True)
-        frame = brought.frame(fused)
+        in_own_frame, fused = fuse(packet, T_TRUE, POINTS + shift, dependent=True)
+        frame = in_own_frame.frame(fused)
         error = T_TRUE.t - frame.T_own_peer.t
         score += error @ np.linalg.solve(frame.covariance[:3, :3], error) / 3
     assert score / runs < 1.0
 
 
-def test_the_packets_covariance_is_turned_with_its_landmarks(packet_of) -> None:
+def test_the_packets_covariance_is_rotated_with_its_landmarks(packet_of) -> None:
     stretched = PEER + np.diag(np.tile([4.0, 0.0, 1.0], COUNT + 2))
-    brought, _ = fuse(packet_of(P=stretched))
-    np.testing.assert_allclose(brought.whole.R, stretched[6:, 6:], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(brought.whole.innovation, 0.0, atol=1e-12)
+    in_own_frame, _ = fuse(packet_of(P=stretched))
+    np.testing.assert_allclose(in_own_frame.whole.R, stretched[6:, 6:], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(in_own_frame.whole.innovation, 0.0, atol=1e-12)
 
 
-def test_two_pairs_say_how_long_and_steep_their_distance_is(packet_of) -> None:
-    brought = framed(POINTS, packet_of(), PAIRS[:2], T_TRUE, floor_sigma_m=FLOOR_M, dependent=False)
-    assert brought.evidence.E.shape == (2, len(OWN))
-    np.testing.assert_allclose(brought.evidence.E[:, :POSE_DIM], 0.0)
-    fused = SCHEMES["split_ci"](independent(OWN), brought.evidence, "position_trace")
+def test_two_pairs_constrain_their_distance_and_slope(packet_of) -> None:
+    in_own_frame = framed(POINTS, packet_of(), PAIRS[:2], T_TRUE, floor_sigma_m=FLOOR_M, dependent=False)
+    assert in_own_frame.evidence.E.shape == (2, len(OWN))
+    np.testing.assert_allclose(in_own_frame.evidence.E[:, :POSE_DIM], 0.0)
+    fused = SCHEMES["split_ci"](independent(OWN), in_own_frame.evidence, "position_trace")
     np.testing.assert_allclose(fused.delta, 0.0, atol=1e-9)

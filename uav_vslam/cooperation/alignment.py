@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a peer's map lies in ours, found from landmarks that look alike; refused while the evidence is too thin.
+"""Map alignment: T_own_peer from descriptor matches; refused while the evidence is insufficient.
 
-Descriptors alone say which landmarks may be the same, and on farmland many of them are wrong. Two-point RANSAC finds
-the transform on which most agree. Its gate knows only how well each map knows its own shape: what a map's landmarks
-share, their drift, is part of the transform. Then a weighted least-squares fit with both joint covariances, in which
-each pair has to fit what all the others predict.
+Descriptors alone propose the matches, and on farmland many are wrong. Two-point RANSAC finds the transform with the
+most inliers. Its gate uses the relative covariance within each map only: the drift that a map's landmarks share is
+part of the transform. A weighted least-squares fit with both joint covariances follows, in which each pair has to be
+consistent with the prediction of all others.
 
 Gravity gives both maps the same vertical, so tilt is not estimated: over flat ground it can't be.
 """
@@ -22,8 +22,8 @@ from uav_vslam.cooperation.point_pairs import (
     YAW,
     PointPairs,
     Rows,
+    corrected,
     frame_jacobian,
-    moved,
 )
 from uav_vslam.cooperation.two_point import GATE, Hypotheses, gated, hypotheses
 from uav_vslam.estimation.belief import landmark_rows
@@ -34,10 +34,10 @@ Array = NDArray[np.float64]
 
 MIN_INLIERS = 8
 LOG_CHANCE = np.log(1e-6)  # of wrong matches agreeing like this anywhere: with one try a second, once in ten days
-RIVAL_SHARE = 0.5  # a second transform with this share of the best one's inliers makes the best one doubtful
+RIVAL_SHARE = 0.5  # a second transform with this share of the best one's inliers makes the best one ambiguous
 MAX_SIGMA_YAW = np.deg2rad(2.0)  # from the shape of the inliers alone, see `sigma_yaw`
-STEP_SIGMA_M = 1.0  # by which a known frame may be off: two maps drift apart by less between packets
-GATHER_ROUNDS = 5  # of fitting and gating anew; two or three are enough
+STEP_SIGMA_M = 1.0  # of a known frame's translation: two maps drift apart by less between packets
+REFINE_ROUNDS = 5  # of fitting and gating; two or three suffice
 FIT_ROUNDS = 10
 CONVERGED = 1e-9  # largest step of a fit [m], [rad]
 
@@ -48,9 +48,9 @@ class Alignment:
 
     Attributes:
         T_own_peer: rotation about the vertical and translation.
-        covariance: (4, 4) of translation and yaw, as `point_pairs` orders its error, against the true frames: it
-            contains both maps' drift.
-        inliers: (K,) ascending rows of the pairs it rests on.
+        covariance: (4, 4) of translation and yaw, as `point_pairs` orders its error, relative to the true frames: it
+            includes both maps' drift.
+        inliers: (K,) ascending rows of the pairs used.
     """
 
     T_own_peer: Pose
@@ -60,17 +60,17 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """No alignment, and why."""
+    """Why no alignment was found."""
 
     reason: str
 
 
 def align(pairs: PointPairs, *, seed: int = 0) -> Alignment | Refusal:
-    """Find T_own_peer from pairs of which many may be wrong.
+    """Estimate T_own_peer from pairs with many outliers.
 
     Args:
         pairs: putative pairs.
-        seed: of the choice among very many hypotheses.
+        seed: of the random choice among hypotheses, if there are too many.
     """
     if len(pairs) < MIN_INLIERS:
         return Refusal(f"{len(pairs)} matches, {MIN_INLIERS} needed")
@@ -79,24 +79,24 @@ def align(pairs: PointPairs, *, seed: int = 0) -> Alignment | Refusal:
     if len(tried) == 0:
         return Refusal(f"no two of {len(pairs)} matches agree")
     best = tried.best()
-    found = _gathered(pairs, relative, best, gated(relative, best))
+    found = _refined(pairs, relative, best, gated(relative, best))
     agreeing = len(found.inliers) if found else 0
     if found is None or agreeing < MIN_INLIERS:
         return Refusal(f"{agreeing} of {len(pairs)} matches agree, {MIN_INLIERS} needed")
-    return _doubt(found, relative, tried) or found
+    return _refusal(found, relative, tried) or found
 
 
 def follow(pairs: PointPairs, T_own_peer: Pose) -> Alignment | None:
-    """Fit a transform that is nearly known to the pairs that agree with it and with each other; None of less than two.
+    """Refine an approximately known transform with its mutually consistent inliers; None if fewer than two.
 
-    How many there are, and how well they determine it, is the caller's to judge.
+    The caller judges their number and how well they determine the transform.
     """
     relative = pairs.relative()
-    return _gathered(pairs, relative, T_own_peer, gated(relative, T_own_peer, slack_m=STEP_SIGMA_M))
+    return _refined(pairs, relative, T_own_peer, gated(relative, T_own_peer, slack_m=STEP_SIGMA_M))
 
 
 def sigma_yaw(relative: PointPairs, found: Alignment) -> float:
-    """Return how well the inliers' shape determines yaw, each pair taken for itself: small where they are spread."""
+    """Return the sigma of yaw from the inliers' geometry, each pair independent: small if spread out [rad]."""
     inliers = relative.take(found.inliers)
     S = inliers.pair_covariances(found.T_own_peer.R)
     A = frame_jacobian(found.T_own_peer, inliers.peer).reshape(-1, 3, FRAME_DIM)
@@ -104,10 +104,10 @@ def sigma_yaw(relative: PointPairs, found: Alignment) -> float:
     return float(np.sqrt(inverse_spd(Y + np.diag(FLAT_SIGMA**-2), "a fit of two maps")[YAW, YAW]))
 
 
-def _gathered(pairs: PointPairs, relative: PointPairs, T_own_peer: Pose, rows: Rows) -> Alignment | None:
-    """Take out what contradicts all others, fit, and see what else the fit brings inside its gate, until nothing."""
-    for _ in range(GATHER_ROUNDS):
-        inliers = rows[_supported(pairs.take(rows), T_own_peer)]
+def _refined(pairs: PointPairs, relative: PointPairs, T_own_peer: Pose, rows: Rows) -> Alignment | None:
+    """Reject outliers, fit and gate again, until the inlier set no longer changes."""
+    for _ in range(REFINE_ROUNDS):
+        inliers = rows[_consistent(pairs.take(rows), T_own_peer)]
         if len(inliers) < 2:
             return None
         T_own_peer, covariance = fit(pairs.take(inliers), T_own_peer)
@@ -120,34 +120,34 @@ def _gathered(pairs: PointPairs, relative: PointPairs, T_own_peer: Pose, rows: R
 def fit(pairs: PointPairs, T_own_peer: Pose) -> tuple[Pose, Array]:
     """Minimise r^T S^-1 r over yaw and translation by Gauss-Newton; return T_own_peer and its (4, 4) covariance.
 
-    What the pairs don't determine stays as it was, with the sigmas of a flat prior.
+    Directions that the pairs do not determine stay unchanged, with the sigmas of the flat prior.
     """
     for _ in range(FIT_ROUNDS):
         W, A = _weights(pairs, T_own_peer)
         covariance = inverse_spd(A.T @ W @ A + np.diag(FLAT_SIGMA**-2), "a fit of two maps")
         delta = covariance @ (A.T @ (W @ pairs.residuals(T_own_peer).ravel()))
-        T_own_peer = moved(T_own_peer, delta)
+        T_own_peer = corrected(T_own_peer, delta)
         if np.abs(delta).max() < CONVERGED:
             break
     return T_own_peer, covariance
 
 
 def _weights(pairs: PointPairs, T_own_peer: Pose) -> tuple[Array, Array]:
-    """Return the (3K, 3K) information of the residuals and their (3K, 4) derivative by T, but for the sign."""
+    """Return the (3K, 3K) information of the residuals and their (3K, 4) negative derivative by T."""
     W = inverse_spd(pairs.covariance(T_own_peer.R), "covariance of matches between two maps")
     return W, frame_jacobian(T_own_peer, pairs.peer)
 
 
-def _supported(pairs: PointPairs, T_own_peer: Pose) -> Rows:
-    """Return the rows that remain when the pair farthest from what all others predict goes, until none is outside.
+def _consistent(pairs: PointPairs, T_own_peer: Pose) -> Rows:
+    """Reject, one by one, the pair farthest from the others' prediction; return the remaining rows.
 
-    With T unknown the residuals' information is B = W - W A (A^T W A)^-1 A^T W. Pair k lies B_kk^-1 (B r)_k off what
-    the others predict, with covariance B_kk^-1 [baarda68]. Taking it out is a Schur complement of B.
+    With T unknown the residuals' information is B = W - W A (A^T W A)^-1 A^T W. Pair k deviates by B_kk^-1 (B r)_k from
+    the prediction of the others, with covariance B_kk^-1 [baarda68]. Removing it is a Schur complement of B.
     """
     rows, residual = np.arange(len(pairs)), pairs.residuals(T_own_peer)
     W, A = _weights(pairs, T_own_peer)
     B = W - W @ A @ np.linalg.solve(A.T @ W @ A + np.diag(FLAT_SIGMA**-2), A.T @ W)
-    while len(rows) > 2:  # two fit always
+    while len(rows) > 2:  # two are always consistent
         k = np.arange(len(rows))
         pull, own = (B @ residual[rows].ravel()).reshape(-1, 3), blocks(B)[k, k]
         distance2 = mahalanobis2(pull, own)
@@ -162,14 +162,14 @@ def _supported(pairs: PointPairs, T_own_peer: Pose) -> Rows:
     return rows
 
 
-def _doubt(found: Alignment, relative: PointPairs, tried: Hypotheses) -> Refusal | None:
-    """Return why an alignment should not be believed yet, if there is a reason."""
+def _refusal(found: Alignment, relative: PointPairs, tried: Hypotheses) -> Refusal | None:
+    """Return why an alignment is not to be trusted yet; None if it is."""
     agreeing, count = len(found.inliers), len(relative)
     if log_chance(found, relative) > LOG_CHANCE:
         return Refusal(f"{agreeing} of {count} matches agree, which wrong ones may do by chance")
     yaw = sigma_yaw(relative, found)
     if not yaw < MAX_SIGMA_YAW:
-        return Refusal(f"{agreeing} matches lie too close together: yaw to {np.rad2deg(yaw):.1f} degrees only")
+        return Refusal(f"{agreeing} matches are too close together: sigma of yaw {np.rad2deg(yaw):.1f} degrees")
     others = np.delete(tried.inliers, found.inliers, axis=1)
     rival = int(others.sum(axis=1).max(initial=0))
     if rival >= RIVAL_SHARE * agreeing:
@@ -178,10 +178,10 @@ def _doubt(found: Alignment, relative: PointPairs, tried: Hypotheses) -> Refusal
 
 
 def log_chance(found: Alignment, relative: PointPairs) -> float:
-    """Return the logarithm of how many sets as large as the inliers wrong matches would give, cf. [moisan04].
+    """Return the log of the expected number of inlier sets of this size from wrong matches alone, cf. [moisan04].
 
-    A wrong match lies anywhere in the map, so it fits a transform with p = area of its gate / area of the map: on flat
-    ground height tells nothing. Any two of n matches make a transform, and any k - 2 of the others may fit it.
+    A wrong match is uniform over the map, so it fits a transform with p = area of its gate / area of the map: on flat
+    ground height does not discriminate. Any two of n matches give a transform, any k - 2 of the others may fit it.
     """
     n, k = len(relative), len(found.inliers)
     spread = np.cov(relative.own[:, :2], rowvar=False)

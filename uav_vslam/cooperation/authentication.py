@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who made a packet: nobody proves it, a key that the fleet shares, or a key pair for each vehicle.
+"""Packet authentication: none, a key that the fleet shares, or a key pair per vehicle.
 
-nothing       The checksum stops accidents on the way, and nobody who can send.
-fleet key     HMAC-SHA-256, 16 bytes. Stops whoever has no key from making, changing or renaming packets; not a bad
-              member, or one in wrong hands, that speaks for another.
-vehicle keys  Ed25519, 64 bytes. Stops that too: each speaks for itself only. Not a member that lies about its own
-              landmarks; gates and consistency checks are what there is against that.
+none          The checksum detects transmission errors, not attackers.
+fleet key     HMAC-SHA-256, 16 bytes. Prevents outsiders from forging, altering or renaming packets; not a malicious or
+              compromised member from impersonating another.
+vehicle keys  Ed25519, 64 bytes. Prevents impersonation too. Not false landmarks of a member itself: only gates and
+              consistency checks protect against those.
 
-A tag covers vehicle, session and sequence too, so an old packet that is sent again is known by them, see
-`cooperation.inbox`. None of this hides what is sent.
+A tag covers vehicle, session and sequence too, so the inbox detects a replayed packet by them, see
+`cooperation.inbox`. Nothing is encrypted.
 
     openssl rand 32 > fleet.key                                      fusion.fleet_key_file, the same for all
     openssl genpkey -algorithm ed25519 -out uav1.key                 fusion.signing_key_file, stays with uav1
@@ -37,7 +37,7 @@ ED25519_BYTES = 64
 
 
 class Authentication(Protocol):
-    """Marks own packets and checks those of others."""
+    """Signs own packets and verifies those of peers."""
 
     tag_bytes: int
 
@@ -49,12 +49,12 @@ class Authentication(Protocol):
 
 
 class NoAuthentication:
-    """Believes every packet, whether it carries a tag or not."""
+    """Accepts every packet, with or without a tag."""
 
     tag_bytes = 0
 
     def sign(self, packet: LandmarkPacket) -> LandmarkPacket:
-        """Return the packet as it is."""
+        """Return the packet unchanged."""
         return packet
 
     def check(self, packet: LandmarkPacket) -> None:
@@ -62,7 +62,7 @@ class NoAuthentication:
 
 
 class FleetKey:
-    """One secret for all, HMAC-SHA-256 cut to 16 bytes."""
+    """One shared secret, HMAC-SHA-256 truncated to 16 bytes."""
 
     tag_bytes = HMAC_BYTES
 
@@ -74,9 +74,9 @@ class FleetKey:
         return dataclasses.replace(packet, tag=self._tag(packet))
 
     def check(self, packet: LandmarkPacket) -> None:
-        """Raise InvalidMessage with reason signature, if whoever made the packet lacks the key."""
+        """Raise InvalidMessage with reason signature, if the packet was made without the key."""
         if not hmac.compare_digest(packet.tag, self._tag(packet)):
-            raise InvalidMessage("signature", f"packet {packet.sequence} of {packet.source} has not the fleet's tag")
+            raise InvalidMessage("signature", f"packet {packet.sequence} of {packet.source} lacks the fleet's tag")
 
     def _tag(self, packet: LandmarkPacket) -> bytes:
         return hmac.new(self._key, canonical_bytes(packet), hashlib.sha256).digest()[:HMAC_BYTES]
@@ -95,10 +95,10 @@ class VehicleKeys:
         return dataclasses.replace(packet, tag=self._own.sign(canonical_bytes(packet)))
 
     def check(self, packet: LandmarkPacket) -> None:
-        """Raise InvalidMessage with reason signature, unless the vehicle that it names made the packet."""
+        """Raise InvalidMessage with reason signature, unless the packet is signed by the vehicle that it names."""
         key = self._peers.get(packet.vehicle)
         if key is None:
-            raise InvalidMessage("signature", f"no key of {packet.vehicle!r} is known")
+            raise InvalidMessage("signature", f"no public key of {packet.vehicle!r}")
         try:
             key.verify(packet.tag, canonical_bytes(packet))
         except InvalidSignature:
@@ -107,7 +107,7 @@ class VehicleKeys:
 
 
 def authentication_for(vehicle: str, config: FusionConfig) -> Authentication:
-    """Return what the configuration asks for.
+    """Return the authentication that is configured.
 
     Raises:
         ConfigError: a key can't be read, or the vehicle's own pair does not match.

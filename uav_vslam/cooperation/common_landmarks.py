@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of a peer's landmarks is which of ours: descriptor, then gate, then agreement of the matches with each other.
+"""Data association between a peer's map and ours: descriptors, then gate, then pairwise consistency of the matches.
 
-The ratio test comes first: a gate first would leave it no rivals. Covariance intersection guards against correlation,
-not against a wrong match, so what remains must be pairwise consistent, cf. [mangelson18].
+The ratio test precedes the gate, which would leave it no second neighbour. Covariance intersection protects against
+correlation, not against outliers, so the matches must be pairwise consistent, cf. [mangelson18].
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.received_map import Told
+from uav_vslam.cooperation.received_map import PeerLandmarks
 from uav_vslam.numerics import mahalanobis2
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, in_basis, load_basis, single_distance
@@ -36,12 +36,12 @@ def find_common(
     Args:
         positions: (N, 3) own landmarks in the common frame [m].
         covariance: (3N, 3N) their joint covariance [m^2].
-        descriptors: (N, D) as extracted; they are compressed as the packet's are.
+        descriptors: (N, D) as extracted; compressed here with the packet's basis.
         packet: the peer's.
-        config: ratio, gate and the smallest number of pairs that is believed.
+        config: ratio, gate and the smallest number of pairs that is accepted.
 
     Returns:
-        (K, 2) rows of own landmarks and of the packet; none where fewer than `min_common` agree.
+        (K, 2) rows of own landmarks and of the packet; none if fewer than `min_common` are consistent.
     """
     pairs = descriptor_matches(descriptors, packet, config.ratio)
     peer_positions, peer_covariance = packet.positions, packet.covariance
@@ -64,8 +64,10 @@ def gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: Fus
     return np.flatnonzero(mahalanobis2(peer[b] - own[a], S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability))
 
 
-def descriptor_matches(descriptors: NDArray[np.uint8], packet: Told, ratio: float, *, mutual: bool = True) -> Pairs:
-    """Match own descriptors (N, D), as extracted, with a packet's; none where they can't be compared."""
+def descriptor_matches(
+    descriptors: NDArray[np.uint8], packet: PeerLandmarks, ratio: float, *, mutual: bool = True
+) -> Pairs:
+    """Match own descriptors (N, D), as extracted, with a packet's; none if their kinds differ."""
     if len(packet) == 0 or not comparable(descriptors, packet):
         return np.zeros((0, 2), np.intp)
     basis = packet.descriptor_basis
@@ -78,8 +80,8 @@ def descriptor_matches(descriptors: NDArray[np.uint8], packet: Told, ratio: floa
     )
 
 
-def comparable(descriptors: NDArray[np.uint8], packet: Told) -> bool:
-    """Tell whether own descriptors (N, D), as extracted, and a packet's are of one kind."""
+def comparable(descriptors: NDArray[np.uint8], packet: PeerLandmarks) -> bool:
+    """Return whether own descriptors (N, D), as extracted, and a packet's are of the same kind."""
     own = descriptors.shape[1]
     if packet.descriptor_basis != RAW:
         return own == len(load_basis(packet.descriptor_basis).mean)
@@ -93,7 +95,7 @@ def blocks(covariance: Array) -> Array:
 
 
 def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:
-    """Return the largest set of pairs whose mutual offsets agree in both maps."""
+    """Return the largest set of pairwise consistent matches: equal offsets in both maps."""
     i, j = np.triu_indices(len(pairs), 1)
     a, b = pairs[:, 0], pairs[:, 1]
     offset = (peer[b[j]] - peer[b[i]]) - (own[a[j]] - own[a[i]])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One direction of an emulated radio link: rate, queue, delay, jitter, loss, duplication and blackouts.
 
-The order is that of a real radio: a packet waits in the sender's queue until the rate lets it out, and what leaves may
-then be lost on air, come late, or come twice. The same seed and the same calls give the same packets.
+The order is that of a real radio: a packet waits in the sender's queue until the rate permits, and may then be lost,
+delayed or duplicated on air. The same seed and the same calls give the same packets.
 """
 
 import heapq
@@ -21,15 +21,15 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, slots=True)
 class LinkConfig:
-    """What a link does to packets; the default is a perfect one."""
+    """Impairments of a link; the default is a perfect one."""
 
     rate_bytes_per_s: float = 0.0  # 0: unlimited
-    burst_bytes: int = 1500  # leave at once after a pause; a larger packet takes its time
-    queue_bytes: int = 16384  # wait for the rate; a packet that finds no room is dropped
+    burst_bytes: int = 1500  # sent at once after a pause; a larger packet is delayed
+    queue_bytes: int = 16384  # capacity of the send queue; a packet that does not fit is dropped
     delay_s: float = 0.0  # from leaving the queue to arrival
-    jitter_s: float = 0.0  # further delay, drawn evenly up to this for each packet, so that packets overtake each other
-    loss: float = 0.0  # share of the packets that never arrive
-    duplication: float = 0.0  # share of the packets that arrive twice
+    jitter_s: float = 0.0  # further delay, uniform up to this for each packet, so that packets are reordered
+    loss: float = 0.0  # fraction of the packets that never arrive
+    duplication: float = 0.0  # fraction of the packets that arrive twice
     blackouts: tuple[tuple[float, float], ...] = ()  # [start, end) since the first packet, in which all is lost [s]
     seed: int = 0  # of all draws
 
@@ -39,7 +39,7 @@ class LinkConfig:
                 raise ConfigError(f"LinkConfig.{name} = {getattr(self, name)!r} is not allowed; use zero or more")
         for name in ("loss", "duplication"):
             if not getattr(self, name) <= 1:
-                raise ConfigError(f"LinkConfig.{name} = {getattr(self, name)!r} is not allowed; use a share of 0 to 1")
+                raise ConfigError(f"LinkConfig.{name} = {getattr(self, name)!r} is not allowed; use 0 to 1")
         for span in self.blackouts:
             if not (isinstance(span, tuple | list) and len(span) == 2 and 0 <= span[0] < span[1]):
                 raise ConfigError(f"LinkConfig.blackouts holds {span!r}; use pairs [start_s, end_s] with start < end")
@@ -50,7 +50,7 @@ class Link(Generic[Item]):
 
     Attributes:
         packets, size_bytes: how many packets and bytes were offered, queue_dropped, blacked_out, lost, duplicated and
-            delivered. offered + duplicated = queue_dropped + blacked_out + lost + delivered + those under way.
+            delivered. offered + duplicated = queue_dropped + blacked_out + lost + delivered + in flight.
     """
 
     def __init__(self, config: LinkConfig) -> None:
@@ -67,7 +67,7 @@ class Link(Generic[Item]):
 
     @property
     def queued_bytes(self) -> int:
-        """What waited in the queue at the last `send`."""
+        """Size of the queue at the last `send`."""
         return sum(size for _, size in self._queue)
 
     def send(self, now_ns: int, size_bytes: int, item: Item) -> None:
@@ -75,7 +75,7 @@ class Link(Generic[Item]):
         if self._start_ns is None:
             self._start_ns = self._free_ns = now_ns
         self._count("offered", size_bytes)
-        lost, doubled, *late = self._rng.random(4)  # always as many draws: one packet's fate leaves the next's alone
+        lost, duplicated, *jitter = self._rng.random(4)  # always four draws: one packet's fate does not affect the next
         leaves_ns = self._enqueue(now_ns, size_bytes)
         if leaves_ns is None:
             self._count("queue_dropped", size_bytes)
@@ -84,10 +84,10 @@ class Link(Generic[Item]):
         elif lost < self._config.loss:
             self._count("lost", size_bytes)
         else:
-            twice = doubled < self._config.duplication
+            twice = duplicated < self._config.duplication
             if twice:
                 self._count("duplicated", size_bytes)
-            for share in late[: 1 + twice]:
+            for share in jitter[: 1 + twice]:
                 flight_s = self._config.delay_s + share * self._config.jitter_s
                 self._serial += 1
                 heapq.heappush(self._air, (leaves_ns + round(flight_s * NS_PER_S), self._serial, size_bytes, item))
@@ -102,15 +102,15 @@ class Link(Generic[Item]):
         return arrived
 
     def _enqueue(self, now_ns: int, size_bytes: int) -> int | None:
-        """Return when the packet's last byte has left, None where the queue has no room for it."""
+        """Return when the packet's last byte has left, None if the queue is full."""
         rate = self._config.rate_bytes_per_s
         if rate == 0:
             return now_ns
         while self._queue and self._queue[0][0] <= now_ns:
             self._queue.popleft()
         begin_ns = max(now_ns, self._free_ns)
-        earned = (begin_ns - self._free_ns) / NS_PER_S * rate
-        tokens = min(self._tokens + earned, float(self._config.burst_bytes))
+        added = (begin_ns - self._free_ns) / NS_PER_S * rate
+        tokens = min(self._tokens + added, float(self._config.burst_bytes))
         wait_s = max(size_bytes - tokens, 0.0) / rate
         leaves_ns = begin_ns + int(np.ceil(wait_s * NS_PER_S))
         if leaves_ns > now_ns:
@@ -129,5 +129,5 @@ class Link(Generic[Item]):
 
 
 def link_between(config: LinkConfig, sender: str, receiver: str) -> Link[Item]:
-    """Make the link of one direction; each direction draws numbers of its own."""
+    """Make the link of one direction; each direction has its own random sequence."""
     return Link(replace(config, seed=zlib.crc32(f"{sender}>{receiver} {config.seed}".encode())))

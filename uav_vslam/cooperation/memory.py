@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared landmarks that have left the filter's state, so that what a peer taught about them is not forgotten.
+"""Shared landmarks that were removed from the filter's state, kept so that a peer's information on them is not lost.
 
-When a landmark leaves, nothing will be measured of it again. What is left to know is how it lies to the landmarks that
-stay, and that hardly changes: g = A x + e, with e taken as independent of everything to come. (The part of e that the
-pose and the biases share is left out: a fraction of one measurement's error where many landmarks stay.) So the own
-belief of any later time and this conditional together are the belief over both; in information form they simply add:
+A removed landmark is not measured again. What remains is its position relative to the landmarks that stay, which hardly
+changes: g = A x + e, with e treated as independent of all later errors. (The part of e that is correlated with pose and
+biases is neglected: a fraction of one measurement's error if many landmarks stay.) So the own belief at any later time
+and this conditional form the joint belief over both; in information form they add:
 
     Y(x, g) = Y_own(x) + [A^T C^-1 A   -A^T C^-1]      C = cov(e)
                          [ -C^-1 A        C^-1  ]
 
-Only own measurements are inside: that a landmark is remembered, not what is known of it, comes from peers.
+It contains own measurements only: peers decide which landmarks are kept, not their estimates.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.uint32]
 Rows = NDArray[np.intp]
 
-OWN_SIGMA_M = 0.01  # added to C: numbers never know a remembered landmark better
+OWN_SIGMA_M = 0.01  # added to C: lower bound for numerical stability
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ class _Conditional:
     """p(g | x): remembered landmarks given some that are in the state.
 
     Attributes:
-        given: (R,) identifiers of the landmarks in the state, and `at` (R, 3) where they were [m].
-        ids, positions, descriptors: of the (G,) remembered ones, when the given ones were there.
+        given: (R,) identifiers of the landmarks in the state, and `at` (R, 3) their positions at linearisation [m].
+        ids, positions, descriptors: of the (G,) remembered ones, at linearisation.
         A: (3G, 3R), C_inv: (3G, 3G).
     """
 
@@ -53,7 +53,7 @@ class _Conditional:
 
 
 class LandmarkMemory:
-    """Extends each belief of one vehicle by the landmarks that are remembered."""
+    """Augments each belief of one vehicle with the remembered landmarks."""
 
     def __init__(self, capacity: int) -> None:
         """Remember at most `capacity` landmarks, spread over the ground."""
@@ -65,18 +65,18 @@ class LandmarkMemory:
     def extended(
         self, joint: JointInformation, shared: Collection[int], offered: Collection[int] = ()
     ) -> JointInformation:
-        """Return a belief with the remembered landmarks behind its own.
+        """Return the belief with the remembered landmarks appended.
 
         Args:
             joint: the own belief, later than the last one.
-            shared: landmarks that peers were found to share, and that are remembered once they leave.
-            offered: landmarks that peers were told of, and may yet answer to: remembered where there is room.
+            shared: landmarks matched with peers': remembered once they are removed.
+            offered: landmarks that were sent to peers and may be matched later: remembered if capacity permits.
         """
         if self._last is not None and joint.session != self._last.session:
             self._last = self._known = None
         if self._last is not None:
             self._remember(self._last, joint, shared, offered)
-        # A record of its own: the covariance that it keeps ends with it, and callers keep theirs for the whole flight.
+        # A copy: its cached covariance is freed with it, while callers keep their record for the whole flight.
         extended = dataclasses.replace(joint) if self._known is None else _joined(joint, self._known)
         self._last, self._own = extended, joint.ids
         return extended
@@ -84,14 +84,14 @@ class LandmarkMemory:
     def _remember(
         self, last: JointInformation, joint: JointInformation, shared: Collection[int], offered: Collection[int]
     ) -> None:
-        """Express what has left, and what was remembered before, by the landmarks that stay."""
+        """Condition the removed and the remembered landmarks on those that stay."""
         stay, old = np.isin(last.ids, joint.ids), ~np.isin(last.ids, self._own)
         left = ~old & ~stay & np.isin(last.ids, np.fromiter({*shared, *offered}, np.uint32))
         given_left = self._known is not None and not np.isin(self._known.given, joint.ids).all()
         if not left.any() and not given_left:
             return
         wanted = self._spread(last, np.flatnonzero(old | left), shared)
-        if not stay.any() or len(wanted) == 0:  # the filter began anew: nothing ties the past to it
+        if not stay.any() or len(wanted) == 0:  # the filter was re-initialised: no correlation with the past
             self._known = None
             return
         try:
@@ -100,7 +100,7 @@ class LandmarkMemory:
             self._known = None
 
     def _spread(self, joint: JointInformation, rows: Rows, shared: Collection[int]) -> Rows:
-        """Return as many rows as there is room for, the shared ones first, spread over the ground."""
+        """Return rows up to the capacity, shared ones first, spread over the ground."""
         first = np.isin(joint.ids[rows], np.fromiter(shared, np.uint32, len(shared)))
         chosen = rows[first][spread_on_ground(joint.positions[rows[first]], self._capacity)]
         others = rows[~first]
@@ -126,15 +126,15 @@ def _conditional(joint: JointInformation, given: Rows, wanted: Rows) -> _Conditi
 
 
 def _joined(joint: JointInformation, known: _Conditional) -> JointInformation:
-    """Return the belief over state and remembered landmarks."""
+    """Return the joint belief over state and remembered landmarks."""
     order = np.argsort(joint.ids)
-    places = order[np.searchsorted(joint.ids, known.given, sorter=order)]
-    moved = (joint.positions[places] - known.at).ravel()
+    rows = order[np.searchsorted(joint.ids, known.given, sorter=order)]
+    moved = (joint.positions[rows] - known.at).ravel()
     CA = known.C_inv @ known.A
     n, g = len(joint.information), len(known.C_inv)
     Y = np.zeros((n + g, n + g))
     Y[:n, :n] = joint.information
-    x = landmark_rows(POSE_DIM, places)
+    x = landmark_rows(POSE_DIM, rows)
     Y[np.ix_(x, x)] += symmetrise(known.A.T @ CA)
     Y[n:, x] = -CA
     Y[x, n:] = -CA.T

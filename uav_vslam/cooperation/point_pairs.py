@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.cooperation.common_landmarks import blocks
-from uav_vslam.cooperation.received_map import Told
+from uav_vslam.cooperation.received_map import PeerLandmarks
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
@@ -20,19 +20,19 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 FRAME_DIM = 4
-YAW = 3  # place in the error
-LEAST_SIGMA_M = 1e-3  # of a pair: no landmark is known better, and shapes alone may have no doubt left in a direction
-FLAT_SIGMA = np.array([1e3, 1e3, 1e3, np.pi])  # nothing is known before: far more than any map [m], [rad]
+YAW = 3  # index in the error
+MIN_SIGMA_M = 1e-3  # of a pair: relative covariances may be singular
+FLAT_SIGMA = np.array([1e3, 1e3, 1e3, np.pi])  # flat prior: far larger than any map [m], [rad]
 
 
 @dataclass(frozen=True, slots=True)
 class PointPairs:
-    """Landmarks that may be the same, each map's in its own frame.
+    """Putative matches of landmarks, each map's in its own frame.
 
     Attributes:
         own, peer: (K, 3) [m].
         own_covariance, peer_covariance: (3K, 3K) joint covariance in each map [m^2].
-        floor_sigma_m: of each pair: descriptors do not meet on the very same point [m].
+        floor_sigma_m: of each pair: two detections are never of exactly the same point [m].
     """
 
     own: Array
@@ -42,7 +42,9 @@ class PointPairs:
     floor_sigma_m: float
 
     @staticmethod
-    def of(positions: Array, covariance: Array, packet: Told, pairs: Rows, floor_sigma_m: float) -> "PointPairs":
+    def of(
+        positions: Array, covariance: Array, packet: PeerLandmarks, pairs: Rows, floor_sigma_m: float
+    ) -> "PointPairs":
         """Select (K, 2) rows of own landmarks, (N, 3) with covariance (3N, 3N), and of a packet's."""
         own, peer = landmark_rows(0, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
         return PointPairs(
@@ -58,8 +60,8 @@ class PointPairs:
 
     @property
     def floor_variance(self) -> float:
-        """Variance that each coordinate of each pair has for itself [m^2]."""
-        return max(self.floor_sigma_m, LEAST_SIGMA_M) ** 2
+        """Independent variance of each coordinate of each pair [m^2]."""
+        return max(self.floor_sigma_m, MIN_SIGMA_M) ** 2
 
     def take(self, rows: Rows) -> "PointPairs":
         """Return some of the pairs."""
@@ -79,7 +81,7 @@ class PointPairs:
     def covariance(self, R_own_peer: Array) -> Array:
         """Return the (3K, 3K) joint covariance of the residuals."""
         floor = self.floor_variance * np.eye(3 * len(self))
-        return self.own_covariance + turned(self.peer_covariance, R_own_peer) + floor
+        return self.own_covariance + rotated(self.peer_covariance, R_own_peer) + floor
 
     def pair_covariances(self, R_own_peer: Array) -> Array:
         """Return the (..., K, 3, 3) covariances of each pair's residual, for (..., 3, 3) rotations."""
@@ -89,7 +91,7 @@ class PointPairs:
         return np.asarray(own + turned_peer + self.floor_variance * np.eye(3))
 
     def relative(self) -> "PointPairs":
-        """Return the pairs with what each map's landmarks know of one another: its common shift and turn taken out."""
+        """Return the pairs with relative covariances: each map's common translation and yaw removed."""
         return PointPairs(
             self.own,
             self.peer,
@@ -99,7 +101,7 @@ class PointPairs:
         )
 
 
-def turned(covariance: Array, R: Array) -> Array:
+def rotated(covariance: Array, R: Array) -> Array:
     """Return a (3K, 3K) covariance of points in another frame: each 3 x 3 block B becomes R B R^T."""
     n = len(covariance) // 3
     return np.asarray(np.einsum("ab,ibjc,dc->iajd", R, covariance.reshape(n, 3, n, 3), R).reshape(3 * n, 3 * n))
@@ -114,13 +116,13 @@ def frame_jacobian(T_own_peer: Pose, peer: Array) -> Array:
     return J.reshape(-1, FRAME_DIM)
 
 
-def moved(T_own_peer: Pose, delta: Array) -> Pose:
-    """Apply a correction (4,); a tilt is never touched."""
+def corrected(T_own_peer: Pose, delta: Array) -> Pose:
+    """Apply a correction (4,); tilt stays unchanged."""
     return Pose(rotation_from_rpy(0.0, 0.0, delta[YAW]) @ T_own_peer.R, T_own_peer.t + delta[:3])
 
 
 def _inner(covariance: Array, points: Array) -> Array:
-    """Return M P M^T, M = I - A A^+: the inner covariance of a free network with the four directions A left open."""
+    """Return M P M^T, M = I - A A^+: the inner covariance of a free network with the four gauge directions A."""
     if len(points) == 0:
         return covariance
     A = frame_jacobian(Pose.identity(), points - points.mean(axis=0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a peer told of its map lately: a small packet alone may show too few common landmarks to find the frame."""
+"""A peer's recently received landmarks: one small packet may have too few common landmarks for an alignment."""
 
 from dataclasses import dataclass
 
@@ -12,18 +12,18 @@ from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]
 
-RECEIVED_LANDMARKS = 64  # a wideband packet fills it; of narrowband ones it holds the last few
+RECEIVED_LANDMARKS = 64  # one wideband packet, or the last few narrowband ones
 
 
 @dataclass(frozen=True, slots=True)
 class ReceivedMap:
-    """Landmarks of one session's newest packet, then of those before; of one told again the newest counts.
+    """Landmarks of one session's newest packet, then of earlier ones; of a repeated landmark the newest counts.
 
     Attributes:
         ids: (N,) the peer's identifiers.
         positions: (N, 3) in the peer's map frame [m].
-        covariance: (3N, 3N); what different packets have in common is left out, so that their errors relative to each
-            other look larger than they are [m^2].
+        covariance: (3N, 3N); cross-covariances between packets are omitted, so that their relative errors are
+            overestimated [m^2].
         descriptors, descriptor_basis: as in the packets.
     """
 
@@ -37,11 +37,11 @@ class ReceivedMap:
         return len(self.ids)
 
 
-Told = LandmarkPacket | ReceivedMap  # what a peer's landmarks can be read from
+PeerLandmarks = LandmarkPacket | ReceivedMap
 
 
-def heard(packet: LandmarkPacket, before: ReceivedMap | None) -> ReceivedMap:
-    """Put a packet before what was heard already; its rows stay the first ones."""
+def updated_map(packet: LandmarkPacket, before: ReceivedMap | None) -> ReceivedMap:
+    """Prepend a packet to the landmarks received before; its rows stay the first ones."""
     if before is None or _kind(before) != _kind(packet):
         before = ReceivedMap(packet.ids[:0], np.zeros((0, 3)), np.zeros((0, 0)), packet.descriptors[:0], 0)
     old = np.flatnonzero(~np.isin(before.ids, packet.ids))[: max(RECEIVED_LANDMARKS - len(packet), 0)]
@@ -55,6 +55,6 @@ def heard(packet: LandmarkPacket, before: ReceivedMap | None) -> ReceivedMap:
     )
 
 
-def _kind(told: Told) -> tuple[int, int]:
-    """Return what descriptors must have in common to stand in one array."""
-    return told.descriptor_basis, told.descriptors.shape[1]
+def _kind(landmarks: PeerLandmarks) -> tuple[int, int]:
+    """Return basis and size of the descriptors, which must be equal within one array."""
+    return landmarks.descriptor_basis, landmarks.descriptors.shape[1]

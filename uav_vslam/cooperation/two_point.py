@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two-point RANSAC [fischler81] between two maps whose tilt gravity fixes: yaw and translation from two pairs.
+"""Two-point RANSAC [fischler81] between two gravity-aligned maps: yaw and translation from two matches.
 
-Two pairs can only both be right if their distance along the ground and their difference in height are the same in both
-maps. That test leaves few of the K (K - 1) / 2 twos, so that most often every one of them is tried.
+Two matches can both be right only if their horizontal distance and height difference are equal in both maps. This test
+leaves few of the K (K - 1) / 2 minimal samples, so that usually all of them are tried.
 """
 
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ from uav_vslam.numerics import mahalanobis2
 Array = NDArray[np.float64]
 
 GATE = 16.3  # chi-square of a pair, 3 degrees of freedom: 99.9 %
-TWO_GATE = float(chdtri(2, 0.001))  # of two pairs' distance and difference in height
-MAX_YAW_SIGMA = np.deg2rad(10.0)  # two points too close to each other say nothing about yaw
+TWO_GATE = float(chdtri(2, 0.001))  # of two pairs' distance and height difference
+MAX_YAW_SIGMA = np.deg2rad(10.0)  # two points close to each other do not determine yaw
 MAX_HYPOTHESES = 600
 
 
 @dataclass(frozen=True, slots=True)
 class Hypotheses:
-    """Transforms that some two pairs agree on.
+    """Transforms of the compatible minimal samples.
 
     Attributes:
         R, t: (H, 3, 3) and (H, 3) T_own_peer.
@@ -47,20 +47,20 @@ class Hypotheses:
         return self.distance2 <= GATE
 
     def best(self) -> Pose:
-        """Return the transform that fits many pairs well: with the least sum of distances cut off at the gate."""
+        """Return the transform of the least sum of squared distances, truncated at the gate."""
         h = int(np.argmin(np.minimum(self.distance2, GATE).sum(axis=1)))  # MSAC [torr00]
         return Pose(self.R[h], self.t[h])
 
 
 def hypotheses(pairs: PointPairs, *, rng: np.random.Generator) -> Hypotheses:
-    """Return the transforms by every two pairs that may both be right, or by a random choice of many.
+    """Return the transforms of all compatible samples of two pairs, or of a random subset.
 
     Args:
-        pairs: with the covariances of each map's landmarks relative to one another.
-        rng: chooses where there are more than MAX_HYPOTHESES.
+        pairs: with relative covariances, see `PointPairs.relative`.
+        rng: for the subset, if there are more than MAX_HYPOTHESES.
     """
     i, j = np.triu_indices(len(pairs), 1)
-    fits = np.flatnonzero(_agree(pairs, i, j))
+    fits = np.flatnonzero(_compatible(pairs, i, j))
     if len(fits) > MAX_HYPOTHESES:
         fits = np.sort(rng.choice(fits, MAX_HYPOTHESES, replace=False))
     i, j = i[fits], j[fits]
@@ -74,13 +74,13 @@ def hypotheses(pairs: PointPairs, *, rng: np.random.Generator) -> Hypotheses:
 
 
 def gated(pairs: PointPairs, T_own_peer: Pose, *, slack_m: float = 0.0) -> NDArray[np.intp]:
-    """Return the rows of pairs that fit a transform within their own covariances, and a sigma of the transform's."""
+    """Return the rows of pairs that fit a transform within their covariances and the transform's sigma `slack_m`."""
     S = pairs.pair_covariances(T_own_peer.R) + slack_m**2 * np.eye(3)
     return np.flatnonzero(mahalanobis2(pairs.residuals(T_own_peer), S) <= GATE)
 
 
-def _agree(pairs: PointPairs, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return which twos (i, j) have equal distances and heights, and are far enough apart to give a yaw."""
+def _compatible(pairs: PointPairs, i: NDArray[np.intp], j: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return which samples (i, j) have equal distances and heights, and are far enough apart to determine yaw."""
     own, peer = pairs.own[j] - pairs.own[i], pairs.peer[j] - pairs.peer[i]
     own_m, peer_m = (np.linalg.norm(d[:, :2], axis=1) for d in (own, peer))
     variances = _along(pairs.own_covariance, own, i, j) + _along(pairs.peer_covariance, peer, i, j)

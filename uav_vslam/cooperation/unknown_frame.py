@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fusing the packet of a peer whose map frame is not known: the frame is estimated along, with a flat prior.
+"""Fusion of a packet in an unknown map frame: the frame is estimated jointly, with a flat prior.
 
-An alignment rests on the very landmarks that are about to be fused. Taken as known it would count them twice; so it is
-only the point of linearisation, and T_own_peer is a state of which nothing is known. With the true
+The alignment is computed from the same landmarks that are to be fused. Taken as known it would count them twice, so it
+is the linearisation point only, and T_own_peer is a state with a flat prior. With the true
 l_own = T_own_peer l_peer and T's error dT (4,),
 
     r = T^ l^_peer - l^_own = E dx - A dT + e,   e ~ R.
 
-A state with a flat prior needs no place in the belief: with N an orthonormal basis of what A leaves alone, N^T A = 0,
+A state with a flat prior can be eliminated: with N an orthonormal basis of the left null space of A, N^T A = 0,
 
     N^T r = N^T E dx + N^T e
 
-says all that r says of x, in every scheme of fusion. Afterwards dT = G dx - C A^T R^-1 r with covariance C + G P+ G^T,
-where C = (A^T R^-1 A)^-1 and G = C A^T R^-1 E. What a peer then adds is its map's shape, not where it lies.
+holds all information of r about x, in every scheme. Afterwards dT = G dx - C A^T R^-1 r with covariance C + G P+ G^T,
+where C = (A^T R^-1 A)^-1 and G = C A^T R^-1 E. So a peer contributes the shape of its map, not its pose.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.cooperation.point_pairs import FRAME_DIM, frame_jacobian, moved, turned
+from uav_vslam.cooperation.point_pairs import FRAME_DIM, corrected, frame_jacobian, rotated
 from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import Fused
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class FrameEstimate:
-    """A peer's map frame in ours as a fusion leaves it: for publication, and never a prior of the next fusion.
+    """A peer's map frame in ours after a fusion: for publication, never a prior of the next fusion.
 
     Attributes:
         T_own_peer: rotation about the vertical and translation.
@@ -50,9 +50,9 @@ class Framed:
     """A packet in an unknown frame.
 
     Attributes:
-        evidence: what it says of the own state, whatever the frame.
-        T_own_peer: where the frame was linearised.
-        A: (3K, 4), whole: what it says of state and frame together, before the frame was taken out.
+        evidence: on the own state, with the frame eliminated.
+        T_own_peer: linearisation point.
+        A: (3K, 4), whole: evidence on state and frame together, before the elimination.
     """
 
     evidence: Evidence
@@ -67,9 +67,9 @@ class Framed:
         gain = C @ self.A.T @ R_inv
         G = gain @ self.whole.E
         covariance = C + symmetrise(G @ fused.P.total @ G.T)
-        if fused.P.dependent.any():  # x and e may be correlated in any way: (a + b)(a + b)^T <= 2 (a a^T + b b^T)
+        if fused.P.dependent.any():  # unknown correlation of x and e: (a + b)(a + b)^T <= 2 (a a^T + b b^T)
             covariance = 2.0 * covariance
-        return FrameEstimate(moved(self.T_own_peer, G @ fused.delta - gain @ self.whole.innovation), covariance)
+        return FrameEstimate(corrected(self.T_own_peer, G @ fused.delta - gain @ self.whole.innovation), covariance)
 
 
 def framed(
@@ -81,14 +81,14 @@ def framed(
     floor_sigma_m: float,
     dependent: bool,
 ) -> Framed:
-    """Express a packet's landmarks in the own frame and take out what depends on where that frame lies.
+    """Express a packet's landmarks in the own frame and eliminate the frame's four degrees of freedom.
 
     Args:
         positions: (N, 3) own landmarks [m].
         packet: the peer's.
         pairs: (K, 2) rows of own landmarks and of the packet.
         T_own_peer: from an alignment, for linearisation only.
-        floor_sigma_m: of each pair: descriptors do not meet on the very same point [m].
+        floor_sigma_m: of each pair: two detections are never of exactly the same point [m].
         dependent: as of `Evidence`.
     """
     columns, rows = landmark_rows(POSE_DIM, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
@@ -98,7 +98,7 @@ def framed(
     whole = Evidence(
         E=E,
         innovation=(T_own_peer.apply(peer) - positions[pairs[:, 0]]).ravel(),
-        R=turned(packet.covariance[np.ix_(rows, rows)], T_own_peer.R),
+        R=rotated(packet.covariance[np.ix_(rows, rows)], T_own_peer.R),
         floor=floor_sigma_m**2 * np.eye(len(rows)),
         dependent=dependent,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.cooperation.point_pairs import turned
+from uav_vslam.cooperation.point_pairs import rotated
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_from_rpy
@@ -54,7 +54,7 @@ def fly_own_only(scenario: Scenario, config: VehicleConfig | None = None, noise:
 
 
 def draw_offset(seed: int) -> Pose:
-    """Draw a map frame: turned by up to 180 degrees, shifted by SHIFT_M in any direction."""
+    """Draw a map frame: rotated by up to 180 degrees, shifted by SHIFT_M in any direction."""
     rng = np.random.default_rng([seed, FLEET, STREAM])
     direction = rng.normal(size=3)
     t = direction / np.linalg.norm(direction) * rng.uniform(*SHIFT_M)
@@ -119,7 +119,7 @@ def identities(flown: Flown, vehicle: str) -> dict[int, int]:
 
 
 def _pose(estimate: PoseEstimate, T_new_old: Pose) -> PoseEstimate:
-    return PoseEstimate(estimate.stamp_ns, T_new_old @ estimate.T_map_body, turned(estimate.covariance, T_new_old.R))
+    return PoseEstimate(estimate.stamp_ns, T_new_old @ estimate.T_map_body, rotated(estimate.covariance, T_new_old.R))
 
 
 def _joint(joint: JointInformation, T_new_old: Pose) -> JointInformation:
@@ -128,5 +128,5 @@ def _joint(joint: JointInformation, T_new_old: Pose) -> JointInformation:
         joint,
         T_map_body=T_new_old @ joint.T_map_body,
         positions=T_new_old.apply(joint.positions),
-        information=turned(joint.information, T_new_old.R),
+        information=rotated(joint.information, T_new_old.R),
     )
