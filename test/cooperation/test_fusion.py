@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 COUNT = 6
 NOW_NS = 10_000_000_000
 EXACT = FusionConfig(floor_sigma_m=0.0)
+STEP = 1e-5  # of a correction, for central differences [m], [rad]
+DIFFERENCE = 1e-7  # relative, of what follows from such differences
 RELATIVE = 1e-5  # packets carry float32 covariances and offsets
 TRUTH = np.column_stack([np.random.default_rng(1).uniform(-30, 30, (COUNT, 2)), np.zeros(COUNT)])
 
@@ -296,13 +298,12 @@ def pose_estimate(xi, t, covariance: Array, stamp_ns: int = NOW_NS) -> PoseEstim
     return PoseEstimate(stamp_ns, Pose(so3_exp(xi), np.asarray(t, float)), covariance)
 
 
-COVARIANCES = st.builds(
-    lambda seed, log: (
-        10.0**log * (lambda A: A @ A.T + 1e-3 * np.eye(6))(np.random.default_rng(seed).normal(size=(6, 6)))
-    ),
-    st.integers(0, 2**32 - 1),
-    st.floats(-4, 1),
-)
+def spd_covariance(seed: int) -> Array:
+    A = np.random.default_rng(seed).normal(size=(6, 6))
+    return A @ A.T + 1e-3 * np.eye(6)
+
+
+COVARIANCES = st.builds(lambda seed, log: 10.0**log * spd_covariance(seed), st.integers(0, 2**32 - 1), st.floats(-4, 1))
 
 
 @given(COVARIANCES, COVARIANCES)
@@ -337,6 +338,31 @@ def test_a_carried_pose_keeps_the_own_motion_between_stamps() -> None:
     seen = fused.T_map_body.inverse() @ there.T_map_body
     expected = own.T_map_body.inverse() @ later.T_map_body
     np.testing.assert_allclose(seen.matrix, expected.matrix, rtol=0, atol=1e-12)
+
+
+def test_a_carried_covariance_follows_the_numerical_derivative_of_the_motion() -> None:
+    """The correction's error moves with the rigid motion; what the own covariance grew by beyond that is added."""
+    own = pose_estimate([0.3, -0.2, 0.9], [1, 2, 70], spd_covariance(1))
+    fused = pose_estimate([0.25, -0.1, 1.4], [4, 2, 69], 0.3 * spd_covariance(2))
+    there = pose_estimate([0.5, 0.1, 2.0], [31, -15, 82], np.zeros((6, 6)), NOW_NS + 1)
+    motion = own.T_map_body.inverse() @ there.T_map_body
+    growth = np.diag([0.3, 0.2, 0.1, 1e-3, 2e-3, 3e-3])
+    J_own, J_fused = (derivative_of_motion(pose.T_map_body, motion) for pose in (own, fused))
+    later = dataclasses.replace(there, covariance=J_own @ own.covariance @ J_own.T + growth)
+    expected = J_fused @ fused.covariance @ J_fused.T + growth
+    found = carried(own, fused, later).covariance
+    np.testing.assert_allclose(found, expected, rtol=0, atol=DIFFERENCE * np.abs(expected).max())
+
+
+def derivative_of_motion(T_map_body: Pose, motion: Pose) -> Array:
+    """Return the (6, 6) central difference of T_map_body @ motion by a correction of T_map_body."""
+    before = T_map_body @ motion
+
+    def moved_by(delta: Array) -> Array:
+        after = move(T_map_body, np.zeros((0, 3)), delta)[0] @ motion
+        return np.concatenate([after.t - before.t, so3_log(after.R @ before.R.T)])
+
+    return np.column_stack([(moved_by(step) - moved_by(-step)) / (2 * STEP) for step in STEP * np.eye(6)])
 
 
 def test_a_vehicle_that_never_fused_carries_its_own_pose() -> None:
