@@ -20,7 +20,8 @@ from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.health import FilterHealth
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, rows_to_remove
-from uav_vslam.slam.map_matching import MapMatcher, Matches
+from uav_vslam.slam.map_matching import MapMatcher
+from uav_vslam.slam.matches import Matches
 from uav_vslam.types import (
     NS_PER_S,
     ImuIncrement,
@@ -181,12 +182,11 @@ class SlamBackend:
         Return the matches, the innovation, and how many of their landmarks had not been seen for long.
         A relocalisation is not gated by the prediction: it is tried when gating has failed.
         """
-        pixels = features.pixels.astype(float)
         left_behind = self._map.long_unseen(self._frame)
         for matches in self._matcher.candidates(self._filter, self._map, features, self._frame):
             innovation = self._filter.update(
                 matches.landmarks,
-                pixels[matches.features],
+                matches.pixels,
                 linearise_at=matches.linearise_at,
                 significance=0.0 if matches.relocalised else SIGNIFICANCE,
                 weights=self._weights((left_behind | self._map.revisited)[matches.landmarks]),
