@@ -14,13 +14,14 @@ from uav_vslam.cooperation.alignment import (
     STEP_SIGMA_M,
     Alignment,
     Refusal,
+    _supported,
     align,
     fit,
     follow,
     sigma_yaw,
 )
-from uav_vslam.cooperation.point_pairs import FRAME_DIM, PointPairs
-from uav_vslam.cooperation.two_point import gated
+from uav_vslam.cooperation.point_pairs import FLAT_SIGMA, FRAME_DIM, PointPairs, frame_jacobian
+from uav_vslam.cooperation.two_point import GATE, gated
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy, so3_log
 
@@ -212,3 +213,21 @@ def test_sigma_of_yaw_falls_with_the_spread_of_the_landmarks(two_maps) -> None:
     assert sigma_yaw(pairs.relative(), all_of_them) < 0.25 * MAX_SIGMA_YAW
     two_near = Alignment(T, covariance, np.argsort(np.linalg.norm(pairs.own - pairs.own[0], axis=1))[:2])
     assert sigma_yaw(pairs.relative(), two_near) > MAX_SIGMA_YAW
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_pairs_that_contradict_the_others_go_as_if_all_were_weighed_afresh_each_time(two_maps, seed: int) -> None:
+    """The Schur complements against the dense information of the pairs that are left, the frame marginalised out."""
+    pairs, T = two_maps(seed, right=6, wrong=5, drift=(3.0, 0.05, 0.02))
+    rows = np.arange(len(pairs))
+    while len(rows) > 2:
+        left = pairs.take(rows)
+        A = frame_jacobian(T, left.peer)
+        B = np.linalg.inv(left.covariance(T.R) + A @ np.diag(FLAT_SIGMA**2) @ A.T)
+        pull = (B @ left.residuals(T).ravel()).reshape(-1, 3)
+        distance2 = [p @ np.linalg.solve(B[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], p) for k, p in enumerate(pull)]
+        if max(distance2) <= GATE:
+            break
+        rows = np.delete(rows, np.argmax(distance2))
+    np.testing.assert_array_equal(_supported(pairs, T), rows)
+    assert len(rows) < len(pairs)

@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.common_landmarks import blocks, comparable, find_common
@@ -123,3 +124,50 @@ def test_blocks_are_a_view_by_landmark() -> None:
     P = np.arange(81.0).reshape(9, 9)
     np.testing.assert_array_equal(blocks(P)[1, 2], P[3:6, 6:9])
     assert blocks(np.zeros((0, 0))).shape == (0, 0, 3, 3)
+
+
+# Gates against dense references, just inside and just outside: own and peer covariance and floor are of one size.
+
+FLOOR_M = 0.8
+BESIDE_THE_GATE = pytest.mark.parametrize(("share", "inside"), [(0.99, True), (1.01, False)])
+
+
+def random_covariance(seed: int, count: int, drift_m: float) -> np.ndarray:
+    """Return (6+3N, 6+3N), correlated at random, with a drift that all landmarks share."""
+    A = np.random.default_rng(seed).normal(0, 0.3, (6 + 3 * count, 6 + 3 * count))
+    return block_covariance(count, drift_m) + A @ A.T
+
+
+def shared_of(make_joint, offsets_m: np.ndarray, *, drift_m: float) -> tuple[int, np.ndarray, np.ndarray]:
+    """Return how many of N landmarks are shared with a peer that has them `offsets_m` off, and both covariances."""
+    count = len(offsets_m)
+    at = 40.0 * np.arange(count)[:, None] * np.array([1.0, 0.5, 0.0])
+    P, R = (random_covariance(seed, count, drift_m) for seed in (1, 2))
+    packet = make_packet(make_joint(at + offsets_m, R, vehicle="uav2"), sequence=1, policy=WHOLE)
+    config = FusionConfig(floor_sigma_m=FLOOR_M, min_common=1)
+    pairs = find_common(at, P[6:, 6:], make_joint(at, P).descriptors, packet, config=config)
+    return len(pairs), P[6:, 6:], packet.covariance
+
+
+def on_the_gate(direction: np.ndarray, S: np.ndarray) -> np.ndarray:
+    """Return the vector along a direction whose squared Mahalanobis distance is the gate's."""
+    distance2 = direction @ np.linalg.solve(S, direction)
+    return direction * np.sqrt(chi2.ppf(CONFIG.gate_probability, 3) / distance2)
+
+
+@BESIDE_THE_GATE
+@pytest.mark.parametrize("direction", np.eye(3))
+def test_a_pair_is_gated_by_both_covariances_and_the_floor(make_joint, direction, share: float, inside: bool) -> None:
+    _, P, R = shared_of(make_joint, np.zeros((1, 3)), drift_m=0.3)
+    offset = on_the_gate(direction, P + R + FLOOR_M**2 * np.eye(3))
+    assert shared_of(make_joint, share * offset[None], drift_m=0.3)[0] == inside
+
+
+@BESIDE_THE_GATE
+@pytest.mark.parametrize("direction", np.eye(3))
+def test_two_pairs_agree_by_the_covariance_of_their_offset(make_joint, direction, share: float, inside: bool) -> None:
+    """What both landmarks share, as a large drift, is no part of the offset's error; the floor counts twice."""
+    _, P, R = shared_of(make_joint, np.zeros((2, 3)), drift_m=30.0)
+    D = np.hstack([-np.eye(3), np.eye(3)])
+    offset = on_the_gate(direction, D @ (P + R) @ D.T + 2 * FLOOR_M**2 * np.eye(3))
+    assert shared_of(make_joint, share * np.outer([-0.5, 0.5], offset), drift_m=30.0)[0] == 1 + inside

@@ -468,6 +468,26 @@ def test_the_packet_of_last_time_is_used_while_it_shares_more_than_the_newest(ow
     assert second.common == {"uav2": COUNT}
 
 
+def test_the_packet_of_last_time_is_not_used_where_it_shares_less_than_the_newest(own, peer_packet) -> None:
+    fusion, few = Fusion("uav1", EXACT), peer_packet(sequence=2)
+    strange = peer_packet(sequence=1)
+    strange = dataclasses.replace(strange, descriptors=255 - strange.descriptors)
+    few = dataclasses.replace(few, descriptors=np.vstack([few.descriptors[:3], 255 - few.descriptors[3:]]))
+    for packet, shared in ((strange, 0), (few, 3)):
+        fusion.inbox.add(dataclasses.replace(packet, checksum=checksum(packet)))
+        assert fusion.fuse(own).common == {"uav2": shared}
+
+
+def test_only_landmarks_of_the_belief_are_counted_as_shown(own) -> None:
+    """A flight leaves ever more landmarks behind; their counts must not fill the memory."""
+    fusion = Fusion("uav1", EXACT)
+    for first in (0, 100, 200):
+        joint = dataclasses.replace(own, ids=np.arange(first, first + COUNT, dtype=np.uint32))
+        fusion.fuse(joint)
+        fusion.packet(joint)
+        assert set(fusion._shown) <= set(joint.ids.tolist())
+
+
 def test_a_restart_withdraws_the_packet_of_last_time_too(own, peer_packet, make_joint) -> None:
     fusion = Fusion("uav1", EXACT)
     fusion.inbox.add(peer_packet())

@@ -40,6 +40,14 @@ class Kept:
             self.Y += H.T @ H / sigma**2
             self.mean += np.linalg.solve(self.Y, H.T @ (z - H @ self.mean) / sigma**2)
 
+    def locate(self, landmark: int, sigma: float = SIGMA_M) -> None:
+        """Measure where a landmark is in the map: the drift that it shares with all others goes."""
+        rows = landmark_rows(POSE_DIM, np.array([landmark]))
+        self.Y[rows, rows] += 1.0 / sigma**2
+        residual = np.zeros(len(self.mean))
+        residual[rows] = (self.truth - self.mean)[rows] / sigma**2
+        self.mean += np.linalg.solve(self.Y, residual)
+
     def move(self, step: Array, sigma: float = 0.5) -> None:
         """Move the pose by a step that is known to a sigma."""
         P = np.linalg.inv(self.Y)
@@ -83,6 +91,21 @@ def test_removed_landmarks_match_a_filter_that_keeps_everything(make_joint, seed
     np.testing.assert_allclose(covariance_of(extended, ids), wanted, rtol=0, atol=ROUNDING + 2 * OWN_SIGMA_M**2)
     mean = filter_.mean[POSE_DIM:].reshape(-1, 3)[list(LEAVING)]
     np.testing.assert_allclose(extended.positions[-len(LEAVING) :], mean, rtol=0, atol=0.2 * SIGMA_M)
+
+
+def test_what_left_follows_a_correction_of_what_stayed(make_joint) -> None:
+    filter_ = Kept(1)
+    everything, staying = list(range(COUNT)), [k for k in range(COUNT) if k not in LEAVING]
+    filter_.measure(everything)
+    memory = LandmarkMemory(capacity=10)
+    memory.extended(filter_.joint(make_joint, everything), shared=[100 + k for k in LEAVING])
+    ids = [100 + k for k in LEAVING]
+    before = memory.extended(filter_.joint(make_joint, staying), shared=ids).positions[-len(LEAVING) :]
+    filter_.locate(staying[0])
+    after = memory.extended(filter_.joint(make_joint, staying), shared=ids).positions[-len(LEAVING) :]
+    mean = filter_.mean[POSE_DIM:].reshape(-1, 3)[list(LEAVING)]
+    np.testing.assert_allclose(after, mean, rtol=0, atol=0.2 * SIGMA_M)
+    assert np.linalg.norm(after - before, axis=1).min() > 10 * SIGMA_M
 
 
 def test_remembering_adds_no_information_on_the_state(make_joint) -> None:

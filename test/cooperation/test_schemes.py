@@ -64,3 +64,25 @@ def test_the_own_estimate_told_back_teaches_nothing_but_to_the_sum() -> None:
     for scheme in ("split_ci", "full_ci", "inverse_ci"):
         np.testing.assert_allclose(SCHEMES[scheme](mine, echo, "trace").P.total, P, rtol=1e-6)
     np.testing.assert_allclose(SCHEMES["overlay"](mine, echo, "trace").P.total, P / 2, rtol=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["split_ci", "full_ci"])
+def test_an_intersection_is_the_kalman_update_of_the_inflated_shares(scheme: str) -> None:
+    """The floor is nobody else's error: it adds to the peer's share after that was divided by its weight."""
+    told = evidence(dependent=True)
+    fused = SCHEMES[scheme](own(), told, "trace")
+    assert 0.0 < fused.weight < 1.0
+    P1 = own().total / fused.weight
+    S = E @ P1 @ E.T + told.R / (1.0 - fused.weight) + told.floor
+    K = P1 @ E.T @ np.linalg.inv(S)
+    np.testing.assert_allclose(fused.P.total, P1 - K @ S @ K.T, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(fused.delta, K @ told.innovation, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize(("scheme", "dependent"), [("overlay", True), ("inverse_ci", True), ("split_ci", False)])
+def test_where_nothing_is_split_the_floor_is_a_part_of_the_covariance(scheme: str, dependent: bool) -> None:
+    told = evidence(dependent=dependent)
+    whole = Evidence(E, told.innovation, told.R + told.floor, np.zeros((K, K)), dependent)
+    found, expected = (SCHEMES[scheme](own(), one, "trace") for one in (told, whole))
+    np.testing.assert_allclose(found.P.total, expected.P.total, rtol=1e-12)
+    np.testing.assert_allclose(found.delta, expected.delta, rtol=1e-12)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from uav_vslam.cooperation import two_point
-from uav_vslam.cooperation.two_point import GATE, gated, hypotheses
+from uav_vslam.cooperation.point_pairs import PointPairs
+from uav_vslam.cooperation.two_point import GATE, TWO_GATE, gated, hypotheses
 from uav_vslam.geometry.pose import Pose
 
 
@@ -78,3 +79,18 @@ def test_fewer_than_two_pairs_give_no_transform(two_maps, count: int) -> None:
     pairs, _ = two_maps(right=2)
     few = pairs.take(np.arange(count))
     assert len(hypotheses(few, rng=np.random.default_rng(0))) == 0
+
+
+@pytest.mark.parametrize(("share", "tried_at_all"), [(0.99, True), (1.01, False)])
+@pytest.mark.parametrize("axis", [0, 2], ids=["distance", "height"])
+def test_two_pairs_are_tried_by_the_covariance_of_distance_and_height(axis: int, share: float, tried_at_all) -> None:
+    """Dense reference just inside and just outside of the gate; the floor of both points counts."""
+    rng, floor_m = np.random.default_rng(1), 0.5
+    A, B = rng.normal(0, 0.3, (2, 6, 6))
+    D, axes = np.hstack([-np.eye(3), np.eye(3)]), np.eye(3)
+    own = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0]])
+    pairs = PointPairs(own, own, A @ A.T, B @ B.T, floor_m)
+    variance = axes[axis] @ D @ (A @ A.T + B @ B.T) @ D.T @ axes[axis] + 2 * floor_m**2
+    peer = own + np.outer([0.0, share * np.sqrt(TWO_GATE * variance)], axes[axis])
+    found = hypotheses(dataclasses.replace(pairs, peer=peer), rng=rng)
+    assert len(found) == tried_at_all

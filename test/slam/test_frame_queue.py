@@ -168,3 +168,18 @@ def test_increments_from_before_the_stamp_reached_are_refused_and_counted() -> N
     queue.add_increment(motion(20, 30))
     assert drain(queue) == [(20, 1), (30, 1)]
     assert queue.motion_refused == 2
+
+
+def test_no_increment_is_lost_while_frames_come_that_show_nothing_new() -> None:
+    """Each frame says that the cameras are alive, so that motion waits; not until the oldest falls out."""
+    queue, reached = FrameQueue(0), 0
+    for k in range(MAX_WAITING + 20):
+        queue.add_increment(motion(10 * k, 10 * k + 10))
+        queue.add_features(frame(-1))  # from before the start
+        while (item := queue.pop()) is not None:
+            increment = item[1]
+            assert increment is not None
+            assert increment.start_ns == reached
+            reached = increment.stamp_ns
+    assert reached >= 200
+    assert queue.before_start == MAX_WAITING + 20

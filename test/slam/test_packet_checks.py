@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import MAX_PACKET_LANDMARKS
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.slam.packet import ANCHOR, PacketPolicy, checksum, make_packet, validate
+from uav_vslam.slam.packet import ANCHOR, PacketPolicy, check_form, checksum, make_packet, validate
 from uav_vslam.types import LandmarkPacket
 
 
@@ -109,3 +109,16 @@ def test_invalid_content_with_a_valid_checksum_is_refused_with_its_reason(reques
 def test_an_unknown_basis_of_no_descriptors_is_harmless(make_joint) -> None:
     empty = make_packet(make_joint(np.zeros((0, 3)), np.eye(6)), sequence=1, policy=PacketPolicy())
     validate(resealed(empty, descriptor_basis=77))
+
+
+def test_more_landmarks_than_allowed_are_refused_however_well_formed(anchored) -> None:
+    def repeated(count: int) -> LandmarkPacket:
+        rows = np.arange(count) % len(anchored)
+        points = {name: getattr(anchored.points, name)[rows] for name in ("offsets", "own_factors", "own_sizes")}
+        return resealed(
+            anchored, ids=np.arange(count, dtype=np.uint32), descriptors=anchored.descriptors[rows], **points
+        )
+
+    check_form(repeated(MAX_PACKET_LANDMARKS))
+    with pytest.raises(InvalidMessage, match="at most"):
+        check_form(repeated(MAX_PACKET_LANDMARKS + 1))

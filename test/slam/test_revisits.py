@@ -144,6 +144,16 @@ def test_a_match_that_is_incompatible_with_the_group_is_left_out(meeting: Meetin
     assert row not in meeting.recognise(meeting.seen_again, elsewhere)[:, 0]
 
 
+def test_a_group_agrees_within_the_redetection_offsets(meeting: Meeting) -> None:
+    """Each feature is off the track's first one by 4 px, in both images alike."""
+    shift = np.random.default_rng(5).normal(0.0, 4.0, (len(meeting.features), 2))
+    pixels = (meeting.features.pixels + np.tile(shift, 2)).astype(np.float32)
+    off = dataclasses.replace(meeting.features, pixels=pixels)
+    strict, tolerant = (meeting.recognise(meeting.seen_again, off, redetection_px=px) for px in (0.0, 4.0))
+    assert len(tolerant) > 0.8 * len(meeting.seen_again)
+    assert len(strict) < len(tolerant)
+
+
 def test_too_small_a_group_is_rejected(meeting: Meeting) -> None:
     two = meeting.recognise(meeting.seen_again)[:2]
     assert meeting.recognise(two[:, 0], min_revisited=2).tolist() == two.tolist()

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import StartConfig, VehicleConfig
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegrator import advance
+from uav_vslam.slam.rig_monitor import CONTRADICTED
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 
 IN_FLIGHT = StartConfig(method="in_flight")
@@ -183,6 +186,27 @@ def test_a_repeated_increment_stops_nothing(flown) -> None:
     outputs = feed(stage, flight.frames[6:])
     assert len(outputs) == len(flight.frames) - 6
     assert stage.dropped == {**dict.fromkeys(stage.dropped, 0), "motion_refused": 1}
+
+
+@pytest.mark.parametrize(("start", "first_counts"), [(StartConfig(), False), (IN_FLIGHT, True)])
+def test_a_later_start_counts_only_where_none_is_searched_for(flown, start: StartConfig, first_counts: bool) -> None:
+    flight = flown(1)
+    stage, first = make(flight, start=start), flight.vehicle.initial
+    second = dataclasses.replace(first, covariance=2.0 * first.covariance)
+    stage.start(first)
+    stage.start(second)
+    assert stage.initial is (first if first_counts else second)
+
+
+def test_a_rig_is_not_judged_before_the_start_is_trusted(flown) -> None:
+    flight = flown(1)
+    stage, right = make(flight, rig=False), flight.vehicle.rig.T_body_right
+    turned = Pose(right.R @ so3_exp([np.deg2rad(0.3), 0.0, 0.0]), right.t)
+    stage.rig = dataclasses.replace(flight.vehicle.rig, T_body_right=turned)
+    stage.start(flight.vehicle.initial)
+    outputs = feed(stage, flight.frames)
+    assert max(output.report.rig_evidence for output in outputs) > CONTRADICTED
+    assert not any("attitude as calibrated" in text for output in outputs for text in output.warnings)
 
 
 def test_in_flight_a_lost_increment_restarts_the_initialisation(flown) -> None:

@@ -10,9 +10,17 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.estimation.filter import Innovation
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.ins.propagation import VELOCITY
 from uav_vslam.slam.backend import FrameReport
 from uav_vslam.slam.stage import SlamStage
-from uav_vslam.slam.start_monitor import MAX_COASTED, REMEDY, WATCHED_S, StartMonitor, velocity_correction
+from uav_vslam.slam.start_monitor import (
+    MAX_COASTED,
+    NEGLIGIBLE,
+    REMEDY,
+    WATCHED_S,
+    StartMonitor,
+    velocity_correction,
+)
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
 ZERO = np.zeros(3)
@@ -109,3 +117,22 @@ def test_a_correction_is_scaled_by_the_reduction_of_covariance() -> None:
     # A filter less certain than dead reckoning reduced nothing: only a centimetre per second is tolerated.
     uncertain = velocity_correction(nav, NavEstimate(DEAD_RECKONED.state, 0.01 * np.eye(15)))
     np.testing.assert_allclose(uncertain, 100.0, rtol=1e-3)
+
+
+def test_a_correction_is_whitened_by_the_reduction_of_covariance_as_a_whole() -> None:
+    rng = np.random.default_rng(4)
+    A, d = rng.normal(size=(15, 15)), rng.normal(size=3)
+    nav = NavEstimate(dataclasses.replace(DEAD_RECKONED.state, v_map=d), np.eye(15))
+    times = velocity_correction(nav, NavEstimate(DEAD_RECKONED.state, np.eye(15) + A @ A.T))
+    S = (A @ A.T)[VELOCITY, VELOCITY] + NEGLIGIBLE**2 * np.eye(3)
+    np.testing.assert_allclose(times, np.sqrt(d @ np.linalg.solve(S, d) / 3), rtol=1e-9)
+
+
+def test_a_start_is_trusted_after_the_watch_and_never_after_a_warning() -> None:
+    good, bad = StartMonitor(), StartMonitor()
+    after_ns = round((WATCHED_S + 0.1) * NS_PER_S)
+    assert good.add(report(0.0), DEAD_RECKONED) == ""
+    assert bad.add(report(0.0, velocity=np.ones(3)), DEAD_RECKONED) != ""
+    assert not good.trusts(round(WATCHED_S * NS_PER_S))
+    assert good.trusts(after_ns)
+    assert not bad.trusts(after_ns)
