@@ -18,15 +18,18 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
-from uav_vslam.vision.compact_descriptors import train_basis
+from uav_vslam.vision.compact_descriptors import LEVELS, DescriptorBasis, root_sift
 from uav_vslam.vision.features import make_extractor
 from uav_vslam.vision.images import shrink, to_grey8
+from uav_vslam.vision.matching.nn_ratio import SINGLE_CANDIDATE_DISTANCE
 
 COMPONENTS = 32
+CLIPPED_SHARE = 1e-3  # of the first component's values in training; sets the quantisation step
 WIDTH_PX = 1280  # of a camera image; larger ones are downscaled to it before the front end's own scaling
 FRAMES_APART = 20  # of a rendered flight, so that each shows new ground
 SUFFIXES = {".jpg", ".jpeg", ".png", ".tif"}
@@ -67,6 +70,31 @@ def images(folders: list[Path], rendered: int) -> Iterator[np.ndarray]:
         flight = RenderedFlight(vehicle)
         for frame in range(0, 4 * FRAMES_APART, FRAMES_APART):
             yield shrink(to_grey8(flight.frame(frame).left), scale)
+
+
+def train_basis(descriptors: NDArray[np.uint8], *, components: int, provenance: str) -> DescriptorBasis:
+    """Return the principal components of (N, 128) descriptors."""
+    vectors = root_sift(descriptors).astype(float)
+    mean = vectors.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov(vectors.T))
+    kept = axes[:, ::-1][:, :components].T
+    kept *= np.sign(kept[np.arange(components), np.abs(kept).argmax(axis=1)])[:, None]  # fixes the arbitrary sign
+    projected = (vectors - mean) @ kept.T
+    levels = LEVELS / float(np.quantile(np.abs(projected[:, 0]), 1.0 - CLIPPED_SHARE))
+    reach = _typical_distance(projected * levels) / _typical_distance(descriptors.astype(float))
+    return DescriptorBasis(
+        mean.astype(np.float32),
+        kept.astype(np.float32),
+        levels,
+        SINGLE_CANDIDATE_DISTANCE * reach,
+        provenance,
+    )
+
+
+def _typical_distance(vectors: NDArray[np.float64]) -> float:
+    """Return the median distance between random pairs."""
+    order = np.random.default_rng(0).permutation(len(vectors))
+    return float(np.median(np.linalg.norm(np.diff(vectors[order], axis=0), axis=1)))
 
 
 if __name__ == "__main__":

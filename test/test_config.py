@@ -247,7 +247,6 @@ def test_a_fleet_file_names_vehicles_bags_and_mode_relative_to_itself(write: Wri
     assert fleet.vehicles["uav1"].backend.sigma_px == 0.7
     assert fleet.vehicles["uav2"].backend == BackendConfig()
     assert {v.fusion.mode for v in fleet.vehicles.values()} == {"none"}
-    assert fleet.config_files == {"uav1": tmp_path / "own.yaml", "uav2": None}
     assert fleet.replay == ReplayConfig(bags=(tmp_path / "flight", tmp_path / "../b"), rate=2.0)
 
 

@@ -36,16 +36,13 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": EARLY,
     "evaluation": EARLY | {"estimation"},
     "datasets": EARLY | {"evaluation"},  # recorded truth and outputs become trajectories
-    "mapping": EARLY | {"vision"},
     "report": {"types", "evaluation"},
     # what puts them together without ROS
     "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation", "processes"},
     "studies": ESTIMATOR | {"pipeline", "fleet", "evaluation", "simulation", "offline", "processes", "report"},
     # the top
-    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "mapping", "processes"},
-    "cli": ESTIMATOR
-    | {"pipeline", "fleet", "datasets", "mapping", "evaluation", "simulation", "report"}
-    | {"offline", "studies"},
+    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes"},
+    "cli": ESTIMATOR | {"pipeline", "fleet", "datasets", "evaluation", "simulation", "report"} | {"offline", "studies"},
 }
 ROS_STARTERS = {
     "launch",
@@ -57,12 +54,12 @@ ROS_STARTERS = {
 
 MESSAGES = "messages of ROS"
 AT_HOME = {
-    "cv2": {"vision", "mapping", "datasets", "simulation"},
+    "cv2": {"vision", "datasets", "simulation"},
     "rclpy": {"ros"},
     "rosbags": {"datasets"},
     "mcap": {"datasets"},
     "gtsam": {"studies"},  # a yardstick, no part of the estimator
-    "matplotlib": {"report", "studies", "mapping"},
+    "matplotlib": {"report", "studies"},
     MESSAGES: {"ros"},
 }
 # cv2.setNumThreads(1) belongs where a process begins, not in a library; the bench compares with plain OpenCV.
@@ -178,7 +175,7 @@ CORE = (
     "slam",
     "cooperation",
 )
-CORE += ("pipeline", "fleet", "simulation", "datasets", "evaluation", "report", "mapping", "offline", "studies", "cli")
+CORE += ("pipeline", "fleet", "simulation", "datasets", "evaluation", "report", "offline", "studies", "cli")
 
 BLOCKED_IMPORT = """
 import importlib, sys

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The training script for compact descriptors makes a usable basis."""
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -28,3 +29,16 @@ def test_a_basis_is_trained_from_a_folder_of_images(tmp_path: Path) -> None:
     assert str(basis["provenance"]) == "noise, CC0"
     assert basis["levels_per_unit"] > 100
     assert 0 < basis["single_distance"] < 250
+
+
+def test_training_finds_the_principal_directions_and_codes_use_their_range() -> None:
+    script = runpy.run_path(str(SCRIPT))
+    rng = np.random.default_rng(2)
+    descriptors = np.full((400, 128), 40, np.uint8)
+    descriptors[:, :4] = rng.integers(0, 256, (400, 4))
+    basis = script["train_basis"](descriptors, components=4, provenance="made up")
+    assert np.abs(basis.components[:, 4:]).max() < 0.2
+    codes = basis.compress(descriptors)
+    assert codes[:, 0].min() <= 10
+    assert codes[:, 0].max() >= 245
+    assert basis.bytes == 4

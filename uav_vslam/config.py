@@ -323,7 +323,6 @@ class FleetConfig:
     """A fleet description: vehicle configurations by name (the name is the ROS namespace), and what is replayed."""
 
     vehicles: dict[str, VehicleConfig]
-    config_files: dict[str, Path | None]
     replay: ReplayConfig
 
 
@@ -392,7 +391,7 @@ def load_fleet(path: Path, *, overrides: dict[str, Any] | None = None) -> FleetC
         raise ConfigError(
             f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}"
         )
-    vehicles, files = {}, {}
+    vehicles = {}
     for name, entry in tree["vehicles"].items():
         if not (isinstance(name, str) and name.isascii() and name.isidentifier()):
             raise ConfigError(
@@ -404,7 +403,7 @@ def load_fleet(path: Path, *, overrides: dict[str, Any] | None = None) -> FleetC
         _reject_unknown(set(entry), {"config"}, where=str(path), prefix=f"vehicles.{name}.")
         file = path.parent / entry["config"] if entry.get("config") else None
         shared = {"fusion.mode": tree["mode"]} if "mode" in tree else {}
-        vehicles[name], files[name] = load_vehicle(file, overrides={**shared, **(overrides or {})}), file
+        vehicles[name] = load_vehicle(file, overrides={**shared, **(overrides or {})})
     replay_tree = tree.get("replay") or {}
     if not isinstance(replay_tree, dict):
         raise ConfigError(f"{path}: replay must hold keys and values, not {replay_tree!r}")
@@ -412,7 +411,7 @@ def load_fleet(path: Path, *, overrides: dict[str, Any] | None = None) -> FleetC
     if not (isinstance(bags, list | tuple) and all(isinstance(bag, str) for bag in bags)):
         raise ConfigError(f"{path}: replay.bags = {bags!r} must be a list of paths, e.g. [flight]")
     replay_tree = {**replay_tree, "bags": tuple(path.parent / bag for bag in bags)}
-    return FleetConfig(vehicles, files, build(ReplayConfig, replay_tree, where=f"{path}: replay"))
+    return FleetConfig(vehicles, build(ReplayConfig, replay_tree, where=f"{path}: replay"))
 
 
 def load(cls: type, path: Path) -> Any:

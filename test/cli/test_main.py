@@ -87,21 +87,6 @@ def test_no_verb_or_an_unknown_one_is_wrong_input(arguments: list[str], capsys: 
     assert "usage: uav-vslam" in capsys.readouterr().err
 
 
-def test_a_verb_that_is_not_installed_does_not_hide_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "VERBS", ("launch", "teleport"))
-    assert "launch" in command.build_parser([]).format_help()
-    assert "teleport" not in command.build_parser([]).format_help().partition("examples:")[0]
-
-
-def test_a_broken_verb_is_not_taken_for_a_missing_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    def importing(name: str) -> types.ModuleType:
-        raise ModuleNotFoundError("No module named 'cv3'", name="cv3")
-
-    monkeypatch.setattr(command.importlib, "import_module", importing)
-    with pytest.raises(ModuleNotFoundError, match="cv3"):
-        command.build_parser(["launch"])
-
-
 def test_help_imports_neither_numpy_nor_ros() -> None:
     program = (
         "import sys\nfrom uav_vslam.cli.main import build_parser\nbuild_parser([])\n"

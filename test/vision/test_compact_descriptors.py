@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A quarter of the bytes matches nearly as well as full descriptors, on rendered and real ground."""
 
-import dataclasses
 import itertools
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +22,6 @@ from uav_vslam.vision.compact_descriptors import (
     load_basis,
     root_sift,
     single_distance,
-    train_basis,
 )
 from uav_vslam.vision.features import make_extractor
 from uav_vslam.vision.features.base import Keypoints
@@ -152,15 +150,3 @@ def test_the_single_candidate_limit_is_equivalent() -> None:
         one, other = in_basis(descriptors, basis).astype(float), in_basis(again, basis).astype(float)
         assert (np.linalg.norm(one - other, axis=1) < single_distance(basis)).all()
         assert (np.linalg.norm(one - one[::-1], axis=1) > single_distance(basis)).mean() > 0.9
-
-
-def test_training_finds_the_principal_directions_and_codes_use_their_range() -> None:
-    rng = np.random.default_rng(2)
-    descriptors = np.full((400, 128), 40, np.uint8)
-    descriptors[:, :4] = rng.integers(0, 256, (400, 4))
-    basis = train_basis(descriptors, components=4, provenance="made up")
-    assert np.abs(basis.components[:, 4:]).max() < 0.2
-    codes = basis.compress(descriptors)
-    assert codes[:, 0].min() <= 10
-    assert codes[:, 0].max() >= 245
-    assert dataclasses.replace(basis, provenance="").bytes == 4

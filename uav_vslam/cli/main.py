@@ -57,9 +57,7 @@ def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     chosen = [arguments[0]] if arguments and arguments[0] in VERBS else VERBS
     subparsers = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
     for verb in chosen:
-        module = _load(verb)
-        if module is not None:
-            _add_verb(subparsers, verb, module)
+        _add_verb(subparsers, verb, importlib.import_module(f"uav_vslam.cli.{verb.replace('-', '_')}"))
     return parser
 
 
@@ -71,17 +69,6 @@ def _add_verb(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]",
     subparser.epilog = getattr(module, "EXAMPLES", None)
     module.add_arguments(subparser)
     subparser.set_defaults(run=module.run)
-
-
-def _load(verb: str) -> ModuleType | None:
-    """Import a verb's module; None where this installation is without it."""
-    name = f"uav_vslam.cli.{verb.replace('-', '_')}"
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name == name:
-            return None
-        raise
 
 
 if __name__ == "__main__":

@@ -120,13 +120,15 @@ def compose(first: ImuIncrement, second: ImuIncrement) -> ImuIncrement:
 
 
 def bridged(increment: ImuIncrement, start_ns: int, imu: ImuConfig) -> ImuIncrement:
-    """Extend an increment back to an earlier stamp; the motion before the increment is unknown.
+    """Extend an increment back to an earlier stamp, if it does not start there; the motion in between is unknown.
 
     Args:
         increment: known part of the motion.
-        start_ns: start of the result, before the increment's [ns].
+        start_ns: start of the result, not after the increment's [ns].
         imu: gravity; the unknown part is a hover.
     """
+    if increment.start_ns == start_ns:
+        return increment
     unknown = _unknown_motion(start_ns, increment.start_ns, increment.gyro_bias, increment.accel_bias, imu)
     return compose(unknown, increment)
 

@@ -10,7 +10,7 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.ins.preintegration import ImuBuffer, has_gap, preintegrate
+from uav_vslam.ins.preintegration import ImuBuffer, bridged, has_gap, preintegrate
 from uav_vslam.ins.propagation import propagate, transition
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavState, PoseEstimate
 
@@ -98,7 +98,7 @@ class DeadReckoning:
         self.estimate: NavEstimate | None = None
 
     def start(self, initial: NavEstimate) -> list[NavEstimate]:
-        """Return the start state and the dead-estimate state at the end of each increment since."""
+        """Return the start state and the dead-reckoned state at the end of each increment since."""
         self.estimate = initial
         states, buffered = [initial], list(self._startup_buffer)
         self._startup_buffer.clear()
@@ -108,31 +108,16 @@ class DeadReckoning:
         return states
 
     def add(self, increment: ImuIncrement) -> list[NavEstimate]:
-        """Return the dead-estimate state at the end of an increment; empty until the start state is known."""
+        """Return the dead-reckoned state at the end of an increment; empty until the start state is known.
+
+        After a lost increment that part of the motion is unknown.
+        """
         if self.estimate is None:
             self._startup_buffer.append(increment)
             return []
-        self.estimate = advance(self.estimate, increment, self._imu)
+        since = bridged(increment, self.estimate.state.stamp_ns, self._imu)
+        self.estimate = advance(self.estimate, since, self._imu)
         return [self.estimate]
-
-
-class InsPropagator:
-    """Increments, each with the dead-reckoned state at its end, from a known start state."""
-
-    def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
-        self._preintegrator = ImuPreintegrator(imu, initial.state)
-        self._dead_reckoning = DeadReckoning(imu)
-        self._dead_reckoning.start(initial)
-        self.add_imu = self._preintegrator.add_imu
-        self.add_frame_stamp = self._preintegrator.add_frame_stamp
-
-    def increments(self, *, flush: bool = False) -> list[tuple[ImuIncrement, NavEstimate]]:
-        """Return the newly completed ones, in order; see `ImuPreintegrator.increments`."""
-        return [
-            (increment, estimate)
-            for increment in self._preintegrator.increments(flush=flush)
-            for estimate in self._dead_reckoning.add(increment)
-        ]
 
 
 def advance(estimate: NavEstimate, increment: ImuIncrement, imu: ImuConfig) -> NavEstimate:

@@ -6,7 +6,7 @@
 3. those that agree with one another,
 4. those found in the whole map without a gate, and confirmed by PnP.
 
-The frame's features are read once, in step 1, and once more where step 4 is needed; in between `Matches` say it all.
+Steps 2 and 3 work on the matches of step 1 and need the frame's features no more.
 """
 
 from collections.abc import Iterator
@@ -47,14 +47,14 @@ class MapMatcher:
 
         Args:
             belief: predicted to the frame.
-            landmark_map: looks and history of its landmarks.
+            landmark_map: descriptors and history of its landmarks.
             features: of the frame.
             frame: its number.
         """
         if len(landmark_map) == 0 or len(features) == 0:
             return
-        gated, vague = self._gated(belief, landmark_map, features, frame)
-        if not vague and len(gated) >= self._config.min_pnp_inliers:
+        gated, uncertain = self._gated(belief, landmark_map, features, frame)
+        if not uncertain and len(gated) >= self._config.min_pnp_inliers:
             yield self._capped(belief, landmark_map, gated)
         attempts = (
             lambda: verified(belief, gated, self._config, min_inliers=self._config.min_pnp_inliers),
@@ -69,7 +69,7 @@ class MapMatcher:
     def _gated(
         self, belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
     ) -> tuple[Matches, bool]:
-        """Return the gated matches, and whether the prediction was too vague for the gate to be trusted alone.
+        """Return the gated matches, and whether the prediction was too uncertain for the gate to be trusted alone.
 
         Landmarks that come back with a wide gate choose first, and together: what looks like one of them has often
         become another landmark before they were believed.
@@ -79,7 +79,7 @@ class MapMatcher:
             return Matches.none(), True
         predicted = belief.predict_observations(rows)
         sigma_px = np.sqrt(np.trace(predicted.S, axis1=1, axis2=2) / 4.0)
-        vague = bool(np.median(sigma_px) > self._config.pnp_beyond_px)
+        uncertain = bool(np.median(sigma_px) > self._config.pnp_beyond_px)
         back = landmark_map.long_unseen(frame)[rows] & (sigma_px > self._config.pnp_beyond_px)
         revisited = recognise(belief, landmark_map, features, rows[back], config=self._config)
         free = np.setdiff1d(np.arange(len(features)), revisited[:, 1])
@@ -92,7 +92,7 @@ class MapMatcher:
             self._associate, in_view, landmark_map.tracks[others], features.chosen(free), self._config
         )
         pairs = np.vstack([revisited, np.column_stack([others[matches[:, 0]], free[matches[:, 1]]])])
-        return Matches.of(pairs, features), vague
+        return Matches.of(pairs, features), uncertain
 
     def _agreeing(self, belief: Filter, matches: Matches) -> Matches | None:
         """Keep the largest set of matches that agree with one another; None where it is too small."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import bridged
-from uav_vslam.ins.preintegrator import advance
+from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
@@ -51,6 +51,7 @@ class SlamStage:
         self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
         self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
+        self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
         self._motion_lost = 0
         self.rig: StereoRig | None = None
@@ -83,7 +84,8 @@ class SlamStage:
     def start(self, initial: NavEstimate) -> None:
         """Set the start state; a later one counts only before the first frame, and not in flight."""
         if self.initial is None or (self._backend is None and not self._in_flight):
-            self.initial = self._dead_reckoned = initial
+            self.initial = initial
+            self._dead_reckoning.start(initial)
             if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
@@ -124,27 +126,22 @@ class SlamStage:
             )
         if increment is not None:
             # before the filter, which may fail: the baseline must not miss a step
-            since_dead_reckoned = self._joined(increment, self._dead_reckoned.state.stamp_ns)
-            self._dead_reckoned = advance(self._dead_reckoned, since_dead_reckoned, self._config.imu)
+            self._dead_reckoning.add(increment)
             self._motion_lost += increment.start_ns != self._backend.stamp_ns
-            increment = self._joined(increment, self._backend.stamp_ns)
+            increment = bridged(increment, self._backend.stamp_ns, self._config.imu)
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
         joint = self._backend.joint_information() if at_epoch else None
-        return FrameOutput(report, self._dead_reckoned, joint, self._warnings(report))
+        dead_reckoned = self._dead_reckoning.estimate
+        assert dead_reckoned is not None  # started with the back end
+        return FrameOutput(report, dead_reckoned, joint, self._warnings(report, dead_reckoned))
 
-    def _joined(self, increment: ImuIncrement, reached_ns: int) -> ImuIncrement:
-        """Return the motion since the stamp reached; after a lost increment that part is unknown."""
-        if increment.start_ns == reached_ns:
-            return increment
-        return bridged(increment, reached_ns, self._config.imu)
-
-    def _warnings(self, report: FrameReport) -> tuple[str, ...]:
+    def _warnings(self, report: FrameReport, dead_reckoned: NavEstimate) -> tuple[str, ...]:
         if report.recovery:
             self._start_monitor.stop(report.pose.stamp_ns)
             return (f"the filter was re-initialised: {report.recovery}",)
-        found = [self._start_monitor.add(report, self._dead_reckoned)]
+        found = [self._start_monitor.add(report, dead_reckoned)]
         if self._start_monitor.trusts(report.pose.stamp_ns):  # a wrong start would contradict a correct rig
             found.append(self._rig_monitor.add(report))
         return tuple(text for text in found if text)

@@ -25,7 +25,6 @@ COMPACT = 1  # trained on rendered and on real ground, see `provenance` in its f
 BASES = (COMPACT,)
 ZERO_LEVEL = 128
 LEVELS = 127  # on either side of zero
-CLIPPED_SHARE = 1e-3  # of the first component's values in training; sets the quantisation step
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,28 +100,3 @@ def root_sift(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return (N, D) vectors of length 1: square roots of each entry's share; zeros stay zero."""
     values = descriptors.astype(np.float32)
     return np.asarray(np.sqrt(values / np.maximum(values.sum(axis=1, keepdims=True), 1.0)), np.float32)
-
-
-def train_basis(descriptors: NDArray[np.uint8], *, components: int, provenance: str) -> DescriptorBasis:
-    """Return the principal components of (N, 128) descriptors."""
-    vectors = root_sift(descriptors).astype(float)
-    mean = vectors.mean(axis=0)
-    _, axes = np.linalg.eigh(np.cov(vectors.T))
-    kept = axes[:, ::-1][:, :components].T
-    kept *= np.sign(kept[np.arange(components), np.abs(kept).argmax(axis=1)])[:, None]  # fixes the arbitrary sign
-    projected = (vectors - mean) @ kept.T
-    levels = LEVELS / float(np.quantile(np.abs(projected[:, 0]), 1.0 - CLIPPED_SHARE))
-    reach = _typical_distance(projected * levels) / _typical_distance(descriptors.astype(float))
-    return DescriptorBasis(
-        mean.astype(np.float32),
-        kept.astype(np.float32),
-        levels,
-        SINGLE_CANDIDATE_DISTANCE * reach,
-        provenance,
-    )
-
-
-def _typical_distance(vectors: NDArray[np.float64]) -> float:
-    """Return the median distance between random pairs."""
-    order = np.random.default_rng(0).permutation(len(vectors))
-    return float(np.median(np.linalg.norm(np.diff(vectors[order], axis=0), axis=1)))

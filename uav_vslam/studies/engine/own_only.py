@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig, VehicleConfig, load_vehicle
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.ins.preintegrator import InsPropagator
+from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.simulation.landmarks import PER_FRAME, LandmarkField, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.slam.backend import FrameReport, SlamBackend
@@ -164,15 +164,17 @@ def reckon(
     initial: NavEstimate, imu: ImuConfig, samples: Iterable[ImuSample], stamps_ns: Sequence[int]
 ) -> tuple[list[ImuIncrement | None], Trajectory]:
     """Return the motion that leads to each frame, None for the first, where the start is; and the INS's poses there."""
-    ins = InsPropagator(initial, imu)
+    preintegrator, ins = ImuPreintegrator(imu, initial.state), DeadReckoning(imu)
+    increments: list[ImuIncrement | None] = [None]
+    poses = [estimate.pose for estimate in ins.start(initial)]
     for stamp_ns in stamps_ns[1:]:
-        ins.add_frame_stamp(stamp_ns)
-    moved = []
+        preintegrator.add_frame_stamp(stamp_ns)
     for sample in samples:
-        ins.add_imu(sample)
-        moved += ins.increments()  # at once: readings are not kept for a whole flight
-    poses = [initial.pose, *(estimate.pose for _, estimate in moved)]
-    return [None, *(increment for increment, _ in moved)], Trajectory.from_estimates(poses)
+        preintegrator.add_imu(sample)
+        for increment in preintegrator.increments():  # at once: readings are not kept for a whole flight
+            increments.append(increment)
+            poses += [estimate.pose for estimate in ins.add(increment)]
+    return increments, Trajectory.from_estimates(poses)
 
 
 def dead_reckoning() -> Candidate:
