@@ -2,7 +2,7 @@
 # Each target works from a fresh clone: it sets up what is missing first.
 SHELL := /bin/bash
 ACTIVATE := . ./env.sh &&
-PYTEST := pytest --numprocesses auto --maxprocesses 8 --dist loadfile # a file's tests share fixtures
+PYTEST := pytest --numprocesses auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder # a file's tests share fixtures
 
 .PHONY: help setup demo test test-quick check bench clean
 

@@ -20,6 +20,7 @@ from uav_vslam.types import JointInformation
 
 # The same examples every time, no file beside the code, and no deadline: a busy host is no failure.
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
+settings.register_profile("thorough", max_examples=1000, database=None, deadline=None)  # --hypothesis-profile=thorough
 settings.load_profile("repeatable")
 
 ROOT = Path(__file__).parents[1]
@@ -29,8 +30,11 @@ def _data_root() -> Path:
     return Path(os.environ.get("UAV_VSLAM_DATA", ROOT / "../shared/data")).resolve()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs recordings where there are none: they are too large to be part of the repository."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let workers begin with the longest files, and skip what needs recordings that are not there."""
+    if hasattr(config, "workerinput"):  # one of several workers: none is to be left alone with a long file at the end
+        long = {item.path for item in items if item.get_closest_marker("slow")}
+        items.sort(key=lambda item: item.path not in long)
     if _data_root().is_dir():
         return
     skip = pytest.mark.skip(reason="UAV_VSLAM_DATA names no folder with the shared recordings")
