@@ -33,24 +33,22 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": ESTIMATOR,
     "fleet": ESTIMATOR | {"pipeline"},
     # the side branches
-    "simulation": EARLY,
+    "simulation": EARLY | {"datasets"},  # a simulated flight is recorded as a bag
     "evaluation": EARLY | {"estimation"},
     "datasets": EARLY | {"evaluation"},  # recorded truth and outputs become trajectories
     "report": {"types", "evaluation"},
     # what puts them together without ROS
     "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation", "processes"},
-    "studies": ESTIMATOR | {"pipeline", "fleet", "evaluation", "simulation", "offline", "processes", "report"},
+    "studies": ESTIMATOR
+    | {"pipeline", "fleet", "evaluation", "datasets", "simulation", "offline", "processes", "report"},
     # the top
     "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes"},
-    "cli": ESTIMATOR | {"pipeline", "fleet", "datasets", "evaluation", "simulation", "report"} | {"offline", "studies"},
+    "cli": ESTIMATOR | {"pipeline", "fleet", "datasets", "evaluation", "simulation", "report", "offline"},
 }
-ROS_STARTERS = {
-    "launch",
-    "demo",
-    "topic",
-    "radio",
-    "live",
-}  # the verbs that start or look at ROS processes may import `ros`
+# What starts or watches ROS processes may import `ros`.
+ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "studies/engine/node_graph.py"}
+# What the command line takes from the laboratory; nothing else of the product knows it.
+LABORATORY_DOORS = {"cli/study.py", "cli/bench.py"}
 
 MESSAGES = "messages of ROS"
 AT_HOME = {
@@ -63,7 +61,9 @@ AT_HOME = {
     MESSAGES: {"ros"},
 }
 # cv2.setNumThreads(1) belongs where a process begins, not in a library; the bench compares with plain OpenCV.
-AT_HOME_FILES = {"cv2": {"offline.py", "cli/simulate.py", "cli/bench.py", "ros/runtime.py"}}
+AT_HOME_FILES = {
+    "cv2": {"offline.py", "cli/simulate.py", "cli/bench.py", "studies/bench/compute.py", "ros/runtime.py"},
+}
 
 
 def modules() -> list[Path]:
@@ -92,9 +92,11 @@ def wrong_layers(path: Path) -> list[str]:
     part, found = part_of(path), []
     if part == "__init__":
         return [f"{path}:{line}: the package itself imports {name}" for name, line in imports_of(path)]
-    allowed = ALLOWED[part] | {part, "errors", "__version__"}
-    if part == "cli" and path.stem in ROS_STARTERS:
+    allowed, inside = ALLOWED[part] | {part, "errors", "__version__"}, path.relative_to(PACKAGE).as_posix()
+    if inside in ROS_STARTERS:
         allowed = allowed | {"ros"}
+    if inside in LABORATORY_DOORS:
+        allowed = allowed | {"studies"}
     for name, line in imports_of(path):
         top, _, rest = name.partition(".")
         if top == "uav_vslam" and rest.partition(".")[0] not in allowed:
@@ -116,6 +118,25 @@ def strays(path: Path) -> list[str]:
     return found
 
 
+BORROWED = {"thesis": ("studies.fusion", "studies.filters")}  # it flies the fusion study's tables
+
+
+def neighbours(path: Path) -> list[str]:
+    """Return a study's imports of another study; the registry alone knows them all."""
+    parts = path.relative_to(PACKAGE).parts
+    if parts[0] != "studies" or len(parts) < 3:
+        return []
+    shared = {"studies", f"studies.{parts[1]}", "studies.engine", *BORROWED.get(parts[1], ())}
+    return [
+        f"{path.relative_to(ROOT)}:{line}: {name} is of another study"
+        for name, line in imports_of(path)
+        if name.startswith("uav_vslam.studies") and ".".join(name.split(".")[1:3]) not in shared
+    ]
+
+
+CHECKS = {"layers": wrong_layers, "libraries": strays, "studies": neighbours}
+
+
 def test_every_part_of_the_package_has_its_place_in_the_order() -> None:
     parts = {part_of(path) for path in modules()} - {"__init__"}
     assert parts <= set(ALLOWED)
@@ -127,6 +148,10 @@ def test_later_layers_import_earlier_ones_and_never_the_reverse() -> None:
 
 def test_outside_libraries_stay_at_home() -> None:
     assert [line for path in modules() for line in strays(path)] == []
+
+
+def test_a_study_imports_what_studies_share_and_no_other_study() -> None:
+    assert [line for path in modules() for line in neighbours(path)] == []
 
 
 def test_the_order_has_no_cycle() -> None:
@@ -147,6 +172,9 @@ def test_the_order_has_no_cycle() -> None:
         ("slam/backend.py", "from uav_vslam import cooperation", "layers"),
         ("cli/run.py", "from uav_vslam.ros import convert", "layers"),
         ("ros/convert.py", "from uav_vslam.cli import main", "layers"),
+        ("cli/run.py", "from uav_vslam.studies.engine.pool import mean", "layers"),
+        ("report/style.py", "import uav_vslam.studies.registry", "layers"),
+        ("studies/rig/compute.py", "from uav_vslam.studies.long.compute import SPAN", "studies"),
         ("slam/packet.py", "import cv2", "libraries"),
         ("pipeline.py", "from sensor_msgs.msg import Image", "libraries"),
         ("cooperation/inbox.py", "import rclpy.node", "libraries"),
@@ -157,9 +185,9 @@ def test_the_checks_notice_a_wrong_import(tmp_path: Path, monkeypatch, place: st
     monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
     monkeypatch.setattr(sys.modules[__name__], "PACKAGE", tmp_path)
     path = tmp_path / place
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
-    assert len((wrong_layers if wrong == "layers" else strays)(path)) == 1
+    assert len(CHECKS[wrong](path)) == 1
 
 
 CORE = (

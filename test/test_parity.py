@@ -13,7 +13,6 @@ import pytest
 
 from uav_vslam.cli import import_euroc
 from uav_vslam.cli.main import main
-from uav_vslam.cli.simulate import record
 from uav_vslam.config import load_fleet
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.flight_writer import ImageCoding
@@ -24,6 +23,7 @@ from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.fleet import CooperativeTrack
 from uav_vslam.offline import flight_result, fly
 from uav_vslam.pipeline import VehicleTrack
+from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.types import PoseEstimate
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from uav_vslam.cli.main import main
-from uav_vslam.cli.simulate import record
 from uav_vslam.datasets.outputs import read_outputs
 from uav_vslam.datasets.rosbag import RawRecorder, decode, encode, iter_raw, topics_of
 from uav_vslam.evaluation.output import LATEST
+from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 
 FRAMES = 8

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from uav_vslam.cli import main as command
-from uav_vslam.cli.study import STUDIES
-from uav_vslam.cli.study.common import seeds_of
+from uav_vslam.cli.study import seeds_of
 from uav_vslam.evaluation.output import LATEST
+from uav_vslam.studies.registry import STUDIES
 
 SMALL = {
     "frames": ["--seeds", "1", "--frames", "12"],
@@ -77,7 +77,7 @@ def test_every_study_explains_itself_with_examples(study: str, capsys: pytest.Ca
     assert "--seeds" in text
 
 
-@pytest.mark.parametrize("study", [study for study in STUDIES if study != "live"])
+@pytest.mark.parametrize("study", STUDIES)
 def test_every_study_draws_the_seeds_that_it_is_given(study: str) -> None:
     arguments = ["study", study, *["folder"] * (study == "euroc"), "--seeds", "3", "--first-seed", "1001"]
     assert seeds_of(command.build_parser(arguments).parse_args(arguments)) == [1001, 1002, 1003]

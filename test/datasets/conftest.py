@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uav_vslam.cli.simulate import record
+from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario
 
 TINY = dataclasses.replace(SCENARIOS["kagaru"], frames=6, scale=0.125, seed=3)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uav_vslam.cli.simulate import record
 from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.datasets.flight_writer import ImageCoding
@@ -19,6 +18,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.offline import track_vehicle
 from uav_vslam.simulation.camera_render import RenderedFlight
+from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.types import ImuSample, StereoFrame
 

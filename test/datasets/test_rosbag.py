@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from uav_vslam.cli.simulate import record
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw, message, topics_of, typestore
 from uav_vslam.errors import BagError
+from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario
 
 OWN_MESSAGES = sorted((Path(__file__).resolve().parents[2] / "uav_vslam_msgs" / "msg").glob("*.msg"))

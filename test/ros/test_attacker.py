@@ -27,7 +27,6 @@ from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 
-from uav_vslam.cli.simulate import record  # noqa: E402
 from uav_vslam.config import FleetConfig, ReplayConfig, load_vehicle  # noqa: E402
 from uav_vslam.cooperation.authentication import FleetKey  # noqa: E402
 from uav_vslam.cooperation.inbox import Inbox  # noqa: E402
@@ -38,6 +37,7 @@ from uav_vslam.ros.fleet_commands import NodeSpec, feedback_to, node_specs, pack
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg  # noqa: E402
 from uav_vslam.ros.qos import RADIO, STATE  # noqa: E402
 from uav_vslam.ros.supervisor import node_command  # noqa: E402
+from uav_vslam.simulation.recording import record  # noqa: E402
 from uav_vslam.simulation.scenario import SCENARIOS, START_NS  # noqa: E402
 from uav_vslam.slam.packet import PacketPolicy, checksum, make_packet  # noqa: E402
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket  # noqa: E402

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +11,7 @@ from uav_vslam.cli.arguments import non_negative
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from uav_vslam.datasets.flight_writer import FlightRecording, ImageCoding
-    from uav_vslam.datasets.messages import TruthSample
-    from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle
-    from uav_vslam.simulation.terrain import Ground
+    from uav_vslam.simulation.scenario import Scenario
 
 HELP = "fly a fleet over rendered farmland and record it as a bag"
 EXAMPLES = """examples:
@@ -24,7 +20,6 @@ EXAMPLES = """examples:
   uav-vslam simulate flight --scale 0.5 --frames 60 --seed 7
   uav-vslam simulate flight --imu consumer --texture fields.jpg --texture-pixel 0.05
 """
-TRUTH_RATE_HZ = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
     import cv2
 
     from uav_vslam.datasets.flight_writer import ImageCoding
+    from uav_vslam.simulation.recording import record
 
     cv2.setNumThreads(1)
     scenario = scenario_from(args)
@@ -108,61 +104,3 @@ def scenario_from(args: argparse.Namespace) -> Scenario:
     }
     changed = {key: value for key, value in given.items() if value is not None}
     return dataclasses.replace(SCENARIOS[args.scenario], **changed)
-
-
-def record(
-    scenario: Scenario,
-    out: Path,
-    *,
-    coding: ImageCoding | None = None,
-    storage: str = "mcap",
-    zstd: bool = False,
-    on_frame: Callable[[], None] | None = None,
-) -> None:
-    """Simulate a whole fleet into one bag.
-
-    Raises:
-        BagError: `out` exists.
-        ConfigError: the scenario's texture can't be read.
-    """
-    from uav_vslam.datasets.flight_writer import write_flights
-    from uav_vslam.simulation.scenario import simulate_fleet
-    from uav_vslam.simulation.terrain import ground_of
-
-    ground = ground_of(scenario)
-    flights = [recording_of(vehicle, ground) for vehicle in simulate_fleet(scenario)]
-    write_flights(out, flights, coding=coding, storage=storage, zstd=zstd, on_frame=on_frame)
-
-
-def recording_of(vehicle: SimulatedVehicle, ground: Ground) -> FlightRecording:
-    """Return what is recorded of one simulated vehicle; images are drawn as they are written."""
-    from uav_vslam.datasets.flight_writer import FlightRecording
-    from uav_vslam.simulation.camera_render import RenderedFlight
-
-    return FlightRecording(
-        vehicle=vehicle.name,
-        rig=vehicle.rig,
-        imu=vehicle.imu.samples(),
-        truth=_truth(vehicle),
-        frames=RenderedFlight(vehicle, ground),
-        initial=vehicle.initial,
-    )
-
-
-def _truth(vehicle: SimulatedVehicle) -> Iterator[TruthSample]:
-    """Yield the true motion at a fixed rate and at each frame."""
-    import numpy as np
-
-    from uav_vslam.datasets.messages import TruthSample
-    from uav_vslam.geometry.pose import Pose
-    from uav_vslam.types import NS_PER_S
-
-    frames = vehicle.frame_stamps_ns
-    regular = np.arange(frames[0], frames[-1] + 1, NS_PER_S // TRUTH_RATE_HZ)
-    stamps = np.union1d(regular, frames)
-    truth, t = vehicle.truth, vehicle.truth.time_s(stamps)
-    columns = zip(
-        stamps, truth.rotation(t), truth.position(t), truth.velocity(t), truth.angular_rate_body(t), strict=True
-    )
-    for stamp, R, p, v, rate in columns:
-        yield TruthSample(int(stamp), Pose(R, p), v, rate)

@@ -14,8 +14,8 @@ from uav_vslam.studies.association.image_matching import image_rows, judge_image
 from uav_vslam.studies.engine.association_stages import Score
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.own_only import INS
+from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.studies.engine.searched_flights import SearchedFlight, recorded_flight, rendered_flight, shown_at
-from uav_vslam.studies.euroc.starts import RecordedFlight
 from uav_vslam.vision.matching import MATCHERS
 
 FRAMES = 7

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.cli.main import main
-from uav_vslam.cli.simulate import record
+from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario
 
 FRAMES = 8

@@ -13,9 +13,10 @@ from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies.engine.flights import true_trajectory
+from uav_vslam.studies.engine.recorded_flights import searched
 from uav_vslam.studies.euroc import compute as euroc
 from uav_vslam.studies.euroc.compute import error_series, run_start, run_starts, table_rows
-from uav_vslam.studies.euroc.starts import Start, searched
+from uav_vslam.studies.euroc.starts import Start
 from uav_vslam.types import StereoFeatures
 
 FRAMES = 12

@@ -13,7 +13,8 @@ from uav_vslam.geometry.rotation import so3_exp, so3_log
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies.engine.flights import true_trajectory
-from uav_vslam.studies.euroc.starts import drawn_start, searched, starts_of, true_start
+from uav_vslam.studies.engine.recorded_flights import searched
+from uav_vslam.studies.euroc.starts import drawn_start, starts_of, true_start
 from uav_vslam.types import NavEstimate, NavState, StereoFeatures, StereoFrame
 from uav_vslam.vision.stereo_points import StereoFrontend
 

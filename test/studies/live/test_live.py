@@ -15,17 +15,17 @@ def test_shares_are_over_the_time_of_the_flight_alone() -> None:
     samples = [Sample(float(t), {"replay": 3.0 + 0.1 * t, "uav1/fusion": 2.0 + 0.5 * t}) for t in range(11)]
     samples[0] = Sample(0.0, {"replay": 0.0, "uav1/fusion": 0.0})  # they had to start first
     samples.append(Sample(11.0, {"uav1/fusion": 90.0}))  # the flight is over
-    rows = processor_rows(samples, "replay", 5.0)
-    shares = {row["process"]: row["share_of_a_core"] for row in rows}
+    rows = processor_rows(samples, "replay", 5.0, "x")
+    shares = {row["method"]: row["core_share"] for row in rows}
     assert shares == {"replay": pytest.approx(0.1), "uav1/fusion": pytest.approx(0.5), "all": pytest.approx(0.6)}
 
 
 def test_without_a_flight_there_are_no_shares() -> None:
-    assert processor_rows([Sample(0.0, {})], "replay", 5.0) == []
+    assert processor_rows([Sample(0.0, {})], "replay", 5.0, "x") == []
 
 
 def test_frames_are_a_share_of_those_that_were_played() -> None:
-    (row,) = frame_rows({"uav1": 99}, 100, 1.0)
+    (row,) = frame_rows({"uav1": 99}, 100, "x")
     assert row["processed_share"] == pytest.approx(0.99)
 
 

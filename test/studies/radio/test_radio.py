@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from uav_vslam.cli import main as command
-from uav_vslam.cli.study import radio as study
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.output import LATEST
 from uav_vslam.evaluation.study import TABLE
@@ -103,14 +102,14 @@ def test_what_was_dropped_is_told_by_reason() -> None:
 def test_a_graph_that_fails_is_told_and_stops_no_other(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def run_graph(fleet: Path, mode: str, seed: int) -> list[Run]:
-        assert fleet.is_file()
+    def read_runs(estimates: Path, flight: Path, mode: str, seed: int) -> list[Run]:
         if (seed, mode) == (1, NARROWBAND):
             raise UavVslamError("the node graph failed")
         return [make_run(mode, 3.0, 1.0, seed=seed)]
 
-    monkeypatch.setattr(study, "run_graph", run_graph)
-    monkeypatch.setattr("uav_vslam.cli.simulate.record", lambda *_, **__: None)
+    monkeypatch.setattr("uav_vslam.studies.radio.flights.read_runs", read_runs)
+    monkeypatch.setattr("uav_vslam.studies.radio.flights.fly_graph", lambda fleet, _: fleet)
+    monkeypatch.setattr("uav_vslam.studies.engine.node_graph.record", lambda *_, **__: None)
     assert command.main(["study", "radio", "--seeds", "2", "--results", str(tmp_path)]) == 0
     assert "seed 1, narrowband: the node graph failed" in capsys.readouterr().err
     rows = json.loads((tmp_path / LATEST / "study.json").read_text())["rows"]

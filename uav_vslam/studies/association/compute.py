@@ -8,12 +8,13 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.association import ASSOCIATORS, Associator, InView
-from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.config import BackendConfig, VehicleConfig, find_config, load_vehicle
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.scenario import Scenario
@@ -23,8 +24,10 @@ from uav_vslam.studies.association.image_matching import Judged, judge_images, k
 from uav_vslam.studies.engine.association_stages import Score
 from uav_vslam.studies.engine.own_only import INS, Run, Track, feed
 from uav_vslam.studies.engine.pool import median
+from uav_vslam.studies.engine.recorded_flights import searched_recording
 from uav_vslam.studies.engine.scores import pooled
-from uav_vslam.studies.engine.searched_flights import SearchedFlight, rendered_flight, shown_at
+from uav_vslam.studies.engine.searched_flights import SearchedFlight, recorded_flight, rendered_flight, shown_at
+from uav_vslam.studies.engine.study import Progress
 from uav_vslam.types import StereoFeatures
 
 Array = NDArray[np.float64]
@@ -64,6 +67,15 @@ def study_rendered(job: Job) -> tuple[list["Association"], list[Judged]]:
     scenario = dataclasses.replace(CONDITIONS[job.condition], seed=job.seed, frames=job.frames)
     flight = rendered_flight(job.condition, scenario, VehicleConfig(), keep=kept_frames(scenario.frames))
     return associate_all(flight, job.names), judge_images(flight, ratio=flight.config.frontend.ratio)
+
+
+def study_recording(
+    recording: Path, config_name: str, methods: Sequence[str], progress: Progress
+) -> list["Association"]:
+    """Associate on a recording with truth."""
+    config = load_vehicle(find_config(config_name))
+    found = searched_recording(recording, None, config, progress)
+    return associate_all(recorded_flight(recording.parent.name or "recording", found, config), methods)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench study."""
+"""The speed of each stage beside a yardstick: what `uav-vslam bench` measures."""

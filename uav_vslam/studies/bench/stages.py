@@ -3,13 +3,12 @@
 
 Machines differ and are noisy, so a time alone says little: work and yardstick take turns, and what counts is the median
 of the ratios of neighbours. Times are of the processor, so that what else runs there does not count. The back end's
-yardstick is in `back_end_speed`; most others are numpy's Cholesky factor of a matrix as large as the stage's own state.
+yardstick is in `back_end`; most others are numpy's Cholesky factor of a matrix as large as the stage's own state.
 """
 
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -43,24 +42,6 @@ Row = dict[str, Any]
 
 POSE = 6  # of a joint information
 OWN_LANDMARKS = 100
-
-
-@dataclass(frozen=True, slots=True)
-class Effort:
-    """How thoroughly to measure.
-
-    Attributes:
-        pairs: image pairs.
-        frames: frames of the back end, after its warm-up.
-        repeats: of everything that takes a few milliseconds or less.
-    """
-
-    pairs: int = 31
-    frames: int = 95
-    repeats: int = 100
-
-
-QUICK = Effort(pairs=2, frames=3, repeats=3)
 
 
 def take_turns(works: Iterable[Work], yardstick: Work) -> tuple[float, float]:

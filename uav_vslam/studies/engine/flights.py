@@ -4,13 +4,13 @@
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from uav_vslam.config import FrontendConfig, RigConfig, VehicleConfig
+from uav_vslam.config import FrontendConfig, RigConfig, VehicleConfig, find_config, load_vehicle
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -91,11 +91,8 @@ def run_study(
         workers: processes.
         on_seed: called when a seed is done.
     """
-    outcomes: list[Outcome] = []
-    for result in in_pool(functools.partial(run_seed, methods), seeds, workers):
-        outcomes += result
-        on_seed()
-    outcomes.sort(key=lambda outcome: outcome.seed)
+    flown = in_pool(functools.partial(run_seed, methods), seeds, workers, on_seed)
+    outcomes = sorted((outcome for found in flown for outcome in found), key=lambda outcome: outcome.seed)
     rows = []
     for number, method in enumerate(methods):
         first = method.condition not in {earlier.condition for earlier in methods[:number]}
@@ -204,6 +201,15 @@ def _rows(method: Method, outcomes: list[Outcome], tracks: Sequence[str]) -> lis
 def _values(outcomes: list[Outcome], track: str, key: str) -> list[float]:
     found = [v.get(key) for o in outcomes for v in (o.figures or {}).get(track, {}).values()]
     return [float(value) for value in found if value is not None]
+
+
+def kagaru_configs(variants: Mapping[str, dict[str, object]]) -> dict[str, VehicleConfig]:
+    """Return the configuration of rendered flights with each of the overrides, by their names.
+
+    Raises:
+        ConfigError: a key or value is wrong.
+    """
+    return {name: load_vehicle(find_config("kagaru"), overrides=keys) for name, keys in variants.items()}
 
 
 def with_backend(config: VehicleConfig, **changes: Any) -> VehicleConfig:

@@ -120,9 +120,8 @@ def run_trials(
     """Fly every seed of every trial, a job each, and return the runs in the order of trials, seeds, candidates."""
     jobs = [(trial, seed) for trial in trials for seed in seeds]
     done: dict[tuple[str, int], list[Run]] = {}
-    for runs in in_pool(run_trial, jobs, workers):
+    for runs in in_pool(run_trial, jobs, workers, on_job):
         done[runs[0].condition, runs[0].seed] = runs
-        on_job()
     return [run for trial, seed in jobs for run in done[trial.condition, seed]]
 
 

@@ -18,17 +18,23 @@ Result = TypeVar("Result")
 CONFIDENCE = 0.95  # of the intervals
 
 
-def in_pool(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
+def in_pool(
+    work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, on_done: Callable[[], None] = lambda: None
+) -> Iterator[Result]:
     """Yield the result of each job as it comes; one worker is this very process, in order.
 
     Args:
         work: a function of a module, so that it travels to other processes.
         jobs: its arguments.
         workers: processes.
+        on_done: called when a job is done.
     """
-    if workers == 1:
-        yield from map(work, jobs)
-        return
+    for result in map(work, jobs) if workers == 1 else _in_processes(work, jobs, workers):
+        on_done()
+        yield result
+
+
+def _in_processes(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
     with worker_pool(workers) as pool:
         for future in as_completed([pool.submit(work, job) for job in jobs]):
             yield future.result()

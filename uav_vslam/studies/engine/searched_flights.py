@@ -23,7 +23,7 @@ from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.terrain import Relief, relief_of
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.own_only import Step, reckon
-from uav_vslam.studies.euroc.starts import RecordedFlight
+from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures
 from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
 

@@ -20,10 +20,10 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.offline import track_vehicle
 from uav_vslam.studies.engine.pool import in_pool, mean
-from uav_vslam.studies.euroc.starts import RecordedFlight, Start, starts_of
+from uav_vslam.studies.engine.recorded_flights import RecordedFlight
+from uav_vslam.studies.euroc.starts import Start, starts_of
 from uav_vslam.types import NS_PER_S
 
-FILTERS = ("eif", "ekf", "ukf", "uhf")
 NOTES = {
     "Starts": "recorded: the start state in the recording. drawn N: with an error drawn from its covariance by seed N. "
     "frame K: the true pose and velocity at that frame, undisturbed, with the biases of the recorded start and the "
@@ -64,7 +64,7 @@ def run_starts(
     flight: RecordedFlight,
     config: VehicleConfig,
     *,
-    filters: Sequence[str] = FILTERS,
+    filters: Sequence[str],
     seeds: Sequence[int],
     workers: int = 1,
     on_run: Callable[[], None] = lambda: None,
@@ -72,10 +72,7 @@ def run_starts(
     """Fly every filter from every start, a job each, and return the runs in this order."""
     starts = starts_of(flight, config.imu, seeds)
     jobs = [(flight, config, name, start) for name in filters for start in starts]
-    runs = {}
-    for run in in_pool(run_start, jobs, workers):
-        runs[run.method, run.start] = run
-        on_run()
+    runs = {(run.method, run.start): run for run in in_pool(run_start, jobs, workers, on_run)}
     return [runs[name, start.name] for name in filters for start in starts]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded flight whose images have been searched once, and the states that a run over it may start from.
+"""The states that a run over a recorded flight may start from.
 
 recorded    the start state that the recording holds
 drawn N     the same with an error drawn from its own covariance by seed N
@@ -7,57 +7,25 @@ frame K     the true pose and velocity at a later frame. A recording holds no tr
             of the recorded start, with the variance of their random walk since then added
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import FrontendConfig, ImuConfig
+from uav_vslam.config import ImuConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.pairing import MAX_GAP_S
-from uav_vslam.evaluation.trajectory import Trajectory, interpolate
+from uav_vslam.evaluation.trajectory import interpolate
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, POSITION, ROTATION, VELOCITY
-from uav_vslam.offline import FlightSource
-from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState, StereoFeatures, StereoFrame
-from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam.studies.engine.recorded_flights import RecordedFlight
+from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
 Array = NDArray[np.float64]
 
 LATER_SHARES = (0.25, 0.5, 0.75)  # of the frames, where the later starts are
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedFlight:
-    """A recording that the front end has been through; a `FlightSource`.
-
-    Attributes:
-        vehicle: name.
-        rig: calibration.
-        initial_state: recorded start.
-        events: readings and features in stamp order.
-        truth: true poses.
-        velocities: (N, 3) true velocity at each of them [m/s].
-    """
-
-    vehicle: str
-    rig: StereoRig
-    initial_state: NavEstimate
-    events: tuple[ImuSample | StereoFeatures, ...]
-    truth: Trajectory
-    velocities: Array
-
-    def iter_events(self) -> tuple[ImuSample | StereoFeatures, ...]:
-        """Return sensor data in stamp order."""
-        return self.events
-
-    @property
-    def frame_stamps_ns(self) -> NDArray[np.int64]:
-        """(F,) stamps of the frames [ns]."""
-        return np.array([event.stamp_ns for event in self.events if isinstance(event, StereoFeatures)], np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,43 +34,6 @@ class Start:
 
     name: str
     estimate: NavEstimate
-
-
-def searched(
-    source: FlightSource,
-    config: FrontendConfig,
-    *,
-    truth: Trajectory,
-    velocities: Array,
-    on_frame: Callable[[], None] = lambda: None,
-) -> RecordedFlight:
-    """Search a recording's images for features.
-
-    Args:
-        source: the recording.
-        config: of the front end.
-        truth: true poses.
-        velocities: (N, 3) true velocity at each of them [m/s].
-        on_frame: called when an image pair is done.
-
-    Raises:
-        UavVslamError: the recording has no start state.
-    """
-    if source.initial_state is None:
-        raise UavVslamError(
-            f"{source.vehicle}: the recording has no initial_state, whose covariance starts are drawn from"
-        )
-    frontend = StereoFrontend(source.rig, config)
-
-    def events() -> Iterator[ImuSample | StereoFeatures]:
-        for event in source.iter_events():
-            if not isinstance(event, StereoFrame):
-                yield event
-                continue
-            yield frontend.process(event)
-            on_frame()
-
-    return RecordedFlight(source.vehicle, source.rig, source.initial_state, tuple(events()), truth, velocities)
 
 
 def starts_of(flight: RecordedFlight, imu: ImuConfig, seeds: Sequence[int]) -> list[Start]:

@@ -1,2 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The faults study."""
+"""Cameras that fail."""
+
+from __future__ import annotations
+
+import argparse
+
+from uav_vslam.studies.engine.study import Findings, Progress, Study
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the size of the images."""
+    parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
+
+
+def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
+    """Fly each front end through every fault."""
+    from uav_vslam.simulation.scenario import Scenario
+    from uav_vslam.studies.engine.flights import kagaru_configs
+    from uav_vslam.studies.faults.compute import NOTES, VARIANTS, jobs, run_study
+    from uav_vslam.studies.faults.plot import draw_faults
+
+    scenario = Scenario(frames=args.frames, scale=args.scale, vehicles=1)
+    work = jobs(scenario, kagaru_configs(args.variant or VARIANTS), seeds)
+    return Findings(run_study(work, workers=args.workers, on_flight=progress(len(work))), NOTES, draw=draw_faults)
+
+
+STUDY = Study(
+    help="rendered images: cameras that fail (lost, swapped, black, blurred, frozen images), and the diagnostics",
+    takes="an hour",
+    examples="""examples:
+  uav-vslam study faults                                    2 seeds, 7 faults and none, both front ends
+  uav-vslam study faults --seeds 1 --variant frontend.method=klt
+  uav-vslam study faults --seeds 1 --frames 60 --scale 0.375 --variant frontend.method=klt,frontend.search_scale=1.0
+""",
+    run=run,
+    add_arguments=add_arguments,
+    seeds=2,
+    frames=160,
+    variants="frontend.method klt and sift",
+)

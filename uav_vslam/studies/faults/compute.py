@@ -59,10 +59,7 @@ def jobs(scenario: Scenario, configs: Mapping[str, VehicleConfig], seeds: Sequen
 
 def run_study(work: Sequence[Job], *, workers: int, on_flight: Callable[[], None] = lambda: None) -> list[Row]:
     """Fly everything and return the rows of `study.json`."""
-    flown: list[Survived] = []
-    for one in in_pool(survive, work, workers):
-        flown.append(one)
-        on_flight()
+    flown = list(in_pool(survive, work, workers, on_flight))
     labels = dict.fromkeys((name, fault) for name, _, _, fault, _ in work)
     return [_row([one for one in flown if (one.method, one.fault) == label]) for label in labels]
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws the study of features: what each extractor matches where, over the spacing of images, and over the ratio."""
 
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +12,32 @@ from matplotlib.ticker import MaxNLocator
 
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save
+from uav_vslam.studies.features.compute import FeatureLab
+from uav_vslam.studies.features.match_picture import match_picture, save_match_picture
+from uav_vslam.studies.features.sets import ImageSet, cross_pairs, usual_pairs
 
 BLACK = "#000000"
 COLUMNS = 3
+MATCHES_DRAWN = ("SIFT", "SURF")
 LEAST = 0.5  # what no match is drawn as, for the logarithm
+
+
+def draw_with_matches(
+    sets: Sequence[ImageSet], lab: FeatureLab, methods: Sequence[str]
+) -> Callable[[dict[str, Any], Path], list[Path]]:
+    """Return what draws the study and the matches of each set's bands and between them, and returns the paths."""
+
+    def draw(tree: dict[str, Any], folder: Path) -> list[Path]:
+        pairs = [pair for images in sets for pair in [*usual_pairs(images), *cross_pairs(images)]]
+        for pair in pairs:
+            for method in (method for method in methods if method in MATCHES_DRAWN):
+                found, name = lab.match(method, pair), f"{method} {pair.label}".lower()
+                images = pair.first.image, pair.second.image
+                figure = match_picture(images, (found.first, found.second), found.kept, f"{method}, {pair.label}")
+                save_match_picture(folder / "matches" / f"{re.sub(r'[^a-z0-9]+', '_', name)}.png", figure)
+        return draw_features(tree, folder)
+
+    return draw
 
 
 def draw_features(tree: dict[str, Any], folder: Path) -> list[Path]:

@@ -38,10 +38,8 @@ def frame_rows(
     seeds: Sequence[int], *, frames: int, workers: int, on_seed: Callable[[], None] = lambda: None
 ) -> list[Row]:
     """Fly the study and return its tables: pooled by share of mistaken landmarks, by stage, and seed by seed."""
-    runs: list[FrameRun] = []
-    for found in in_pool(run_seed, [Scenario(seed=seed, frames=frames) for seed in seeds], workers):
-        runs += found
-        on_seed()
+    scenarios = [Scenario(seed=seed, frames=frames) for seed in seeds]
+    runs = [run for found in in_pool(run_seed, scenarios, workers, on_seed) for run in found]
     runs.sort(key=lambda run: (run.share, run.seed))
     by_share = [[run for run in runs if run.share == share] for share in SHARES]
     scores = stage_rows((run.share, run.stages) for run in runs)

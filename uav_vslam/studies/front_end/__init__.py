@@ -1,2 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front_end study."""
+"""Points that are tracked, and points that are matched frame by frame."""
+
+from __future__ import annotations
+
+import argparse
+
+from uav_vslam.studies.engine.study import Findings, Progress, Study
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the size of the images."""
+    parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
+
+
+def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
+    """Judge each front end's points under every condition, and fly them."""
+    from uav_vslam.simulation.scenario import Scenario
+    from uav_vslam.studies.engine.flights import kagaru_configs
+    from uav_vslam.studies.front_end.compute import NOTES, VARIANTS, methods, run_study
+    from uav_vslam.studies.front_end.plot import draw_front_ends
+
+    compared = methods(Scenario(frames=args.frames, scale=args.scale), kagaru_configs(args.variant or VARIANTS))
+    rows = run_study(compared, seeds, workers=args.workers, on_flight=progress(len(compared) * len(seeds)))
+    return Findings(rows, NOTES, draw=draw_front_ends)
+
+
+STUDY = Study(
+    help="rendered images: front ends' precision, cost, unequal cameras, and what SLAM makes of their points",
+    takes="an hour",
+    examples="""examples:
+  uav-vslam study front_end --seeds 4                       two vehicles of 160 frames, 3 conditions
+  uav-vslam study front_end --seeds 1 --frames 40           a first look; minutes
+  uav-vslam study front_end --seeds 1 --variant frontend.method=klt,frontend.search_scale=0.5
+""",
+    run=run,
+    add_arguments=add_arguments,
+    seeds=4,
+    frames=160,
+    variants="frontend.method klt and sift",
+)

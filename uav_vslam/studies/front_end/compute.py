@@ -85,10 +85,7 @@ def run_study(
     compared: Sequence[Method], seeds: Sequence[int], *, workers: int, on_flight: Callable[[], None] = lambda: None
 ) -> list[Row]:
     """Look at every flight and return the rows of `study.json`."""
-    found: list[Seen] = []
-    for seen in in_pool(_look, [(method, seed) for seed in seeds for method in compared], workers):
-        found.append(seen)
-        on_flight()
+    found = list(in_pool(_look, [(method, seed) for seed in seeds for method in compared], workers, on_flight))
     return [_row([seen for seen in found if seen.method == method], found) for method in compared]
 
 

@@ -1,2 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fusion study."""
+"""What cooperation gains, and whether it stays consistent."""
+
+from __future__ import annotations
+
+import argparse
+
+from uav_vslam.studies.engine.study import Findings, Progress, Study
+
+PARTS = ("schemes", "network", "fleets")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the parts."""
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="which (default all)")
+
+
+def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
+    """Fly the chosen parts."""
+    from uav_vslam.studies.fusion.compute import NOTES, PARTS, run_parts
+    from uav_vslam.studies.fusion.plot import draw_fusion
+
+    parts = [part for name in args.parts for part in PARTS[name](args.frames)]
+    rows = run_parts(parts, seeds, workers=args.workers, on_job=progress(len(parts) * len(seeds)))
+    return Findings(rows, NOTES, draw=draw_fusion)
+
+
+STUDY = Study(
+    help="landmark level: fusion schemes, the thesis's among them; bad radios; fleets of 2, 4 and 8",
+    takes="over an hour",
+    examples="""examples:
+  uav-vslam study fusion                                20 seeds of everything
+  uav-vslam study fusion --parts schemes --seeds 4      a first look; minutes
+  uav-vslam study fusion --parts network fleets
+""",
+    run=run,
+    add_arguments=add_arguments,
+    frames=160,
+)

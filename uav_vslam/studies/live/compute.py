@@ -52,7 +52,7 @@ def node_name(words: Sequence[str]) -> str:
     return f"{parts['__ns:=']}/{parts['__node:=']}".strip("/") if len(parts) == 2 else ""
 
 
-def processor_rows(samples: Sequence[Sample], leader: str, duration_s: float) -> list[Row]:
+def processor_rows(samples: Sequence[Sample], leader: str, duration_s: float, condition: str) -> list[Row]:
     """Return each process's share of a core over the flight, which ends with the leading process, and the sum."""
     flown = [sample for sample in samples if leader in sample.cpu_s]
     if not flown:
@@ -62,12 +62,15 @@ def processor_rows(samples: Sequence[Sample], leader: str, duration_s: float) ->
     elapsed_s = max(last.time_s - first.time_s, 1e-9)
     shares = {name: (cpu_s - first.cpu_s.get(name, 0.0)) / elapsed_s for name, cpu_s in sorted(last.cpu_s.items())}
     shares["all"] = sum(shares.values())
-    return [{TABLE: "Processor", "process": name, "share_of_a_core": share} for name, share in shares.items()]
+    return [
+        {TABLE: "Processor", "method": name, "condition": condition, "core_share": share}
+        for name, share in shares.items()
+    ]
 
 
-def frame_rows(processed: Mapping[str, int], played: int, rate: float) -> list[Row]:
+def frame_rows(processed: Mapping[str, int], played: int, condition: str) -> list[Row]:
     """Return the share of the frames that each vehicle's graph kept up with."""
     return [
-        {TABLE: "Frames", "vehicle": name, "rate": rate, "played": played, "processed_share": count / played}
+        {TABLE: "Frames", "method": name, "condition": condition, "frames": played, "processed_share": count / played}
         for name, count in processed.items()
     ]

@@ -73,10 +73,7 @@ def run_study(
         for condition, flight in conditions(scenario).items()
     ]
     jobs: list[Job] = [(methods, seed) for seed in seeds for methods in compared]
-    outcomes: list[Outcome] = []
-    for found in in_pool(_fly, jobs, workers):
-        outcomes += found
-        on_look()
+    outcomes = [outcome for found in in_pool(_fly, jobs, workers, on_look) for outcome in found]
     outcomes.sort(key=lambda outcome: outcome.seed)  # sums don't depend on which process was first
     flown = {
         method: [outcome for outcome in outcomes if outcome.method == method] for pair in compared for method in pair

@@ -24,6 +24,7 @@ from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.pool import in_pool, mean, rms
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
+GRADES = ("adis16480", "consumer")
 SETTLED_VELOCITY = 0.5  # [m/s]
 SETTLED_TILT_DEG = 1.5  # the accelerometer's bias (ADIS16480) alone hides 0.3 degrees per axis until the vehicle turns
 SETTLED_WITHIN_S = 5.0
@@ -64,16 +65,10 @@ def study_rows(
     flights = {grade: [Scenario(seed=seed, frames=frames, vehicles=1, imu=grade) for seed in seeds] for grade in grades}
     rows: list[Row] = []
     for grade, scenarios in flights.items():
-        found = []
-        for run in in_pool(fly_in_flight, scenarios, workers):
-            found.append(run)
-            on_job()
+        found = list(in_pool(fly_in_flight, scenarios, workers, on_job))
         rows.append({TABLE: "no start state", "imu": grade, **_pooled([run for run in found if run], len(seeds))})
     for what in WRONGS:
-        warned = []
-        for said in in_pool(fly_wrong, [(what, seed) for seed in seeds], workers):
-            warned.append(said)
-            on_job()
+        warned = list(in_pool(fly_wrong, [(what, seed) for seed in seeds], workers, on_job))
         rows.append({TABLE: "a start state that is wrong", "what": what, "warned": sum(warned), "runs": len(warned)})
     return rows
 

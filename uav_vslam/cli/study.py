@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam study`: methods compared over many runs. Each study is a folder of `uav_vslam.studies`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from uav_vslam.cli.arguments import non_negative, positive, results_folder
+from uav_vslam.cli.overrides import override
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.studies.registry import STUDIES
+
+if TYPE_CHECKING:
+    from uav_vslam.studies.engine.study import Findings, Study
+
+HELP = "compare methods over many flights"
+EXAMPLES = """examples:
+  uav-vslam study models --seeds 20                   seeds 1 to 20
+  uav-vslam study models --seeds 20 --first-seed 1001
+  uav-vslam study STUDY --help                        arguments and examples of one study
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the studies."""
+    studies = parser.add_subparsers(title="studies", metavar="STUDY", required=True)
+    for name, study in STUDIES.items():
+        subparser = studies.add_parser(
+            name,
+            help=f"{study.help}; {study.takes}",
+            description=f"{study.help[:1].upper()}{study.help[1:]}. By default it takes {study.takes}.",
+            epilog=study.examples,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        study.add_arguments(subparser)
+        _add_common(subparser, study)
+        subparser.set_defaults(study=name)
+
+
+def _add_common(parser: argparse.ArgumentParser, study: Study) -> None:
+    """Declare what studies share."""
+    if study.frames:
+        text = f"frames of each flight (default {study.frames})"
+        parser.add_argument("--frames", type=positive, default=study.frames, help=text)
+    if study.variants:
+        parser.add_argument(
+            "--variant",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE[,KEY=VALUE...]",
+            help=f"settings to compare, again for others (default: {study.variants})",
+        )
+    if study.settings:
+        parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
+    parser.add_argument(
+        "--seeds", type=non_negative, default=study.seeds, metavar="N", help=f"how many (default {study.seeds})"
+    )
+    parser.add_argument("--first-seed", type=non_negative, default=1, metavar="K", help="the first of them (default 1)")
+    if study.workers:
+        parser.add_argument(
+            "--workers", type=positive, default=study.workers, help=f"processes (default {study.workers})"
+        )
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen study; print its tables, write and draw them."""
+    study, seeds = STUDIES[args.study], seeds_of(args)
+    if study.variants:
+        args.variant = {text: dict(override(item) for item in text.split(",")) for text in args.variant}
+    if study.settings:
+        args.set = dict(override(item) for item in args.set)
+    with ExitStack() as shown:
+
+        def progress(total: int, title: str = f"study {args.study}") -> Callable[..., None]:
+            shown.close()
+            return shown.enter_context(progress_bar(title, total))
+
+        findings = study.run(args, seeds, progress)
+    publish(f"study_{args.study}", findings, seeds, args)
+    return 0
+
+
+def seeds_of(args: argparse.Namespace) -> list[int]:
+    """Return the seeds asked for."""
+    return list(range(args.first_seed, args.first_seed + args.seeds))
+
+
+def publish(name: str, findings: Findings, seeds: list[int], args: argparse.Namespace) -> None:
+    """Write tables and plots into a new folder below the results, print the tables and say where they are."""
+    from uav_vslam.evaluation.output import write_study
+
+    folder = write_study(
+        name,
+        findings.rows,
+        seeds,
+        args.results,
+        notes=findings.notes,
+        series=findings.series,
+        plot=findings.draw,
+    )
+    print((folder / "study.md").read_text(encoding="utf-8"))
+    print(f"results: {folder}")

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each idea in the estimator is worth, alone and with a peer."""
+
+from __future__ import annotations
+
+import argparse
+
+from uav_vslam.studies.engine.study import Findings, Progress, Study
+
+
+def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
+    """Fly the default and each variation of it."""
+    from uav_vslam.studies.engine.flights import run_study
+    from uav_vslam.studies.models.compute import methods
+
+    return Findings(run_study(methods(args.frames), seeds, workers=args.workers, on_seed=progress(len(seeds))))
+
+
+STUDY = Study(
+    help="landmark level: INS, S-SLAM, C-SLAM and the thesis's model",
+    takes="minutes",
+    examples="""examples:
+  uav-vslam study models --seeds 20
+""",
+    run=run,
+    frames=160,
+)

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws the thesis's simulation: gains, and trajectory, errors and covariance of an example."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from uav_vslam.report.error_plot import error_plot
+from uav_vslam.report.style import save
+from uav_vslam.report.views import view_3d
+from uav_vslam.studies.fusion.compute import Part
+from uav_vslam.studies.fusion.plot import draw_fusion
+from uav_vslam.studies.thesis.compute import example
+from uav_vslam.studies.thesis.ellipsoid_plot import ellipsoid_plot
+
+
+def draw_thesis(parts: Sequence[Part], seed: int) -> Callable[[dict[str, Any], Path], list[Path]]:
+    """Return what draws the study into its folder and returns the paths; a seed is flown again for the figures."""
+
+    def draw(tree: dict[str, Any], folder: Path) -> list[Path]:
+        drawn = draw_fusion(tree, folder)
+        for part in parts:
+            result = example(part, seed)
+            for name, plot in (("trajectory", view_3d), ("errors", error_plot), ("covariance", ellipsoid_plot)):
+                figure = plot(result)
+                if figure is not None:
+                    drawn.append(save(figure, folder / f"{part.table.replace(' ', '_')}_{name}.png"))
+        return drawn
+
+    return draw
