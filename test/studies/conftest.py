@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs whose errors are known."""
+"""Runs whose errors are known, and pictures that can be read."""
 
 from collections.abc import Callable
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -34,3 +36,18 @@ def make_run() -> Callable[..., Run]:
         return Run(name, condition, seed, "uav1", Track(line(end, frames=frames), **track), line(), line(ins))
 
     return make
+
+
+@pytest.fixture
+def drawn(tmp_path: Path) -> Callable[..., list[str]]:
+    """Draw the content of a study.json, look at the pictures and return their names."""
+
+    def draw_all(draw, tree) -> list[str]:
+        paths = draw(tree, tmp_path)
+        for path in paths:
+            picture = cv2.imread(str(path))
+            assert min(picture.shape[:2]) > 200
+            assert picture.std() > 5
+        return [path.name for path in paths]
+
+    return draw_all

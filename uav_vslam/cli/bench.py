@@ -54,7 +54,9 @@ def _print(rows: list[dict[str, Any]]) -> None:
     table.add_column("Yardstick")
     for row in rows:
         yardstick = "\n".join([row["yardstick"], *_figures(row, "gtsam_")])
-        table.add_row(row["method"], row["condition"], "\n".join(_figures(row)), f"{row['ratio']:.3g}", yardstick)
+        table.add_row(
+            row["method"], row["condition"], "\n".join(_figures(row)), f"{row['ratio_to_yardstick']:.3g}", yardstick
+        )
     Console().print(table)
 
 
@@ -64,7 +66,7 @@ def _figures(row: dict[str, Any], whose: str = "") -> list[str]:
         "ms_per_packet": "{:.3g} ms/packet",
         "us_per_landmark": "{:.3g} µs/landmark",
         "mb_per_s": "{:.3g} MB/s",
-        "end_m": "end {:.3g} m",
-        "ate_m": "ATE {:.3g} m",
+        "end_rms_m": "end {:.3g} m",
+        "ate_rms_m": "ATE {:.3g} m",
     }
     return [form.format(row[whose + key]) for key, form in forms.items() if whose + key in row]

@@ -92,13 +92,14 @@ def seeds_of(args: argparse.Namespace) -> list[int]:
 def publish(name: str, findings: Findings, seeds: list[int], args: argparse.Namespace) -> None:
     """Write tables and plots into a new folder below the results, print the tables and say where they are."""
     from uav_vslam.evaluation.output import write_study
+    from uav_vslam.studies.engine.columns import legend
 
     folder = write_study(
         name,
         findings.rows,
         seeds,
         args.results,
-        notes=findings.notes,
+        notes={"Columns": legend(findings.rows), **findings.notes},
         series=findings.series,
         plot=findings.draw,
     )

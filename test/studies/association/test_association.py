@@ -115,10 +115,10 @@ def test_a_row_tells_precision_and_recall_of_each_associator_and_errors_of_the_i
 
 def test_every_matcher_is_judged_on_pairs_and_in_time(flight: SearchedFlight) -> None:
     rows = image_rows(judge_images(flight, ratio=0.8))
-    assert {(row["images"], row["method"]) for row in rows} == {
-        (kind, name) for kind in ("left and right", "in time") for name in MATCHERS
+    assert {(row["condition"], row["method"]) for row in rows} == {
+        (f"{flight.condition}, {kind}", name) for kind in ("left and right", "in time") for name in MATCHERS
     }
-    by_name = {row["method"]: row for row in rows if row["images"] == "left and right"}
+    by_name = {row["method"]: row for row in rows if row["condition"].endswith("left and right")}
     assert by_name["nn_mutual"]["precision"] > 0.9
     assert by_name["gtm"]["precision"] >= by_name["nn_mutual"]["precision"]
     assert by_name["cds_nn"]["matches"] < 0.5 * by_name["nn_mutual"]["matches"]

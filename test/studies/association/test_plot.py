@@ -33,6 +33,6 @@ def test_each_panel_shows_its_own_figure_on_the_methods_line():
 
 def test_a_picture_is_drawn_for_each_table_that_there_is(tmp_path):
     assert [path.name for path in draw_association({"rows": ROWS}, tmp_path)] == ["association.png"]
-    matched = {"condition": "clear", "images": "in time", "method": "gtm", "precision": 1.0, "recall": 0.5, "ms": 3.0}
+    matched = {"condition": "clear", "method": "gtm", "precision": 1.0, "recall": 0.5, "ms_per_pair": 3.0}
     assert [path.name for path in draw_association({"rows": [matched]}, tmp_path)] == ["matching.png"]
     assert draw_association({"rows": []}, tmp_path) == []

@@ -63,6 +63,16 @@ def test_scores_add_up_to_rows_by_share_and_stage() -> None:
     rows = stage_rows(
         [(0.3, {UNKNOWN_FRAME: one}), (0.0, {"ratio": one}), (0.3, {"ratio": one}), (0.3, {"ratio": other})]
     )
-    assert [(row["mistaken"], row["stage"]) for row in rows] == [(0.0, "ratio"), (0.3, "ratio"), (0.3, UNKNOWN_FRAME)]
-    assert rows[1] == {"mistaken": 0.3, "stage": "ratio", "pairs": 20, "precision": 0.9, "recall": 0.5}
+    assert [(row["condition"], row["method"]) for row in rows] == [
+        ("0% mistaken", "ratio"),
+        ("30% mistaken", "ratio"),
+        ("30% mistaken", UNKNOWN_FRAME),
+    ]
+    assert rows[1] == {
+        "method": "ratio",
+        "condition": "30% mistaken",
+        "pairs": 20,
+        "precision": 0.9,
+        "recall": 0.5,
+    }
     assert stage_rows([(0.0, {"ratio": Score()})])[0]["precision"] is None

@@ -32,14 +32,14 @@ def test_nothing_pools_to_nothing():
 def test_the_interval_holds_the_ratio_and_three_seeds_are_the_least():
     own = np.array([1.0, 4.0, 9.0, 2.0, 5.0])
     interval = ratio_interval(own, 0.25 * own * [0.5, 1.5, 1.0, 2.0, 0.8])
-    assert interval["low"] < 0.5 < interval["high"]
-    assert ratio_interval(own, 0.25 * own) == pytest.approx({"low": 0.5, "high": 0.5})
+    assert interval["ratio_low"] < 0.5 < interval["ratio_high"]
+    assert ratio_interval(own, 0.25 * own) == pytest.approx({"ratio_low": 0.5, "ratio_high": 0.5})
     assert ratio_interval(own[:2], own[:2]) == {}
 
 
 def test_the_interval_of_a_mean_is_as_wide_as_theory_says():
     values = np.random.default_rng(3).normal(5.0, 2.0, 400)
     half = 1.96 * values.std() / np.sqrt(400)
-    interval = mean_interval(values)
-    assert interval == pytest.approx({"low": values.mean() - half, "high": values.mean() + half}, abs=0.03)
-    assert mean_interval(np.array([1.0, np.nan, 2.0])) == mean_interval(values[:2]) == {}
+    interval = mean_interval("x", values)
+    assert interval == pytest.approx({"x_low": values.mean() - half, "x_high": values.mean() + half}, abs=0.03)
+    assert mean_interval("x", np.array([1.0, np.nan, 2.0])) == mean_interval("x", values[:2]) == {}

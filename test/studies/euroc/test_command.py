@@ -74,12 +74,12 @@ def test_a_bag_is_flown_from_every_start_and_drawn(
 def test_an_asl_folder_is_taken_as_it_is(mav0: Path, tmp_path: Path) -> None:
     tree = study(mav0, tmp_path)
     assert [row["condition"] for row in tree["rows"][1:]] == STARTS
-    assert tree["rows"][0]["lost_worst"] == 0
+    assert tree["rows"][0]["frames_coasted_worst"] == 0
 
 
 def test_a_setting_reaches_the_runs(bag: Path, tmp_path: Path) -> None:
     blind = study(bag, tmp_path, "--config", "kagaru", "--set", "backend.max_new_landmarks=0")
-    assert blind["rows"][1]["lost"] == FRAMES - 1
+    assert blind["rows"][1]["frames_coasted"] == FRAMES - 1
 
 
 def test_no_recording_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

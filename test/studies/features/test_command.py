@@ -43,7 +43,7 @@ def test_a_folder_and_a_pair_leave_tables_and_pictures(
         *("places.png", "spacing.png", "thresholds.png"),
     }
     assert len(list((results / LATEST / "matches").iterdir())) == 2
-    images = {row["images"] for row in rows_of(results) if row["table"].startswith("Spacing")}
+    images = {row["condition"] for row in rows_of(results) if row["table"].startswith("Spacing")}
     assert images == {"flight images 0 – 1", "flight images 0 – 2"}
     assert "Trends of the thesis" in capsys.readouterr().out
 

@@ -114,13 +114,13 @@ def test_every_table_has_a_row_for_each_of_its_pairs_and_algorithms() -> None:
 
 
 def made_up(table: str, method: str, **figures: float) -> dict[str, object]:
-    row = {"images": "x visible 1 – 2", "camera": "moving", "ratio": 0.8, "keypoints_1": 100}
+    row = {"condition": "x visible 1 – 2", "camera": "moving", "descriptor_ratio": 0.8, "keypoints_1": 100}
     row |= {"extract_s": 1.0, "match_s": 0.1, "matches": 50, "matches_ransac": 40, "rate_1": 0.5, "rate_1_ransac": 0.4}
     return {TABLE: table, "method": method, **row, "precision": 0.8, "precision_ransac": 1.0, **figures}
 
 
 def verdict(rows: list[dict[str, object]], start: str) -> str:
-    return next(str(row["ours"]) for row in trend_rows(rows) if str(row["the thesis says"]).startswith(start))
+    return next(str(row["verdict"]) for row in trend_rows(rows) if str(row["method"]).startswith(start))
 
 
 def test_trends_agree_with_the_thesiss_own_figures_and_differ_from_opposite_ones() -> None:
@@ -142,14 +142,16 @@ def test_ransac_is_said_to_help_only_where_precision_rises() -> None:
 
 
 def test_bands_are_said_to_fail_when_no_algorithm_keeps_more_than_chance() -> None:
-    row = made_up(BANDS, "SURF", images="x visible / thermal 1 – 2", matches_ransac=5, rate_1_ransac=0.05)
+    row = made_up(BANDS, "SURF", condition="x visible / thermal 1 – 2", matches_ransac=5, rate_1_ransac=0.05)
     assert verdict([row], "matching visible with thermal") == "agrees"
     assert verdict([{**row, "matches_ransac": 40}], "matching visible with thermal") == "differs"
     assert verdict([row], "matching visible with near infrared") == "not tested"
 
 
 def test_a_bands_rates_are_held_against_the_visible_ones_of_its_own_set() -> None:
-    rows = [made_up(BANDS, "SIFT", images=f"camp {band} 1 – 2") for band in ("visible", "thermal", "visible / thermal")]
+    rows = [
+        made_up(BANDS, "SIFT", condition=f"camp {band} 1 – 2") for band in ("visible", "thermal", "visible / thermal")
+    ]
     rows[1]["rate_1"] = 0.6
     assert verdict(rows, "thermal images match") == "agrees"
     rows[1]["rate_1"] = 0.4
@@ -174,7 +176,7 @@ def test_every_trend_is_told_even_without_figures() -> None:
     rows = trend_rows([])
     assert len(rows) == 19
     assert {row[TABLE] for row in rows} == {TRENDS}
-    assert {row["ours"] for row in rows} == {"not tested"}
+    assert {row["verdict"] for row in rows} == {"not tested"}
 
 
 @pytest.mark.data

@@ -4,7 +4,7 @@ from uav_vslam.studies.features.sets import rendered_set
 
 
 def test_nearly_all_matches_that_the_front_end_accepts_on_a_rendered_flight_are_right() -> None:
-    rows = {row["matcher"]: row for row in accepted_rows([rendered_set(1, 640)], [1])}
+    rows = {row["method"]: row for row in accepted_rows([rendered_set(1, 640)], [1])}
     assert set(rows) == {*MATCHER_NAMES, "stereo front end"}
     for name in ("nn_mutual", "ransac_fundamental", "ransac_homography", "stereo front end"):
         assert rows[name]["matches"] > 1000

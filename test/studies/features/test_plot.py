@@ -7,18 +7,31 @@ from uav_vslam.studies.features.match_picture import MOST_LINES, match_picture, 
 from uav_vslam.studies.features.plot import draw_features, places_plot, spacing_plot, threshold_plot
 
 PLACES = [
-    {"table": "Places (a)", "method": method, "images": f"set {k} 0 – 1", "matches": 100 * k, "matches_ransac": 50 * k}
+    {
+        "table": "Places (a)",
+        "method": method,
+        "condition": f"set {k} 0 – 1",
+        "matches": 100 * k,
+        "matches_ransac": 50 * k,
+    }
     for k in range(4)
     for method in ("SIFT", "SURF")
 ]
 SPACINGS = [
-    {"table": "Spacing (b)", "method": method, "images": f"set {k} 0 – {n}", "spacing": n, "rate_1_ransac": 0.5 / n}
+    {"table": "Spacing (b)", "method": method, "condition": f"set {k} 0 – {n}", "spacing": n, "rate_1_ransac": 0.5 / n}
     for k in range(2)
     for method in ("SIFT", "SURF")
     for n in (1, 2, 5)
 ]
 RATIOS = [
-    {"table": "Thresholds (c)", "method": "SIFT", "images": "set", "ratio": ratio, "matches": 9, "matches_ransac": 8}
+    {
+        "table": "Thresholds (c)",
+        "method": "SIFT",
+        "condition": "set",
+        "descriptor_ratio": ratio,
+        "matches": 9,
+        "matches_ransac": 8,
+    }
     for ratio in (0.55, 0.95)
 ]
 

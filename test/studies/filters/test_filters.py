@@ -27,7 +27,7 @@ def settings(found):
 
 
 def lines_of(rows, method):
-    return {row["run"]: row for row in rows if row[TABLE] == RER["SIFT"] and row["method"] == method}
+    return {row["condition"]: row for row in rows if row[TABLE] == RER["SIFT"] and row["method"] == method}
 
 
 def test_every_filter_and_every_model_is_compared():
@@ -77,17 +77,19 @@ def test_the_table_shows_the_best_the_median_and_the_worst_run_and_their_mean(ma
     runs = [make_run("ri15 eif", end=(end,) * 3, condition=scale) for scale in SCALES for end in ends]
     lines = lines_of(noise_rows(runs), "ri15 eif")
     for scale in SCALES:
-        assert [lines[run][scale] for run in ("R1", "R2", "R3")] == pytest.approx([0.1, 0.2, 0.8])
+        assert [lines[run][f"rer_{scale}"] for run in ("R1", "R2", "R3")] == pytest.approx([0.1, 0.2, 0.8])
         assert lines["Ave"][scale] == pytest.approx(1.1 / 3)
         assert lines["all"][scale] == pytest.approx(0.4)
 
 
 def test_a_filter_that_never_came_to_an_end_keeps_its_place_in_the_table(make_run):
     rows = noise_rows([make_run("euler9 thesis_uhf", condition=scale, frames=3) for scale in SCALES])
-    assert {run: line["w1"] for run, line in lines_of(rows, "euler9 thesis_uhf").items()} == dict.fromkeys(
+    assert {run: line["rer_w1"] for run, line in lines_of(rows, "euler9 thesis_uhf").items()} == dict.fromkeys(
         ("R1", "R2", "R3", "Ave", "all")
     )
-    assert [(row["scale"], row["failures"]) for row in rows if row[TABLE] == BESIDE["SIFT"]] == [(s, 1) for s in SCALES]
+    assert [(row["condition"], row["failures"]) for row in rows if row[TABLE] == BESIDE["SIFT"]] == [
+        (s, 1) for s in SCALES
+    ]
 
 
 def test_a_filter_comes_near_the_batch_optimum_and_far_from_the_ins():

@@ -32,20 +32,20 @@ def test_good_is_found_in_time_and_near() -> None:
 
 def test_what_is_pooled_over_what() -> None:
     row = study._pooled([run(), run(errors=[(1.5, 0.3)]), run(errors=[])])
-    assert (row["seeds"], row["found"], row["good"]) == (3, 2, 2)
-    assert row["wrong_matches"] == 0.3
-    assert row["median_error_m"] == 1.0
-    assert row["worst_error_deg"] == 0.3
-    assert (row["worst_weighted_m"], row["worst_true_m"], row["worst_true_deg"]) == (0.2, 0.7, 0.4)
+    assert (row["runs"], row["found"], row["good"]) == (3, 2, 2)
+    assert row["wrong_share"] == 0.3
+    assert row["error_median_m"] == 1.0
+    assert row["error_worst_deg"] == 0.3
+    assert (row["weighted_worst_m"], row["true_worst_m"], row["true_worst_deg"]) == (0.2, 0.7, 0.4)
     assert row["later_rms_m"] == pytest.approx(np.sqrt((0.25 + 0.01 + 2.25) / 3))
-    assert study._pooled([run(errors=[])])["worst_error_m"] is None
+    assert study._pooled([run(errors=[])])["error_worst_m"] is None
 
 
 def test_the_better_vehicle_is_the_one_that_is_better_alone() -> None:
-    row = study._trajectories([run(), run(alone=(3.0, 1.0), unknown=(1.0, 1.1))])
-    assert row["better_alone_m"] == 1.0
-    assert row["better_ratio_unknown"] == pytest.approx(np.sqrt((0.9**2 + 1.1**2) / 2))
-    assert row["ate_alone_m"] == pytest.approx(np.sqrt((1 + 4 + 9 + 1) / 4))
+    alone, unknown, _ = study._trajectories([run(), run(alone=(3.0, 1.0), unknown=(1.0, 1.1))])
+    assert alone["better_ate_rms_m"] == alone["ratio_to_s_slam"] == 1.0
+    assert unknown["better_ratio_to_s_slam"] == pytest.approx(np.sqrt((0.9**2 + 1.1**2) / 2))
+    assert alone["ate_rms_m"] == pytest.approx(np.sqrt((1 + 4 + 9 + 1) / 4))
 
 
 def test_the_study_has_its_tables(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,10 +66,10 @@ def test_the_study_has_its_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     assert tables.count("where the peer's map lies") == len(study.SHARES)
     singles = [row for row in rows if row[TABLE] == "seed by seed"]
-    assert [(row["mistaken"], row["seed"], row["good"]) for row in singles] == [
-        (0.3, 1, True),
-        (0.3, 2, True),
-        (0.5, 1, False),
-        (0.5, 2, False),
+    assert [(row["condition"], row["seed"], row["good"]) for row in singles] == [
+        ("30% mistaken", 1, True),
+        ("30% mistaken", 2, True),
+        ("50% mistaken", 1, False),
+        ("50% mistaken", 2, False),
     ]
     assert len(done) == 2

@@ -39,20 +39,20 @@ def test_the_study_of_front_ends_judges_points_and_flies_them(tmp_path: Path) ->
     plain, unequal, blurred = rows_of(tmp_path, "front_end", "--frames", "6")
     assert (tmp_path / LATEST / "front_end.png").exists()
     for row in (plain, unequal, blurred):
-        assert row["points"] > 40
+        assert row["points_per_frame"] > 40
         assert row["sigma_px"] < 0.15
-        assert row["beyond_1px"] <= 0.01
+        assert row["beyond_1px_share"] <= 0.01
         assert row["followed_share"] > 0.5
     assert plain["kept_share"] == 1.0
     assert unequal["kept_share"] > 0.9
     assert plain["failures"] == 0
-    assert "s_end_m" not in unequal
+    assert "end_rms_m" not in unequal
 
 
 def test_the_study_of_faults_flies_through_each_and_tells_what_was_said(tmp_path: Path) -> None:
     rows = rows_of(tmp_path, "faults", "--frames", "14")
     assert (tmp_path / LATEST / "faults.png").exists()
-    said = {row["fault"]: row["alarms"] for row in rows}
+    said = {row["condition"]: row["alarms"] for row in rows}
     assert list(said) == ["none", *FAULTS]
     assert said["none"] == "none"
     assert "image order" in said["left and right swapped, 1 s"]
@@ -60,6 +60,6 @@ def test_the_study_of_faults_flies_through_each_and_tells_what_was_said(tmp_path
     assert "right camera" in said["black images, 3 s"]
     assert said["right camera frozen, 3 s"].startswith("right camera")
     assert "left camera" in said["half as bright, 3 s"]
-    coasted = {row["fault"]: row["coasted"] for row in rows}
+    coasted = {row["condition"]: row["frames_coasted"] for row in rows}
     assert coasted["none"] <= 1  # the first frame has no landmarks yet
     assert coasted["left and right swapped, 1 s"] >= 5

@@ -23,7 +23,7 @@ SETTINGS = (
 @pytest.fixture(scope="module")
 def rows() -> dict[str, dict]:
     part = Part("short", Scenario(frames=60), SETTINGS)
-    return {row["setting"]: row for row in run_parts([part], [1], workers=1)}
+    return {row["method"]: row for row in run_parts([part], [1], workers=1)}
 
 
 def test_every_setting_has_a_row_over_every_vehicle(rows) -> None:
@@ -32,24 +32,24 @@ def test_every_setting_has_a_row_over_every_vehicle(rows) -> None:
 
 
 def test_peers_help_and_nothing_changes_where_nothing_arrives(rows) -> None:
-    assert rows["all"]["ratio"] < 1.0
-    assert rows["nothing arrives"]["ratio"] == pytest.approx(1.0)
-    assert rows["nothing arrives"]["nees"] == pytest.approx(rows["all"]["nees_alone"], rel=0.01)
-    assert rows["restarts"]["ratio"] < 1.0
+    assert rows["all"]["ratio_to_s_slam"] < 1.0
+    assert rows["nothing arrives"]["ratio_to_s_slam"] == pytest.approx(1.0)
+    assert rows["nothing arrives"]["nees_position"] == pytest.approx(rows["all"]["s_slam_nees_position"], rel=0.01)
+    assert rows["restarts"]["ratio_to_s_slam"] < 1.0
 
 
 def test_no_packet_told_more_than_was_known_and_the_narrow_one_is_small(rows) -> None:
     for name in ("all", "narrow", "restarts"):
         assert rows[name]["lambda_excess"] <= 0.0
-    assert rows["narrow"]["largest_packet"] < 1400
+    assert rows["narrow"]["packet_bytes_max"] < 1400
     assert rows["narrow"]["sent_bytes_per_s"] <= 900
     assert rows["all"]["sent_bytes_per_s"] <= 100_000
 
 
 def test_a_plain_sum_of_own_maps_is_split_ci_and_counts_twice_what_feedback_returns(rows) -> None:
-    for key in ("ate_m", "nees"):
+    for key in ("ate_rms_m", "nees_position"):
         assert rows["sum"][key] == rows["all"][key]
-    assert rows["sum, feedback"]["nees"] > 1.3 * rows["sum"]["nees"]
+    assert rows["sum, feedback"]["nees_position"] > 1.3 * rows["sum"]["nees_position"]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_a_row_names_the_channel_that_it_was_measured_with(setting: Setting, cha
 
 def test_runs_that_break_down_are_counted_and_leave_no_error(rows) -> None:
     assert rows["written back"]["failures"] == 2
-    assert rows["written back"]["ate_m"] is None
+    assert rows["written back"]["ate_rms_m"] is None
 
 
 def test_all_parts_can_be_made_and_their_settings_differ_by_name() -> None:

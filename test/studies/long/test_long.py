@@ -18,19 +18,19 @@ def test_late_frames_are_compared_with_early_ones_of_the_same_run(make_run, monk
     slow, fast = (np.r_[np.full(10, 99.0), np.full(10, ms), np.full(10, 99.0), np.full(10, 1.5 * ms)] for ms in (8, 2))
     sizes = {"landmarks": np.full(40, 50), "resident_mb": np.r_[np.full(5, 80.0), np.full(6, 90.0), np.full(29, 93.0)]}
     (row,) = long_rows([make_run("grid", frame_ms=slow, **sizes), make_run("grid", frame_ms=fast, **sizes)])
-    assert (row["ms_startup_buffer"], row["ms_late"], row["late_to_startup_buffer"]) == (5.0, 7.5, 1.5)
+    assert (row["ms_per_frame_early"], row["ms_per_frame_late"], row["late_to_early"]) == (5.0, 7.5, 1.5)
     assert (row["landmarks_mean"], row["landmarks_max"], row["growth_mb"]) == (50.0, 50, 3.0)
 
 
 def test_a_flight_too_short_to_compare_has_no_ratio(make_run):
     assert len(make_run().truth) < 3 * SPAN
-    assert long_rows([make_run("grid")])[0]["late_to_startup_buffer"] is None
+    assert long_rows([make_run("grid")])[0]["late_to_early"] is None
 
 
 def test_alignment_forgives_the_yaw_of_the_start(make_run):
     (row,) = long_rows([make_run("grid", end=(0.0, 1.0, 0.0))])  # 1 m to the side after 78 m
     assert row["ate_rms_m"] > 0.5
-    assert row["ate_yaw_aligned_m"] < 0.01
+    assert row["ate_yaw_aligned_rms_m"] < 0.01
 
 
 def test_curves_are_pooled_over_the_finished_runs_of_each_variant():
@@ -41,4 +41,6 @@ def test_curves_are_pooled_over_the_finished_runs_of_each_variant():
     assert curves[0]["error_m"][-1] == pytest.approx(np.sqrt(np.mean(np.square(ends))), abs=1e-3)
     assert curves[0]["distance_m"][-1] == pytest.approx(7 * 20 / 7.14, rel=0.1)  # at 20 m/s
     assert max(curves[1]["landmarks"]) < 30 < max(curves[0]["landmarks"])
-    assert {len(curve[key]) for curve in curves for key in ("distance_m", "error_m", "ms", "landmarks")} == {8}
+    assert {len(curve[key]) for curve in curves for key in ("distance_m", "error_m", "ms_per_frame", "landmarks")} == {
+        8
+    }

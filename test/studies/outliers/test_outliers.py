@@ -25,10 +25,10 @@ def test_errors_stand_beside_the_same_settings_clean_ones(make_run):
         for name, end in zip(("robust", "plain"), ends, strict=True)
     ]
     rows = outlier_rows(runs)
-    assert [(row["method"], row["kind"], row["share"]) for row in rows] == [
+    assert [(row["method"], row["kind"], row["wrong_match_share"]) for row in rows] == [
         ("robust", "clean", 0.0),
         ("robust", "lookalike", 0.1),
         ("plain", "clean", 0.0),
         ("plain", "lookalike", 0.1),
     ]
-    assert [row["end_to_clean"] for row in rows] == pytest.approx([1.0, 1.5, 1.0, 3.0])
+    assert [row["end_ratio_to_clean"] for row in rows] == pytest.approx([1.0, 1.5, 1.0, 3.0])

@@ -56,11 +56,11 @@ def test_errors_are_pooled_over_vehicles_and_seeds_before_they_are_compared() ->
     narrow = [make_run(NARROWBAND, 3.0, 2.0), make_run(NARROWBAND, 4.0, 3.0, seed=2)]
     rows = table(radio_rows(wide + narrow, 2), "Modes")
     own, fused_wide, fused_narrow = (math.sqrt(0.5 * (a**2 + b**2)) for a, b in ((3, 4), (1, 2), (2, 3)))
-    assert [row["mode"] for row in rows] == list(MODES)
-    assert [row["s_ate_m"] for row in rows] == pytest.approx([own, own])
-    assert [row["c_over_s"] for row in rows] == pytest.approx([fused_wide / own, fused_narrow / own])
-    assert [row["gain_kept"] for row in rows] == pytest.approx([1.0, (own - fused_narrow) / (own - fused_wide)])
-    assert [row["c_nees"] for row in rows] == pytest.approx([1.5, 2.5])
+    assert [row["method"] for row in rows] == list(MODES)
+    assert [row["s_slam_ate_rms_m"] for row in rows] == pytest.approx([own, own])
+    assert [row["ratio_to_s_slam"] for row in rows] == pytest.approx([fused_wide / own, fused_narrow / own])
+    assert [row["gain_kept_share"] for row in rows] == pytest.approx([1.0, (own - fused_narrow) / (own - fused_wide)])
+    assert [row["nees_position"] for row in rows] == pytest.approx([1.5, 2.5])
     assert [row["packet_bytes_max"] for row in rows] == [80_000, 892]
     assert [(row["packets_sent"], row["packets_used"], row["failures"]) for row in rows] == [(4, 2, 0)] * 2
 
@@ -68,7 +68,7 @@ def test_errors_are_pooled_over_vehicles_and_seeds_before_they_are_compared() ->
 def test_a_seed_that_failed_in_one_mode_counts_in_none() -> None:
     runs = [make_run(WIDEBAND, 3.0, 1.0), make_run(NARROWBAND, 3.0, 2.0), make_run(WIDEBAND, 9.0, 9.0, seed=2)]
     wide, narrow = table(radio_rows(runs, 2), "Modes")
-    assert (wide["s_ate_m"], narrow["s_ate_m"]) == (3.0, 3.0)
+    assert (wide["s_slam_ate_rms_m"], narrow["s_slam_ate_rms_m"]) == (3.0, 3.0)
     assert (wide["failures"], narrow["failures"]) == (0, 1)
     assert len(table(radio_rows(runs, 2), "Flights")) == 3
 
@@ -123,6 +123,6 @@ def test_both_modes_fly_the_same_flight_through_the_graph(tmp_path: Path) -> Non
     assert command.main(["study", "radio", *options]) == 0
     wide, narrow = table(json.loads((tmp_path / LATEST / "study.json").read_text())["rows"], "Modes")
     assert (wide["failures"], narrow["failures"]) == (0, 0)
-    assert wide["s_ate_m"] == narrow["s_ate_m"]  # to the last bit: nothing of the network enters it
+    assert wide["s_slam_ate_rms_m"] == narrow["s_slam_ate_rms_m"]  # to the last bit: nothing of the network enters it
     assert wide["packets_sent"] == 4  # two epochs of two vehicles
     assert narrow["packet_bytes_max"] < 1400 < wide["packet_bytes_max"]

@@ -80,4 +80,4 @@ def test_each_look_is_searched_once_for_both_methods(rows, searched):
 
 
 def test_every_frame_is_processed_and_nothing_fails(rows):
-    assert all(row["frames_processed"] == 1.0 and row["failures"] == 0 for row in rows[1:])
+    assert all(row["processed_share"] == 1.0 and row["failures"] == 0 for row in rows[1:])

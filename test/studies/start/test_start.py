@@ -38,6 +38,6 @@ def test_the_study_has_a_row_for_each_unit_and_each_mistake(monkeypatch: pytest.
     monkeypatch.setattr(in_flight, "WRONGS", two)
     jobs: list[None] = []
     rows = study_rows(["adis16480"], [2], frames=45, workers=1, on_job=lambda: jobs.append(None))
-    assert [row["imu"] for row in rows if row[TABLE] == "no start state"] == ["adis16480"]
-    assert [(row["what"], row["warned"]) for row in rows[1:]] == [("nothing", 0), ("velocity up", 1)]
+    assert [row["condition"] for row in rows if row[TABLE] == "no start state"] == ["adis16480"]
+    assert [(row["condition"], row["warned"]) for row in rows[1:]] == [("nothing", 0), ("velocity up", 1)]
     assert len(jobs) == 1 + len(two)

@@ -202,8 +202,8 @@ def map_rows(found: Sequence[Association]) -> list[Row]:
         rows.append(
             {
                 TABLE: IN_MAP,
-                "condition": condition,
                 "method": name,
+                "condition": condition,
                 "pairs_per_frame": None if name == INS else score.left / frames,
                 **{key: value for key, value in score.row().items() if key != "pairs"},
                 **{key: figures[key] for key in ("end_rms_m", "ate_rms_m", "nees_position", "failures", "runs")},

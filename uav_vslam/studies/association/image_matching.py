@@ -95,13 +95,12 @@ def image_rows(judged: Sequence[Judged]) -> list[Row]:
         rows.append(
             {
                 TABLE: IN_IMAGES,
-                "condition": condition,
-                "images": kind,
                 "method": name,
+                "condition": f"{condition}, {kind}",
                 "matches": score.left / len(chosen),
                 "precision": figures["precision"],
                 "recall": figures["recall"],
-                "ms": median([j.ms for j in chosen]),
+                "ms_per_pair": median([j.ms for j in chosen]),
             }
         )
     return rows

@@ -11,15 +11,13 @@ from uav_vslam.report.style import LINE_COLOURS, clean, plain_log, save
 
 MARKERS = ("o", "s", "D", "^", "v")
 MAP_PANELS = {"precision": "Precision", "recall": "Recall", "ate_rms_m": "ATE [m]", "ms_association": "Time [ms]"}
-IMAGE_PANELS = {"precision": "Precision", "recall": "Recall", "ms": "Time [ms]"}
+IMAGE_PANELS = {"precision": "Precision", "recall": "Recall", "ms_per_pair": "Time [ms]"}
 
 
 def draw_association(tree: dict[str, Any], folder: Path) -> list[Path]:
     """Draw a picture per table into the study's folder and return the paths."""
     in_map = [row for row in tree["rows"] if "pairs_per_frame" in row]
-    in_images = [
-        {**row, "condition": f"{row['condition']}, {row['images']}"} for row in tree["rows"] if "images" in row
-    ]
+    in_images = [row for row in tree["rows"] if "ms_per_pair" in row]
     pictures = {"association.png": (in_map, MAP_PANELS), "matching.png": (in_images, IMAGE_PANELS)}
     return [save(dot_plot(rows, panels), folder / name) for name, (rows, panels) in pictures.items() if rows]
 

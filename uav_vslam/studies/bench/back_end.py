@@ -59,7 +59,7 @@ def back_end(landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factori
         "condition": f"{landmarks} in view, lag {lag_s:g} s",
         "ms_per_frame": ms,
         **ours.figures(vehicle),
-        "ratio": ratio,
+        "ratio_to_yardstick": ratio,
         "yardstick": f"GTSAM smoother, {factorisation}",
         "gtsam_ms_per_frame": gtsam_ms,
         **{f"gtsam_{key}": value for key, value in theirs.figures(vehicle).items()},
@@ -96,8 +96,8 @@ class _Contestant:
         distances = np.linalg.norm(errors, axis=1)
         return {
             "landmarks": round(float(np.median([landmarks for _, landmarks in self._done]))),
-            "end_m": float(distances[-1]),
-            "ate_m": float(np.sqrt(np.mean(distances**2))),
+            "end_rms_m": float(distances[-1]),
+            "ate_rms_m": float(np.sqrt(np.mean(distances**2))),
         }
 
 

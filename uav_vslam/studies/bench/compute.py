@@ -77,7 +77,7 @@ def bag_reading(vehicle: SimulatedVehicle, frames: list[StereoFrame], *, repeats
         "condition": f"mcap, raw {width}x{height}",
         "ms_per_frame": ms / len(frames),
         "mb_per_s": megabytes / (ms * 1e-3),
-        "ratio": ratio,
+        "ratio_to_yardstick": ratio,
         "yardstick": "reading its bytes",
     }
 

@@ -39,6 +39,6 @@ def graph_matching(keypoints: int, repeats: int) -> Iterator[Row]:
             "method": method,
             "condition": condition,
             "ms_per_frame": ms,
-            "ratio": ratio,
+            "ratio_to_yardstick": ratio,
             "yardstick": "matching their descriptors",
         }

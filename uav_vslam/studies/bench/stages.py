@@ -224,7 +224,7 @@ def packets(landmarks: int, policy: PacketPolicy, repeats: int) -> list[Row]:
 
 
 def _row(method: str, condition: str, yardstick: str, ratio: float, **figures: float) -> Row:
-    return {"method": method, "condition": condition, **figures, "ratio": ratio, "yardstick": yardstick}
+    return {"method": method, "condition": condition, **figures, "ratio_to_yardstick": ratio, "yardstick": yardstick}
 
 
 def _ms(work: Work) -> float:

@@ -109,6 +109,11 @@ def score(pairs: Pairs, joint: JointInformation, packet: LandmarkPacket, truth: 
     return Score(len(pairs), len(right), len(honest.intersection(right)), len(honest.intersection(own)))
 
 
+def mistaken_condition(share: float) -> str:
+    """Return the label of a share of mistaken landmarks."""
+    return f"{share:.0%} mistaken"
+
+
 def stage_rows(scores: Iterable[tuple[float, Mapping[str, Score]]]) -> list[Row]:
     """Return a row for each share of mistaken landmarks and each stage, from scores by stage."""
     totals: dict[tuple[float, str], Score] = {}
@@ -117,4 +122,6 @@ def stage_rows(scores: Iterable[tuple[float, Mapping[str, Score]]]) -> list[Row]
             totals[share, stage] = totals.get((share, stage), Score()) + found
     order: Sequence[str] = (*STAGES, UNKNOWN_FRAME)
     keys = sorted(totals, key=lambda key: (key[0], order.index(key[1])))
-    return [{"mistaken": share, "stage": stage, **totals[share, stage].row()} for share, stage in keys]
+    return [
+        {"method": stage, "condition": mistaken_condition(share), **totals[share, stage].row()} for share, stage in keys
+    ]

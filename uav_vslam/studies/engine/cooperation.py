@@ -118,14 +118,14 @@ def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: F
         return [_failed(scenario, setting, name, str(error)) for name in tracks]
     epochs = sum(output.joint is not None for track in tracks.values() for output in track.outputs)
     fusing_s = time.process_time() - started - watch.watching_s
-    shared = {"fusion_ms": 1e3 * fusing_s / epochs, "lambda_excess": watch.largest - 1.0}
+    shared = {"ms_per_epoch": 1e3 * fusing_s / epochs, "lambda_excess": watch.largest - 1.0}
     outcomes = []
     for name, track in tracks.items():
         member = fleet[name]
         figures = {
             **shared,
             "sent_bytes_per_s": member.outbox.sent_bytes_per_s,
-            "largest_packet": watch.largest_bytes.get(name, 0),
+            "packet_bytes_max": watch.largest_bytes.get(name, 0),
             "recovery_packets": watch.until_used(member.fusion, setting.link),
         }
         estimate = Trajectory.from_estimates(member.poses)

@@ -190,8 +190,9 @@ def _rows(method: Method, outcomes: list[Outcome], tracks: Sequence[str]) -> lis
             "ratio_to_s_slam": ratio(errors[track, "ate_m"], errors["s_slam", "ate_m"]),
             "end_ratio_to_ins": ratio(errors[track, "end_m"], errors["ins", "end_m"]),
             "nees_position": mean(_values(good, track, "nees_position")),
-            "frames_processed": mean([outcome.processed for outcome in good]),
+            "processed_share": mean([outcome.processed for outcome in good]),
             "failures": len(outcomes) - len(good),
+            "runs": len(outcomes),
             "ms_per_frame": None if track == "ins" else mean([outcome.ms_per_frame for outcome in good]),
         }
         for track in tracks

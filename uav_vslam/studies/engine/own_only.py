@@ -59,8 +59,8 @@ class Track:
 
     Attributes:
         estimate: poses at the frames.
-        failure: why it broke down first, whether the back end then began anew or gave up; empty if it never did.
-        restarts: how often the back end began anew.
+        failure: why it broke down first, whether it was then re-initialised or gave up; empty if it never did.
+        restarts: how often the back end was re-initialised.
         frame_ms: (F,) time of this process for each frame [ms]; empty where frames are not processed one by one.
         landmarks: (F,) in the state after each frame.
         resident_mb: (F,) memory of this process after each frame [MB].

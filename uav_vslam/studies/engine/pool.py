@@ -61,20 +61,20 @@ def ratio(a: float | None, b: float | None) -> float | None:
 
 
 def ratio_interval(own: Array, other: Array) -> dict[str, float]:
-    """Return the bootstrap's interval, "low" and "high", of the root mean square of `other` over that of `own`.
+    """Return the bootstrap's interval of the root mean square of `other` over that of `own`: "ratio_low", "ratio_high".
 
     Args:
         own, other: (S,) mean squares of each seed.
     """
-    return _interval((own, other), lambda a, b, axis: np.sqrt(b.mean(axis=axis) / a.mean(axis=axis)))
+    return _interval("ratio", (own, other), lambda a, b, axis: np.sqrt(b.mean(axis=axis) / a.mean(axis=axis)))
 
 
-def mean_interval(values: Array) -> dict[str, float]:
-    """Return the bootstrap's interval, "low" and "high", of the mean of (S,) values, one of each seed."""
-    return _interval((values,), np.mean)
+def mean_interval(name: str, values: Array) -> dict[str, float]:
+    """Return the bootstrap's interval of the mean of (S,) values, one of each seed: "<name>_low", "<name>_high"."""
+    return _interval(name, (values,), np.mean)
 
 
-def _interval(of_seeds: tuple[Array, ...], statistic: Callable[..., Array]) -> dict[str, float]:
+def _interval(name: str, of_seeds: tuple[Array, ...], statistic: Callable[..., Array]) -> dict[str, float]:
     """Return the percentile interval over seeds, drawn together from all arrays; none from fewer than three seeds."""
     if len(of_seeds[0]) < 3 or not all(np.isfinite(values).all() for values in of_seeds):
         return {}
@@ -87,4 +87,4 @@ def _interval(of_seeds: tuple[Array, ...], statistic: Callable[..., Array]) -> d
         confidence_level=CONFIDENCE,
         rng=np.random.default_rng(0),
     ).confidence_interval
-    return {"low": float(found.low), "high": float(found.high)}
+    return {f"{name}_low": float(found.low), f"{name}_high": float(found.high)}

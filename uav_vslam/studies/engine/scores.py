@@ -14,6 +14,7 @@ from uav_vslam.studies.engine.pool import CONFIDENCE, mean, mean_interval, media
 
 Array = NDArray[np.float64]
 
+NEES = "nees_position"
 WINDOWS = 4  # of a flight, each of which is judged: a filter may be honest on average and over-confident at the end
 
 FAILURE_RULE = (
@@ -32,16 +33,16 @@ def pooled(runs: Sequence[Run]) -> Row:
     return {
         "end_rms_m": rms([error.end_m for error in errors]),
         "ate_rms_m": rms([error.ate_m for error in errors]),
-        **nees_figures(found, "nees_position"),
+        **nees_figures(found),
         "nees_position_end": mean([summarise(values).end for _, values in found]),
         "failures": failures(runs),
         "runs": len(runs),
-        "restarts": mean([run.track.restarts for run in runs]),
+        "restarts": sum(run.track.restarts for run in runs),
         "ms_per_frame": median(frame_ms),
     }
 
 
-def nees_figures(runs: Sequence[tuple[int, Array]], name: str = "nees") -> Row:
+def nees_figures(runs: Sequence[tuple[int, Array]]) -> Row:
     """Return whether many runs are consistent: each one, at any time of the flight, and on average.
 
     Errors within a run are correlated, at worst wholly. So a run's mean over time is judged by the chi-square band of
@@ -49,25 +50,25 @@ def nees_figures(runs: Sequence[tuple[int, Array]], name: str = "nees") -> Row:
 
     Args:
         runs: seed and (F,) position NEES over 3 at every keyframe.
-        name: of the mean over keyframes after the 20th and runs; it begins the other keys.
 
     Returns:
-        The mean; `_low` and `_high`, its bootstrap interval over seeds; `_worst_quarter`, the largest mean of a quarter
+        Under `nees_position` the mean over keyframes after the 20th and over the runs; its key begins the others:
+        `_low` and `_high`, its bootstrap interval over seeds; `_worst_quarter`, the largest mean of a quarter
         of the flight; `_outside`, the share of runs whose mean over time is outside of the band.
     """
     counted = [(seed, values[SKIPPED_KEYFRAMES:]) for seed, values in runs]
     counted = [(seed, values) for seed, values in counted if len(values) >= WINDOWS]
     if not counted:
-        return {name: None}
+        return {NEES: None}
     seeds, means = np.array([seed for seed, _ in counted]), np.array([values.mean() for _, values in counted])
-    interval = mean_interval(np.array([means[seeds == seed].mean() for seed in np.unique(seeds)]))
+    interval = mean_interval(NEES, np.array([means[seeds == seed].mean() for seed in np.unique(seeds)]))
     quarters = [[part.mean() for part in np.array_split(values, WINDOWS)] for _, values in counted]
     low, high = chi_square_band(1, probability=CONFIDENCE)
     return {
-        name: float(means.mean()),
-        **{f"{name}_{end}": bound for end, bound in interval.items()},
-        f"{name}_worst_quarter": float(np.mean(quarters, axis=0).max()),
-        f"{name}_outside": float(np.mean((means < low) | (means > high))),
+        NEES: float(means.mean()),
+        **interval,
+        f"{NEES}_worst_quarter": float(np.mean(quarters, axis=0).max()),
+        f"{NEES}_outside": float(np.mean((means < low) | (means > high))),
     }
 
 

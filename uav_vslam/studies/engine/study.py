@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-Row = dict[str, Any]
+from uav_vslam.studies.engine.columns import Row, check_rows
 
 
 class Progress(Protocol):
@@ -37,6 +37,9 @@ class Findings:
     notes: Mapping[str, str] = field(default_factory=dict)
     series: list[Row] | None = None
     draw: Callable[[dict[str, Any], Path], list[Path]] | None = None
+
+    def __post_init__(self) -> None:
+        check_rows(self.rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

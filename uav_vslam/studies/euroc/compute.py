@@ -29,9 +29,9 @@ NOTES = {
     "frame K: the true pose and velocity at that frame, undisturbed, with the biases of the recorded start and the "
     "variance of their walk since.",
     "ATE": "root mean square of the position errors, in the truth's frame, without alignment.",
-    "lost": "frames after the first in which no landmark was recognised, so that the INS alone carried on.",
-    "restarts": "how often the filter found that it had lost the vehicle and began anew from where it believed to be.",
-    "NEES": "squared error over what the filter claims, per axis, from the 21st frame of a run on: 1 is honest.",
+    "frames_coasted": "frames after the first in which no landmark was recognised, so that the INS alone carried on.",
+    "restarts": "re-initialisations: the filter found that it had lost the vehicle.",
+    "NEES": "squared error over what the filter claims, per axis, from the 21st frame of a run on: 1 is consistent.",
 }
 
 
@@ -43,7 +43,7 @@ class Run:
         method, start: names.
         track: poses at the frames, up to where the filter came.
         associated: (F,) landmarks recognised in each frame.
-        restarts: how often the filter had to begin anew.
+        restarts: how often the filter was re-initialised.
         failure: why it came no farther; empty at the end of the flight.
     """
 
@@ -104,12 +104,12 @@ def _row(flight: RecordedFlight, run: Run) -> Row:
         TABLE: "Every run",
         "method": run.method,
         "condition": run.start,
-        "ate_m": error.ate_m if error else None,
-        "end_m": error.end_m if error else None,
-        "max_m": error.max_m if error else None,
+        "ate_rms_m": error.ate_m if error else None,
+        "end_rms_m": error.end_m if error else None,
+        "error_max_m": error.max_m if error else None,
         "nees_position": summarise(consistency.position).mean if consistency else None,
         "nees_rotation": summarise(consistency.rotation).mean if consistency else None,
-        "lost": run.lost,
+        "frames_coasted": run.lost,
         "restarts": run.restarts,
         "frames": len(run.track),
         "failure": run.failure or None,
@@ -121,10 +121,11 @@ def _worst(method: str, rows: list[Row]) -> Row:
     return {
         TABLE: "Worst of all starts",
         "method": method,
-        "ate_worst_m": max((row["ate_m"] for row in good), default=None),
-        "ate_mean_m": mean([row["ate_m"] for row in good]),
-        "lost_worst": max((row["lost"] for row in good), default=None),
-        "nees_position_mean": mean([row["nees_position"] for row in good]),
+        "condition": "all starts",
+        "ate_worst_m": max((row["ate_rms_m"] for row in good), default=None),
+        "ate_mean_m": mean([row["ate_rms_m"] for row in good]),
+        "frames_coasted_worst": max((row["frames_coasted"] for row in good), default=None),
+        "nees_position": mean([row["nees_position"] for row in good]),
         "nees_position_worst": max((row["nees_position"] for row in good), default=None),
         "restarts": sum(row["restarts"] for row in rows),
         "failures": len(rows) - len(good),

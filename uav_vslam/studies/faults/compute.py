@@ -29,9 +29,9 @@ NOTES = {
     "Faults": f"begin after {100 * BEGIN_SHARE:.0f} % of the flight, the same on every seed; one vehicle alone",
     "Errors": "root mean squares over the seeds; NEES of the position over 3: mean over the frames after the 20th, and "
     "the worst seed's mean",
-    "Reports": "alarms: what the diagnostics said, with the frames it was said of, summed over the seeds; coasted: "
-    f"frames without a landmark; recovered_frames: from the fault's end to the first with {MANY} landmarks, worst "
-    f"seed, {NEVER!r} where one had none, {LASTING!r} where the fault has no end; restarts: filters that began anew",
+    "Reports": "alarms: what the diagnostics reported and for how many frames, summed over the seeds; "
+    f"recovered_frames: from the fault's end to the first with {MANY} landmarks, worst seed, {NEVER!r} where one had "
+    f"none, {LASTING!r} where the fault has no end",
 }
 
 
@@ -100,14 +100,15 @@ def _row(flown: Sequence[Survived]) -> Row:
     words = [value for value in recovered if isinstance(value, str)]
     return {
         "method": flown[0].method,
-        "fault": flown[0].fault,
+        "condition": flown[0].fault,
         "frames": len(reports),
-        "coasted": sum(report.associated == 0 for report in reports),
+        "frames_coasted": sum(report.associated == 0 for report in reports),
         "alarms": ", ".join(f"{subject} {count}" for subject, count in alarms.items()) or "none",
         "recovered_frames": words[0] if words else max(recovered),
+        "runs": len(flown),
         "restarts": sum(report.recovery != "" for report in reports),
         "ate_rms_m": rms([one.figures["ate_m"] for one in flown]),
         "end_rms_m": rms([one.figures["end_m"] for one in flown]),
         "nees_position": mean(nees),
-        "nees_worst": max(nees, default=None),
+        "nees_position_worst": max(nees, default=None),
     }

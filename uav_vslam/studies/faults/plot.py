@@ -20,12 +20,12 @@ def draw_faults(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def faults_plot(rows: list[Row]) -> Figure:
     """Return end error and the worst seed's NEES, faults downwards; what is allowed is shaded."""
-    faults = list(dict.fromkeys(row["fault"] for row in rows))
+    faults = list(dict.fromkeys(row["condition"] for row in rows))
     figure = Figure(figsize=(11.0, 1.6 + 0.4 * len(faults)), layout="constrained")
     errors, nees = figure.subplots(1, 2, sharey=True)
     for number, method in enumerate(dict.fromkeys(row["method"] for row in rows)):
         found = [row for row in rows if row["method"] == method]
-        places = [faults.index(row["fault"]) for row in found]
+        places = [faults.index(row["condition"]) for row in found]
         style = {
             "color": LINE_COLOURS[number % len(LINE_COLOURS)],
             "marker": MARKERS[number % len(MARKERS)],
@@ -33,11 +33,11 @@ def faults_plot(rows: list[Row]) -> Figure:
             "alpha": 0.8,
         }
         errors.plot([row["end_rms_m"] for row in found], places, label=method, **style)
-        nees.plot(column(found, "nees_worst"), places, **style)
+        nees.plot(column(found, "nees_position_worst"), places, **style)
     for axes in (errors, nees):
         plain_log(axes, "x")
         clean(axes)
-    known = [row["nees_worst"] for row in rows if row["nees_worst"] is not None]
+    known = [row["nees_position_worst"] for row in rows if row["nees_position_worst"] is not None]
     low, high = min([*known, 0.3]) / 1.5, max([*known, ALLOWED_NEES]) * 1.5
     nees.axvspan(low, ALLOWED_NEES, color=BAND, zorder=0)
     nees.set(xlim=(low, high), xlabel="Position NEES / 3, worst seed")

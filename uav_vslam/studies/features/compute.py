@@ -118,9 +118,9 @@ class FeatureLab:
         right = None if errors is None else errors < CORRECT_PX + _half_diagonal(method, a)
         row: Row = {
             "method": method,
-            "images": pair.label,
+            "condition": pair.label,
             "camera": "still" if pair.images.still else "moving",
-            "ratio": ratio,
+            "descriptor_ratio": ratio,
             "keypoints_1": len(a),
             "keypoints_2": len(b),
             "extract_s": seconds_a + seconds_b,

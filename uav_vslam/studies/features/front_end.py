@@ -67,9 +67,9 @@ def _row(images: str, matcher: str, errors: Errors) -> Row:
     right = errors[errors < CORRECT_PX]
     return {
         TABLE: ACCEPTED,
-        "images": images,
-        "matcher": matcher,
+        "method": matcher,
+        "condition": images,
         "matches": len(errors),
         "precision": len(right) / len(errors) if len(errors) else float("nan"),
-        "median_error_px": float(np.median(right)) if len(right) else float("nan"),
+        "error_median_px": float(np.median(right)) if len(right) else float("nan"),
     }

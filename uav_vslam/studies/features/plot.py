@@ -48,7 +48,7 @@ def draw_features(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def places_plot(rows: list[Row]) -> Figure:
     """Return bars of matches without (pale) and with RANSAC, and dots of time, by algorithm, a panel for each pair."""
-    panels = _grouped(rows, "images")
+    panels = _grouped(rows, "condition")
     figure, axes = _panels(len(panels))
     for at, (images, group) in zip(axes, panels.items(), strict=False):
         positions = range(len(group))
@@ -91,8 +91,8 @@ def threshold_plot(rows: list[Row]) -> Figure:
     panels = _grouped(rows, "method")
     figure, axes = _panels(len(panels))
     for at, (method, group) in zip(axes, panels.items(), strict=False):
-        for (images, curve), colour in zip(_grouped(group, "images").items(), LINE_COLOURS * 2, strict=False):
-            ratios = [row["ratio"] for row in curve]
+        for (images, curve), colour in zip(_grouped(group, "condition").items(), LINE_COLOURS * 2, strict=False):
+            ratios = [row["descriptor_ratio"] for row in curve]
             every, kept = ([max(row[key], LEAST) for row in curve] for key in ("matches", "matches_ransac"))
             at.plot(ratios, every, color=colour, linestyle="--", marker="o", markersize=3)
             at.plot(ratios, kept, color=colour, marker="o", markersize=3, label=images)
@@ -125,7 +125,7 @@ def _grouped(rows: list[Row], key: str) -> dict[str, list[Row]]:
 
 def _sequence(row: Row) -> str:
     """Return the set, band and first image of a pair."""
-    return str(row["images"]).split(" – ")[0]
+    return str(row["condition"]).split(" – ")[0]
 
 
 def _colours(rows: list[Row]) -> dict[str, str]:

@@ -29,7 +29,8 @@ def trend_rows(rows: Sequence[Row]) -> list[Row]:
     for section, claim, judge in _trends():
         agrees, figures = judge(rows)
         verdict = "not tested" if agrees is None else "agrees" if agrees else "differs"
-        found.append({TABLE: TRENDS, "section": section, "the thesis says": claim, "ours": verdict, "figures": figures})
+        labels = {TABLE: TRENDS, "method": claim, "condition": f"section {section}"}
+        found.append({**labels, "verdict": verdict, "figures": figures})
     return found
 
 
@@ -92,7 +93,8 @@ def _first(key: str, method: str, *, most: bool) -> Callable[[Sequence[Row]], Ve
 
 def _threshold_matters(rows: Sequence[Row]) -> Verdict:
     low, high = (
-        {(r["method"], r["images"]): r for r in _rows(rows, THRESHOLDS, ratio=SWEEP_RATIOS[k])} for k in (0, -1)
+        {(r["method"], r["condition"]): r for r in _rows(rows, THRESHOLDS, descriptor_ratio=SWEEP_RATIOS[k])}
+        for k in (0, -1)
     )
     if not low:
         return None, "no ratios were compared"
@@ -141,7 +143,7 @@ def _infrared_matches(band: str) -> Callable[[Sequence[Row]], Verdict]:
     """Make a judge of the rates in a band against those in the visible one, by set and algorithm."""
 
     def judge(rows: Sequence[Row]) -> Verdict:
-        rates = {(row["method"], row["images"].rsplit(" ", 3)[0]): row["rate_1"] for row in _rows(rows, BANDS)}
+        rates = {(row["method"], row["condition"].rsplit(" ", 3)[0]): row["rate_1"] for row in _rows(rows, BANDS)}
         pairs = [
             (rates[method, images.removesuffix(band) + "visible"], rate)
             for (method, images), rate in rates.items()
@@ -186,7 +188,7 @@ def _bands_fail(band: str) -> Callable[[Sequence[Row]], Verdict]:
 
     def judge(rows: Sequence[Row]) -> Verdict:
         names = f" visible / {band} ", f" {band} / visible "
-        across = [row for row in _rows(rows, BANDS) if any(name in row["images"] for name in names)]
+        across = [row for row in _rows(rows, BANDS) if any(name in row["condition"] for name in names)]
         cross = [row for row in across if row["method"] in THESIS]
         if not cross:
             return None, "no such band"
@@ -200,7 +202,7 @@ def _bands_fail(band: str) -> Callable[[Sequence[Row]], Verdict]:
 def _spacing_costs(rows: Sequence[Row]) -> Verdict:
     curves: dict[tuple[str, str], list[Row]] = {}
     for row in _rows(rows, SPACINGS):
-        curves.setdefault((row["method"], row["images"].rsplit(" ", 3)[0]), []).append(row)
+        curves.setdefault((row["method"], row["condition"].rsplit(" ", 3)[0]), []).append(row)
     ends = [(curve[0]["matches"], curve[-1]["matches"]) for curve in curves.values() if len(curve) > 1]
     if not ends:
         return None, "no sequence"

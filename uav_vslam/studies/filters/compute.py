@@ -130,7 +130,8 @@ def consistency_rows(runs: Sequence[Run]) -> list[Row]:
     """Return a row per candidate, the end error beside the batch optimum's."""
     rows: list[Row] = []
     for name in _unique(run.name for run in runs):
-        rows.append({TABLE: CONSISTENCY, "method": name, **pooled([run for run in runs if run.name == name])})
+        found = [run for run in runs if run.name == name]
+        rows.append({TABLE: CONSISTENCY, "method": name, "condition": found[0].condition, **pooled(found)})
     best = next((row["end_rms_m"] for row in rows if row["method"] == BATCH), None)
     return [{**row, "end_ratio_to_batch": ratio(row["end_rms_m"], best)} for row in rows]
 
@@ -146,8 +147,9 @@ def noise_rows(runs: Sequence[Run], extractor: str = "SIFT") -> list[Row]:
         {
             TABLE: RER[extractor],
             "method": name,
-            "run": line,
-            **{scale: rates[name, scale].get(line) for scale in SCALES},
+            "condition": line,
+            "extractor": extractor,
+            **{f"rer_{scale}": rates[name, scale].get(line) for scale in SCALES},
         }
         for name in names
         for line in ("R1", "R2", "R3", "Ave", "all")
@@ -155,9 +157,9 @@ def noise_rows(runs: Sequence[Run], extractor: str = "SIFT") -> list[Row]:
     beside = [
         {
             TABLE: BESIDE[extractor],
-            "extractor": extractor,
             "method": name,
-            "scale": scale,
+            "condition": scale,
+            "extractor": extractor,
             "rer": rates[name, scale].get("all"),
             **pooled(found),
         }

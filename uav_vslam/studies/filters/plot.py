@@ -27,7 +27,7 @@ MODEL_DASHES = {"ri15": "-", "so15": "-.", "euler9": "--"}
 def draw_filters(tree: Tree, folder: Path) -> list[Path]:
     """Draw what the study holds into its folder and return the paths."""
     consistency = [row for row in tree["rows"] if "end_ratio_to_batch" in row]
-    scales = [row for row in tree["rows"] if "scale" in row]
+    scales = [row for row in tree["rows"] if "rer" in row]
     paths = []
     if consistency:
         paths.append(save(consistency_plot(consistency), folder / "consistency.png"))
@@ -66,9 +66,9 @@ def noise_plot(rows: list[Row]) -> Figure:
     """Return relative error rate and NEES of each method over the noise scales."""
     figure = Figure(figsize=(11.0, 5.4), layout="constrained")
     rates, nees = figure.subplots(1, 2, sharex=True)
-    scales = list(dict.fromkeys(row["scale"] for row in rows))
+    scales = list(dict.fromkeys(row["condition"] for row in rows))
     for method in dict.fromkeys(row["method"] for row in rows):
-        by_scale = {row["scale"]: row for row in rows if row["method"] == method}
+        by_scale = {row["condition"]: row for row in rows if row["method"] == method}
         found = [by_scale[scale] for scale in scales]
         missing = all(row["rer"] is None for row in found)
         label = f"{method} (fails)" if missing else method

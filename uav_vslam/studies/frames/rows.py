@@ -5,17 +5,19 @@ from collections.abc import Callable, Sequence
 
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.studies.engine.association_stages import Score, stage_rows
+from uav_vslam.studies.engine.association_stages import Score, mistaken_condition, stage_rows
 from uav_vslam.studies.engine.pool import in_pool, mean, median, ratio, rms
 from uav_vslam.studies.frames.compute import SHARES, TRACKS, FrameRun, run_seed
 
+ALIGNMENT = "frame of the peer"
+LABELS = {"alone": "S-SLAM", "unknown": "C-SLAM, frame unknown", "known": "C-SLAM, frame known"}  # by track
 FOUND_WITHIN_S = 30.0  # of overlap, which begins with the flight
 MAX_ERROR_M, MAX_ERROR_DEG = 1.5, 1.0
 
 NOTES = {
     "Flights": "two vehicles in formation at landmark level; the map frame of the second is turned by up to 180 "
     "degrees and shifted by 1 to 50 m, and a share of the landmarks that both map look like others of them to the "
-    "second for the whole flight: wrong_matches is the wrong ones' share of the matches in the packet that gives the "
+    "second for the whole flight: wrong_share is the wrong ones' share of the matches in the packet that gives the "
     "frame. Later fewer are wrong, for each vehicle then sends first what has proved to be shared",
     "Error": "of T_uav1_uav2 when it is found, against the transform that fits the two own-only maps of that moment "
     "best: least squares, without weights, over all landmarks that both maps hold, identities from the simulation; "
@@ -45,7 +47,7 @@ def frame_rows(
     scores = stage_rows((run.share, run.stages) for run in runs)
     return [
         *({TABLE: "where the peer's map lies", **_pooled(some)} for some in by_share),
-        *({TABLE: "trajectories", **_trajectories(some)} for some in by_share),
+        *({TABLE: "trajectories", **row} for some in by_share for row in _trajectories(some)),
         *({TABLE: "stages of association", **row} for row in scores),
         *({TABLE: "seed by seed", **_single(run)} for run in runs if run.share > 0),
     ]
@@ -64,40 +66,47 @@ def _pooled(runs: Sequence[FrameRun]) -> Row:
     matches = sum((first.matches for first, _, _ in found), Score())
     later = [error for run in runs for error in run.errors]
     return {
-        "mistaken": runs[0].share,
-        "wrong_matches": ratio(matches.wrong, matches.left),
-        "seeds": len(runs),
+        "method": ALIGNMENT,
+        "condition": mistaken_condition(runs[0].share),
+        "wrong_share": ratio(matches.wrong, matches.left),
+        "runs": len(runs),
         "found": len(found),
         "good": sum(is_good(run) for run in runs),
-        "median_found_s": median([first.after_s for first, _, _ in found]),
-        "median_error_m": median([metres for _, metres, _ in found]),
-        "worst_error_m": max((metres for _, metres, _ in found), default=None),
-        "worst_error_deg": max((degrees for _, _, degrees in found), default=None),
+        "found_median_s": median([first.after_s for first, _, _ in found]),
+        "error_median_m": median([metres for _, metres, _ in found]),
+        "error_worst_m": max((metres for _, metres, _ in found), default=None),
+        "error_worst_deg": max((degrees for _, _, degrees in found), default=None),
         "later_rms_m": rms([metres for metres, _ in later]),
         "later_rms_deg": rms([degrees for _, degrees in later]),
-        "worst_weighted_m": max((first.to_weighted[0] for first, _, _ in found), default=None),
-        "worst_true_m": max((first.to_true[0] for first, _, _ in found), default=None),
-        "worst_true_deg": max((first.to_true[1] for first, _, _ in found), default=None),
+        "weighted_worst_m": max((first.to_weighted[0] for first, _, _ in found), default=None),
+        "true_worst_m": max((first.to_true[0] for first, _, _ in found), default=None),
+        "true_worst_deg": max((first.to_true[1] for first, _, _ in found), default=None),
         "nees_frame": mean([first.nees for first, _, _ in found]),
     }
 
 
-def _trajectories(runs: Sequence[FrameRun]) -> Row:
+def _trajectories(runs: Sequence[FrameRun]) -> list[Row]:
+    """Return a row per track."""
     both = [ate for run in runs for ate in run.ate_m.values()]
     better = [min(run.ate_m.values(), key=lambda ate: ate["alone"]) for run in runs]
     pooled, best = ({key: rms([ate[key] for ate in some]) for key in TRACKS} for some in (both, better))
-    return {
-        "mistaken": runs[0].share,
-        **{f"nees_{key}": mean([nees[key] for run in runs for nees in run.pose_nees.values()]) for key in TRACKS},
-        "ate_alone_m": pooled["alone"],
-        **{f"ratio_{key}": ratio(pooled[key], pooled["alone"]) for key in TRACKS[1:]},
-        "better_alone_m": best["alone"],
-        **{f"better_ratio_{key}": ratio(best[key], best["alone"]) for key in TRACKS[1:]},
-    }
+    return [
+        {
+            "method": label,
+            "condition": mistaken_condition(runs[0].share),
+            "ate_rms_m": pooled[track],
+            "ratio_to_s_slam": ratio(pooled[track], pooled["alone"]),
+            "better_ate_rms_m": best[track],
+            "better_ratio_to_s_slam": ratio(best[track], best["alone"]),
+            "nees_position": mean([nees[track] for run in runs for nees in run.pose_nees.values()]),
+        }
+        for track, label in LABELS.items()
+    ]
 
 
 def _single(run: FrameRun) -> Row:
-    row: Row = {"mistaken": run.share, "seed": run.seed, "good": is_good(run)}
+    labels = {"method": ALIGNMENT, "condition": mistaken_condition(run.share)}
+    row: Row = {**labels, "seed": run.seed, "good": is_good(run)}
     if run.first is None:
         return row
     first, (metres, degrees) = run.first, run.errors[0]

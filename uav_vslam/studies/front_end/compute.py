@@ -44,7 +44,7 @@ NOTES = {
     "in an earlier frame, by their track",
     "Cost": "ms_per_frame: processor time of the front end alone, all threads, mean over the flight",
     "Flights": "root mean squares over seeds and vehicles, NEES of the position over 3 as mean over the frames after "
-    "the 20th; c_to_s: fused over own-only ATE, which is 1 where vehicles recognise nothing of one another",
+    "the 20th; c_slam_ratio_to_s_slam is 1 where vehicles have no landmark in common",
 }
 
 
@@ -135,11 +135,11 @@ def _row(seen: Sequence[Seen], everything: Sequence[Seen]) -> Row:
     row: Row = {
         "method": method.name,
         "condition": method.condition,
-        "points": points,
+        "points_per_frame": points,
         "kept_share": ratio(points, _points_a_frame(plain)),
         "followed_share": sum(flight.followed for flight in seen) / max(len(errors), 1),
         "sigma_px": float(errors.std(axis=0).mean()) if len(errors) else None,
-        "beyond_1px": float(np.mean(np.linalg.norm(errors, axis=1) > BEYOND_PX)) if len(errors) else None,
+        "beyond_1px_share": float(np.mean(np.linalg.norm(errors, axis=1) > BEYOND_PX)) if len(errors) else None,
         "ms_per_frame": mean([flight.ms_per_frame for flight in seen]),
     }
     return row | (_flight_figures(seen) if method.condition in FLOWN else {})
@@ -157,10 +157,11 @@ def _flight_figures(seen: Sequence[Seen]) -> Row:
         return [float(value) for value in found if value is not None]
 
     return {
-        "s_ate_m": rms(values("s_slam", "ate_m")),
-        "s_end_m": rms(values("s_slam", "end_m")),
-        "s_nees": mean(values("s_slam", "nees_position")),
-        "c_nees": mean(values("c_slam", "nees_position")),
-        "c_to_s": ratio(rms(values("c_slam", "ate_m")), rms(values("s_slam", "ate_m"))),
+        "ate_rms_m": rms(values("s_slam", "ate_m")),
+        "end_rms_m": rms(values("s_slam", "end_m")),
+        "nees_position": mean(values("s_slam", "nees_position")),
+        "c_slam_nees_position": mean(values("c_slam", "nees_position")),
+        "c_slam_ratio_to_s_slam": ratio(rms(values("c_slam", "ate_m")), rms(values("s_slam", "ate_m"))),
         "failures": len(seen) - len(flown),
+        "runs": len(seen),
     }

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FUSION_WEIGHTS, MAX_PACKET_LANDMARKS, VehicleConfig
 from uav_vslam.cooperation.link import LinkConfig
-from uav_vslam.evaluation.study import Row
+from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario
 from uav_vslam.studies.engine.cooperation import Outcome, Setting, run_settings
@@ -28,8 +28,8 @@ SHARED_MAP_M = 1.0
 NOTES = {
     "Flights": "landmark level, 1 px, ADIS16480; own-only tracks are flown once a seed and fused in every way, so all "
     "rows of a table see the same flights",
-    "Ratio": "ATE, root mean square over seeds and vehicles, over that of the same vehicles alone; low and high: "
-    f"{CONFIDENCE:.0%} of the bootstrap over seeds",
+    "Ratio": "ATE, root mean square over seeds and vehicles, over that of the same vehicles alone; ratio_low and "
+    f"ratio_high: {CONFIDENCE:.0%} of the bootstrap over seeds",
     "Channel": "what crosses the radio: own maps hold the sender's own measurements alone, fused maps also those that "
     "peers sent; feedback returns to each peer what fusion made of its landmarks; relays forward packets as they came",
     "NEES": "of the position over 3, mean over keyframes after the 20th, seeds and vehicles; 1 is consistent. Low and "
@@ -38,9 +38,8 @@ NOTES = {
     "errors of a run are correlated, so that a consistent filter leaves it in 5 % of the runs at most",
     "Failures": "runs (a seed and vehicle) whose covariance lost definiteness or whose filter broke down; their errors "
     "do not count",
-    "lambda_excess": "the largest eigenvalue of R^-1 P over all packets, less 1: above 0 one told more than was known",
-    "lasting_ratio": f"ratio from {LASTING_S:.0f} s after the last common view on; largest_jump: of the correction "
-    "from frame to frame while they part, over the fused sigma",
+    "lasting_ratio_to_s_slam": f"from {LASTING_S:.0f} s after the last common view on",
+    "largest_jump_sigmas": "while they part",
     "recovery_packets": "sent after the blackout until one was used, at worst",
 }
 
@@ -149,13 +148,13 @@ def run_parts(
     """Fly every part on every seed, a job each; return a row for each part and setting."""
     jobs = [(part, seed) for part in parts for seed in seeds]
     outcomes: dict[str, list[Outcome]] = {part.table: [] for part in parts}
-    for table, found in in_pool(_job, jobs, workers):
+    for table, found in in_pool(_job, jobs, workers, on_job):
         outcomes[table] += found
-        on_job()
     return [
         {
-            "table": part.table,
-            "setting": setting.name,
+            TABLE: part.table,
+            "method": setting.name,
+            "condition": part.table,
             "channel": setting.channel(part.config.fusion),
             **_figures(part, _of(outcomes[part.table], setting)),
         }
@@ -178,23 +177,23 @@ def _figures(part: Part, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     good = [o for o in outcomes if not o.failure]
     own, fused = _squares(good, "own_error"), _squares(good, "error")
     row: dict[str, Any] = {
-        "ate_alone_m": _root_mean(own),
-        "ate_m": _root_mean(fused),
-        "ratio": _ratio(own, fused),
+        "s_slam_ate_rms_m": _root_mean(own),
+        "ate_rms_m": _root_mean(fused),
+        "ratio_to_s_slam": _ratio(own, fused),
         **ratio_interval(own, fused),
-        "nees_alone": nees_figures([(o.seed, o.own_nees) for o in good])["nees"],
+        "s_slam_nees_position": nees_figures([(o.seed, o.own_nees) for o in good])["nees_position"],
         **nees_figures([(o.seed, o.nees) for o in good]),
         "failures": len(outcomes) - len(good),
         "runs": len(outcomes),
     }
     if part.scenario.pattern == "parting":
         late = PARTED_S + LASTING_S
-        row["lasting_ratio"] = _ratio(_squares(good, "own_error", late), _squares(good, "error", late))
-        row["largest_jump"] = max((_largest_jump(o) for o in good), default=None)
+        row["lasting_ratio_to_s_slam"] = _ratio(_squares(good, "own_error", late), _squares(good, "error", late))
+        row["largest_jump_sigmas"] = max((_largest_jump(o) for o in good), default=None)
         row["recovery_packets"] = max((o.figures["recovery_packets"] for o in good), default=None)
-    for key in ("sent_bytes_per_s", "fusion_ms"):
+    for key in ("sent_bytes_per_s", "ms_per_epoch"):
         row[key] = mean([o.figures[key] for o in good if key in o.figures])
-    for key in ("largest_packet", "lambda_excess"):
+    for key in ("packet_bytes_max", "lambda_excess"):
         row[key] = max((o.figures[key] for o in good if key in o.figures), default=None)
     return row
 

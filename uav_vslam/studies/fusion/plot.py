@@ -27,23 +27,23 @@ def gain_plot(heading: str, rows: list[Row]) -> Figure:
     figure.suptitle(heading[:1].upper() + heading[1:], x=0.01, ha="left")
     gain, nees = figure.subplots(1, 2, sharey=True)
     for line, row in enumerate(rows):
-        if row["ratio"] is None:
+        if row["ratio_to_s_slam"] is None:
             gain.text(1.0, line, f" {row['failures']} of {row['runs']} runs broke down", va="center", color="#a02020")
             continue
-        low, high = row.get("low") or row["ratio"], row.get("high") or row["ratio"]
+        low, high = (row.get(f"ratio_{end}") or row["ratio_to_s_slam"] for end in ("low", "high"))
         gain.plot([low, high], [line, line], color=LINE_COLOURS[0], linewidth=2.2)
-        gain.plot(row["ratio"], line, "o", color=LINE_COLOURS[0])
-        if row["nees"] is not None:
-            low, high = row.get("nees_low") or row["nees"], row.get("nees_high") or row["nees"]
+        gain.plot(row["ratio_to_s_slam"], line, "o", color=LINE_COLOURS[0])
+        if row["nees_position"] is not None:
+            low, high = (row.get(f"nees_position_{end}") or row["nees_position"] for end in ("low", "high"))
             colour = LINE_COLOURS[0] if low <= 1.0 else LINE_COLOURS[1]
             nees.plot([low, high], [line, line], color=colour, linewidth=2.2)
-            nees.plot(row["nees"], line, "o", color=colour)
-            nees.plot(row["nees_worst_quarter"], line, "|", color=colour)
+            nees.plot(row["nees_position"], line, "o", color=colour)
+            nees.plot(row["nees_position_worst_quarter"], line, "|", color=colour)
         if row["failures"]:
             gain.text(high, line, f"  {row['failures']} of {row['runs']} broke down", va="center", color="#a02020")
     gain.axvline(1.0, color="#888888", linewidth=0.8, linestyle=":")
     nees.axvline(1.0, color="#888888", linewidth=0.8, linestyle=":")
-    gain.set_yticks(range(len(rows)), [row["setting"] for row in rows])
+    gain.set_yticks(range(len(rows)), [row["method"] for row in rows])
     gain.set(xlabel="ATE with peers / ATE alone", ylim=(len(rows) - 0.5, -0.5))
     nees.set(xlabel="Position NEES / 3 (tick: worst quarter of the flight)")
     plain_log(nees, "x")
@@ -57,14 +57,14 @@ def fleet_plot(rows: list[Row]) -> Figure:
     peers = [int(row[TABLE].removesuffix(FLEET)) - 1 for row in rows]
     figure = Figure(figsize=(12.0, 3.8), layout="constrained")
     what = (
-        ("ratio", 1.0, "ATE with peers / ATE alone"),
+        ("ratio_to_s_slam", 1.0, "ATE with peers / ATE alone"),
         ("sent_bytes_per_s", 1e-3, "Payload sent by a vehicle [kB/s]"),
-        ("fusion_ms", 1.0, "Fusion and packet, an epoch [ms]"),
+        ("ms_per_epoch", 1.0, "Fusion and packet, an epoch [ms]"),
     )
     for axes, (key, scale, label) in zip(figure.subplots(1, 3), what, strict=True):
         values = [scale * row[key] for row in rows]
         axes.plot(peers, values, "o-", color=LINE_COLOURS[0])
-        if key != "ratio":
+        if key != "ratio_to_s_slam":
             axes.plot(peers, [values[0] / peers[0] * n for n in peers], ":", color="#888888", label="linear in peers")
             axes.legend(frameon=False)
         axes.set(xlabel="Peers", ylabel=label, xticks=peers, ylim=(0.0, None))

@@ -29,8 +29,8 @@ NOTES = {
     "their ratio within each run, and of all these the median over the runs",
     "Memory": f"growth_mb is what the process holds after the last frame less what it held after frame {SPAN}, median "
     "over the runs; the study itself keeps a pose of each frame, about 1 kB",
-    "Alignment": "ate_yaw_aligned_m forgives position and yaw of the start, which no landmark can tell: what is left "
-    "is the drift that retention can prevent",
+    "Alignment": "ate_yaw_aligned_rms_m forgives position and yaw of the start, which no landmark observes: what is "
+    "left is the drift that retention can prevent",
 }
 
 
@@ -71,11 +71,12 @@ def _row(name: str, runs: list[Run]) -> Row:
     late = [float(np.median(track.frame_ms[-SPAN:])) for track in tracks]
     return {
         "method": name,
+        "condition": runs[0].condition,
         **figures,
-        "ate_yaw_aligned_m": rms([error.ate_m for error in aligned if error]),
-        "ms_startup_buffer": median(early),
-        "ms_late": median(late),
-        "late_to_startup_buffer": median([b / a for a, b in zip(early, late, strict=True)]),
+        "ate_yaw_aligned_rms_m": rms([error.ate_m for error in aligned if error]),
+        "ms_per_frame_early": median(early),
+        "ms_per_frame_late": median(late),
+        "late_to_early": median([b / a for a, b in zip(early, late, strict=True)]),
         "landmarks_mean": mean([float(track.landmarks.mean()) for track in tracks]),
         "landmarks_max": max((int(track.landmarks.max()) for track in tracks), default=None),
         "growth_mb": median([float(track.resident_mb[-1] - track.resident_mb[SPAN]) for track in tracks]),
@@ -88,7 +89,7 @@ def _curve(runs: list[Run]) -> dict[str, list[float]]:
     return {
         "distance_m": _rounded(np.concatenate([[0.0], np.cumsum(steps)])),
         "error_m": _rounded(np.sqrt(np.mean(np.square(errors), axis=0))),
-        "ms": _rounded(np.median([run.track.frame_ms for run in runs], axis=0)),
+        "ms_per_frame": _rounded(np.median([run.track.frame_ms for run in runs], axis=0)),
         "landmarks": _rounded(np.mean([run.track.landmarks for run in runs], axis=0)),
     }
 

@@ -30,7 +30,7 @@ def long_plot(curves: list[dict[str, Any]]) -> Figure:
         style = {"color": LINE_COLOURS[number % len(LINE_COLOURS)], "linewidth": 1.4}
         distance = np.array(curve["distance_m"])
         errors.plot(distance, curve["error_m"], label=curve["method"], **style)
-        times.plot(distance, running_median(np.array(curve["ms"])), **style)
+        times.plot(distance, running_median(np.array(curve["ms_per_frame"])), **style)
         landmarks.plot(distance, curve["landmarks"], **style)
     errors.set(ylabel="Position error, rms of the runs [m]")
     times.set(ylabel="Time of a frame [ms]")

@@ -21,7 +21,7 @@ NOTES = {
     "frame, and all settings see the same",
     "Kinds": "swapped: features exchange their places in the image; lookalike: a feature is a real point "
     f"{LOOKALIKE_PX[0]:.0f} to {LOOKALIKE_PX[1]:.0f} px beside, in any direction of image and disparity together",
-    "Ratio": "end_to_clean is the end error, root mean square, over that of the same setting without wrong matches",
+    "Ratio": "end_ratio_to_clean is over the end error of the same setting",
     "Failures": FAILURE_RULE,
 }
 
@@ -48,8 +48,9 @@ def outlier_rows(runs: Sequence[Run]) -> list[Row]:
             found = pooled([run for run in runs if (run.name, run.condition) == (name, condition)])
             clean = found["end_rms_m"] if condition == CLEAN else clean
             kind, _, share = condition.partition(" ")
-            figures = {**found, "end_to_clean": ratio(found["end_rms_m"], clean)}
-            rows.append({"method": name, "kind": kind, "share": float(share or 0.0), **figures})
+            figures = {**found, "end_ratio_to_clean": ratio(found["end_rms_m"], clean)}
+            labels = {"method": name, "condition": condition, "kind": kind, "wrong_match_share": float(share or 0.0)}
+            rows.append({**labels, **figures})
     return rows
 
 

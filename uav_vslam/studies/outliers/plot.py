@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from uav_vslam.evaluation.consistency import chi_square_band
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import BAND, LINE_COLOURS, clean, column, plain_log, save
+from uav_vslam.studies.outliers.compute import CLEAN
 
 KIND_DASHES = {"swapped": "--", "lookalike": "-"}
 ALLOWED_RATIO = 1.3  # of the end error with a tenth of the matches wrong
@@ -26,10 +27,10 @@ def outlier_plot(rows: list[Row]) -> Figure:
     methods = list(dict.fromkeys(row["method"] for row in rows))
     for method, colour in zip(methods, LINE_COLOURS, strict=False):
         for kind, dashes in KIND_DASHES.items():
-            curve = [row for row in rows if row["method"] == method and (row["kind"] == kind or row["share"] == 0.0)]
-            percent = [100.0 * row["share"] for row in curve]
+            curve = [row for row in rows if row["method"] == method and row["kind"] in (kind, CLEAN)]
+            percent = [100.0 * row["wrong_match_share"] for row in curve]
             style = {"color": colour, "linestyle": dashes, "marker": "o", "linewidth": 1.6}
-            errors.plot(percent, column(curve, "end_to_clean"), label=f"{method}, {kind}", **style)
+            errors.plot(percent, column(curve, "end_ratio_to_clean"), label=f"{method}, {kind}", **style)
             nees.plot(percent, column(curve, "nees_position"), **style)
     errors.axhline(ALLOWED_RATIO, color="#888888", linewidth=0.8, linestyle=":")
     low, high = chi_square_band(rows[0]["runs"])

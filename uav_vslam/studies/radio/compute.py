@@ -22,13 +22,11 @@ NOTES = {
     "Flights": "two vehicles over rendered farmland, recorded and replayed in lock-step through the whole node graph: "
     "one process a node, packets over DDS. The same recordings in each mode; a seed whose graph failed in one of them "
     "counts in none",
-    "s_ate_m, c_ate_m": "error of the own-only and of the fused track, root mean square over frames, vehicles and "
-    "seeds, in the common frame without alignment",
-    "gain_kept": "(s - c) / (s - c of wideband), in pooled ATE: the share of what wideband brings that a mode keeps",
-    "s_nees, c_nees": "of the position, over 3, mean over the frames after the 20th, vehicles and seeds: 1 is "
-    "consistent",
-    "bytes_per_s": "payload that a vehicle sent: serialised packets without the headers of RTPS, UDP and IP, as its "
-    "fusion node counts them; mean and largest over vehicles and seeds",
+    "ATE": "root mean square over frames, vehicles and seeds, in the common frame without alignment",
+    "NEES": "mean over the frames after the 20th, vehicles and seeds",
+    "gain_kept_share": "(s - c) / (s - c of wideband) in pooled ATE",
+    "sent_bytes_per_s": "serialised packets without the headers of RTPS, UDP and IP, as a vehicle's fusion node counts "
+    "them; mean and largest over vehicles and seeds",
     "packet_bytes_max": "payload of the largest packet of any vehicle, from the steps of the same counter; in wideband "
     "with the feedback of the same epoch",
     "packets": "sums over vehicles and seeds; sent ones include feedback. Received ones are as of the receiver's last "
@@ -79,9 +77,9 @@ def radio_rows(runs: Sequence[Run], flights: int) -> list[Row]:
     counted = [run for run in runs if all(run.seed in seeds for seeds in ended.values())]
     rows = {mode: _figures([run for run in counted if run.mode == mode]) for mode in MODES}
     for mode, row in rows.items():
-        row["gain_kept"] = ratio(_gain(row), _gain(rows[WIDEBAND]))
-        row["failures"] = flights - len(ended[mode])
-    by_mode = [{TABLE: "Modes", "mode": mode, **row} for mode, row in rows.items()]
+        row["gain_kept_share"] = ratio(_gain(row), _gain(rows[WIDEBAND]))
+        row |= {"failures": flights - len(ended[mode]), "runs": flights}
+    by_mode = [{TABLE: "Modes", "method": mode, "condition": "all flights", **row} for mode, row in rows.items()]
     return by_mode + _targets(rows) + _flights(runs)
 
 
@@ -91,13 +89,13 @@ def _figures(runs: Sequence[Run]) -> Row:
     counts = {key: int(sum(_found(runs, "link", key))) for key in ("packets_sent", "packets_received", "packets_used")}
     dropped = sum((Counter(run.figures["link"]["dropped"]) for run in runs), Counter())
     return {
-        "s_ate_m": own,
-        "c_ate_m": fused,
-        "c_over_s": ratio(fused, own),
-        "s_nees": mean(_found(runs, "s_slam", "nees_position")),
-        "c_nees": mean(_found(runs, "c_slam", "nees_position")),
-        "bytes_per_s_mean": mean(rates),
-        "bytes_per_s_max": max(rates, default=None),
+        "s_slam_ate_rms_m": own,
+        "ate_rms_m": fused,
+        "ratio_to_s_slam": ratio(fused, own),
+        "s_slam_nees_position": mean(_found(runs, "s_slam", "nees_position")),
+        "nees_position": mean(_found(runs, "c_slam", "nees_position")),
+        "sent_bytes_per_s": mean(rates),
+        "sent_bytes_per_s_max": max(rates, default=None),
         "packet_bytes_max": max((size for run in runs for size in run.packet_bytes), default=None),
         **counts,
         "packets_dropped": ", ".join(f"{count} {reason}" for reason, count in sorted(dropped.items())) or "none",
@@ -111,26 +109,29 @@ def _found(runs: Sequence[Run], part: str, key: str) -> list[float]:
 
 
 def _gain(row: Row) -> float | None:
-    own, fused = row["s_ate_m"], row["c_ate_m"]
+    own, fused = row["s_slam_ate_rms_m"], row["ate_rms_m"]
     return None if own is None or fused is None else own - fused
 
 
 def _targets(rows: Mapping[str, Row]) -> list[Row]:
     """Return what the modes were made to reach, and whether they do."""
-    narrow = rows[NARROWBAND]
-    payloads = [(f"{mode}, payload [B/s]", rows[mode]["bytes_per_s_max"], MAX_BYTES_PER_S[mode]) for mode in MODES]
-    packet = (f"{NARROWBAND}, largest packet [B]", narrow["packet_bytes_max"], LARGEST_NARROWBAND_PACKET)
     found = [
-        _target(name, value, f"at most {limit}", met=value is not None and value <= limit)
-        for name, value, limit in (*payloads, packet)
+        _at_most(mode, "payload [B/s]", rows[mode]["sent_bytes_per_s_max"], MAX_BYTES_PER_S[mode]) for mode in MODES
     ]
-    kept = narrow["gain_kept"]
+    narrow = rows[NARROWBAND]
+    found.append(_at_most(NARROWBAND, "largest packet [B]", narrow["packet_bytes_max"], LARGEST_NARROWBAND_PACKET))
+    kept = narrow["gain_kept_share"]
     met = kept is not None and kept >= LEAST_GAIN_KEPT
-    return [*found, _target(f"{NARROWBAND}, share of the wideband gain", kept, f"at least {LEAST_GAIN_KEPT}", met=met)]
+    return [*found, _target(NARROWBAND, "share of the wideband gain", kept, f"at least {LEAST_GAIN_KEPT}", met=met)]
 
 
-def _target(name: str, measured: float | None, limit: str, *, met: bool) -> Row:
-    return {TABLE: "Targets", "target": name, "measured": measured, "limit": limit, "met": "yes" if met else "no"}
+def _at_most(mode: str, what: str, value: float | None, limit: float) -> Row:
+    return _target(mode, what, value, f"at most {limit}", met=value is not None and value <= limit)
+
+
+def _target(mode: str, what: str, measured: float | None, limit: str, *, met: bool) -> Row:
+    verdict = {"measured": measured, "limit": limit, "met": "yes" if met else "no"}
+    return {TABLE: "Targets", "method": mode, "condition": what, **verdict}
 
 
 def _flights(runs: Sequence[Run]) -> list[Row]:
@@ -138,5 +139,6 @@ def _flights(runs: Sequence[Run]) -> list[Row]:
     for run in runs:
         flights.setdefault((run.seed, run.mode), []).append(run)
     return [
-        {TABLE: "Flights", "seed": seed, "mode": mode, **_figures(found)} for (seed, mode), found in flights.items()
+        {TABLE: "Flights", "method": mode, "condition": f"seed {seed}", **_figures(found)}
+        for (seed, mode), found in flights.items()
     ]

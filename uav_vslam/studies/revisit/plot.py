@@ -23,10 +23,10 @@ def draw_revisit(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 def revisit_plot(curves: list[Curve]) -> Figure:
     """Return a row per level: error over distance, and end errors against those of the last method."""
-    levels = list(dict.fromkeys(curve["level"] for curve in curves))
+    levels = list(dict.fromkeys(curve["condition"] for curve in curves))
     figure = Figure(figsize=(11.0, 4.2 * len(levels)), layout="constrained")
     for level, (errors, ends) in zip(levels, figure.subplots(len(levels), 2, squeeze=False), strict=True):
-        of_level = [curve for curve in curves if curve["level"] == level]
+        of_level = [curve for curve in curves if curve["condition"] == level]
         _draw_errors(errors, of_level)
         _draw_ends(ends, of_level)
         errors.set_title(f"{level}, rms of {len(of_level[0]['seeds'])} flights", fontsize=10)

@@ -24,8 +24,8 @@ NOTES = {
     f"of which {NOISE.missed_share:.0%} are missed in each frame, {NOISE.lookalike_share:.0%} seen some pixels beside, "
     f"and {TWIN_SHARE:.0%} look like another one a few metres away",
     "Drift": f"error at the first frame that is within {RETURN_M:.0f} m of the start again, before any loop is closed",
-    "Ratio": f"end error, root mean square over the seeds, over that of the flights with {FORGETTING}; low and high: "
-    f"{CONFIDENCE:.0%} of the bootstrap over seeds, from three seeds on",
+    "Ratio": f"end error over that of the flights with {FORGETTING}; ratio_low and ratio_high: {CONFIDENCE:.0%} of the "
+    "bootstrap over seeds, from three seeds on",
     "Closures": f"landmarks recognised after {LONG_FRAMES} frames or more without them, a flight; false, of all "
     f"flights: another landmark, or what has no identity more than {FALSE_BEYOND_M} m from where the landmark was "
     "first seen; closed: flights with any that is right",
@@ -42,7 +42,7 @@ def revisit_rows(loops: Sequence[Loop]) -> list[Row]:
         forgetting = [loop for loop in of_level if loop.run.name == FORGETTING]
         for name in dict.fromkeys(loop.run.name for loop in of_level):
             rows.append(
-                {"level": level, "method": name, **_row([x for x in of_level if x.run.name == name], forgetting)}
+                {"method": name, "condition": level, **_row([x for x in of_level if x.run.name == name], forgetting)}
             )
     return rows
 
@@ -57,8 +57,8 @@ def revisit_series(loops: Sequence[Loop]) -> list[Row]:
             errors = np.sqrt(np.mean([np.square(_errors(run)) for run in runs], axis=0))
             curves.append(
                 {
-                    "level": level,
                     "method": name,
+                    "condition": level,
                     "distance_m": np.round(np.concatenate([[0.0], np.cumsum(steps)]), 2).tolist(),
                     "error_m": np.round(errors, 4).tolist(),
                     "seeds": [run.seed for run in runs],
@@ -74,9 +74,11 @@ def _row(loops: Sequence[Loop], forgetting: Sequence[Loop]) -> Row:
     common = sorted(set(ends) & set(yardstick))
     squares, squares_without = (np.array([end[seed] ** 2 for seed in common]) for end in (ends, yardstick))
     return {
-        "drift_before_m": rms([_errors(x.run)[back_at(x.run.truth)] for x in loops if is_finished(x.run)]),
+        "drift_before_rms_m": rms([_errors(x.run)[back_at(x.run.truth)] for x in loops if is_finished(x.run)]),
         "end_rms_m": figures["end_rms_m"],
-        "ratio": ratio(rms([ends[seed] for seed in common]), rms([yardstick[seed] for seed in common])),
+        "end_ratio_to_forgetting": ratio(
+            rms([ends[seed] for seed in common]), rms([yardstick[seed] for seed in common])
+        ),
         **(ratio_interval(squares_without, squares) if loops[0].run.name != FORGETTING else {}),
         "ate_rms_m": figures["ate_rms_m"],
         "nees_position": figures["nees_position"],

@@ -105,8 +105,9 @@ def _figures(outcomes: Sequence[Outcome], track: str) -> Row:
         **figures,
         "nees_position": mean(_values(good, track, "nees_position")),
         "nees_position_end": mean(_values(good, track, "nees_position_end")),
-        "frames_processed": mean([outcome.processed for outcome in good]),
+        "processed_share": mean([outcome.processed for outcome in good]),
         "failures": len(outcomes) - len(good),
+        "runs": len(outcomes),
         "ms_per_frame": mean([outcome.ms_per_frame for outcome in good]),
     }
 

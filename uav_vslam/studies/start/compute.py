@@ -66,10 +66,25 @@ def study_rows(
     rows: list[Row] = []
     for grade, scenarios in flights.items():
         found = list(in_pool(fly_in_flight, scenarios, workers, on_job))
-        rows.append({TABLE: "no start state", "imu": grade, **_pooled([run for run in found if run], len(seeds))})
+        rows.append(
+            {
+                TABLE: "no start state",
+                "method": "in-flight initializer",
+                "condition": grade,
+                **_pooled([run for run in found if run], len(seeds)),
+            }
+        )
     for what in WRONGS:
         warned = list(in_pool(fly_wrong, [(what, seed) for seed in seeds], workers, on_job))
-        rows.append({TABLE: "a start state that is wrong", "what": what, "warned": sum(warned), "runs": len(warned)})
+        rows.append(
+            {
+                TABLE: "a start state that is wrong",
+                "method": "start monitor",
+                "condition": what,
+                "warned": sum(warned),
+                "runs": len(warned),
+            }
+        )
     return rows
 
 
@@ -153,9 +168,9 @@ def _pooled(runs: list[InFlight], count: int) -> Row:
         "found": len(runs),
         "runs": count,
         "settled": sum(run.settled_s <= SETTLED_WITHIN_S for run in runs),
-        "longest_s": max((run.settled_s for run in runs), default=None),
+        "settled_worst_s": max((run.settled_s for run in runs), default=None),
         "nees_position": mean([run.nees_position for run in runs]),
         "end_rms_m": rms([run.end_error_m for run in runs]),
-        "start_velocity_rms": rms([run.velocity_error for run in runs]),
+        "start_velocity_rms_m_per_s": rms([run.velocity_error for run in runs]),
         "start_tilt_rms_deg": rms([run.tilt_error_deg for run in runs]),
     }

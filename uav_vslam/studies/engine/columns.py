@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The columns of every study's tables: the same quantity has the same key everywhere, and its unit in the name.
+
+A row says what it is of (`method`) and under which circumstances (`condition`). Its figures are those of the track
+that the method makes; `s_slam_` or `c_slam_` before a key says that a figure is of the own-only or of the fused track
+of the same flights. Shares and ratios have no unit; `_worst`, `_max` and `_mean` are over the runs.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from uav_vslam.evaluation.study import TABLE
+
+Row = dict[str, Any]
+
+IDENTITY = ("method", "condition")
+COLUMNS: dict[str, str] = {
+    # which
+    TABLE: "heading under which the row stands",
+    "method": "what is compared: a method, setting, stage or process",
+    "condition": "under which circumstances: flight, noise, images, start",
+    "seed": "of the one run that the row is of",
+    "channel": "what crosses the radio",
+    "extractor": "whose noise is simulated",
+    "kind": "of wrong match",
+    "wrong_match_share": "of the matches that are simulated wrong",
+    "mistaken_share": "of the shared landmarks that look like others",
+    "camera": "still or moving",
+    "spacing": "number of images from the first to the second",
+    "descriptor_ratio": "largest ratio of nearest to second-nearest descriptor distance",
+    "yardstick": "what is timed beside it",
+    # errors, root mean square over the runs
+    "ate_rms_m": "position error over the flight",
+    "ate_yaw_aligned_rms_m": "the same, position and yaw of the start aligned",
+    "ate_mean_m": "mean of the runs' ATE",
+    "ate_worst_m": "largest ATE of a run",
+    "end_rms_m": "position error at the end",
+    "error_max_m": "largest position error of a frame",
+    "drift_before_rms_m": "position error before the loop is closed",
+    "rer": "relative error rate of the thesis, SLAM over INS",
+    **{f"rer_w{k}": f"the same under noise scale w{k}" for k in range(1, 5)},
+    # ratios of errors
+    "ratio_to_s_slam": "ATE over that of the same vehicles alone",
+    "ratio_low": "bootstrap interval of the row's ratio, lower end",
+    "ratio_high": "and upper end",
+    "lasting_ratio_to_s_slam": "ratio_to_s_slam long after the last common view",
+    "end_ratio_to_ins": "end error over the INS's",
+    "end_ratio_to_batch": "end error over the batch optimum's",
+    "end_ratio_to_rigid": "end error over the first method's with a rigid rig",
+    "end_ratio_to_clean": "end error over that without wrong matches",
+    "end_ratio_to_forgetting": "end error over that with nothing retained",
+    "better_ate_rms_m": "ATE of the vehicle of each seed that is better alone",
+    "better_ratio_to_s_slam": "its ratio_to_s_slam",
+    "gain_kept_share": "of the gain in wideband",
+    # consistency: 1 is consistent, more over-confident
+    "nees_position": "NEES of the position over 3, mean",
+    "nees_position_end": "the same at the end",
+    "nees_position_worst": "the same, worst run",
+    "nees_position_low": "bootstrap interval of the mean over seeds, lower end",
+    "nees_position_high": "and upper end",
+    "nees_position_worst_quarter": "the largest mean of a quarter of the flight",
+    "nees_position_outside": "share of runs whose mean over time is outside of the chi-square band of one NEES",
+    "nees_rotation": "NEES of the rotation over 3, mean",
+    "nees_frame": "NEES of the peer's frame over 4, mean",
+    "lambda_excess": "largest eigenvalue of R^-1 P over all packets, less 1: above 0 a packet claimed too much",
+    "largest_jump_sigmas": "largest step of the correction from frame to frame over the fused sigma",
+    # runs and what became of them
+    "runs": "number of runs",
+    "failures": "runs that failed",
+    "failure": "why the run ended early",
+    "restarts": "re-initialisations of the filter, sum over the runs",
+    "frames": "number of frames",
+    "processed_share": "of the frames",
+    "frames_coasted": "frames with no associated landmark, on the INS alone",
+    "frames_coasted_worst": "the same of the worst run",
+    "recovered_frames": "from the fault's end until many landmarks are associated, worst run",
+    "alarms": "diagnostics' reports and in how many frames",
+    "found": "runs that found it",
+    "good": "runs that found it in time and well",
+    "settled": "runs that settled in time",
+    "settled_worst_s": "time until the last one settled",
+    "warned": "runs in which the start monitor warned",
+    "closed": "runs with a right loop closure",
+    "closures": "landmarks recognised after long, of a run",
+    "false_closures": "wrong ones among them, sum over the runs",
+    # time and memory
+    "ms_per_frame": "processor time of what is compared",
+    "ms_per_frame_early": "the same early in the flight",
+    "ms_per_frame_late": "and late in it",
+    "late_to_early": "ratio of the two",
+    "ms_association": "the associator's share of it",
+    "ms_per_pair": "of images",
+    "ms_per_epoch": "of fusion, packet included",
+    "ms_per_packet": "processor time",
+    "us_per_landmark": "processor time",
+    "mb_per_s": "read",
+    "ratio_to_yardstick": "of the times",
+    "core_share": "of one processor core",
+    "growth_mb": "memory gained over the flight",
+    "extract_s": "processor time, both images",
+    "match_s": "processor time",
+    "ransac_s": "processor time",
+    # landmarks and features
+    "landmarks": "in the state, or shared",
+    "landmarks_mean": "in the state",
+    "landmarks_max": "in the state",
+    "points_per_frame": "accepted stereo points",
+    "kept_share": "points over those with equal cameras",
+    "followed_share": "points seen in an earlier frame too",
+    "sigma_px": "standard deviation of the right pixel",
+    "beyond_1px_share": "right pixels that far off",
+    "keypoints_1": "of the first image",
+    "keypoints_2": "of the second image",
+    "matches": "without RANSAC",
+    "matches_ransac": "kept by RANSAC",
+    "rate_1": "matches over keypoints_1",
+    "rate_2": "matches over keypoints_2",
+    "rate_1_ransac": "matches_ransac over keypoints_1",
+    "rate_2_ransac": "matches_ransac over keypoints_2",
+    "precision": "share of the pairs that are right",
+    "precision_ransac": "the same after RANSAC",
+    "recall": "share of what could be found",
+    "error_median_px": "of the right matches",
+    "pairs": "of landmarks",
+    "pairs_per_frame": "of landmark and feature",
+    # packets
+    "sent_bytes_per_s": "payload of a vehicle, mean",
+    "sent_bytes_per_s_max": "the same, largest",
+    "packet_bytes_max": "payload of the largest packet",
+    "packets_sent": "sum",
+    "packets_received": "sum",
+    "packets_used": "sum",
+    "packets_dropped": "by reason",
+    "recovery_packets": "sent after the blackout until one was used",
+    "measured": "what was measured of it",
+    "limit": "what was asked for",
+    "met": "yes or no",
+    # where the peer's map is
+    "wrong_share": "of the matches in the packet that gives the frame",
+    "wrong": "matches among them",
+    "used": "matches that the alignment rests on",
+    "wrong_used": "wrong ones among those",
+    "found_s": "time until the frame was found",
+    "found_median_s": "the same, median",
+    "error_m": "of the frame when it was found",
+    "error_deg": "the same",
+    "error_median_m": "the same, median",
+    "error_worst_m": "the same, worst run",
+    "error_worst_deg": "the same, worst run",
+    "later_rms_m": "error of the frame from then on",
+    "later_rms_deg": "the same",
+    "weighted_m": "error_m against the weighted fit",
+    "weighted_worst_m": "the same, worst run",
+    "true_m": "error_m against the true frames",
+    "true_deg": "the same",
+    "true_worst_m": "the same, worst run",
+    "true_worst_deg": "the same, worst run",
+    # the start that was found
+    "start_velocity_rms_m_per_s": "error",
+    "start_tilt_rms_deg": "error",
+    # the thesis's conclusions
+    "verdict": "whether our figures agree",
+    "figures": "that it rests on",
+}
+TRACKS = ("s_slam_", "c_slam_", "gtsam_")
+
+
+def check_rows(rows: Sequence[Row]) -> None:
+    """Check that every row says what it is of, and that its columns are declared.
+
+    Raises:
+        ValueError: it does not, or one is not.
+    """
+    for row in rows:
+        missing = [key for key in IDENTITY if not isinstance(row.get(key), str)]
+        unknown = [key for key in row if _plain(key) not in COLUMNS]
+        if missing or unknown:
+            raise ValueError(
+                f"row {row}: no text under {missing}, not in COLUMNS: {unknown}; see studies.engine.columns"
+            )
+
+
+def legend(rows: Sequence[Row]) -> str:
+    """Return what the figures of some rows mean."""
+    used = dict.fromkeys(_plain(key) for row in rows for key in row if key not in (TABLE, *IDENTITY))
+    return "; ".join(f"{key}: {COLUMNS[key]}" for key in used)
+
+
+def _plain(key: str) -> str:
+    """Return a key without the track's name before it."""
+    return next((key.removeprefix(track) for track in TRACKS if key.startswith(track)), key)
