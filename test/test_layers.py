@@ -118,15 +118,12 @@ def strays(path: Path) -> list[str]:
     return found
 
 
-BORROWED = {"thesis": ("studies.fusion", "studies.filters")}  # it flies the fusion study's tables
-
-
 def neighbours(path: Path) -> list[str]:
     """Return a study's imports of another study; the registry alone knows them all."""
     parts = path.relative_to(PACKAGE).parts
     if parts[0] != "studies" or len(parts) < 3:
         return []
-    shared = {"studies", f"studies.{parts[1]}", "studies.engine", *BORROWED.get(parts[1], ())}
+    shared = {"studies", f"studies.{parts[1]}", "studies.engine"}
     return [
         f"{path.relative_to(ROOT)}:{line}: {name} is of another study"
         for name, line in imports_of(path)

@@ -78,8 +78,8 @@ def test_the_table_shows_the_best_the_median_and_the_worst_run_and_their_mean(ma
     lines = lines_of(noise_rows(runs), "ri15 eif")
     for scale in SCALES:
         assert [lines[run][f"rer_{scale}"] for run in ("R1", "R2", "R3")] == pytest.approx([0.1, 0.2, 0.8])
-        assert lines["Ave"][scale] == pytest.approx(1.1 / 3)
-        assert lines["all"][scale] == pytest.approx(0.4)
+        assert lines["Ave"][f"rer_{scale}"] == pytest.approx(1.1 / 3)
+        assert lines["all"][f"rer_{scale}"] == pytest.approx(0.4)
 
 
 def test_a_filter_that_never_came_to_an_end_keeps_its_place_in_the_table(make_run):

@@ -7,7 +7,8 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.link import LinkConfig
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.cooperation import Setting
-from uav_vslam.studies.fusion.compute import PARTS, Part, run_parts
+from uav_vslam.studies.engine.fusion_parts import Part, run_parts
+from uav_vslam.studies.fusion.compute import PARTS
 
 SETTINGS = (
     Setting("all"),

@@ -28,6 +28,7 @@ from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
 Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
 LABELS = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
 TRACKS = tuple(LABELS)
+RELIEF_PER_ALTITUDE = 0.03  # as in the default scenario
 
 
 @dataclass(frozen=True, slots=True)

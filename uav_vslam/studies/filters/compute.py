@@ -12,6 +12,7 @@ from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.simulation.landmarks import PER_FRAME, LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.studies.engine.flights import RELIEF_PER_ALTITUDE
 from uav_vslam.studies.engine.own_only import INS, Candidate, Flight, Run, Track, Trial, dead_reckoning, own_only
 from uav_vslam.studies.engine.pool import ratio
 from uav_vslam.studies.engine.scores import FAILURE_RULE, pooled, relative_error_rate
@@ -31,7 +32,6 @@ IN_TABLE_471 = (  # the thesis's order, and then its own forms
 SCALES = ("w1", "w2", "w3", "w4")
 THESIS_SIGMA_PX = float(np.sqrt(10.0))  # "a value of 10 on the diagonal element of the covariance"
 THESIS_FRAMES = 100
-RELIEF_PER_ALTITUDE = 0.03  # as in the default scenario
 # By `extractor_noise.measure` on rendered images, mean of seeds 1 and 2.
 MEASURED = {
     "SIFT": ExtractorNoise(points=571.0, sigma_px=0.089, wrong_share=0.011),

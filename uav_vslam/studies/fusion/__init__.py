@@ -17,8 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Fly the chosen parts."""
-    from uav_vslam.studies.fusion.compute import NOTES, PARTS, run_parts
-    from uav_vslam.studies.fusion.plot import draw_fusion
+    from uav_vslam.studies.engine.fusion_parts import NOTES, run_parts
+    from uav_vslam.studies.engine.fusion_plot import draw_fusion
+    from uav_vslam.studies.fusion.compute import PARTS
 
     parts = [part for name in args.parts for part in PARTS[name](args.frames)]
     rows = run_parts(parts, seeds, workers=args.workers, on_job=progress(len(parts) * len(seeds)))

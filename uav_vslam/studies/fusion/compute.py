@@ -1,58 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cooperation gains, and whether it stays consistent: schemes, weights, a shared map, bad radios, large fleets."""
+"""The fusion study's tables: schemes, weights, a shared map, bad radios, large fleets."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
-from uav_vslam.config import FUSION_WEIGHTS, MAX_PACKET_LANDMARKS, VehicleConfig
+from uav_vslam.config import FUSION_WEIGHTS, MAX_PACKET_LANDMARKS
 from uav_vslam.cooperation.link import LinkConfig
-from uav_vslam.evaluation.study import TABLE, Row
-from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario
-from uav_vslam.studies.engine.cooperation import Outcome, Setting, run_settings
-from uav_vslam.studies.engine.pool import CONFIDENCE, in_pool, mean, ratio_interval
-from uav_vslam.studies.engine.scores import nees_figures
+from uav_vslam.studies.engine.cooperation import Setting
+from uav_vslam.studies.engine.fusion_parts import Part
 
-Array = NDArray[np.float64]
-
-PARTED_S = 65.0  # of the scenario "parting": from then on the vehicles never see the same ground again
-LASTING_S = 60.0  # after that, the gain is looked at again
-PARTING_S = (60.0, 75.0)  # while they part, no correction may leap
 BLACKOUT_S = (25.0, 85.0)
 SHARED_MAP_M = 1.0
-
-NOTES = {
-    "Flights": "landmark level, 1 px, ADIS16480; own-only tracks are flown once a seed and fused in every way, so all "
-    "rows of a table see the same flights",
-    "Ratio": "ATE, root mean square over seeds and vehicles, over that of the same vehicles alone; ratio_low and "
-    f"ratio_high: {CONFIDENCE:.0%} of the bootstrap over seeds",
-    "Channel": "what crosses the radio: own maps hold the sender's own measurements alone, fused maps also those that "
-    "peers sent; feedback returns to each peer what fusion made of its landmarks; relays forward packets as they came",
-    "NEES": "of the position over 3, mean over keyframes after the 20th, seeds and vehicles; 1 is consistent. Low and "
-    f"high: {CONFIDENCE:.0%} of the bootstrap over seeds; worst quarter: the largest mean of a quarter of the flight; "
-    "outside: the share of runs whose mean over time is outside of the 95 % chi-square band of one NEES, 0.07 to 3.1; "
-    "errors of a run are correlated, so that a consistent filter leaves it in 5 % of the runs at most",
-    "Failures": "runs (a seed and vehicle) whose covariance lost definiteness or whose filter broke down; their errors "
-    "do not count",
-    "lasting_ratio_to_s_slam": f"from {LASTING_S:.0f} s after the last common view on",
-    "largest_jump_sigmas": "while they part",
-    "recovery_packets": "sent after the blackout until one was used, at worst",
-}
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Part:
-    """One table: a flight, and the ways to cooperate on it."""
-
-    table: str
-    scenario: Scenario
-    settings: tuple[Setting, ...]
-    config: VehicleConfig = dataclasses.field(default_factory=VehicleConfig)
-    noise: LandmarkNoise = dataclasses.field(default_factory=LandmarkNoise)
 
 
 def schemes(frames: int) -> list[Part]:
@@ -140,80 +99,3 @@ PARTS: dict[str, Callable[[int], list[Part]]] = {
     "network": lambda frames: network(),
     "fleets": fleets,
 }
-
-
-def run_parts(
-    parts: Sequence[Part], seeds: Sequence[int], *, workers: int, on_job: Callable[[], None] = lambda: None
-) -> list[Row]:
-    """Fly every part on every seed, a job each; return a row for each part and setting."""
-    jobs = [(part, seed) for part in parts for seed in seeds]
-    outcomes: dict[str, list[Outcome]] = {part.table: [] for part in parts}
-    for table, found in in_pool(_job, jobs, workers, on_job):
-        outcomes[table] += found
-    return [
-        {
-            TABLE: part.table,
-            "method": setting.name,
-            "condition": part.table,
-            "channel": setting.channel(part.config.fusion),
-            **_figures(part, _of(outcomes[part.table], setting)),
-        }
-        for part in parts
-        for setting in part.settings
-    ]
-
-
-def _job(job: tuple[Part, int]) -> tuple[str, list[Outcome]]:
-    part, seed = job
-    scenario = dataclasses.replace(part.scenario, seed=seed)
-    return part.table, run_settings(scenario, part.settings, part.config, part.noise)
-
-
-def _of(outcomes: Sequence[Outcome], setting: Setting) -> list[Outcome]:
-    return sorted((o for o in outcomes if o.setting == setting.name), key=lambda o: (o.seed, o.vehicle))
-
-
-def _figures(part: Part, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    good = [o for o in outcomes if not o.failure]
-    own, fused = _squares(good, "own_error"), _squares(good, "error")
-    row: dict[str, Any] = {
-        "s_slam_ate_rms_m": _root_mean(own),
-        "ate_rms_m": _root_mean(fused),
-        "ratio_to_s_slam": _ratio(own, fused),
-        **ratio_interval(own, fused),
-        "s_slam_nees_position": nees_figures([(o.seed, o.own_nees) for o in good])["nees_position"],
-        **nees_figures([(o.seed, o.nees) for o in good]),
-        "failures": len(outcomes) - len(good),
-        "runs": len(outcomes),
-    }
-    if part.scenario.pattern == "parting":
-        late = PARTED_S + LASTING_S
-        row["lasting_ratio_to_s_slam"] = _ratio(_squares(good, "own_error", late), _squares(good, "error", late))
-        row["largest_jump_sigmas"] = max((_largest_jump(o) for o in good), default=None)
-        row["recovery_packets"] = max((o.figures["recovery_packets"] for o in good), default=None)
-    for key in ("sent_bytes_per_s", "ms_per_epoch"):
-        row[key] = mean([o.figures[key] for o in good if key in o.figures])
-    for key in ("packet_bytes_max", "lambda_excess"):
-        row[key] = max((o.figures[key] for o in good if key in o.figures), default=None)
-    return row
-
-
-def _squares(outcomes: Sequence[Outcome], key: str, from_s: float = 0.0) -> Array:
-    """Return (S,) mean squared errors of each seed, over its vehicles and frames [m^2]."""
-    seeds = sorted({o.seed for o in outcomes})
-    of_runs = [(o.seed, float(np.mean(getattr(o, key)[o.times_s >= from_s] ** 2))) for o in outcomes]
-    return np.array([np.mean([square for seed, square in of_runs if seed == wanted]) for wanted in seeds])
-
-
-def _root_mean(squares: Array) -> float | None:
-    return float(np.sqrt(squares.mean())) if len(squares) else None
-
-
-def _ratio(own: Array, fused: Array) -> float | None:
-    return float(np.sqrt(fused.mean() / own.mean())) if len(own) else None
-
-
-def _largest_jump(outcome: Outcome) -> float:
-    parting = (outcome.times_s >= PARTING_S[0]) & (outcome.times_s <= PARTING_S[1])
-    steps = np.linalg.norm(np.diff(outcome.correction[parting], axis=0), axis=1)
-    return float(np.max(steps / outcome.sigma[parting][1:]))

@@ -10,13 +10,13 @@ from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Fly all modes, and the first seed once more for the figures."""
-    from uav_vslam.studies.fusion import compute as fusion
+    from uav_vslam.studies.engine import fusion_parts
     from uav_vslam.studies.thesis.compute import NOTES, modes
     from uav_vslam.studies.thesis.plot import draw_thesis
 
     parts = modes(args.frames)
-    rows = fusion.run_parts(parts, seeds, workers=args.workers, on_job=progress(len(parts) * len(seeds)))
-    return Findings(rows, fusion.NOTES | NOTES, draw=draw_thesis(parts, seeds[0]))
+    rows = fusion_parts.run_parts(parts, seeds, workers=args.workers, on_job=progress(len(parts) * len(seeds)))
+    return Findings(rows, fusion_parts.NOTES | NOTES, draw=draw_thesis(parts, seeds[0]))
 
 
 STUDY = Study(

@@ -16,9 +16,8 @@ from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies.engine.cooperation import Setting
-from uav_vslam.studies.engine.flights import true_trajectory, with_backend
-from uav_vslam.studies.filters.compute import RELIEF_PER_ALTITUDE
-from uav_vslam.studies.fusion.compute import Part
+from uav_vslam.studies.engine.flights import RELIEF_PER_ALTITUDE, true_trajectory, with_backend
+from uav_vslam.studies.engine.fusion_parts import Part
 
 STEPS = 360
 SIGMAS_PX = (6.0, 10.0)

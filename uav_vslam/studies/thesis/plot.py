@@ -8,8 +8,8 @@ from typing import Any
 from uav_vslam.report.error_plot import error_plot
 from uav_vslam.report.style import save
 from uav_vslam.report.views import view_3d
-from uav_vslam.studies.fusion.compute import Part
-from uav_vslam.studies.fusion.plot import draw_fusion
+from uav_vslam.studies.engine.fusion_parts import Part
+from uav_vslam.studies.engine.fusion_plot import draw_fusion
 from uav_vslam.studies.thesis.compute import example
 from uav_vslam.studies.thesis.ellipsoid_plot import ellipsoid_plot
 
