@@ -13,9 +13,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
-from uav_vslam.ros.recording import header_stamp_ns
 from uav_vslam.slam.packet import ANCHOR, VERSION, PacketPolicy, checksum, make_packet, payload_bytes, validate
 from uav_vslam.types import LandmarkPacket
 from uav_vslam_msgs.msg import LandmarkInformation

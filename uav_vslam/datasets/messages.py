@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Converts records to bag messages and back: stamps, xyzw quaternions and flat arrays appear only here."""
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,8 +40,28 @@ class TruthSample:
 
 def stamp_ns_of(stamped: Any) -> int:
     """Return the header stamp of a message [ns]."""
-    stamp = stamped.header.stamp
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+    return time_ns_of(stamped.header.stamp)
+
+
+def time_ns_of(time: Any) -> int:
+    """Return a builtin_interfaces/Time [ns]."""
+    return _nanoseconds(time.sec, time.nanosec)
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """Return the stamp of a serialised message that begins with a std_msgs/Header [ns].
+
+    Raises:
+        BagError: the bytes are too few.
+    """
+    if len(data) < 12:
+        raise BagError(f"a message of {len(data)} bytes has no header; record the topic again")
+    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    return _nanoseconds(sec, nanosec)
+
+
+def _nanoseconds(sec: int, nanosec: int) -> int:
+    return int(sec) * NS_PER_S + int(nanosec)
 
 
 def image_message(stamp_ns: int, frame_id: str, image: NDArray[Any]) -> Any:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from uav_vslam.datasets.messages import camera_of, image_of, imu_of, navigation_state_of, stamp_ns_of
+from uav_vslam.datasets.messages import camera_of, image_of, imu_of, navigation_state_of, stamp_ns_of, time_ns_of
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -160,7 +160,7 @@ def increment_to_msg(increment: ImuIncrement, *, frame_id: str) -> InsIncrement:
 
 def increment_from_msg(message: InsIncrement) -> ImuIncrement:
     """Return a preintegrated increment."""
-    start_ns, stamp_ns = int(message.start.sec) * NS_PER_S + int(message.start.nanosec), stamp_ns_of(message)
+    start_ns, stamp_ns = time_ns_of(message.start), stamp_ns_of(message)
     if stamp_ns <= start_ns:
         raise InvalidMessage("stamp", f"an increment from {start_ns} to {stamp_ns} ns has no length")
     return ImuIncrement(

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.messages import time_ns_of
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.coded_points import OWN_NUMBERS, AnchoredPoints, CodedPoints, DensePoints
 from uav_vslam.ros.convert import flat, rows_of, stamp_from_ns
 from uav_vslam.slam.packet import VERSION
-from uav_vslam.types import NS_PER_S, LandmarkPacket, source_of
+from uav_vslam.types import LandmarkPacket, source_of
 from uav_vslam_msgs.msg import LandmarkInformation
 
 
@@ -57,7 +58,7 @@ def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
         raise InvalidMessage("version", f"packet version {message.version}; this one reads {VERSION}")
     vehicle, session = message.vehicle, int(message.session)
     return LandmarkPacket(
-        stamp_ns=int(message.stamp.sec) * NS_PER_S + int(message.stamp.nanosec),
+        stamp_ns=time_ns_of(message.stamp),
         vehicle=vehicle,
         session=session,
         sequence=int(message.sequence),

@@ -17,10 +17,10 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawRecorder
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.qos import SENSOR
-from uav_vslam.ros.recording import header_stamp_ns
 from uav_vslam.ros.runtime import UNMATCHED, run_node
 from uav_vslam_msgs.msg import FusionStatus
 

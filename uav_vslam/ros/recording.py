@@ -2,14 +2,13 @@
 """What a fleet's bags hold that is to be replayed; bytes only, messages are never built."""
 
 import heapq
-import struct
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawMessage, iter_raw, topics_of
 from uav_vslam.errors import BagError
 from uav_vslam.ros.pacing import Kind, Recorded
-from uav_vslam.types import NS_PER_S
 
 TF_STATIC = "/tf_static"
 INITIAL_STATE = "initial_state"
@@ -131,18 +130,6 @@ class Recording:
                 f"{bags}: {infos} messages on /{vehicle}/left/camera_info for {images} left images; the nodes need one "
                 "with each image, of the same stamp (uav-vslam run does not)"
             )
-
-
-def header_stamp_ns(data: bytes) -> int:
-    """Return the stamp of a serialised message that begins with a std_msgs/Header [ns].
-
-    Raises:
-        BagError: the bytes are too few.
-    """
-    if len(data) < 12:
-        raise BagError(f"a message of {len(data)} bytes has no header; record the topic again")
-    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
-    return int(sec) * NS_PER_S + int(nanosec)
 
 
 def _is_latched(topic: str) -> bool:

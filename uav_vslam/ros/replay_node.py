@@ -26,13 +26,14 @@ from rosgraph_msgs.msg import Clock as ClockMsg
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.config import ReplayConfig
+from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.errors import BagError
 from uav_vslam.ros.convert import stamp_from_ns
 from uav_vslam.ros.pacing import EARLY_ANSWER, IMU_AHEAD, Answers, Kind, LockStep, Pacer, Readings, RealTime, Recorded
 from uav_vslam.ros.params import declare
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
-from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording, header_stamp_ns
+from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording
 from uav_vslam.ros.runtime import run_node
 from uav_vslam_msgs.msg import NavigationState, StereoFeatures
 
