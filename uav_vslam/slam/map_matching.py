@@ -41,47 +41,47 @@ class MapMatcher:
         self._associate = associate or ASSOCIATORS[config.association]
 
     def candidates(
-        self, belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
+        self, slam_filter: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
     ) -> Iterator[Matches]:
         """Yield sets of matches to try one after the other.
 
         Args:
-            belief: predicted to the frame.
+            slam_filter: predicted to the frame.
             landmark_map: descriptors and history of its landmarks.
             features: of the frame.
             frame: its number.
         """
         if len(landmark_map) == 0 or len(features) == 0:
             return
-        gated, uncertain = self._gated(belief, landmark_map, features, frame)
+        gated, uncertain = self._gated(slam_filter, landmark_map, features, frame)
         if not uncertain and len(gated) >= self._config.min_pnp_inliers:
-            yield self._capped(belief, landmark_map, gated)
+            yield self._capped(slam_filter, landmark_map, gated)
         attempts = (
-            lambda: verified(belief, gated, self._config, min_inliers=self._config.min_pnp_inliers),
-            lambda: self._agreeing(belief, self._capped(belief, landmark_map, gated)),
-            lambda: relocalise(belief, landmark_map.descriptors, features, self._config),
+            lambda: verified(slam_filter, gated, self._config, min_inliers=self._config.min_pnp_inliers),
+            lambda: self._agreeing(slam_filter, self._capped(slam_filter, landmark_map, gated)),
+            lambda: relocalise(slam_filter, landmark_map.descriptors, features, self._config),
         )
         for attempt in attempts:  # each only once the one before was refused
             found = attempt()
             if found is not None:
-                yield self._capped(belief, landmark_map, found)
+                yield self._capped(slam_filter, landmark_map, found)
 
     def _gated(
-        self, belief: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
+        self, slam_filter: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
     ) -> tuple[Matches, bool]:
         """Return the gated matches, and whether the prediction was too uncertain for the gate to be trusted alone.
 
         Landmarks that come back with a wide gate choose first, and together: what looks like one of them has often
         become another landmark before they were believed.
         """
-        rows = np.flatnonzero(projectable(belief.rig, belief.points_left(), margin_px=VIEW_MARGIN_PX))
+        rows = np.flatnonzero(projectable(slam_filter.rig, slam_filter.points_left(), margin_px=VIEW_MARGIN_PX))
         if len(rows) == 0:
             return Matches.none(), True
-        predicted = belief.predict_observations(rows)
+        predicted = slam_filter.predict_observations(rows)
         sigma_px = np.sqrt(np.trace(predicted.S, axis1=1, axis2=2) / 4.0)
         uncertain = bool(np.median(sigma_px) > self._config.pnp_beyond_px)
         back = landmark_map.long_unseen(frame)[rows] & (sigma_px > self._config.pnp_beyond_px)
-        revisited = recognise(belief, landmark_map, features, rows[back], config=self._config)
+        revisited = recognise(slam_filter, landmark_map, features, rows[back], config=self._config)
         free = np.setdiff1d(np.arange(len(features)), revisited[:, 1])
         others = rows[~back]
         statistics = landmark_map.statistics.chosen(others)
@@ -94,14 +94,14 @@ class MapMatcher:
         pairs = np.vstack([revisited, np.column_stack([others[matches[:, 0]], free[matches[:, 1]]])])
         return Matches.of(pairs, features), uncertain
 
-    def _agreeing(self, belief: Filter, matches: Matches) -> Matches | None:
+    def _agreeing(self, slam_filter: Filter, matches: Matches) -> Matches | None:
         """Keep the largest set of matches that agree with one another; None where it is too small."""
-        nu, S = belief.joint_innovation(matches.landmarks, matches.pixels)
+        nu, S = slam_filter.joint_innovation(matches.landmarks, matches.pixels)
         rows = consensus(nu, S, probability=self._config.gate_probability)
         return matches.chosen(rows) if len(rows) >= self._config.min_pnp_inliers else None
 
-    def _capped(self, belief: Filter, landmark_map: LandmarkMap, matches: Matches) -> Matches:
+    def _capped(self, slam_filter: Filter, landmark_map: LandmarkMap, matches: Matches) -> Matches:
         """Cap the number of updates, oldest landmarks first, spread over the image."""
         order = np.argsort(landmark_map.born[matches.landmarks], kind="stable")
-        size = (belief.rig.left.width, belief.rig.left.height)
+        size = (slam_filter.rig.left.width, slam_filter.rig.left.height)
         return matches.chosen(order[spread(matches.pixels[order, :2], self._config.max_observations, size=size)])

@@ -14,14 +14,14 @@ from uav_vslam.vision.matching.nn_ratio import match_descriptors
 from uav_vslam.vision.pnp import pnp_ransac
 
 
-def verified(belief: Filter, matches: Matches, config: BackendConfig, *, min_inliers: int) -> Matches | None:
+def verified(slam_filter: Filter, matches: Matches, config: BackendConfig, *, min_inliers: int) -> Matches | None:
     """Keep the inliers of PnP with RANSAC; None with fewer than `min_inliers`.
 
     If the pose found is far from the predicted one, it becomes the linearisation point.
     """
-    rig, predicted = belief.rig, belief.nav.T_map_body
+    rig, predicted = slam_filter.rig, slam_filter.nav.T_map_body
     solved = pnp_ransac(
-        belief.landmarks[matches.landmarks],
+        slam_filter.landmarks[matches.landmarks],
         matches.pixels[:, :2],
         rig.left,
         predicted @ rig.T_body_left,
@@ -37,9 +37,9 @@ def verified(belief: Filter, matches: Matches, config: BackendConfig, *, min_inl
 
 
 def relocalise(
-    belief: Filter, landmark_descriptors: NDArray[np.uint8], features: StereoFeatures, config: BackendConfig
+    slam_filter: Filter, landmark_descriptors: NDArray[np.uint8], features: StereoFeatures, config: BackendConfig
 ) -> Matches | None:
     """Match all landmarks by descriptor alone and verify by PnP; None with too few inliers."""
     pairs = match_descriptors(landmark_descriptors, features.descriptors, config.min_descriptor_ratio)
     matches = Matches.of(pairs, features, relocalised=True)
-    return verified(belief, matches, config, min_inliers=config.min_relocalisation_inliers)
+    return verified(slam_filter, matches, config, min_inliers=config.min_relocalisation_inliers)
