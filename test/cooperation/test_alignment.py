@@ -14,7 +14,7 @@ from uav_vslam.cooperation.alignment import (
     STEP_SIGMA_M,
     Alignment,
     Refusal,
-    _supported,
+    _consistent,
     align,
     fit,
     follow,
@@ -229,5 +229,5 @@ def test_pairs_that_contradict_the_others_go_as_if_all_were_weighed_afresh_each_
         if max(distance2) <= GATE:
             break
         rows = np.delete(rows, np.argmax(distance2))
-    np.testing.assert_array_equal(_supported(pairs, T), rows)
+    np.testing.assert_array_equal(_consistent(pairs, T), rows)
     assert len(rows) < len(pairs)
