@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A record comes back from its message as it was, and what is wrong with a message is told by a reason."""
+"""Round trips between records and messages, and the reasons for which messages are rejected."""
 
 import dataclasses
 from collections.abc import Callable
@@ -27,7 +27,7 @@ from uav_vslam.types import (
 )
 
 STAMP_NS = 1_283_212_800_123_456_789
-ROTATION = 1e-15  # matrix to quaternion and back; all else is the same to the last bit
+ROTATION = 1e-15  # matrix to quaternion and back; all else is bitwise equal
 NAN, INFINITY = float("nan"), float("inf")
 
 
@@ -77,8 +77,8 @@ def joint(request: pytest.FixtureRequest, make_joint: Callable[..., JointInforma
     return make_joint(points, covariance(6 + 3 * request.param), stamp_ns=STAMP_NS, T_map_body=pose())
 
 
-def travelled(message: Any) -> Any:
-    """Return the message as a subscriber gets it."""
+def serialised(message: Any) -> Any:
+    """Return the message after serialisation and deserialisation."""
     return deserialize_message(serialize_message(message), type(message))
 
 
@@ -101,32 +101,32 @@ def assert_same(got: Any, sent: Any) -> None:
 @pytest.mark.parametrize("count", [0, 5])
 def test_features_come_back(count: int) -> None:
     sent = features(count)
-    message = travelled(convert.features_to_msg(sent, frame_id="uav1/left_optical", size=(1280, 960)))
+    message = serialised(convert.features_to_msg(sent, frame_id="uav1/left_optical", size=(1280, 960)))
     assert (message.header.frame_id, message.width, message.height) == ("uav1/left_optical", 1280, 960)
     assert_same(convert.features_from_msg(message), sent)
 
 
 def test_an_increment_comes_back() -> None:
     sent = increment()
-    assert_same(convert.increment_from_msg(travelled(convert.increment_to_msg(sent, frame_id="b"))), sent)
+    assert_same(convert.increment_from_msg(serialised(convert.increment_to_msg(sent, frame_id="b"))), sent)
 
 
 def test_a_navigation_estimate_comes_back() -> None:
     sent = navigation()
-    message = travelled(convert.navigation_to_msg(sent, frame_id="m", child_frame_id="b"))
+    message = serialised(convert.navigation_to_msg(sent, frame_id="m", child_frame_id="b"))
     assert_same(convert.navigation_from_msg(message), sent)
 
 
-def test_odometry_comes_back_and_carries_its_velocity_in_the_body_frame() -> None:
+def test_odometry_comes_back_with_its_velocity_in_the_body_frame() -> None:
     sent, v_map = PoseEstimate(STAMP_NS, pose(), covariance(6)), np.array([20.0, 1.0, -0.5])
-    message = travelled(convert.odometry_to_msg(sent, frame_id="m", child_frame_id="b", velocity_map=v_map))
+    message = serialised(convert.odometry_to_msg(sent, frame_id="m", child_frame_id="b", velocity_map=v_map))
     assert_same(convert.odometry_from_msg(message), sent)
     linear = message.twist.twist.linear
     np.testing.assert_allclose(pose().R @ [linear.x, linear.y, linear.z], v_map, rtol=0, atol=1e-13)
 
 
 def test_the_joint_information_comes_back(joint: JointInformation) -> None:
-    got = convert.joint_from_msg(travelled(convert.joint_to_msg(joint, frame_id="m")))
+    got = convert.joint_from_msg(serialised(convert.joint_to_msg(joint, frame_id="m")))
     assert_same(got, joint)
 
 
@@ -137,7 +137,7 @@ def test_stamps_keep_their_nanoseconds() -> None:
 
 def test_a_cloud_holds_its_points_as_float32() -> None:
     points = np.array([[1.0, 2.0, 3.0], [-4.5, 5.25, 1e-3]])
-    cloud = travelled(convert.cloud_to_msg(points, stamp_ns=STAMP_NS, frame_id="m"))
+    cloud = serialised(convert.cloud_to_msg(points, stamp_ns=STAMP_NS, frame_id="m"))
     assert (cloud.width, cloud.row_step, [field.name for field in cloud.fields]) == (2, 24, ["x", "y", "z"])
     np.testing.assert_array_equal(np.frombuffer(cloud.data, np.float32).reshape(-1, 3), points.astype(np.float32))
     assert convert.cloud_to_msg(np.zeros((0, 3)), stamp_ns=0, frame_id="m").width == 0
@@ -146,7 +146,7 @@ def test_a_cloud_holds_its_points_as_float32() -> None:
 def refusal(read: Callable[[Any], Any], message: Any) -> str:
     """Return the reason why a message is refused."""
     with pytest.raises(InvalidMessage) as refused:
-        read(travelled(message))
+        read(serialised(message))
     return refused.value.reason
 
 
@@ -209,7 +209,7 @@ def test_a_navigation_state_whose_covariance_is_not_positive_definite_is_refused
 
 
 @pytest.mark.parametrize("w", [0.0, NAN])
-def test_an_orientation_that_is_none_is_refused(w: float) -> None:
+def test_an_invalid_orientation_is_refused(w: float) -> None:
     nav = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")
     odometry = convert.odometry_to_msg(PoseEstimate(STAMP_NS, pose(), covariance(6)), frame_id="m", child_frame_id="b")
     for holder in (nav.pose, odometry.pose.pose):
@@ -285,4 +285,4 @@ def test_calibrations_that_can_not_be_used_are_refused(message: Any) -> None:
 def test_pixels_come_back_from_an_image() -> None:
     pixels = np.arange(12, dtype=np.uint8).reshape(3, 4)
     message = Image(encoding="mono8", width=4, height=3, step=4, data=convert.flat(pixels.ravel()))
-    np.testing.assert_array_equal(convert.image_from_msg(travelled(message)), pixels)
+    np.testing.assert_array_equal(convert.image_from_msg(serialised(message)), pixels)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A claimed ROS domain is nobody else's while it is held; tested with real sockets and processes, without ROS."""
+"""A claimed ROS domain is exclusive while it is held; tested with real sockets and processes, without ROS."""
 
 import signal
 import socket
@@ -28,7 +28,7 @@ def claim_once() -> int:
         return domain_id
 
 
-def test_two_claims_never_meet_and_one_that_ends_is_free_again() -> None:
+def test_claims_are_exclusive_and_a_released_domain_is_free_again() -> None:
     with claimed_domain() as first:
         with claimed_domain() as second:
             assert 1 <= min(first, second) < max(first, second) <= MAX_DOMAIN_ID
@@ -37,7 +37,7 @@ def test_two_claims_never_meet_and_one_that_ends_is_free_again() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_another_process_holds_its_domain_until_it_ends_however_that_happens(
+def test_another_process_holds_its_domain_until_it_exits_in_any_way(
     monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     with subprocess.Popen([sys.executable, "-c", HOLDER], stdout=subprocess.PIPE, text=True) as holder:
@@ -50,7 +50,7 @@ def test_another_process_holds_its_domain_until_it_ends_however_that_happens(
     assert wait_for(lambda: claim_once() == held)  # somebody else may have it for a while
 
 
-def test_a_domain_with_a_participant_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_domain_with_a_participant_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
         with claimed_domain() as taken:
             participant.bind(("", 7400 + 250 * taken + 10))
@@ -58,7 +58,7 @@ def test_a_domain_with_a_participant_is_passed_over(monkeypatch: pytest.MonkeyPa
         assert claim_once() != taken
 
 
-def test_where_all_are_in_use_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_if_all_domains_are_in_use_the_error_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(domain, "MAX_DOMAIN_ID", 2)
     with ExitStack() as claims, pytest.raises(ConfigError, match="give one with --domain"):
         list(map(claims.enter_context, (claimed_domain() for _ in range(3))))

@@ -53,7 +53,7 @@ class Flight:
         self.executor.add_node(self.node)
         self.executor.add_node(self.others)
         self.status: list[FusionStatus] = []
-        self.heard: list[LandmarkInformation] = []
+        self.received: list[LandmarkInformation] = []
         status = self.others.create_subscription(FusionStatus, "/uav1/fusion/status", self.status.append, STATE)
         self._joints = self.others.create_publisher(JointInformationMsg, "/uav1/joint_information", STATE)
         self._odometry = self.others.create_publisher(Odometry, "/uav1/odometry", STATE)
@@ -74,7 +74,7 @@ class Flight:
     def listen(self, mode: str, node: Any = None) -> Any:
         """Hear uav1 as a peer in that mode does; return the subscription once it is matched."""
         node = node or self.others
-        made = node.create_subscription(LandmarkInformation, PACKETS, self.heard.append, RADIO[mode])
+        made = node.create_subscription(LandmarkInformation, PACKETS, self.received.append, RADIO[mode])
         return made
 
     def joint(self, second: int, vehicle: str) -> JointInformation:
@@ -210,11 +210,11 @@ def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., 
     subscription = flight.listen("wideband")
     assert flight.spin(lambda: subscription.get_publisher_count() > 0)
     flight.rest()
-    assert flight.heard == []
+    assert flight.received == []
     flight.epoch(4)
-    assert flight.spin(lambda: flight.heard)
-    assert flight.heard[0].sequence == 4
-    assert len(flight.heard[0].ids) == 6
+    assert flight.spin(lambda: flight.received)
+    assert flight.received[0].sequence == 4
+    assert len(flight.received[0].ids) == 6
 
 
 def test_while_nobody_is_heard_a_narrow_radio_is_left_to_discovery(fly: Callable[..., Flight]) -> None:
@@ -237,7 +237,7 @@ def test_what_the_budget_has_no_room_for_is_counted_and_never_sent(fly: Callable
     flight.rest()
     assert (status.packets_sent, status.packets_held_back, status.bytes_sent) == (0, 2, 0)
     assert flight.node.counts["dropped/budget"] == 2
-    assert flight.heard == []
+    assert flight.received == []
 
 
 def test_the_bytes_that_the_status_gives_are_those_that_were_sent_and_heard(fly: Callable[..., Flight]) -> None:
@@ -250,8 +250,8 @@ def test_the_bytes_that_the_status_gives_are_those_that_were_sent_and_heard(fly:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:  # DDS itself may use shared memory
             program.sendto(bytes(1000), ("127.0.0.1", 9))
         status = flight.epoch(second)
-    assert flight.spin(lambda: len(flight.heard) == 3)
-    sizes = [len(serialize_message(message)) for message in flight.heard]
+    assert flight.spin(lambda: len(flight.received) == 3)
+    sizes = [len(serialize_message(message)) for message in flight.received]
     assert status.bytes_sent == sum(sizes)
     assert status.recent_bytes_per_s == pytest.approx(np.mean(sizes[1:]))
     (link,) = status.peers
@@ -305,9 +305,9 @@ def test_a_relay_sends_on_what_is_new_to_it_as_it_came(fly: Callable[..., Flight
         publisher.publish(message)
     assert flight.spin(lambda: "uav3" in flight.node._fusion.inbox.peers)
     flight.rest()
-    assert [message.vehicle for message in flight.heard] == (["uav2", "uav3"] if relay else [])
-    assert flight.heard == ([direct, sent_on] if relay else [])
-    assert flight.node._exchange.outbox.packets_sent == len(flight.heard)
+    assert [message.vehicle for message in flight.received] == (["uav2", "uav3"] if relay else [])
+    assert flight.received == ([direct, sent_on] if relay else [])
+    assert flight.node._exchange.outbox.packets_sent == len(flight.received)
     assert sum(flight.node.counts[key] for key in list(flight.node.counts) if key.startswith("dropped/")) == 0
 
 
@@ -356,10 +356,10 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         subscription = flight.listen("wideband", node=peer)
         assert flight.spin(lambda: subscription.get_publisher_count() > 0)
         flight.epoch(1)
-        assert flight.spin(lambda: executor.spin_once(timeout_sec=0.02) or flight.heard)
+        assert flight.spin(lambda: executor.spin_once(timeout_sec=0.02) or flight.received)
         flight.listen("wideband", node=peer)
         assert flight.spin(lambda: flight.node._exchange._radio.copies == 2)
-        size = len(serialize_message(flight.heard[0]))
+        size = len(serialize_message(flight.received[0]))
         assert flight.epoch(2).bytes_sent == (1 + 2) * size  # each peer is sent its own copy
         nodes = peer.get_node_names_and_namespaces
         assert flight.spin(lambda: [name for name, namespace in nodes() if namespace == "/uav1"] == ["radio"])
@@ -380,8 +380,8 @@ def test_where_the_map_of_a_peer_without_a_common_origin_lies_is_said(fly: Calla
     rng = np.random.default_rng(5)
     points, shift = np.column_stack([rng.uniform(-40, 40, (20, 2)), rng.uniform(-3, 3, 20)]), [30.0, -8.0, 2.0]
     edges: list[Any] = []
-    heard = flight.others.create_subscription(TFMessage, "/tf", lambda m: edges.extend(m.transforms), STATE)
-    assert flight.spin(heard.get_publisher_count)
+    received = flight.others.create_subscription(TFMessage, "/tf", lambda m: edges.extend(m.transforms), STATE)
+    assert flight.spin(received.get_publisher_count)
 
     def joint(second: int, vehicle: str) -> JointInformation:
         at = points + (shift if vehicle == "uav2" else np.zeros(3))

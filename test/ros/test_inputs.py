@@ -38,74 +38,74 @@ def spin_until(node, condition, step=lambda: None):
     return met
 
 
-def make_input(node, topic, heard):
-    made = Input(String, topic, heard.append, STATE, topic)
+def make_input(node, topic, received):
+    made = Input(String, topic, received.append, STATE, topic)
     made.subscribe(node)
     return made
 
 
 def test_an_input_follows_a_driver_that_offers_best_effort_only(node):
-    heard = []
-    one = make_input(node, "driver", heard)
+    received = []
+    one = make_input(node, "driver", received)
     driver = node.create_publisher(String, "driver", QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert spin_until(node, lambda: one.follow(node))
-    assert spin_until(node, lambda: bool(heard), lambda: driver.publish(String(data="frame")))
+    assert spin_until(node, lambda: bool(received), lambda: driver.publish(String(data="frame")))
     assert one.qos.reliability == ReliabilityPolicy.BEST_EFFORT
     assert not one.follow(node)  # once is enough
 
 
 def test_an_input_stays_reliable_where_that_is_offered(node):
-    heard = []
-    one = make_input(node, "good", heard)
+    received = []
+    one = make_input(node, "good", received)
     publisher = node.create_publisher(String, "good", STATE)
     assert spin_until(node, lambda: one.subscription.get_publisher_count() > 0)
     assert not one.follow(node)
-    assert spin_until(node, lambda: bool(heard), lambda: publisher.publish(String(data="x")))
+    assert spin_until(node, lambda: bool(received), lambda: publisher.publish(String(data="x")))
 
 
 def test_a_stream_that_came_over_dds_and_ended_has_stopped(node):
     one = make_input(node, "stream", [])
     publisher = node.create_publisher(String, "stream", STATE)
-    assert spin_until(node, lambda: one.heard >= STREAM, lambda: publisher.publish(String(data="x")))
+    assert spin_until(node, lambda: one.received >= STREAM, lambda: publisher.publish(String(data="x")))
     assert stopped([one], time.monotonic()) == {}
     assert list(stopped([one], time.monotonic() + 60.0)) == ["stream"]
 
 
-def spoken(topic, *, times_s, stands_for=None, may_pause=False):
+def stream(topic, *, times_s, stands_for=None, may_pause=False):
     one = Input(String, topic, lambda _: None, STATE, stands_for or topic, may_pause=may_pause)
-    one.heard, one.first_s, one.last_s = len(times_s), times_s[0], times_s[-1]
+    one.received, one.first_s, one.last_s = len(times_s), times_s[0], times_s[-1]
     return one
 
 
-def test_a_stream_that_stops_is_named_and_one_that_never_was_is_not():
-    imu = spoken("imu", times_s=np.arange(0.0, 10.0, 0.005))
-    info = spoken("camera_info", times_s=[0.0])
-    peer = spoken("peer", times_s=np.arange(0.0, 10.0, 1.0), may_pause=True)
+def test_a_stream_that_stops_is_reported_and_one_that_never_started_is_not():
+    imu = stream("imu", times_s=np.arange(0.0, 10.0, 0.005))
+    info = stream("camera_info", times_s=[0.0])
+    peer = stream("peer", times_s=np.arange(0.0, 10.0, 1.0), may_pause=True)
     assert stopped([imu, info, peer], now_s=14.0) == {}
     assert stopped([imu, info, peer], now_s=16.0) == {"imu": pytest.approx(6.005)}
 
 
 def test_a_slow_stream_may_take_longer():
-    slow = spoken("image", times_s=np.arange(0.0, 40.0, 4.0))
-    assert slow.heard == STREAM
+    slow = stream("image", times_s=np.arange(0.0, 40.0, 4.0))
+    assert slow.received == STREAM
     assert stopped([slow], now_s=75.0) == {}
     assert stopped([slow], now_s=77.0) == {"image": 41.0}
 
 
-def test_a_stream_goes_on_in_its_stand_in():
-    raw = spoken("image", times_s=np.arange(0.0, 10.0, 0.1))
-    compressed = spoken("image/compressed", times_s=np.arange(10.0, 20.0, 0.1), stands_for="image")
+def test_a_stream_continues_in_its_substitute():
+    raw = stream("image", times_s=np.arange(0.0, 10.0, 0.1))
+    compressed = stream("image/compressed", times_s=np.arange(10.0, 20.0, 0.1), stands_for="image")
     assert stopped([raw, compressed], now_s=24.0) == {}
     assert list(stopped([raw, compressed], now_s=26.0)) == ["image"]
 
 
-def test_what_is_missing_is_named_unless_a_stand_in_speaks(node):
+def test_a_missing_topic_is_reported_unless_a_substitute_is_received(node):
     raw = make_input(node, "image", [])
     compressed = Input(String, "image/compressed", lambda _: None, STATE, "image")
     compressed.subscribe(node)
     assert silent([raw, compressed]) == ["image"]
     assert unmatched([raw, compressed]) == ["/image"]
     publisher = node.create_publisher(String, "image/compressed", STATE)
-    assert spin_until(node, lambda: compressed.heard, lambda: publisher.publish(String(data="x")))
+    assert spin_until(node, lambda: compressed.received, lambda: publisher.publish(String(data="x")))
     assert silent([raw, compressed]) == []
     assert unmatched([raw, compressed]) == []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the increments begin: at a start state that fits the readings, given or found at rest."""
+"""Increments start at a start state near the IMU samples, given or estimated at rest."""
 
 from collections.abc import Callable, Iterator
 
@@ -25,7 +25,7 @@ Make = Callable[..., InsPropagatorNode]
 
 @pytest.fixture
 def make(domain_id: int) -> Iterator[Make]:
-    """Return a maker of a node with parameters; what it is fed goes to its callbacks directly."""
+    """Return a factory of a node with parameters; inputs go to its callbacks directly."""
     nodes = []
 
     def made(*parameters: str) -> InsPropagatorNode:
@@ -40,19 +40,19 @@ def make(domain_id: int) -> Iterator[Make]:
     rclpy.shutdown()
 
 
-def tell(node: InsPropagatorNode, topic: str, message: object) -> None:
+def deliver(node: InsPropagatorNode, topic: str, message: object) -> None:
     (one,) = (one for one in node._inputs if one.topic == topic)
     one.callback(message)
 
 
 def rest(node: InsPropagatorNode, start_ns: int, seconds: float) -> None:
-    """Feed readings at rest, and an image at every seventh of them."""
+    """Feed IMU samples at rest, and an image at every seventh of them."""
     for k in range(round(seconds * NS_PER_S) // STEP_NS + 1):
         stamp_ns = start_ns + k * STEP_NS
         reading = Imu(header=header(stamp_ns, node.base_frame), linear_acceleration=Vector3(z=node.config.imu.gravity))
-        tell(node, "imu/data_raw", reading)
+        deliver(node, "imu/data_raw", reading)
         if k % 7 == 6:
-            tell(node, "left/camera_info", CameraInfo(header=header(stamp_ns - 1_000_000, "left_optical")))
+            deliver(node, "left/camera_info", CameraInfo(header=header(stamp_ns - 1_000_000, "left_optical")))
 
 
 def start_at(stamp_ns: int) -> NavigationState:
@@ -61,26 +61,26 @@ def start_at(stamp_ns: int) -> NavigationState:
 
 
 @pytest.mark.parametrize("first", ["start", "readings"])
-def test_a_start_without_a_stamp_is_refused_and_the_next_one_taken(make: Make, first: str) -> None:
+def test_a_start_without_a_stamp_is_refused_and_the_next_one_used(make: Make, first: str) -> None:
     node = make()
     if first == "start":
-        tell(node, "initial_state", start_at(0))
+        deliver(node, "initial_state", start_at(0))
         rest(node, NOW_NS, 0.1)
     else:
         rest(node, NOW_NS, 0.1)
-        tell(node, "initial_state", start_at(0))
+        deliver(node, "initial_state", start_at(0))
     assert node.counts["dropped/start_stamp"] == 1
     assert node.counts["increments"] == 0
-    tell(node, "initial_state", start_at(NOW_NS))
+    deliver(node, "initial_state", start_at(NOW_NS))
     rest(node, NOW_NS + 105_000_000, 1.0)
     assert node.counts["increments"] > 25
     assert node.counts["imu_gaps"] == 0
     assert node.counts["dropped/start_stamp"] == 1
 
 
-def test_a_start_long_after_the_first_readings_is_waited_for(make: Make) -> None:
+def test_a_start_long_after_the_first_imu_samples_is_waited_for(make: Make) -> None:
     node, wait_s = make(), MAX_APART_S + 1.0
-    tell(node, "initial_state", start_at(NOW_NS + round(wait_s * NS_PER_S)))
+    deliver(node, "initial_state", start_at(NOW_NS + round(wait_s * NS_PER_S)))
     rest(node, NOW_NS, 0.1)
     assert node.notes["start"].startswith("given +30.9")
     assert node._live is None
@@ -90,8 +90,8 @@ def test_a_start_long_after_the_first_readings_is_waited_for(make: Make) -> None
 
 
 @pytest.mark.parametrize("rest_s", [0.5, 12.0])
-def test_rest_is_averaged_for_as_long_as_is_said(make: Make, rest_s: float) -> None:
-    """Longer than any number of readings held would last at 200 Hz."""
+def test_rest_is_averaged_over_the_configured_time(make: Make, rest_s: float) -> None:
+    """Longer than the capacity of the buffer at 200 Hz."""
     node = make("start.method:=static", f"start.rest_s:={rest_s}")
     rest(node, NOW_NS, rest_s - 0.01)
     assert node._live is None
@@ -102,10 +102,10 @@ def test_rest_is_averaged_for_as_long_as_is_said(make: Make, rest_s: float) -> N
 
 
 @pytest.mark.parametrize("method", ["given", "static"])
-def test_one_reading_from_the_future_costs_a_reading(make: Make, method: str) -> None:
+def test_one_sample_from_the_future_costs_one_sample(make: Make, method: str) -> None:
     node = make(f"start.method:={method}", "start.rest_s:=0.5")
     if method == "given":
-        tell(node, "initial_state", start_at(NOW_NS))
+        deliver(node, "initial_state", start_at(NOW_NS))
     rest(node, NOW_NS, 0.2)
     rest(node, NOW_NS + 3600 * NS_PER_S, 0.0)
     rest(node, NOW_NS + 205_000_000, 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated radio in the graph: packets pass as its file says, on the ROS clock, and their fate is told."""
+"""The emulated radio in the graph: packets pass as configured, on the ROS clock, and their fate is reported."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,7 +27,7 @@ VEHICLES = ("uav1", "uav2", "uav3")
 
 
 class Air:
-    """An emulator over three vehicles, a clock that stands still unless told, and ears at every receiver."""
+    """An emulator over three vehicles, a clock that is set by hand, and a subscription at every receiver."""
 
     def __init__(self, link: Path, mode: str, domain_id: int) -> None:
         parameters = ["-p", f"vehicles:=[{', '.join(VEHICLES)}]", "-p", f"link:={link}", "-p", "use_sim_time:=true"]
@@ -37,7 +37,7 @@ class Air:
         self.others = rclpy.create_node("others", use_global_arguments=False)
         self.executor.add_node(self.node)
         self.executor.add_node(self.others)
-        self.heard: list[tuple[str, str, int]] = []  # (receiver, sender, sequence)
+        self.received: list[tuple[str, str, int]] = []  # (receiver, sender, sequence)
         self.diagnostics: dict[str, str] = {}
         self.others.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         ears = [self._listen(r, s) for r in VEHICLES for s in VEHICLES if r != s]
@@ -52,10 +52,10 @@ class Air:
         assert self.spin(lambda: self._clock.get_subscription_count())
 
     def _listen(self, receiver: str, sender: str) -> Any:
-        def note(message: LandmarkInformation) -> None:
-            self.heard.append((receiver, sender, message.sequence))
+        def on_message(message: LandmarkInformation) -> None:
+            self.received.append((receiver, sender, message.sequence))
 
-        return self.others.create_subscription(LandmarkInformation, f"/{receiver}/heard/{sender}", note, 10)
+        return self.others.create_subscription(LandmarkInformation, f"/{receiver}/received/{sender}", on_message, 10)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.diagnostics = {entry.key: entry.value for entry in message.status[0].values}
@@ -67,7 +67,7 @@ class Air:
         return wait_for(until, self.turn)
 
     def at(self, time_s: float) -> None:
-        """Set the clock, and let come what comes."""
+        """Set the clock, and process what arrives."""
         now_ns = round(time_s * NS_PER_S)
         self._clock.publish(Clock(clock=stamp_from_ns(now_ns)))
         assert self.spin(lambda: self.node.get_clock().now().nanoseconds == now_ns)
@@ -103,31 +103,31 @@ def test_a_packet_reaches_every_peer_after_the_delay_by_the_ros_clock(air: Calla
     radio.at(100.0)
     radio.send("uav1", 7)
     radio.at(100.9)
-    assert radio.heard == []
+    assert radio.received == []
     radio.at(101.0)
-    assert radio.spin(lambda: len(radio.heard) == 2)
-    assert sorted(radio.heard) == [("uav2", "uav1", 7), ("uav3", "uav1", 7)]
+    assert radio.spin(lambda: len(radio.received) == 2)
+    assert sorted(radio.received) == [("uav2", "uav1", 7), ("uav3", "uav1", 7)]
 
 
-def test_the_fate_of_packets_is_told_by_direction(air: Callable[..., Air]) -> None:
+def test_the_fate_of_packets_is_reported_by_direction(air: Callable[..., Air]) -> None:
     radio = air("blackouts: [[1.0, 2.0]]\nduplication: 1.0\n")
     for second in (100, 101, 102):
         radio.at(second)
         radio.send("uav2", second)
     radio.at(103.0)
     expected = [(receiver, "uav2", second) for receiver in ("uav1", "uav3") for second in (100, 100, 102, 102)]
-    assert radio.spin(lambda: len(radio.heard) == len(expected))
-    assert sorted(radio.heard) == expected
+    assert radio.spin(lambda: len(radio.received) == len(expected))
+    assert sorted(radio.received) == expected
     assert radio.spin(lambda: radio.diagnostics.get("uav2>uav1/delivered", "").startswith("4 packets"))
     told = {key: value.split(" ")[0] for key, value in radio.diagnostics.items() if key.startswith("uav2>uav3")}
     fates = {"offered": "3", "blacked_out": "1", "duplicated": "2", "delivered": "4", "queued": "0"}
     assert told == {f"uav2>uav3/{fate}": count for fate, count in fates.items()}
 
 
-def test_feedback_takes_the_link_from_who_gives_it(air: Callable[..., Air]) -> None:
+def test_feedback_uses_the_link_of_its_sender(air: Callable[..., Air]) -> None:
     radio = air("delay_s: 1.0\n")
-    heard: list[LandmarkInformation] = []
-    ear = radio.others.create_subscription(LandmarkInformation, "/uav1/heard/feedback", heard.append, 10)
+    received: list[LandmarkInformation] = []
+    ear = radio.others.create_subscription(LandmarkInformation, "/uav1/received/feedback", received.append, 10)
     giver = radio.others.create_publisher(LandmarkInformation, "/uav1/fusion/feedback", RADIO["wideband"])
     assert radio.spin(lambda: ear.get_publisher_count() and giver.get_subscription_count())
     assert radio.spin(lambda: radio.node._returns["uav1"].get_subscription_count())
@@ -136,13 +136,13 @@ def test_feedback_takes_the_link_from_who_gives_it(air: Callable[..., Air]) -> N
         giver.publish(LandmarkInformation(vehicle=vehicle))
     assert radio.spin(lambda: radio.node._links["uav3", "uav1"].packets["offered"] == 1)
     radio.at(100.9)
-    assert heard == []
+    assert received == []
     radio.at(101.0)
-    assert radio.spin(lambda: heard)
-    assert [message.vehicle for message in heard] == ["uav3"]
+    assert radio.spin(lambda: received)
+    assert [message.vehicle for message in received] == ["uav3"]
 
 
-def test_without_vehicles_or_link_it_says_what_to_set(domain_id: int) -> None:
+def test_missing_vehicles_or_link_are_reported(domain_id: int) -> None:
     rclpy.init(args=["--ros-args", "-p", "vehicles:=[uav1]"], domain_id=domain_id)
     try:
         with pytest.raises(ConfigError, match="set the parameters vehicles"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node graph as its users meet it: their own nodes hear it, it says what it waits for, and Ctrl-C ends it."""
+"""The node graph from the user's side: own nodes receive its topics, it reports what it waits for, Ctrl-C ends it."""
 
 import os
 import shlex
@@ -61,7 +61,7 @@ def graph(
 
 
 @pytest.mark.slow
-def test_a_users_own_node_hears_the_graph(graph: Any) -> None:
+def test_a_users_own_node_receives_the_topics(graph: Any) -> None:
     heard = subprocess.run(in_a_fresh_shell(LISTENER, graph.domain_id), capture_output=True, text=True)
     assert heard.stdout.splitlines() == ["uav1/map uav1/base_link", "uav1 True"], heard.stderr
 
@@ -110,7 +110,7 @@ def test_ctrl_c_ends_all_of_the_graph(graph: Any) -> None:
 
 
 def diagnostics_until(domain_id: int, done: Callable[[DiagnosticStatus], bool], alive: Callable[[], bool]) -> list[str]:
-    """Return the texts on /diagnostics up to the one wanted."""
+    """Return the texts on /diagnostics up to the requested one."""
     texts: list[str] = []
     found: list[None] = []
 
@@ -132,7 +132,7 @@ def diagnostics_until(domain_id: int, done: Callable[[DiagnosticStatus], bool], 
     return texts
 
 
-def test_a_node_that_waits_for_a_topic_nobody_publishes_says_which(domain_id: int) -> None:
+def test_a_node_reports_a_topic_without_publisher(domain_id: int) -> None:
     command = [sys.executable, "-m", "uav_vslam.ros.slam_backend_node", "--ros-args", "-r", "__ns:=/uav1"]
     node = subprocess.Popen(
         command, env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)}, stderr=subprocess.PIPE, text=True
@@ -145,7 +145,7 @@ def test_a_node_that_waits_for_a_topic_nobody_publishes_says_which(domain_id: in
         assert node.stderr is not None
         said = next(line for line in node.stderr if "waiting for" in line)
         for topic in (*awaited - {"/tf_static"}, "stereo_features"):
-            assert f"/uav1/{topic} (nobody publishes it)" in said
+            assert f"/uav1/{topic} (no publisher)" in said
         node.send_signal(signal.SIGINT)
         assert node.wait() == 0
     finally:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock-step never loses a frame and never waits for what can't come; it is tested against graphs that only answer."""
+"""Lock-step loses no frame and never deadlocks; tested against graphs that only answer."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -72,7 +72,7 @@ def test_a_frame_waits_for_both_answers_to_the_one_before() -> None:
     assert graph.frames("uav1") == [0, 100]
 
 
-def test_inertial_readings_go_on_up_to_the_next_frame() -> None:
+def test_imu_samples_continue_up_to_the_next_frame() -> None:
     graph = Graph(flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10)))
     graph.advance()
     assert graph.newest_imu("uav1") == 90
@@ -88,7 +88,7 @@ def test_the_end_waits_for_the_last_answers_then_ends() -> None:
     assert graph.ended
 
 
-def test_two_vehicles_compute_side_by_side() -> None:
+def test_two_vehicles_compute_in_parallel() -> None:
     flights = [flight(name, frames=range(0, 300, 100), imu=range(0, 400, 10)) for name in ("uav1", "uav2")]
     graph = Graph(merged(*flights))
     graph.advance()
@@ -156,7 +156,7 @@ def test_a_frame_whose_stamp_goes_backwards_is_not_waited_for() -> None:
     assert graph.frames("uav1") == [0, 100, 200, 50]
 
 
-def test_in_an_inertial_gap_the_reading_that_closes_a_frame_is_sent_ahead() -> None:
+def test_in_an_imu_gap_the_sample_that_completes_a_frame_is_sent_ahead() -> None:
     readings = [*range(0, 50, 10), *range(450, 900, 10)]
     frames = flight("uav1", frames=range(0, 800, 100), imu=range(0))
     graph = Graph(merged(frames, [message("uav1", Kind.IMU, stamp) for stamp in readings]))
@@ -172,7 +172,7 @@ def test_in_an_inertial_gap_the_reading_that_closes_a_frame_is_sent_ahead() -> N
     assert imu == readings
 
 
-def test_a_vehicle_whose_readings_end_does_not_hold_up_the_others() -> None:
+def test_a_vehicle_whose_imu_ends_does_not_block_the_others() -> None:
     dead = flight("uav1", frames=range(0, 10_000, 100), imu=range(0, 150, 10))
     alive = flight("uav2", frames=range(0, 10_000, 100), imu=range(0, 10_100, 10))
     graph = Graph(merged(dead, alive))
@@ -184,7 +184,7 @@ def test_a_vehicle_whose_readings_end_does_not_hold_up_the_others() -> None:
     assert len(graph.published) == len(dead) + len(alive)
 
 
-def test_frames_after_the_last_reading_are_not_waited_for() -> None:
+def test_frames_after_the_last_imu_sample_are_not_waited_for() -> None:
     graph = Graph(flight("uav1", frames=range(0, 300, 100), imu=range(0, 160, 10)))
     graph.advance()
     graph.answer("uav1", 0)
@@ -193,7 +193,7 @@ def test_frames_after_the_last_reading_are_not_waited_for() -> None:
     assert graph.frames("uav1") == [0, 100, 200]
 
 
-def test_readings_never_run_farther_ahead_than_the_ins_can_queue() -> None:
+def test_imu_samples_never_exceed_the_ins_s_queue() -> None:
     graph = Graph(flight("uav1", frames=range(0, 1, 100), imu=range(0, 10_000, 5)), ins=False)
     graph.advance()
     graph.answer("uav1", 0)
@@ -205,7 +205,7 @@ def test_readings_never_run_farther_ahead_than_the_ins_can_queue() -> None:
     assert graph.newest_imu("uav1") == 500 + 5 * IMU_AHEAD
 
 
-def test_where_nobody_answers_readings_they_flow_freely() -> None:
+def test_without_acknowledgements_imu_samples_are_not_paced() -> None:
     answers, readings = Answers(["uav1"], {}, ()), Readings(["uav1"], {}, None)
     recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 10_000, 5))
     assert list(LockStep(answers, readings).order(recorded)) == recorded
@@ -234,7 +234,7 @@ def test_every_message_is_published_once_and_each_topic_keeps_its_order() -> Non
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
-def test_real_time_publishes_when_the_clock_says_so(rate: float) -> None:
+def test_real_time_publishes_at_the_clock_s_rate(rate: float) -> None:
     now = [0.0]
     answers = Answers(["uav1"], {"uav1": 0}, TOPICS)
     recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 400, 10))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A vehicle hears its peers whatever mode they are in: it asks for no more than they offer."""
+"""A vehicle's subscriptions match its peers' publishers in any combination of modes."""
 
 import pytest
 
@@ -13,7 +13,7 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 
-from uav_vslam.ros.qos import RADIO, asking_no_more
+from uav_vslam.ros.qos import RADIO, compatible_qos
 
 MODES = sorted(RADIO)
 NARROW = RADIO["narrowband"]
@@ -21,24 +21,24 @@ NARROW = RADIO["narrowband"]
 
 @pytest.mark.parametrize("own", MODES)
 @pytest.mark.parametrize("peer", MODES)
-def test_whatever_two_vehicles_modes_are_a_packet_passes(own: str, peer: str) -> None:
-    asked = asking_no_more(RADIO[own], [RADIO[peer]])
+def test_packets_pass_in_any_combination_of_modes(own: str, peer: str) -> None:
+    asked = compatible_qos(RADIO[own], [RADIO[peer]])
     found, reason = qos_check_compatible(RADIO[peer], asked)
     assert found != QoSCompatibility.ERROR, reason
     assert qos_check_compatible(RADIO[peer], RADIO[own])[0] == QoSCompatibility.ERROR or own == peer
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_peer_in_the_same_mode_is_asked_for_all_that_the_mode_has(mode: str) -> None:
-    assert asking_no_more(RADIO[mode], [RADIO[mode]]) == RADIO[mode]
-    assert asking_no_more(RADIO[mode], []) == RADIO[mode]
+def test_in_the_same_mode_the_whole_profile_is_requested(mode: str) -> None:
+    assert compatible_qos(RADIO[mode], [RADIO[mode]]) == RADIO[mode]
+    assert compatible_qos(RADIO[mode], []) == RADIO[mode]
 
 
-def test_an_unlimited_deadline_meets_no_wish_for_one() -> None:
+def test_an_offer_without_deadline_satisfies_no_requested_deadline() -> None:
     infinite = QoSProfile(depth=1, deadline=Duration(seconds=9223372036, nanoseconds=854775807))
     for offer in (infinite, QoSProfile(depth=1), QoSProfile(depth=1, deadline=Duration(seconds=4))):
-        assert asking_no_more(NARROW, [offer]).deadline == Duration()
-    assert asking_no_more(NARROW, [QoSProfile(depth=1, deadline=Duration(seconds=2))]).deadline == NARROW.deadline
+        assert compatible_qos(NARROW, [offer]).deadline == Duration()
+    assert compatible_qos(NARROW, [QoSProfile(depth=1, deadline=Duration(seconds=2))]).deadline == NARROW.deadline
 
 
 def test_the_modes_are_those_of_the_design() -> None:

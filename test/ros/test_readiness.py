@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A replay begins only when each side of every topic knows of the other."""
+"""A replay starts only after mutual discovery of all publishers and subscriptions."""
 
 from types import SimpleNamespace
 
@@ -15,7 +15,7 @@ BACKEND = "uav1: slam_backend"
 
 
 class Observer:
-    """What a node of the replay's sees of the graph."""
+    """The graph as the replay node sees it."""
 
     def __init__(
         self,
@@ -52,12 +52,12 @@ def test_a_node_that_has_not_reported_is_waited_for() -> None:
     assert missing(Observer(publishers={}, subscribers={})) == [f"{BACKEND} has not reported"]
 
 
-def test_a_node_that_has_not_even_told_its_name_is_waited_for() -> None:
+def test_a_node_whose_name_is_not_yet_discovered_is_waited_for() -> None:
     unnamed = Observer(publishers={}, subscribers={}, node=("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_"))
     assert len(missing(unnamed)) == 1
 
 
-def test_other_peoples_nodes_are_not_waited_for() -> None:
+def test_foreign_nodes_are_not_waited_for() -> None:
     assert missing(Observer(publishers={}, subscribers={}, node=("/gcs", "monitor"))) == []
 
 
@@ -67,7 +67,7 @@ def test_a_publisher_that_a_node_has_not_found_is_waited_for_if_there_is_one() -
     assert found == [f"{BACKEND} has not found the publisher of /uav1/stereo_features"]
 
 
-def test_a_reader_that_a_publisher_has_not_found_is_waited_for() -> None:
+def test_a_subscription_that_a_publisher_has_not_found_is_waited_for() -> None:
     observer = Observer(publishers={}, subscribers={"/uav1/odometry": 3, "/uav1/path": 1})
     found = missing(observer, {UNMATCHED: "", READERS: "/uav1/odometry=2 /uav1/path=1 /tf=0"})
     assert found == [f"{BACKEND} has not found every reader of /uav1/odometry"]

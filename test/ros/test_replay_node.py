@@ -70,7 +70,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 class Vehicle:
-    """Reads what a vehicle's nodes read and answers as they do."""
+    """Subscribes to a vehicle's inputs and answers as its nodes do."""
 
     def __init__(self, node, name: str, answers: Callable[[int], bool]) -> None:
         self.readings: list[int] = []
@@ -185,7 +185,7 @@ def fleet(domain_id: int) -> Iterator[Fleet]:
     started.close()
 
 
-def test_lock_step_delivers_everything_once_and_each_frame_after_the_answer_to_the_last(
+def test_lock_step_delivers_everything_once_and_each_frame_after_the_last_answer(
     fleet: Fleet, bags: list[Path]
 ) -> None:
     done = fleet.replay(bags)
@@ -200,7 +200,7 @@ def test_lock_step_delivers_everything_once_and_each_frame_after_the_answer_to_t
     assert fleet.clock[-1] == 5
 
 
-def test_a_recorded_start_state_is_left_out_for_a_vehicle_that_finds_its_own(bags: list[Path]) -> None:
+def test_a_recorded_start_state_is_not_replayed_to_a_vehicle_that_estimates_its_own(bags: list[Path]) -> None:
     recording = Recording(bags, finding_start=["uav2"])
     assert recording.starts_ns == {"uav1": START_NS}
     assert "/uav1/initial_state" in recording.topics
@@ -208,7 +208,7 @@ def test_a_recorded_start_state_is_left_out_for_a_vehicle_that_finds_its_own(bag
     assert {raw.topic for raw in recording.latched} == {"/uav1/initial_state", "/tf_static"}
 
 
-def test_the_static_transforms_of_all_bags_come_as_one_message(fleet: Fleet, bags: list[Path]) -> None:
+def test_the_static_transforms_of_all_bags_are_one_message(fleet: Fleet, bags: list[Path]) -> None:
     fleet.replay(bags)
     children = [transform.child_frame_id for transform in fleet.static[-1].transforms]
     assert sorted(children) == [f"{name}/{side}_optical" for name in ("uav1", "uav2") for side in ("left", "right")]
@@ -223,7 +223,7 @@ def rewritten(source: Path, out: Path, keep: Callable[[RawMessage], list[bytes]]
     return out
 
 
-def test_static_transforms_that_came_one_by_one_are_all_kept(bags: list[Path], tmp_path: Path) -> None:
+def test_separately_recorded_static_transforms_are_all_kept(bags: list[Path], tmp_path: Path) -> None:
     def one_by_one(raw: RawMessage) -> list[bytes]:
         if raw.topic != "/tf_static":
             return [raw.data]
@@ -252,7 +252,7 @@ def test_a_vehicle_that_stops_answering_is_named_with_topic_and_stamp(fleet: Fle
     assert f"/uav1/odometry at {START_NS + 3 * FRAME_NS} ns" in done.stderr
 
 
-def test_in_real_time_nobody_is_waited_for(fleet: Fleet, bags: list[Path]) -> None:
+def test_real_time_has_no_back_pressure(fleet: Fleet, bags: list[Path]) -> None:
     fleet.answers = lambda stamp_ns: False
     begin_s = time.monotonic()
     done = fleet.replay(bags, rate="2.0")
@@ -278,7 +278,7 @@ def test_a_truncated_bag_is_replayed_up_to_the_damage_and_fails(fleet: Fleet, ba
     ("parameters", "said"),
     [(["bags:=[nowhere]"], "nowhere"), ([], "bags"), (["bags:=[BAG]", "vehicles:=[ghost]"], "vehicle ghost")],
 )
-def test_what_can_not_be_replayed_is_one_line_and_exit_code_2(
+def test_an_invalid_recording_is_one_line_and_exit_code_2(
     bags: list[Path], domain_id: int, parameters: list[str], said: str
 ) -> None:
     given = [parameter.replace("BAG", str(bags[0])) for parameter in parameters]
@@ -289,7 +289,7 @@ def test_what_can_not_be_replayed_is_one_line_and_exit_code_2(
     assert done.stderr.count("\n") == 1
 
 
-def test_without_consumers_it_gives_up_and_names_the_topics(bags: list[Path], domain_id: int) -> None:
+def test_without_subscribers_it_times_out_and_lists_the_topics(bags: list[Path], domain_id: int) -> None:
     done = run_node("replay", [f"bags:=[{bags[0]}]", "timeout_s:=1.0"], domain_id)
     assert done.returncode == 1
     assert "/uav1/imu/data_raw has no subscriber" in done.stderr
@@ -297,7 +297,7 @@ def test_without_consumers_it_gives_up_and_names_the_topics(bags: list[Path], do
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_recorder_leaves_a_whole_bag_at_a_signal(
+def test_the_recorder_completes_its_bag_at_a_signal(
     fleet: Fleet, bags: list[Path], tmp_path: Path, number: signal.Signals
 ) -> None:
     out = tmp_path / "out"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The back end finds the start and publishes it; the INS cuts increments before and reckons from it afterwards."""
+"""The back end estimates and publishes the start; the INS preintegrates before, and dead-reckons from it afterwards."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ FRAMES = 12
 
 
 class Graph:
-    """Both nodes and a listener in one executor; the rig is set, as only its topics are left out."""
+    """Both nodes and a listener in one executor; the rig is set directly instead of by topics."""
 
     def __init__(self, vehicle: SimulatedVehicle) -> None:
         self.backend, self.ins = SlamBackendNode(), InsPropagatorNode()
@@ -112,7 +112,7 @@ def test_the_start_that_the_back_end_finds_starts_the_ins(graph: Graph, vehicle:
     found = navigation_from_msg(start)
     assert found.state.stamp_ns == min(frames)
     np.testing.assert_array_equal(found.state.T_map_body.t, np.zeros(3))
-    # readings are followed from the start on; those held back come in a burst, of which a slow reader keeps the last
+    # propagation starts at the start; buffered samples come in a burst, of which a slow subscriber keeps the last
     newest = stamp_from_ns(vehicle.imu.samples()[-1].stamp_ns)
     assert graph.spin_until(lambda: stamps(graph.live)[-1:] == [(newest.sec, newest.nanosec)])
     assert min(stamps(graph.live)) > expected[0]
@@ -121,12 +121,12 @@ def test_the_start_that_the_back_end_finds_starts_the_ins(graph: Graph, vehicle:
 
 
 def newest_of(ins: InsPropagatorNode) -> int:
-    """Return the stamp of the newest reading that the node has taken in."""
+    """Return the stamp of the newest IMU sample that the node has processed."""
     samples = ins._preintegrator._buffer._samples
     return samples[-1].stamp_ns if samples else -1
 
 
-def test_diagnostics_say_why_there_is_no_start_yet(graph: Graph, vehicle: SimulatedVehicle) -> None:
+def test_diagnostics_report_why_there_is_no_start_yet(graph: Graph, vehicle: SimulatedVehicle) -> None:
     assert graph.spin_until(graph.connected)
     blind = [StereoFeatures.empty(int(stamp_ns)) for stamp_ns in vehicle.frame_stamps_ns]
     for sample in vehicle.imu.samples():
@@ -141,7 +141,7 @@ def test_diagnostics_say_why_there_is_no_start_yet(graph: Graph, vehicle: Simula
 
 
 def test_increments_queue_as_deep_as_readings(graph: Graph) -> None:
-    """A back end that is busy for a second with one frame must find the motion of all the others."""
+    """A back end that is busy with one frame for a second must receive the increments of all others."""
     ends = [*graph.ins.publishers, *graph.backend.subscriptions]
     depths = [end.qos_profile.depth for end in ends if end.topic_name == "/uav1/ins/increment"]
     assert depths == [SENSOR.depth] * 2

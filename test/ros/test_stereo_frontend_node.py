@@ -63,12 +63,12 @@ def extrinsics(node):
 
 
 class Rig:
-    """Cameras that the node knows, or not yet, and what it makes of their images."""
+    """Cameras, calibrated or not yet, and the features from their images."""
 
     def __init__(self, graph, kinds=(Image,)) -> None:
         self.front, other, self.executor = graph
-        self.heard = []
-        other.create_subscription(StereoFeatures, "stereo_features", self.heard.append, STATE)
+        self.received = []
+        other.create_subscription(StereoFeatures, "stereo_features", self.received.append, STATE)
         names = {Image: "image_raw", CompressedImage: "image_raw/compressed"}
         self.images = {
             (side, kind): other.create_publisher(kind, f"{side}/{names[kind]}", IMAGE)
@@ -100,15 +100,15 @@ def encoded(image, data):
     return CompressedImage(header=image.header, format="png", data=data)
 
 
-def test_images_that_come_before_their_calibration_are_processed_once_it_is_complete(graph):
+def test_images_that_arrive_before_their_calibration_are_processed_once_it_is_complete(graph):
     rig = Rig(graph)
     for (side, _), publisher in rig.images.items():
         publisher.publish(blank_image(side))
     assert rig.until(lambda: rig.front.counts["pairs"] == 1)
-    assert not rig.heard
+    assert not rig.received
     rig.calibrate()
-    assert rig.until(lambda: len(rig.heard) == 1)
-    assert (rig.heard[0].width, rig.heard[0].height) == (WIDTH, HEIGHT)
+    assert rig.until(lambda: len(rig.received) == 1)
+    assert (rig.received[0].width, rig.received[0].height) == (WIDTH, HEIGHT)
 
 
 HUGE = b"\x89PNG\r\n\x1a\n" + b"".join(  # a header that claims 65535 x 65535 px
@@ -118,32 +118,32 @@ HUGE = b"\x89PNG\r\n\x1a\n" + b"".join(  # a header that claims 65535 x 65535 px
 
 
 @pytest.mark.parametrize("data", [b"not a picture", HUGE])
-def test_a_picture_that_can_not_be_read_is_a_frame_without_points(graph, data):
+def test_an_image_that_can_not_be_decoded_is_a_frame_without_features(graph, data):
     rig = Rig(graph, [CompressedImage])
     rig.calibrate()
     for (side, _), publisher in rig.images.items():
         publisher.publish(encoded(blank_image(side), data))
-    assert rig.until(lambda: len(rig.heard) == 1)
-    assert len(rig.heard[0].pixels) == 0
-    assert rig.heard[0].header.stamp.sec == STAMP_NS // 10**9
+    assert rig.until(lambda: len(rig.received) == 1)
+    assert len(rig.received[0].pixels) == 0
+    assert rig.received[0].header.stamp.sec == STAMP_NS // 10**9
     assert rig.front.counts["dropped/image"] == 1
 
 
-def test_a_camera_that_sends_each_picture_twice_is_taken_once(graph):
+def test_a_camera_that_sends_each_image_raw_and_compressed_is_used_once(graph):
     rig = Rig(graph, [Image, CompressedImage])
     rig.calibrate()
     for (side, kind), publisher in rig.images.items():
         image = blank_image(side)
         png = cv2.imencode(".png", np.zeros((HEIGHT, WIDTH), np.uint8))[1].tobytes()
         publisher.publish(image if kind is Image else encoded(image, png))
-    assert rig.until(lambda: len(rig.heard) == 1)
+    assert rig.until(lambda: len(rig.received) == 1)
     rig.rest()
     assert rig.front.counts["pairs"] == 1
     assert rig.front.counts["dropped/unpaired"] == 0
     assert all(list(choices) == [Image] for choices in rig.front._choices.values())
 
 
-def test_compressed_pictures_are_taken_where_the_raw_ones_are_offered_but_never_come(graph):
+def test_compressed_images_are_used_if_raw_ones_are_advertised_but_never_arrive(graph):
     rig = Rig(graph, [Image, CompressedImage])
     rig.calibrate()
     png = cv2.imencode(".png", np.zeros((HEIGHT, WIDTH), np.uint8))[1].tobytes()
@@ -158,11 +158,11 @@ def test_compressed_pictures_are_taken_where_the_raw_ones_are_offered_but_never_
     rig.rest()
     assert rig.front.counts["pairs"] == 0
     publish()
-    assert rig.until(lambda: len(rig.heard) == 1)
+    assert rig.until(lambda: len(rig.received) == 1)
 
 
 @pytest.mark.parametrize(("extractor", "text"), [("sfit", "use one of sift, asift"), ("surf", "pip install mahotas")])
-def test_an_extractor_that_can_not_be_made_ends_the_node(extractor, text):
+def test_an_invalid_extractor_ends_the_node(extractor, text):
     hide = "import sys; sys.modules['mahotas.features'] = None; from uav_vslam.ros.stereo_frontend_node import main"
     command = [
         sys.executable,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet's processes end together, in time, whatever ends them; tested with real processes, without ROS."""
+"""A fleet's processes shut down together and in time, for any cause; tested with real processes, without ROS."""
 
 import signal
 import subprocess
@@ -26,7 +26,7 @@ DEAF = """
     while True:
         time.sleep(3600)
 """
-FIRST_ONLY = ESCALATION[:1]  # who does not end at the first signal hangs
+FIRST_ONLY = ESCALATION[:1]  # a process that ignores the first signal hangs
 HASTY = tuple((0.5 * k, number) for k, (_, number) in enumerate(ESCALATION))
 Escalation = tuple[tuple[float, signal.Signals], ...]
 
@@ -36,7 +36,7 @@ def python(name: str, code: str, *, leads: bool = False) -> Command:
 
 
 def write_pid(folder: Path, name: str, code: str) -> Command:
-    """A process that says where it is before it begins."""
+    """A process that first writes its process id."""
     begin = f"import os, pathlib\npathlib.Path({str(folder / name)!r}).write_text(str(os.getpid()))\n"
     return python(name, begin + textwrap.dedent(code))
 
@@ -52,7 +52,7 @@ def alive(pid: int) -> bool:
 def supervised(
     folder: Path, codes: dict[str, str], escalation: Escalation
 ) -> Iterator[tuple[subprocess.Popen[str], list[int]]]:
-    """A supervisor in its own process, once all of its processes are up."""
+    """Start a supervisor in its own process; wait until all of its processes run."""
     commands = [write_pid(folder, name, code) for name, code in codes.items()]
     program = (
         "import sys; from uav_vslam.ros.supervisor import Command, Supervisor\n"
@@ -71,24 +71,24 @@ def supervised(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_all_at_once(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_shuts_down_all(tmp_path: Path, number: signal.Signals) -> None:
     with supervised(tmp_path, {"a": POLITE, "b": POLITE}, FIRST_ONLY) as (process, pids):
         process.send_signal(number)
         assert process.wait() == 128 + number
         assert not any(map(alive, pids))
 
 
-def test_who_ignores_signals_is_killed_in_the_end(tmp_path: Path) -> None:
+def test_a_process_that_ignores_signals_is_killed(tmp_path: Path) -> None:
     with supervised(tmp_path, {"deaf": DEAF, "polite": POLITE}, HASTY) as (process, pids):
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate()
         said = [line for line in output.splitlines() if "ignored" in line or "killed" in line]
-        expected = ["[deaf] ignored SIGINT", "[deaf] ignored SIGTERM", "uav-vslam: deaf does not end; it is killed"]
+        expected = ["[deaf] ignored SIGINT", "[deaf] ignored SIGTERM", "uav-vslam: deaf does not exit; it is killed"]
         assert sorted(said) == sorted(expected)
         assert not any(map(alive, pids))
 
 
-def test_nothing_outlives_the_order_to_end_by_five_seconds() -> None:
+def test_shutdown_takes_less_than_five_seconds() -> None:
     assert ESCALATION[-1][0] < 5.0
     assert ESCALATION[-1][1] == signal.SIGKILL
 
@@ -101,7 +101,7 @@ def test_no_orphan_is_left_when_the_supervisor_is_killed(tmp_path: Path) -> None
         assert wait_for(lambda: not any(map(alive, pids)))
 
 
-def test_the_end_of_the_leader_ends_all_and_is_no_failure(capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_leader_s_exit_shuts_down_all_and_is_no_failure(capfd: pytest.CaptureFixture[str]) -> None:
     supervisor = Supervisor(escalation=FIRST_ONLY)
     assert supervisor.run([python("worker", POLITE), python("replay", "print('done')", leads=True)]) == 0
     output = capfd.readouterr()
@@ -109,13 +109,13 @@ def test_the_end_of_the_leader_ends_all_and_is_no_failure(capfd: pytest.CaptureF
     assert output.err == ""
 
 
-def test_the_leaders_failure_is_the_exit_code(capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_leader_s_failure_is_the_exit_code(capfd: pytest.CaptureFixture[str]) -> None:
     assert Supervisor().run([python("worker", POLITE), python("replay", "exit(3)", leads=True)]) == 3
     assert "replay ended with exit code 3" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(("code", "expected"), [("exit(7)", 7), ("pass", 1), ("import os; os.abort()", 134)])
-def test_a_process_that_dies_ends_the_fleet_and_is_named(
+def test_a_process_that_dies_shuts_down_the_fleet_and_is_reported(
     code: str, expected: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
     replay = python("replay", POLITE, leads=True)
@@ -123,7 +123,7 @@ def test_a_process_that_dies_ends_the_fleet_and_is_named(
     assert "uav1/fusion" in capfd.readouterr().err
 
 
-def test_failing_while_it_is_ended_is_a_failure(capfd: pytest.CaptureFixture[str]) -> None:
+def test_failing_during_shutdown_is_a_failure(capfd: pytest.CaptureFixture[str]) -> None:
     stubborn = """
         import signal, sys, time
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -132,10 +132,10 @@ def test_failing_while_it_is_ended_is_a_failure(capfd: pytest.CaptureFixture[str
     """
     lead = python("replay", "import time; time.sleep(1)", leads=True)
     assert Supervisor().run([python("recorder", stubborn), lead]) == 4
-    assert "recorder ended with exit code 4 while it was ended" in capfd.readouterr().err
+    assert "recorder ended with exit code 4 during shutdown" in capfd.readouterr().err
 
 
-def test_a_program_that_is_still_starting_ends_without_a_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_program_that_is_still_starting_exits_without_a_traceback(capfd: pytest.CaptureFixture[str]) -> None:
     assert Supervisor().run([python("starting", POLITE), python("replay", "print(1)", leads=True)]) == 0
     assert "Traceback" not in capfd.readouterr().out
 
@@ -147,14 +147,14 @@ def test_output_is_prefixed_line_by_line_and_kept_in_files(tmp_path: Path, capfd
     assert (tmp_path / "logs" / "uav1_slam_backend.log").read_text() == "one\ntwo\nlast\n"
 
 
-def test_the_environment_is_passed_on() -> None:
+def test_the_environment_is_inherited() -> None:
     lines: list[tuple[str, str]] = []
     supervisor = Supervisor({"ROS_DOMAIN_ID": "42"}, on_line=lambda name, line: lines.append((name, line)))
     supervisor.run([python("a", "import os; print(os.environ['ROS_DOMAIN_ID'])", leads=True)])
     assert lines == [("a", "42")]
 
 
-def test_a_program_that_is_missing_ends_what_was_started_before(tmp_path: Path) -> None:
+def test_a_missing_program_shuts_down_those_already_started(tmp_path: Path) -> None:
     worker = write_pid(tmp_path, "worker", POLITE)
     with pytest.raises(ConfigError, match="ghost can't be started"):
         Supervisor().run([worker, Command("ghost", [str(tmp_path / "nothing")])])
@@ -162,7 +162,7 @@ def test_a_program_that_is_missing_ends_what_was_started_before(tmp_path: Path) 
         assert not alive(int((tmp_path / "worker").read_text()))
 
 
-def test_signal_handlers_are_put_back() -> None:
+def test_signal_handlers_are_restored() -> None:
     before = signal.getsignal(signal.SIGTERM)
     Supervisor().run([python("a", "pass", leads=True)])
     assert signal.getsignal(signal.SIGTERM) is before

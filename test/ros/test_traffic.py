@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates follow the counters, and the kernel's counters are those of the interface that was named."""
+"""Rates follow the counters, and the kernel's counters are those of the named interface."""
 
 import socket
 
@@ -19,7 +19,7 @@ def test_a_steady_counter_has_its_rate_from_the_second_value_on() -> None:
     assert [rate.update(t * NS_PER_S, 900 * t) for t in range(1, 10)] == [0.0, *[900.0] * 8]
 
 
-def test_what_is_older_than_the_window_is_forgotten() -> None:
+def test_values_older_than_the_window_are_dropped() -> None:
     rate = Rate(window_s=3.0)
     found = [rate.update(t * NS_PER_S, 1000 * min(t, 5)) for t in range(12)]
     assert found[5] == 1000.0
@@ -32,7 +32,7 @@ def test_values_rarer_than_the_window_still_have_a_rate() -> None:
     assert [rate.update(t * NS_PER_S, 10 * t) for t in (0, 100, 200)] == [0.0, 10.0, 10.0]
 
 
-def test_a_clock_that_is_set_back_begins_anew() -> None:
+def test_a_clock_that_is_set_back_resets_the_window() -> None:
     rate = Rate()
     for t in (100, 101, 102):
         rate.update(t * NS_PER_S, t)
@@ -51,6 +51,6 @@ def test_an_interface_counts_what_is_sent_over_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["radio0", "../lo"])
-def test_an_unknown_interface_is_refused_with_those_there_are(name: str) -> None:
+def test_an_unknown_interface_is_refused_with_the_known_ones(name: str) -> None:
     with pytest.raises(ConfigError, match=r"no network interface of this host \(.*lo"):
         Interface(name)

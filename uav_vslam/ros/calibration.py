@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stereo rig as a node learns it: intrinsics from camera_info, extrinsics from /tf_static."""
+"""The stereo rig from topics: intrinsics from camera_info, extrinsics from /tf_static."""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,9 +20,9 @@ from uav_vslam.ros.runtime import VehicleNode
 
 
 class RigListener:
-    """Gathers what a rig consists of; `rig` is None until all of it has come, then `on_complete` is called once.
+    """Collects calibration and extrinsics; `rig` is None until complete, then `on_complete` is called once.
 
-    Topics have no order among each other: images may well come before their calibration.
+    Topics are not ordered among each other: images may arrive before their calibration.
     """
 
     def __init__(self, node: VehicleNode, on_complete: Callable[[], None]) -> None:
@@ -61,7 +61,7 @@ class RigListener:
         try:
             self.rig = StereoRig(left, right, T_body_left, T_body_right)
         except CalibrationError as error:
-            self._cameras.clear()  # the next ones may be right
+            self._cameras.clear()  # later ones may be valid
             raise InvalidMessage("calibration", str(error)) from None
         get_logger(self._node.get_name()).info(f"rig complete: baseline {self.rig.baseline_m:.3f} m")
         self._on_complete()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages to records and back: the only place that knows ROS stamps, xyzw quaternions and flat arrays.
+"""Conversion between messages and records: the only place with ROS stamps, xyzw quaternions and flat arrays.
 
-Large arrays go into messages through `array.array`, which rclpy copies as bytes; a list or an ndarray would be walked
-element by element. Every `*_from_msg` checks what it reads and raises `InvalidMessage`.
+Large arrays go into messages through `array.array`, which rclpy copies as bytes; a list or an ndarray is copied element
+by element. Every `*_from_msg` checks what it reads and raises `InvalidMessage`.
 """
 
 from array import array
@@ -51,7 +51,7 @@ TYPECODES = {
 
 
 def flat(values: NDArray[Any]) -> array:
-    """Return an ndarray's numbers as the `array.array` that a message field takes without a walk."""
+    """Return an ndarray as the `array.array` that a message field copies as bytes."""
     contiguous = np.ascontiguousarray(values)
     out = array(TYPECODES[contiguous.dtype])
     out.frombytes(contiguous.tobytes())
@@ -86,7 +86,7 @@ def pose_from_msg(message: PoseMsg) -> Pose:
 
 
 def imu_from_msg(message: Imu) -> ImuSample:
-    """Return an inertial reading."""
+    """Return an IMU sample."""
     sample = imu_of(message)
     _finite(sample.gyro, "angular_velocity")
     _finite(sample.accel, "linear_acceleration")
@@ -94,7 +94,7 @@ def imu_from_msg(message: Imu) -> ImuSample:
 
 
 def image_from_msg(message: Image | CompressedImage) -> NDArray[Any]:
-    """Return (H, W) or (H, W, 3) BGR pixels, without a copy where the encoding allows."""
+    """Return (H, W) or (H, W, 3) BGR pixels, without a copy if the encoding allows."""
     try:
         return image_of(message)
     except BagError as error:
@@ -162,7 +162,7 @@ def increment_from_msg(message: InsIncrement) -> ImuIncrement:
     """Return a preintegrated increment."""
     start_ns, stamp_ns = time_ns_of(message.start), stamp_ns_of(message)
     if stamp_ns <= start_ns:
-        raise InvalidMessage("stamp", f"an increment from {start_ns} to {stamp_ns} ns has no length")
+        raise InvalidMessage("stamp", f"an increment from {start_ns} to {stamp_ns} ns has no duration")
     return ImuIncrement(
         start_ns=start_ns,
         stamp_ns=stamp_ns,
@@ -209,7 +209,7 @@ def navigation_from_msg(message: NavigationState) -> NavEstimate:
 def odometry_to_msg(
     pose: PoseEstimate, *, frame_id: str, child_frame_id: str, velocity_map: Array | None = None
 ) -> Odometry:
-    """Return nav_msgs/Odometry: pose in the map frame, twist (if known) in the body frame, as REP-105 has it."""
+    """Return nav_msgs/Odometry: pose in the map frame, twist (if known) in the body frame, as the message defines."""
     message = Odometry(header=header(pose.stamp_ns, frame_id), child_frame_id=child_frame_id)
     message.pose.pose = pose_to_msg(pose.T_map_body)
     message.pose.covariance = pose.covariance.ravel()
@@ -225,7 +225,7 @@ def odometry_from_msg(message: Odometry) -> PoseEstimate:
 
 
 def joint_to_msg(joint: JointInformation, *, frame_id: str) -> JointInformationMsg:
-    """Return the message; only the information matrix's upper triangle travels."""
+    """Return the message; only the upper triangle of the information matrix is sent."""
     return JointInformationMsg(
         header=header(joint.stamp_ns, frame_id),
         vehicle=joint.vehicle,
@@ -292,7 +292,7 @@ def _finite(values: Any, what: str) -> Array:
 
 
 def rows_of(values: Any, dtype: Any, columns: int, what: str) -> NDArray[Any]:
-    """Return a flat array's numbers in rows of so many columns.
+    """Reshape a flat array to rows of `columns` numbers.
 
     Raises:
         InvalidMessage: it does not hold whole rows.

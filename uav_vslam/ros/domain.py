@@ -13,10 +13,10 @@ MAX_DOMAIN_ID = 101  # above, DDS ports collide with those that Linux gives to c
 
 @contextmanager
 def claimed_domain() -> Iterator[int]:
-    """Hold a ROS domain in which no participant of this host runs and that no one else has claimed.
+    """Hold a ROS domain without a participant on this host and without another claim.
 
     The claim is an abstract Unix socket. The kernel keeps those per network namespace, as it does the ports of DDS,
-    and drops one when its process ends, however that happens: no file is left behind.
+    and releases a claim when its process exits in any way: no file remains.
     """
     first = os.getpid() % MAX_DOMAIN_ID
     for domain_id in (1 + (first + step) % MAX_DOMAIN_ID for step in range(MAX_DOMAIN_ID)):
@@ -28,7 +28,7 @@ def claimed_domain() -> Iterator[int]:
 
 
 def _has_participant(domain_id: int) -> bool:
-    """Tell whether the domain's first unicast port is taken: a participant runs that claimed nothing."""
+    """Return whether the domain's first unicast port is in use: a participant without a claim."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         return not _bound(probe, ("", 7400 + 250 * domain_id + 10))
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscriptions of a node: which inputs are missing or have stopped, and the reliability that publishers offer.
 
-Camera and IMU drivers often publish best effort, and a reliable subscription would never match them; a best-effort one
-would lose messages of a reliable publisher. So an input starts reliable and follows if only best effort is offered.
+Camera and IMU drivers often publish best effort, which a reliable subscription never matches; a best-effort one loses
+messages of a reliable publisher. So an input starts reliable and switches if only best effort is offered.
 """
 
 import time
@@ -26,10 +26,10 @@ class Input:
 
     Attributes:
         message_type, topic, callback, qos: as given to create_subscription.
-        stands_for: topic whose absence it makes good; its own as a rule.
-        subscription: the live one.
-        heard: messages that have come.
-        may_pause: that no more come is nothing to report.
+        stands_for: topic that it can replace; usually its own.
+        subscription: the current one.
+        received: number of messages.
+        may_pause: a pause is not reported.
         first_s, last_s: wall time of the first and the last message.
     """
 
@@ -39,7 +39,7 @@ class Input:
     qos: QoSProfile
     stands_for: str
     subscription: Any = None
-    heard: int = 0
+    received: int = 0
     may_pause: bool = False
     first_s: float = 0.0
     last_s: float = 0.0
@@ -52,8 +52,8 @@ class Input:
         )
 
     def follow(self, node: Node) -> bool:
-        """Subscribe again as best effort where nothing else is offered; tell whether that was so."""
-        if self.heard or self.qos.reliability != ReliabilityPolicy.RELIABLE:
+        """Resubscribe as best effort if nothing else is offered; return whether it did."""
+        if self.received or self.qos.reliability != ReliabilityPolicy.RELIABLE:
             return False
         offers = node.get_publishers_info_by_topic(self.subscription.topic_name)
         if not offers or any(o.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT for o in offers):
@@ -65,13 +65,13 @@ class Input:
 
     def _on_message(self, message: Any) -> None:
         self.last_s = time.monotonic()
-        self.first_s = self.first_s if self.heard else self.last_s
-        self.heard += 1
+        self.first_s = self.first_s if self.received else self.last_s
+        self.received += 1
         self.callback(message)
 
 
 def unmatched(inputs: Iterable[Input]) -> list[str]:
-    """Return the topics that no subscription standing for them has found a publisher of."""
+    """Return the topics without a publisher for any subscription that stands for them."""
     found: dict[str, bool] = {}
     names: dict[str, str] = {}
     for one in inputs:
@@ -81,23 +81,23 @@ def unmatched(inputs: Iterable[Input]) -> list[str]:
 
 
 def silent(inputs: Iterable[Input]) -> list[str]:
-    """Return the topics from which nothing has come, neither by themselves nor by a stand-in."""
-    heard: dict[str, bool] = {}
+    """Return the topics without any message so far, from themselves or a substitute."""
+    any_received: dict[str, bool] = {}
     for one in inputs:
-        heard[one.stands_for] = heard.get(one.stands_for, False) or one.heard > 0
-    return [topic for topic, came in heard.items() if not came]
+        any_received[one.stands_for] = any_received.get(one.stands_for, False) or one.received > 0
+    return [topic for topic, received in any_received.items() if not received]
 
 
 def stopped(inputs: Iterable[Input], now_s: float) -> dict[str, float]:
-    """Return the topics that spoke regularly, by themselves or by a stand-in, and no longer do: for how long [s]."""
+    """Return the topics whose regular stream, their own or a substitute's, has stopped, and for how long [s]."""
     streams = defaultdict(list)
     for one in inputs:
-        if one.heard >= STREAM and not one.may_pause:
+        if one.received >= STREAM and not one.may_pause:
             streams[one.stands_for].append(one)
     pauses = {}
     for topic, ones in streams.items():
         last = max(ones, key=lambda one: one.last_s)
-        period_s = (last.last_s - last.first_s) / (last.heard - 1)
+        period_s = (last.last_s - last.first_s) / (last.received - 1)
         if now_s - last.last_s > max(PAUSE_S, PAUSE_PERIODS * period_s):
             pauses[topic] = now_s - last.last_s
     return pauses

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ins_propagator: inertial readings to increments between images, and inertial odometry.
+"""ins_propagator: preintegrates IMU samples between images, and propagates inertial odometry.
 
 in   imu/data_raw         sensor_msgs/Imu, body frame
-     left/camera_info     sensor_msgs/CameraInfo; its stamps say when an image was taken
-     initial_state        uav_vslam_msgs/NavigationState, latched; an output instead with start.method static, and
-                          from the backend with in_flight
-     slam/correction      uav_vslam_msgs/NavigationState, from the backend
+     left/camera_info     sensor_msgs/CameraInfo; its stamps are those of the images
+     initial_state        uav_vslam_msgs/NavigationState, latched; an output instead with start.method static,
+                          and from the back end with in_flight
+     slam/correction      uav_vslam_msgs/NavigationState, from the back end
 out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
      ins/dead_reckoning   nav_msgs/Odometry per image, odom frame, never corrected: the INS baseline
-     ins/odometry         nav_msgs/Odometry per reading, map frame, corrected
+     ins/odometry         nav_msgs/Odometry per IMU sample, map frame, corrected
      /tf                  <vehicle>/odom to <vehicle>/base_link
 """
 
@@ -43,10 +43,10 @@ class InsPropagatorNode(VehicleNode):
         super().__init__("ins_propagator")
         method = self.config.start.method
         self._preintegrator = ImuPreintegrator(self.config.imu) if method == "in_flight" else None
-        self._reckoning = DeadReckoning(self.config.imu)
+        self._reckoner = DeadReckoning(self.config.imu)
         self._live: InsOdometry | None = None
         self._startup_buffer = StartupBuffer(self.config.start.rest_s if method == "static" else MAX_APART_S)
-        self._given: NavEstimate | None = None  # start state that readings have not confirmed yet
+        self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
         imu_stamps, image_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S), TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
         self._increments = self.advertise(InsIncrement, "ins/increment", SENSOR)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
@@ -69,65 +69,65 @@ class InsPropagatorNode(VehicleNode):
             self._start(given)
             return
         self._given = given
-        self._start_where_given()
+        self._start_if_confirmed()
 
-    def _start_where_given(self) -> None:
-        """Start as soon as readings come near the stamp; a start from long before them is refused."""
+    def _start_if_confirmed(self) -> None:
+        """Start once IMU samples are near the stamp; a start from long before them is refused."""
         if self._given is None or (ahead_s := self._startup_buffer.ahead_s(self._given.state.stamp_ns)) is None:
             return
         given = self._given
-        self.notes["start"] = f"given {ahead_s:+.1f} s from the newest reading"
+        self.notes["start"] = f"given {ahead_s:+.1f} s from the newest IMU sample"
         if ahead_s > MAX_APART_S:
             return
         self._given = None
         if ahead_s < -MAX_APART_S:
             self.drop(
                 "start_stamp",
-                f"initial_state is stamped {given.state.stamp_ns} ns, {-ahead_s:.1f} s before the newest IMU reading, "
-                f"more than {MAX_APART_S:g} s; stamp it with the time at which it holds",
+                f"initial_state is stamped {given.state.stamp_ns} ns, {-ahead_s:.1f} s before the newest IMU sample, "
+                f"more than {MAX_APART_S:g} s; stamp it with its time of validity",
             )
             return
         self._start(given)
 
     def _start(self, initial: NavEstimate) -> None:
         early = self._startup_buffer.take()
-        for reckoned in self._reckoning.start(initial):
-            self._publish_dead_reckoning(reckoned)
+        for estimate in self._reckoner.start(initial):
+            self._publish_dead_reckoning(estimate)
         self._live = InsOdometry(initial, self.config.imu)
-        cut = self._preintegrator is not None  # in flight, increments are needed before the start state
+        already_running = self._preintegrator is not None  # in flight, increments are needed before the start state
         if self._preintegrator is None:
             self._preintegrator = ImuPreintegrator(self.config.imu, initial.state)
         for item in early:
             try:
-                if not cut:
-                    self._cut(self._preintegrator, item)
-                self._follow(self._live, item)
+                if not already_running:
+                    self._preintegrate(self._preintegrator, item)
+                self._propagate(self._live, item)
             except InvalidMessage as error:
                 self.drop(error.reason, str(error))
 
     def _feed(self, item: ImuSample | int, guard: TimeJumpGuard) -> None:
-        """Take a reading or an image stamp, in arrival order."""
+        """Process an IMU sample or an image stamp, in arrival order."""
         guard.check(item.stamp_ns if isinstance(item, ImuSample) else item)
         if self._preintegrator is not None:
-            self._cut(self._preintegrator, item)
+            self._preintegrate(self._preintegrator, item)
         if self._live is not None:
-            self._follow(self._live, item)
+            self._propagate(self._live, item)
             return
         self._startup_buffer.add(item)
         if self._aligns:
             self._align(self._startup_buffer.readings())
-        self._start_where_given()
+        self._start_if_confirmed()
 
-    def _cut(self, cutter: ImuPreintegrator, item: ImuSample | int) -> None:
+    def _preintegrate(self, preintegrator: ImuPreintegrator, item: ImuSample | int) -> None:
         if isinstance(item, ImuSample):
-            cutter.add_imu(item)
-        elif cutter.start_ns is None or item > cutter.start_ns:
-            cutter.add_frame_stamp(item)
-        for increment in cutter.increments():
+            preintegrator.add_imu(item)
+        elif preintegrator.start_ns is None or item > preintegrator.start_ns:
+            preintegrator.add_frame_stamp(item)
+        for increment in preintegrator.increments():
             self._publish_increment(increment)
-        self.counts["imu_gaps"] = cutter.gaps
+        self.counts["imu_gaps"] = preintegrator.gaps
 
-    def _follow(self, live: InsOdometry, item: ImuSample | int) -> None:
+    def _propagate(self, live: InsOdometry, item: ImuSample | int) -> None:
         if not isinstance(item, ImuSample):
             return
         state = live.add_imu(item)
@@ -139,7 +139,7 @@ class InsPropagatorNode(VehicleNode):
             )
 
     def _align(self, samples: list[ImuSample]) -> None:
-        """Find the start state from readings at rest and tell the backend."""
+        """Estimate the start state from IMU samples at rest, and publish it."""
         if len(samples) < 2 or samples[-1].stamp_ns - samples[0].stamp_ns < self.config.start.rest_s * NS_PER_S:
             return
         initial = static_alignment(samples, samples[-1].stamp_ns, self.config.imu)
@@ -149,8 +149,8 @@ class InsPropagatorNode(VehicleNode):
     def _publish_increment(self, increment: ImuIncrement) -> None:
         self.counts["increments"] += 1
         self._increments.publish(increment_to_msg(increment, frame_id=self.base_frame))
-        for reckoned in self._reckoning.add(increment):
-            self._publish_dead_reckoning(reckoned)
+        for estimate in self._reckoner.add(increment):
+            self._publish_dead_reckoning(estimate)
 
     def _publish_dead_reckoning(self, nav: NavEstimate) -> None:
         pose, velocity = nav.pose, nav.state.v_map

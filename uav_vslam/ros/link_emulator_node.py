@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""link_emulator: a bad radio between the vehicles of one host: it delays, loses, doubles and reorders their packets.
+"""link_emulator: an impaired radio between the vehicles of one host: delay, loss, duplication and reordering.
 
-in   /<sender>/landmark_information        uav_vslam_msgs/LandmarkInformation, every vehicle's
-     /<receiver>/fusion/feedback           the same, what peers tell a vehicle of its own landmarks
-out  /<receiver>/heard/<sender>            the same bytes, as far as the link lets them through
+in   /<sender>/landmark_information        uav_vslam_msgs/LandmarkInformation of every vehicle
+     /<receiver>/fusion/feedback           the same type, peers' fused estimates of its landmarks
+out  /<receiver>/heard/<sender>            the same bytes, as delivered by the link
      /<receiver>/heard/feedback            likewise
-     /diagnostics                          what became of the packets, by direction
+     /diagnostics                          fate of the packets, by direction
 
-A receiver listens here if its fusion node's /<sender>/landmark_information is remapped to /<receiver>/heard/<sender>,
+A receiver uses it if its fusion node's /<sender>/landmark_information is remapped to /<receiver>/heard/<sender>,
 and fusion/feedback to /<receiver>/heard/feedback.
-Time is that of the ROS clock, so that a replay at any rate meets the same link.
+Time is the ROS clock, so that the link is the same at any replay rate.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from uav_vslam.ros.radio import PeerInput
 from uav_vslam.ros.runtime import FOLLOW_PERIOD_S, READERS, UNMATCHED, run_node
 from uav_vslam_msgs.msg import LandmarkInformation
 
-POLL_S = 0.01  # how late a packet may be
+POLL_S = 0.01  # largest additional delay
 REPORT_S = 1.0
 
 
@@ -50,7 +50,7 @@ class LinkEmulatorNode(Node):
         if len(vehicles) < 2 or not name:
             raise ConfigError("link_emulator: set the parameters vehicles (two names or more) and link (a YAML file)")
         config = load(LinkConfig, find_link(name))
-        self._links: dict[tuple[str, str], Link[tuple[Any, bytes]]] = {  # carrying (where it comes out, bytes)
+        self._links: dict[tuple[str, str], Link[tuple[Any, bytes]]] = {  # of (output publisher, bytes)
             (sender, receiver): link_between(config, sender, receiver) for sender, receiver in permutations(vehicles, 2)
         }
         self._outputs = {
@@ -82,7 +82,7 @@ class LinkEmulatorNode(Node):
             stands_for=topic,
             host=self,
             wanted=wanted,
-            events=SubscriptionEventCallbacks(incompatible_qos=lambda _: None),  # `follow` sees to it
+            events=SubscriptionEventCallbacks(incompatible_qos=lambda _: None),  # handled by `follow`
         )
         one.subscribe(self)
         return one

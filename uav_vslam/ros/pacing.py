@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a recorded message may be replayed: by the graph's own progress (lock-step) or by the wall clock. No ROS here.
+"""Pacing of a replay: lock-step with the graph, or real time by the wall clock. Imports no ROS.
 
-A pacer's `order` turns recorded messages into those that may be published now; None means: ask again later.
-Lock-step allows each vehicle one unanswered frame, so that the vehicles compute side by side, and
-no vehicle runs ahead of another's unanswered frame by `OVERLAP_NS` or more, so that what one hears of the other at an
-epoch doesn't depend on the machine's speed. Inertial readings go on while a frame that is waited for still needs them.
-Start states come from `starts_ns`, which may grow: while a vehicle's is unknown, its front end's answer has to do.
+A pacer's `order` yields the messages that may be published now; None means: ask again later.
+Lock-step allows each vehicle one unanswered frame, so that the vehicles compute in parallel, and no vehicle runs ahead
+of another's unanswered frame by `OVERLAP_NS` or more, so that the packets available at an epoch do not depend on the
+machine's speed. IMU samples continue while an unanswered frame needs them.
+Start states come from `starts_ns`, which may grow: while a vehicle's is unknown, its front end's answer suffices.
 """
 
 import time
@@ -20,17 +20,17 @@ from uav_vslam.types import NS_PER_S
 OVERLAP_NS = NS_PER_S // 10
 EARLY_ANSWER = "stereo_features"
 PAIR_NS = 2_000_000  # left and right of one frame differ by no more than this
-IMU_AHEAD = 250  # unanswered readings: half of the subscriber's queue
-IMU_GAP_NS = 3 * NS_PER_S  # images are held in memory while a reading is looked for no farther than this
+IMU_AHEAD = 250  # unanswered IMU samples: half of the subscription's queue
+IMU_GAP_NS = 3 * NS_PER_S  # limit of the look-ahead for an IMU sample, during which images are buffered
 
 
 class Kind(Enum):
-    """What a recorded message is to the pacing."""
+    """Role of a recorded message in the pacing."""
 
     LEFT = "left image"
     RIGHT = "right image"
     INFO = "camera info"
-    IMU = "inertial reading"
+    IMU = "IMU sample"
     OTHER = "other"
 
 
@@ -43,9 +43,9 @@ class Recorded:
 
     Attributes:
         topic, message_type: as recorded ("/uav1/imu/data_raw", "sensor_msgs/msg/Imu").
-        vehicle: its namespace without slashes; "" for what belongs to the whole fleet.
-        kind: what it is to the pacing.
-        stamp_ns: time in its header [ns].
+        vehicle: its namespace without slashes; "" for topics of the whole fleet.
+        kind: its role in the pacing.
+        stamp_ns: header stamp [ns].
         payload: serialised message (CDR).
     """
 
@@ -58,14 +58,14 @@ class Recorded:
 
 
 class Answers:
-    """Which frames the graph still owes an answer, for every topic on which each vehicle answers.
+    """Unanswered frames, for each topic on which a vehicle answers.
 
     Attributes:
         frames: complete frames published, by vehicle.
     """
 
     def __init__(self, vehicles: Iterable[str], starts_ns: dict[str, int], topics: Iterable[str]) -> None:
-        """Await answers on `topics` to each frame not before its vehicle's start; earlier ones the backend drops."""
+        """Await answers on `topics` to each frame from its vehicle's start on; the back end drops earlier ones."""
         names, self._topics = tuple(vehicles), tuple(topics)
         self._starts_ns = starts_ns
         self._parts: dict[str, dict[Kind, int]] = {name: {} for name in names}  # stamps of the newest frame
@@ -74,7 +74,7 @@ class Answers:
         self.frames = dict.fromkeys(names, 0)
 
     def published(self, message: Recorded) -> None:
-        """Note a part of a frame; the last part makes the frame one to be answered."""
+        """Register a part of a frame; with its last part the frame awaits answers."""
         if self.begins_frame(message):
             self._parts[message.vehicle] = {}
         parts = self._parts[message.vehicle]
@@ -84,12 +84,12 @@ class Answers:
                 self._complete(message.vehicle, parts[Kind.LEFT])
 
     def begins_frame(self, message: Recorded) -> bool:
-        """Say whether this is the first part of a frame."""
+        """Return whether this is the first part of a frame."""
         stamps = self._parts[message.vehicle].values()
         return not stamps or any(abs(message.stamp_ns - stamp_ns) > PAIR_NS for stamp_ns in stamps)
 
     def answered(self, vehicle: str, topic: str, stamp_ns: int) -> None:
-        """Note an answer; one that nobody waits for changes nothing."""
+        """Register an answer; an unexpected one is ignored."""
         waiting = self._open[vehicle]
         if stamp_ns in waiting:
             waiting[stamp_ns].discard(topic)
@@ -97,16 +97,16 @@ class Answers:
                 del waiting[stamp_ns]
 
     def open(self, vehicle: str | None = None) -> list[tuple[str, int]]:
-        """Return (vehicle, stamp) of every frame with an answer missing."""
+        """Return (vehicle, stamp) of every unanswered frame."""
         vehicles = self._open if vehicle is None else (vehicle,)
         return [(name, stamp_ns) for name in vehicles for stamp_ns in self._open[name]]
 
-    def forget(self, vehicle: str, stamp_ns: int) -> None:
-        """Wait no longer for the answers to a frame."""
+    def discard(self, vehicle: str, stamp_ns: int) -> None:
+        """Stop waiting for the answers to a frame."""
         del self._open[vehicle][stamp_ns]
 
     def missing(self) -> list[tuple[str, int]]:
-        """Return (topic, stamp) of every answer that is missing."""
+        """Return (topic, stamp) of every missing answer."""
         return [
             (f"/{vehicle}/{topic}", stamp_ns)
             for vehicle, stamp_ns in self.open()
@@ -124,78 +124,78 @@ class Answers:
 
 
 class Readings:
-    """How far each vehicle's inertial readings have been published, and how many its INS has yet to take in."""
+    """Each vehicle's newest published IMU sample, and those that its INS has not acknowledged."""
 
     def __init__(self, vehicles: Iterable[str], starts_ns: dict[str, int], ahead: int | None = IMU_AHEAD) -> None:
-        """Let `ahead` readings be unanswered; None where nobody answers them."""
+        """Allow `ahead` unanswered samples; None if nobody acknowledges them."""
         names, self._starts_ns, self._ahead = tuple(vehicles), starts_ns, ahead
         self._unanswered: dict[str, deque[int]] = {name: deque() for name in names}
         self._newest_ns = dict.fromkeys(names, -1)
 
     def published(self, message: Recorded) -> None:
-        """Note a reading; those before the start are never answered."""
+        """Register a sample; those before the start are never answered."""
         vehicle, stamp_ns = message.vehicle, message.stamp_ns
         self._newest_ns[vehicle] = max(stamp_ns, self._newest_ns[vehicle])
         if self._ahead is not None and vehicle in self._starts_ns and stamp_ns > self._starts_ns[vehicle]:
             self._unanswered[vehicle].append(stamp_ns)
 
     def answered(self, vehicle: str, stamp_ns: int) -> None:
-        """Note that the INS has taken in the readings up to a stamp."""
+        """Register that the INS has processed the samples up to a stamp."""
         waiting = self._unanswered[vehicle]
         while waiting and waiting[0] <= stamp_ns:
             waiting.popleft()
 
-    def has_room(self, vehicle: str) -> bool:
-        """Say whether another reading surely fits the INS's queue."""
+    def has_capacity(self, vehicle: str) -> bool:
+        """Return whether the INS's queue can take another sample."""
         return self._ahead is None or len(self._unanswered[vehicle]) < self._ahead
 
     def cover(self, vehicle: str, stamp_ns: int) -> bool:
-        """Say whether a reading at or after the stamp is out."""
+        """Return whether a sample at or after the stamp has been published."""
         return self._newest_ns[vehicle] >= stamp_ns
 
     def backlog(self) -> list[tuple[str, int]]:
-        """Return (vehicle, oldest unanswered stamp) of each vehicle whose INS has fallen behind."""
-        return [(name, waiting[0]) for name, waiting in self._unanswered.items() if not self.has_room(name)]
+        """Return (vehicle, oldest unanswered stamp) of each vehicle whose INS lags behind."""
+        return [(name, waiting[0]) for name, waiting in self._unanswered.items() if not self.has_capacity(name)]
 
 
 class Pacer(Protocol):
-    """Decides when a recorded message may go."""
+    """Decides when a recorded message may be published."""
 
     def order(self, recorded: Iterable[Recorded]) -> Iterator[Recorded | None]:
-        """Yield what may be published now, or None to be asked again later."""
+        """Yield what may be published now, or None to be called again later."""
 
 
 class LockStep:
-    """Paces by the answers of the graph, so that nothing is lost however slow the machine is."""
+    """Back-pressure by the graph's answers, so that nothing is lost on a slow machine."""
 
     def __init__(self, answers: Answers, readings: Readings) -> None:
-        """Pace by `answers` to frames and by the room in the INS's queue of `readings`."""
+        """Pace by `answers` to frames and by the capacity of the INS's queue of `readings`."""
         self._answers, self._readings = answers, readings
         self._held: deque[Recorded] = deque()
 
     def order(self, recorded: Iterable[Recorded]) -> Iterator[Recorded | None]:
-        """Yield what may be published now, or None to wait for an answer; end when all that can come has come."""
+        """Yield what may be published now, or None to wait for an answer; end when nothing is left."""
         source = iter(recorded)
         while True:
             message = self._choose(source)
             if message is None and not self._held and not self._answers.open():
                 return
             if message is not None:
-                self._note(message)
+                self._register(message)
             yield message
 
     def _choose(self, source: Iterator[Recorded]) -> Recorded | None:
         if not self._held:
             self._held.extend(_take_one(source))
-        if self._held and self._may_go(self._held[0]):
+        if self._held and self._may_publish(self._held[0]):
             return self._held.popleft()
         if starved := self._starved():
-            return self._reading_for(starved, source)
+            return self._next_reading(starved, source)
         return None
 
-    def _may_go(self, message: Recorded) -> bool:
+    def _may_publish(self, message: Recorded) -> bool:
         if message.kind is Kind.IMU:
-            return self._readings.has_room(message.vehicle)
+            return self._readings.has_capacity(message.vehicle)
         if message.kind not in FRAME_PARTS or not self._answers.begins_frame(message):
             return True
         return not any(
@@ -204,17 +204,17 @@ class LockStep:
         )
 
     def _starved(self) -> list[tuple[str, int]]:
-        """Frames that can't be answered yet, because the reading that closes their interval is still to come."""
+        """Frames that can't be answered yet: the IMU sample that completes their interval is not published."""
         return [frame for frame in self._answers.open() if not self._readings.cover(*frame)]
 
-    def _reading_for(self, starved: list[tuple[str, int]], source: Iterator[Recorded]) -> Recorded | None:
-        """Take the next reading that a frame needs out of turn; everything else keeps its place."""
+    def _next_reading(self, starved: list[tuple[str, int]], source: Iterator[Recorded]) -> Recorded | None:
+        """Publish the next IMU sample that a frame needs out of order; all else keeps its order."""
         vehicles = {vehicle for vehicle, _ in starved}
-        for place, message in enumerate(self._held):
+        for index, message in enumerate(self._held):
             if message.kind is Kind.IMU and message.vehicle in vehicles:
-                if not self._may_go(message):
+                if not self._may_publish(message):
                     return None
-                del self._held[place]
+                del self._held[index]
                 return message
         limit_ns = min(stamp_ns for _, stamp_ns in starved) + IMU_GAP_NS
         while not self._held or self._held[-1].stamp_ns <= limit_ns:
@@ -222,12 +222,12 @@ class LockStep:
                 break
             self._held.extend(taken)
             if taken[0].kind is Kind.IMU and taken[0].vehicle in vehicles:
-                return self._held.pop() if self._may_go(taken[0]) else None
-        for frame in starved:  # there is no such reading, or none that could be waited for
-            self._answers.forget(*frame)
+                return self._held.pop() if self._may_publish(taken[0]) else None
+        for frame in starved:  # there is no such sample, or none within the look-ahead
+            self._answers.discard(*frame)
         return None
 
-    def _note(self, message: Recorded) -> None:
+    def _register(self, message: Recorded) -> None:
         if message.kind in FRAME_PARTS:
             self._answers.published(message)
         elif message.kind is Kind.IMU:
@@ -235,14 +235,14 @@ class LockStep:
 
 
 class RealTime:
-    """Paces by the wall clock, whether the graph keeps up or not."""
+    """Paces by the wall clock, without back-pressure."""
 
     def __init__(self, answers: Answers, rate: float, clock: Callable[[], float] = time.monotonic) -> None:
-        """Replay at `rate` times the recorded speed; `answers` only takes note."""
+        """Replay at `rate` times the recorded speed; `answers` are only counted."""
         self._answers, self._rate, self._clock = answers, rate, clock
 
     def order(self, recorded: Iterable[Recorded]) -> Iterator[Recorded | None]:
-        """Yield each message when its time has come, and None until then."""
+        """Yield each message when it is due, and None until then."""
         begin_s, first_ns = self._clock(), None
         for message in recorded:
             first_ns = message.stamp_ns if first_ns is None else first_ns

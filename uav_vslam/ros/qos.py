@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality-of-service profiles by purpose. What stays in the vehicle accepts overrides from YAML; on the radio the
-communication mode decides.
+"""Quality-of-service profiles by purpose. Profiles inside a vehicle can be overridden in YAML; on the radio they follow
+from the communication mode.
 """
 
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATI
 
 
 IMAGE = _reliable(5)  # reliable with the shared-memory profile; best effort loses images without it
-SENSOR = _reliable(500)  # inertial readings and increments: none may be missing, 2.5 s at 200 Hz
+SENSOR = _reliable(500)  # IMU samples and increments: none may be lost, 2.5 s at 200 Hz
 STATE = _reliable(10)
-LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)  # said once, for whoever comes later
+LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)  # published once, for late joiners
 
-LIFESPAN = Duration(seconds=2)  # an older packet has been replaced by a newer one: it need not be sent any more
-DEADLINE = Duration(seconds=3)  # a longer time without a packet is counted
+LIFESPAN = Duration(seconds=2)  # an older packet is superseded and need not be sent
+DEADLINE = Duration(seconds=3)  # longer gaps between packets are counted
 RADIO = {  # by communication mode
     "wideband": _reliable(10),
-    # A packet sent again would take the place of the next one, which replaces it anyway.
+    # A retransmission would delay the next packet, which supersedes it anyway.
     "narrowband": QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=1,
@@ -36,8 +36,8 @@ RADIO = {  # by communication mode
 }
 
 
-def asking_no_more(wanted: QoSProfile, offers: Sequence[QoSProfile]) -> QoSProfile:
-    """Return what to ask for so that every publisher's offer meets it: vehicles may be in different modes."""
+def compatible_qos(wanted: QoSProfile, offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Return the request that every publisher's offer satisfies: vehicles may be in different modes."""
     reliable = wanted.reliability == ReliabilityPolicy.RELIABLE and all(
         offer.reliability != ReliabilityPolicy.BEST_EFFORT for offer in offers
     )

@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.inputs import Input
-from uav_vslam.ros.qos import RADIO, asking_no_more
+from uav_vslam.ros.qos import RADIO, compatible_qos
 from uav_vslam.ros.runtime import VehicleNode
 from uav_vslam_msgs.msg import LandmarkInformation
 
@@ -46,7 +46,7 @@ class PeerInput(Input):
     def follow(self, node: Node) -> bool:
         """Subscribe again where the publishers' offers ask for it; tell whether that was so."""
         offers = [info.qos_profile for info in self.host.get_publishers_info_by_topic(self.subscription.topic_name)]
-        asked = asking_no_more(self.wanted, offers)
+        asked = compatible_qos(self.wanted, offers)
         if not offers or asked == self.qos:
             return False
         self.close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the fleet's nodes have found each other: nothing else tells a replay that its first frame won't be lost."""
+"""Discovery state of the fleet's nodes: the replay waits for it, so that its first frame is not lost."""
 
 from collections.abc import Sequence
 
@@ -9,41 +9,41 @@ from rclpy.node import Node
 from uav_vslam.ros.runtime import READERS, UNMATCHED
 
 DIAGNOSTICS = "/diagnostics"
-FLEET = "fleet"  # what is in no vehicle's namespace
+FLEET = "fleet"  # nodes in no vehicle's namespace
 SERVING = ("recorder", "link_emulator")  # nodes of the fleet that a replay waits for
-UNNAMED = "_NODE_NAMESPACE_UNKNOWN_"  # the middleware's word for an endpoint whose node it has yet to hear of
+UNNAMED = "_NODE_NAMESPACE_UNKNOWN_"  # namespace that the middleware gives to an endpoint of a node not yet discovered
 
 
 class Readiness:
-    """Listens to what the nodes say about their own inputs and outputs.
+    """Evaluates the diagnostics of the nodes about their own inputs and outputs.
 
-    Discovery has two sides, and neither waits for the other: a publisher that a reader doesn't know of is still unread,
-    and what is published before the publisher knows of a reader never reaches it.
+    Discovery is one-sided: a subscription gets nothing before it has discovered the publisher, nor does it get messages
+    that were published before the publisher discovered it.
     """
 
     def __init__(self, node: Node, vehicles: Sequence[str]) -> None:
-        """Listen on behalf of a node for those of `vehicles` and for what serves the fleet."""
+        """Subscribe by `node`; wait for the nodes of `vehicles` and those that serve the fleet."""
         self._node, self._vehicles = node, tuple(vehicles)
         self._unmatched: dict[str, list[str]] = {}
         self._readers: dict[str, dict[str, int]] = {}
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def missing(self) -> list[str]:
-        """Return what is not yet connected, in words."""
-        silent = [f"{name} has not reported" for name in self._expected() if name not in self._unmatched]
-        deaf = [
+        """Return descriptions of the missing connections."""
+        unreported = [f"{name} has not reported" for name in self._expected() if name not in self._unmatched]
+        undiscovered_publishers = [
             f"{name} has not found the publisher of {topic}"
             for name, topics in self._unmatched.items()
             for topic in topics
             if self._node.count_publishers(topic)
         ]
-        unheard = [
+        undiscovered_subscribers = [
             f"{name} has not found every reader of {topic}"
             for name, counts in self._readers.items()
             for topic, count in counts.items()
             if self._node.count_subscribers(topic) > count
         ]
-        return silent + deaf + unheard
+        return unreported + undiscovered_publishers + undiscovered_subscribers
 
     def _expected(self) -> list[str]:
         infos = self._node.get_publishers_info_by_topic(DIAGNOSTICS)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""recorder: what the fleet estimates, into a rosbag2 (mcap) that evaluation reads.
+"""recorder: records the fleet's estimates to a rosbag2 (mcap) for the evaluation.
 
 in   /<vehicle>/odometry, fused/odometry, ins/dead_reckoning, ground_truth/odometry    nav_msgs/Odometry
      /<vehicle>/fusion/status                                                          uav_vslam_msgs/FusionStatus
      /diagnostics                                                                      diagnostic_msgs/DiagnosticArray
-out  /diagnostics                                                                      the recorder's own state
+out  /diagnostics                                                                      the recorder's own status
 
-Messages are written byte for byte, stamped as in their headers. The bag is complete after SIGINT or SIGTERM.
+Messages are written byte for byte, with their header stamps. The bag is complete after SIGINT or SIGTERM.
 """
 
 from pathlib import Path
@@ -32,7 +32,7 @@ VEHICLE_TOPICS = {
     "fusion/status": FusionStatus,
 }
 REPORT_S = 1.0
-WAKE_S = 0.2  # Python sees a signal only when the executor wakes
+WAKE_S = 0.2  # Python handles a signal only when the executor wakes
 
 
 class RecorderNode(Node):
@@ -62,7 +62,7 @@ class RecorderNode(Node):
         self.get_logger().info(f"recording to {output}")
 
     def destroy_node(self) -> None:
-        """Close the bag, then leave."""
+        """Close the bag, then destroy the node."""
         self._bag.close()
         self.get_logger().info(f"{self._written} messages recorded")
         super().destroy_node()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a fleet's bags hold that is to be replayed; bytes only, messages are never built."""
+"""The messages of a fleet's bags that are replayed, as serialised bytes."""
 
 import heapq
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,7 +19,7 @@ KINDS = {
     "left/camera_info": Kind.INFO,
     "imu/data_raw": Kind.IMU,
 }
-# What the nodes themselves publish: a recording of a whole run is replayed without it.
+# Outputs of the nodes: not replayed from the recording of a whole run.
 OUTPUTS = ("odometry", "path", "landmarks", "stereo_features", "joint_information", "landmark_information")
 OUTPUT_FOLDERS = ("ins/", "slam/", "fused/", "fusion/")
 
@@ -28,24 +28,24 @@ class Recording:
     """The bags of a fleet.
 
     Attributes:
-        vehicles: names, in the order asked for.
-        topics: what is replayed, by name.
-        starts_ns: stamp of each vehicle's start state [ns]; absent where none is replayed.
-        damage: what was met instead of the end of a bag.
+        vehicles: names, in the order requested.
+        topics: those replayed, by name.
+        starts_ns: stamp of each vehicle's start state [ns]; absent if none is replayed.
+        damage: errors that ended a bag early.
     """
 
     def __init__(
         self, paths: Sequence[Path], vehicles: Sequence[str] = (), *, finding_start: Sequence[str] = ()
     ) -> None:
-        """Look at the bags; replay `vehicles`, or all that have images.
+        """Index the bags; replay `vehicles`, or all that have images.
 
         Args:
             paths: the bags.
             vehicles: names.
-            finding_start: those that find their start state themselves: a recorded one would contradict it.
+            finding_start: those that estimate their start state: a recorded one would contradict it.
 
         Raises:
-            BagError: a bag is missing or none, or lacks what a vehicle needs.
+            BagError: a bag is missing, unreadable, or lacks a topic that a vehicle needs.
         """
         if not paths:
             raise BagError("no recording to replay; set the parameter bags, or give --bag")
@@ -65,23 +65,23 @@ class Recording:
         }
 
     def frames(self, vehicle: str) -> int:
-        """Return how many left images were recorded."""
+        """Return the number of recorded left images."""
         return self._count(vehicle, Kind.LEFT)
 
     def classify(self, topic: str) -> tuple[str, Kind]:
-        """Return the vehicle ("" for the fleet's own topics) and what the topic is to the pacing."""
+        """Return the vehicle ("" for the fleet's own topics) and the topic's role in the pacing."""
         for vehicle in self.vehicles:
             if topic.startswith(f"/{vehicle}/"):
                 return vehicle, KINDS.get(topic.removeprefix(f"/{vehicle}/"), Kind.OTHER)
         return "", Kind.OTHER
 
     def consumed(self, vehicle: str) -> list[str]:
-        """Return the topics without a reader of which a vehicle can't work."""
+        """Return the topics that need a subscriber before a vehicle can run."""
         named = (*KINDS, "right/camera_info")
         return [f"/{vehicle}/{name}" for name in named if f"/{vehicle}/{name}" in self.topics]
 
     def messages(self) -> Iterator[Recorded]:
-        """Yield all but the latched messages in the order of recording; a damaged bag ends early."""
+        """Yield all but the latched messages in recorded order; a damaged bag ends early."""
         latched = {raw.topic for raw in self.latched}
         topics = [topic for topic in self.topics if topic not in latched]
         streams = [self._until_broken(path, topics) for path in self._paths]
@@ -101,9 +101,9 @@ class Recording:
         newest: dict[tuple[Path, str, bytes], RawMessage] = {}
         for path in self._paths:
             for raw in self._until_broken(path, topics):
-                # Each node that knows a part of /tf_static tells it by itself.
+                # Several nodes may each publish a part of /tf_static.
                 newest[path, raw.topic, raw.data if raw.topic == TF_STATIC else b""] = raw
-        self.damage.clear()  # the replay meets it again
+        self.damage.clear()  # the replay detects it again
         return list(newest.values())
 
     def _is_input(self, topic: str) -> bool:

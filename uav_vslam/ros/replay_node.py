@@ -2,14 +2,14 @@
 """replay: the fleet's recordings as live topics under one clock.
 
 in   /<vehicle>/<each of wait_for>    nav_msgs/Odometry, answers to a frame by its stamp; they pace lock-step (rate 0)
-     /<vehicle>/ins/odometry          nav_msgs/Odometry, tells how many readings the INS has yet to take in
-     /<vehicle>/initial_state, stereo_features    where no start state is replayed: found by the vehicle itself
+     /<vehicle>/ins/odometry          nav_msgs/Odometry, acknowledges IMU samples
+     /<vehicle>/initial_state, stereo_features    if no start state is replayed: estimated by the vehicle itself
 out  /<vehicle>/...                   the recorded inputs, byte for byte
-     /<vehicle>/initial_state         uav_vslam_msgs/NavigationState, latched, before all else
-     /tf_static                       tf2_msgs/TFMessage, latched, of all bags together
+     /<vehicle>/initial_state         uav_vslam_msgs/NavigationState, latched, published first
+     /tf_static                       tf2_msgs/TFMessage, latched, merged over all bags
      /clock                           rosgraph_msgs/Clock
 
-Exit code 0 at the end; 1 if a consumer or an answer is missing; 2 if a bag can't be replayed, or only up to a break.
+Exit code 0 at the end; 1 if a consumer or an answer is missing; 2 if a bag can't be replayed, or only up to its damage.
 """
 
 import time
@@ -40,11 +40,11 @@ from uav_vslam_msgs.msg import NavigationState, StereoFeatures
 INS_ANSWER = "ins/odometry"
 QOS = {Kind.LEFT: IMAGE, Kind.RIGHT: IMAGE, Kind.IMU: SENSOR}
 STEP_S = 0.004
-BURST = 50  # messages published before answers are looked at again
-SETTLE_S = 15.0  # nodes that have not found each other after so long are not waited for
-LINGER_S = 3.0  # real time: the last answers may take as long
+BURST = 50  # messages published before callbacks run again
+DISCOVERY_S = 15.0  # timeout of the discovery among the nodes
+LAST_ANSWERS_S = 3.0  # real time: timeout of the last answers
 REPORT_S = 3.0
-LISTED = 6  # missing ends named while waiting; all are when giving up
+LISTED = 6  # missing endpoints named while waiting; all of them at the timeout
 CLOCK_NS = 20_000_000
 
 
@@ -67,7 +67,7 @@ class ReplayNode(Node):
         self._publishers_by_topic = {topic: self._advertise(topic) for topic in self._recording.topics}
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", STATE)
         for vehicle in self._vehicles:
-            self._listen_to(vehicle)
+            self._subscribe_to(vehicle)
         self._readiness = Readiness(self, self._vehicles)
         self._steps = self._replay()
         self.create_timer(STEP_S, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -86,9 +86,9 @@ class ReplayNode(Node):
         latched = any(raw.topic == topic for raw in self._recording.latched)
         return self.create_publisher(message_type, topic, LATCHED if latched else QOS.get(kind, STATE))
 
-    def _listen_to(self, vehicle: str) -> None:
+    def _subscribe_to(self, vehicle: str) -> None:
         topics: dict[str, Any] = dict.fromkeys([*self._wait_for, INS_ANSWER], Odometry)
-        if vehicle not in self._starts_ns:  # the vehicle finds its start state itself
+        if vehicle not in self._starts_ns:  # the vehicle estimates its start state
             topics[EARLY_ANSWER] = StereoFeatures
             self.create_subscription(
                 NavigationState, f"/{vehicle}/{INITIAL_STATE}", partial(self._on_start, vehicle), LATCHED, raw=True
@@ -109,7 +109,7 @@ class ReplayNode(Node):
         self._step()
 
     def _publish_latched(self) -> None:
-        """Publish what latecomers get too, /tf_static of all bags as one message: only the newest is kept for them."""
+        """Publish latched messages; /tf_static of all bags as one, since late joiners get the last message only."""
         merged = TFMessage()
         for raw in self._recording.latched:
             if raw.topic == TF_STATIC:
@@ -120,50 +120,50 @@ class ReplayNode(Node):
             self._publishers_by_topic[TF_STATIC].publish(merged)
 
     def _step(self) -> None:
-        """Go on until there is something to wait for."""
+        """Continue until the replay has to wait."""
         for _ in range(BURST):
             if not next(self._steps):
                 return
 
     def _replay(self) -> Iterator[bool]:
         """The whole replay; yields False where it has to wait, True after each message."""
-        yield from self._await_ends()
+        yield from self._await_endpoints()
         self._publish_latched()
         self._begin_s = self._report_s = self._progress_s = time.monotonic()
         for message in self._pacer().order(self._recording.messages()):
             if message is None:
-                self._keep_patience()
+                self._check_timeout()
             else:
                 self._publish(message)
             self._report()
             yield message is not None
-        yield from self._linger()
+        yield from self._await_last_answers()
         self._finish()
 
     def _pacer(self) -> Pacer:
         return LockStep(self._answers, self._readings) if self._lockstep else RealTime(self._answers, self._config.rate)
 
-    def _await_ends(self) -> Iterator[bool]:
-        """Wait until every topic has its reader and every answer its writer."""
-        while missing := self._missing_ends():
+    def _await_endpoints(self) -> Iterator[bool]:
+        """Wait until every topic has a subscriber and every answer a publisher."""
+        while missing := self._missing_endpoints():
             if time.monotonic() - self._begin_s > self._config.timeout_s:
                 text = ", ".join(missing)
                 self._fail(f"gave up after {self._config.timeout_s:g} s: {text}; are the vehicle's nodes running?")
             more = f" and {len(missing) - LISTED} more" if len(missing) > LISTED else ""
             self.get_logger().info(f"waiting: {', '.join(missing[:LISTED])}{more}", throttle_duration_sec=REPORT_S)
             yield False
-        yield from self._await_each_other()
+        yield from self._await_discovery()
 
-    def _await_each_other(self) -> Iterator[bool]:
-        """Wait until the nodes have found each other, too: the first frame passes through them all."""
-        give_up_s = time.monotonic() + SETTLE_S
+    def _await_discovery(self) -> Iterator[bool]:
+        """Wait until the nodes have discovered each other: the first frame passes through all of them."""
+        give_up_s = time.monotonic() + DISCOVERY_S
         while missing := self._readiness.missing():
             if time.monotonic() > give_up_s:
-                self.get_logger().warning(f"starting, although {', '.join(missing)}")
+                self.get_logger().warning(f"starting before discovery is complete: {', '.join(missing)}")
                 return
             yield False
 
-    def _missing_ends(self) -> list[str]:
+    def _missing_endpoints(self) -> list[str]:
         answers = [f"/{vehicle}/{topic}" for vehicle in self._vehicles for topic in self._wait_for]
         consumed = [topic for vehicle in self._vehicles for topic in self._recording.consumed(vehicle)]
         unread = [t for t in consumed if self._publishers_by_topic[t].get_subscription_count() == 0]
@@ -177,14 +177,14 @@ class ReplayNode(Node):
         self._publishers_by_topic[message.topic].publish(message.payload)
         self._progress_s = time.monotonic()
 
-    def _keep_patience(self) -> None:
+    def _check_timeout(self) -> None:
         if self._lockstep and time.monotonic() - self._progress_s > self._config.timeout_s:
             behind = [(f"/{vehicle}/{INS_ANSWER}", stamp_ns) for vehicle, stamp_ns in self._readings.backlog()]
             missing = ", ".join(f"{topic} at {stamp_ns} ns" for topic, stamp_ns in self._answers.missing() + behind)
             self._fail(f"no answer for {self._config.timeout_s:g} s: {missing}")
 
-    def _linger(self) -> Iterator[bool]:
-        while self._answers.open() and time.monotonic() - self._progress_s < LINGER_S:
+    def _await_last_answers(self) -> Iterator[bool]:
+        while self._answers.open() and time.monotonic() - self._progress_s < LAST_ANSWERS_S:
             yield False
 
     def _report(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node of a vehicle shares: start and stop, bad messages counted by reason, and diagnostics."""
+"""Base of every vehicle node: start-up, shutdown, rejected messages counted by reason, and diagnostics."""
 
 import signal
 import sys
@@ -23,10 +23,10 @@ from uav_vslam.ros.inputs import Input, silent, stopped, unmatched
 from uav_vslam.ros.params import declare
 
 DIAGNOSTICS_PERIOD_S = 1.0
-UNMATCHED = "unmatched"  # key in diagnostics: inputs without a publisher as yet; the replay waits for them
-READERS = "readers"  # key in diagnostics: how many readers each output has found, "topic=count ..."; likewise
-FOLLOW_PERIOD_S = 0.5  # how often inputs look for what reliability is offered
-QUIET_AFTER_S = 5.0  # without a first message for so long, say which topic is missing
+UNMATCHED = "unmatched"  # key in diagnostics: subscriptions without a publisher so far; the replay waits for them
+READERS = "readers"  # key in diagnostics: matched subscriptions of each output, "topic=count ..."; likewise
+FOLLOW_PERIOD_S = 0.5  # how often inputs check the reliability that is offered
+QUIET_AFTER_S = 5.0  # without a first message for so long, report the topic as missing
 
 
 class VehicleNode(Node):
@@ -42,7 +42,7 @@ class VehicleNode(Node):
         self.config: VehicleConfig = declare(self, VehicleConfig)
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
-        self.alarms: dict[str, str] = {}  # by subject: what is wrong at present; makes the state a warning
+        self.alarms: dict[str, str] = {}  # current faults, by subject; they set the status to WARN
         self._inputs: list[Input] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
@@ -57,7 +57,7 @@ class VehicleNode(Node):
 
     @property
     def odom_frame(self) -> str:
-        """Name of the own-only frame, which fusion never moves."""
+        """Name of the own-only frame, which fusion never corrects."""
         return f"{self.vehicle}/odom"
 
     @property
@@ -68,12 +68,12 @@ class VehicleNode(Node):
     def listen(
         self, message_type: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, *, instead_of: str = ""
     ) -> Input:
-        """Subscribe; a message that the callback refuses is dropped, counted by reason, and stops nothing.
+        """Subscribe; a message that the callback rejects is dropped and counted by reason.
 
         Args:
             message_type, topic, qos: as for create_subscription.
             callback: may raise ValueError or an error of ours.
-            instead_of: another topic that this one can stand in for: the node misses only one of them.
+            instead_of: another topic that this one can replace: the node needs only one of them.
         """
 
         one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic)
@@ -82,7 +82,7 @@ class VehicleNode(Node):
         return one
 
     def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Return a callback that drops and counts what `callback` refuses."""
+        """Return a callback that drops and counts messages that `callback` rejects."""
 
         def call(message: Any) -> None:
             try:
@@ -93,11 +93,11 @@ class VehicleNode(Node):
         return call
 
     def watch(self, one: Input) -> None:
-        """Report in the diagnostics what an input lacks, and let it follow what is offered."""
+        """Report an input's faults in the diagnostics, and adapt its reliability to the offer."""
         self._inputs.append(one)
 
     def unwatch(self, one: Input) -> None:
-        """Forget an input that is to be closed, if it was watched."""
+        """Stop watching an input that is to be closed."""
         if one in self._inputs:
             self._inputs.remove(one)
 
@@ -107,7 +107,7 @@ class VehicleNode(Node):
         return self.create_publisher(message_type, topic, qos, qos_overriding_options=overrides)
 
     def drop(self, reason: str, detail: str) -> None:
-        """Count a dropped message and say so, not too often."""
+        """Count a dropped message and log it, throttled."""
         self.counts[f"dropped/{reason}"] += 1
         self.get_logger().warning(f"dropped a message: {detail}", throttle_duration_sec=5.0)
 
@@ -115,7 +115,7 @@ class VehicleNode(Node):
         for one in self._inputs:
             if one.follow(self):
                 self.get_logger().info(
-                    f"{one.subscription.topic_name} is taken as it is offered: {one.qos.reliability.name}"
+                    f"{one.subscription.topic_name} switched to the offered reliability: {one.qos.reliability.name}"
                 )
 
     def _report_missing(self) -> None:
@@ -123,12 +123,12 @@ class VehicleNode(Node):
         for topic in silent(self._inputs):
             resolved = self.resolve_topic_name(topic)
             published = self.count_publishers(resolved) > 0
-            waiting.append(f"{resolved} ({'published, but nothing has come' if published else 'nobody publishes it'})")
+            waiting.append(f"{resolved} ({'published, but no message yet' if published else 'no publisher'})")
         if waiting:  # one line for all: the throttle counts lines of code, not texts
             self.get_logger().warning(f"waiting for {', '.join(waiting)}", throttle_duration_sec=20.0)
         pauses = stopped(self._inputs, time.monotonic())
         if pauses:
-            self.get_logger().warning(_no_more(pauses), throttle_duration_sec=20.0)
+            self.get_logger().warning(_pauses_text(pauses), throttle_duration_sec=20.0)
 
     def _publish_diagnostics(self) -> None:
         missing = silent(self._inputs)
@@ -138,7 +138,7 @@ class VehicleNode(Node):
         if missing:
             level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"
         elif pauses:
-            level, text = DiagnosticStatus.WARN, _no_more(pauses)
+            level, text = DiagnosticStatus.WARN, _pauses_text(pauses)
         elif self.alarms:
             level, text = DiagnosticStatus.WARN, "; ".join(self.alarms.values())
         elif dropped:
@@ -161,21 +161,21 @@ class VehicleNode(Node):
         self._diagnostics.publish(array)
 
 
-def _no_more(pauses: dict[str, float]) -> str:
-    return "nothing more from " + ", ".join(f"{topic} for {pause_s:.0f} s" for topic, pause_s in pauses.items())
+def _pauses_text(pauses: dict[str, float]) -> str:
+    return "no more messages from " + ", ".join(f"{topic} for {pause_s:.0f} s" for topic, pause_s in pauses.items())
 
 
 def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
-    """Initialise ROS, spin one node until SIGINT or SIGTERM, and leave cleanly; return the exit code.
+    """Initialise ROS, spin one node until SIGINT or SIGTERM, and shut down; return the exit code.
 
     A node may end itself by raising SystemExit in a callback. An error of ours is one line and exit code 2.
     """
-    cv2.setNumThreads(1)  # several nodes share the cores, and results must not depend on how many there are
+    cv2.setNumThreads(1)  # several nodes share the cores, and results must not depend on their number
     stopping = False
 
     def stop(*_: object) -> None:
         nonlocal stopping
-        stopping = True  # and no more: the signal may have come while rclpy held a lock that its shutdown needs too
+        stopping = True  # only this: the signal may interrupt rclpy while it holds a lock that its shutdown needs
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""slam_backend: features and increments to own-only odometry and map.
+"""slam_backend: own-only odometry and map from features and increments.
 
 in   stereo_features                       uav_vslam_msgs/StereoFeatures
      ins/increment                         uav_vslam_msgs/InsIncrement
-     initial_state                         uav_vslam_msgs/NavigationState, latched; with start.method in_flight an
-                                           output instead
+     initial_state                         uav_vslam_msgs/NavigationState, latched; an output instead with
+                                           start.method in_flight
      left/camera_info, right/camera_info, /tf_static    the rig
 out  odometry                              nav_msgs/Odometry per frame, map frame
      path                                  nav_msgs/Path at epochs, map frame
@@ -49,7 +49,7 @@ MAX_PATH = 2000  # poses in a published path
 
 
 class SlamBackendNode(VehicleNode):
-    """Feeds `SlamStage`."""
+    """Runs `SlamStage`."""
 
     def __init__(self) -> None:
         super().__init__("slam_backend")
@@ -84,7 +84,7 @@ class SlamBackendNode(VehicleNode):
         self._work()
 
     def _work(self) -> None:
-        """Process every frame whose features and motion have both come."""
+        """Process every frame whose features and increment have arrived."""
         self._stage.rig = self._rig.rig
         for output in self._stage.run():
             self._publish(output)
@@ -102,13 +102,13 @@ class SlamBackendNode(VehicleNode):
         self._publish_frame(output.report, output.dead_reckoning.state.T_map_body)
 
     def _publish_start(self, found: NavEstimate) -> None:
-        """Publish, once, the start state that was found."""
+        """Publish the estimated start state once."""
         self._finds_start = False
         self.notes["start"] = "found in flight"
         self._initial_state.publish(navigation_to_msg(found, frame_id=self.map_frame, child_frame_id=self.base_frame))
 
     def _publish_epoch(self, joint: Joint) -> None:
-        """Publish what is large, before the frame's odometry, for which the fusion waits with it."""
+        """Publish an epoch's belief, map and path before the odometry, on which the fusion node triggers."""
         self._joint.publish(joint_to_msg(joint, frame_id=self.map_frame))
         self._landmarks.publish(cloud_to_msg(joint.positions, stamp_ns=joint.stamp_ns, frame_id=self.map_frame))
         self._paths.publish(Path(header=header(joint.stamp_ns, self.map_frame), poses=list(self._path)))

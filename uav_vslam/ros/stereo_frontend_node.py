@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""stereo_frontend: image pairs to stereo features.
+"""stereo_frontend: stereo features from image pairs.
 
 in   left/image_raw, right/image_raw             sensor_msgs/Image, or
      left/image_raw/compressed, right/...        sensor_msgs/CompressedImage
@@ -36,23 +36,23 @@ Pixels = NDArray[Any]
 AddImage = Callable[[int, Pixels], StereoPair[Pixels] | None]
 
 MAX_WAITING = 10  # pairs held until the calibration is known
-MAX_ALONE = 10  # images without a partner in a row, and one camera is taken to be silent
-RAW_AWAITED = 5  # compressed images that are left alone where a camera offers raw ones too
+MAX_ALONE = 10  # unpaired images in a row, after which one camera counts as silent
+RAW_AWAITED = 5  # compressed images that are ignored if a camera offers raw ones too
 
 
 class StereoFrontendNode(VehicleNode):
-    """Pairs the images, runs the front end, publishes, and reports cameras that are not well."""
+    """Pairs the images, runs the front end, publishes its features and reports faulty cameras."""
 
     def __init__(self) -> None:
         super().__init__("stereo_frontend")
-        make_extractor(self.config.frontend)  # one that can't be made ends the node here, not at each pair
+        make_extractor(self.config.frontend)  # fail at start-up, not at each pair
         self._rig = RigListener(self, self._work)
         self._frontend: Frontend | None = None
         self._alone = 0  # images since the last pair
         self._pairer: StereoPairer[Pixels] = StereoPairer()
         self._waiting: deque[StereoFrame] = deque()
         self._publisher = self.advertise(StereoFeatures, "stereo_features", STATE)
-        self._choices: dict[str, dict[type, Input]] = {}  # by camera: the two topics it may have, until one is taken
+        self._choices: dict[str, dict[type, Input]] = {}  # by camera: its candidate topics, until one is selected
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
             raw = f"{side}/image_raw"
             on_image = partial(self._on_image, side, add)
@@ -62,29 +62,29 @@ class StereoFrontendNode(VehicleNode):
             }
 
     def _on_image(self, side: str, add: AddImage, message: Image | CompressedImage) -> None:
-        if not self._takes(side, type(message)):
-            return  # the same picture once more
+        if not self._uses(side, type(message)):
+            return  # the same image once more
         pair = add(stamp_ns_of(message), self._pixels(message))
         self.counts["dropped/unpaired"] = self._pairer.dropped
         if pair is None:
             self._alone += 1
             if self._alone == MAX_ALONE:
-                self._alarm({"pairs": "images come, but no pairs: one camera is silent, or their stamps differ"})
+                self._alarm({"pairs": "images arrive, but no pairs: one camera is silent, or their stamps differ"})
             return
         self._alone = 0
         self.counts["pairs"] += 1
         self._waiting.append(StereoFrame(pair.stamp_ns, pair.left, pair.right))
         if len(self._waiting) > MAX_WAITING:
             self._waiting.popleft()
-            self.drop("no_calibration", "image pairs come, but no camera_info or /tf_static that can be used")
+            self.drop("no_calibration", "image pairs arrive, but no valid camera_info or /tf_static")
         self._work()
 
-    def _takes(self, side: str, kind: type) -> bool:
-        """Tell whether a camera's messages of a kind are used: raw ones, where they are published; the others end."""
+    def _uses(self, side: str, kind: type) -> bool:
+        """Return whether a camera's messages of a kind are used: raw ones if published; unsubscribe from the others."""
         choices = self._choices[side]
         if len(choices) > 1:
             raw_offered = choices[Image].subscription.get_publisher_count() > 0
-            if kind is CompressedImage and raw_offered and choices[kind].heard <= RAW_AWAITED:
+            if kind is CompressedImage and raw_offered and choices[kind].received <= RAW_AWAITED:
                 return False
             other = choices.pop(Image if kind is CompressedImage else CompressedImage)
             self.unwatch(other)
@@ -92,7 +92,7 @@ class StereoFrontendNode(VehicleNode):
         return kind in choices
 
     def _pixels(self, message: Image | CompressedImage) -> Pixels:
-        """Return the picture, of no size at all where it can't be read: its frame goes on without points."""
+        """Return the image, empty if it can't be decoded: its frame then has no features."""
         try:
             return image_from_msg(message)
         except InvalidMessage as error:
@@ -105,14 +105,14 @@ class StereoFrontendNode(VehicleNode):
             return
         self._frontend = self._frontend or make_frontend(rig, self.config.frontend, self.config.rig)
         while self._waiting:
-            features = self._found(self._frontend, self._waiting.popleft())
+            features = self._extracted(self._frontend, self._waiting.popleft())
             self._alarm(self._frontend.alarms)
             size = (rig.left.width, rig.left.height)
             self._publisher.publish(features_to_msg(features, frame_id=self._rig.left_frame, size=size))
             self.counts["features"] += len(features)
 
-    def _found(self, frontend: Frontend, frame: StereoFrame) -> Features:
-        """Return the points of a pair, none where it can't be used: the vehicle then coasts."""
+    def _extracted(self, frontend: Frontend, frame: StereoFrame) -> Features:
+        """Return the features of a pair, none if it is invalid: the filter then dead-reckons."""
         try:
             return frontend.process(frame)
         except InvalidMessage as error:
@@ -120,7 +120,7 @@ class StereoFrontendNode(VehicleNode):
             return Features.empty(frame.stamp_ns)
 
     def _alarm(self, alarms: dict[str, str]) -> None:
-        """Report what is wrong now: in the state as long as it lasts, in the log when it begins, counted for ever."""
+        """Report current faults: in the diagnostics while they last, in the log at their onset, and count them."""
         for subject, text in alarms.items():
             self.counts[f"alarms/{subject}"] += 1
             if subject not in self.alarms:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts the processes of a fleet, watches them and ends them together; imports no ROS.
+"""Starts, monitors and shuts down the processes of a fleet; imports no ROS.
 
-Every process has its own process group, so that a terminal's Ctrl-C reaches the supervisor alone, and is killed by the
-kernel if the supervisor dies without a chance to end it. One thread does it all: fork and signals stay simple.
+Every process has its own process group, so that a terminal's Ctrl-C reaches the supervisor only; the kernel kills it if
+the supervisor dies. One thread does everything: fork and signals stay simple.
 """
 
 import os
@@ -21,8 +21,8 @@ from uav_vslam.processes import exit_with_parent
 from uav_vslam.ros.fleet_commands import NodeSpec
 
 PACKAGE = "uav_vslam"
-DRAIN_S = 1.0  # after the replay's end, for messages that are still under way
-ESCALATION = ((0.0, signal.SIGINT), (2.0, signal.SIGTERM), (4.0, signal.SIGKILL))  # seconds after the order to end
+DRAIN_S = 1.0  # after the replay's end, for messages in flight
+ESCALATION = ((0.0, signal.SIGINT), (2.0, signal.SIGTERM), (4.0, signal.SIGKILL))  # seconds after the shutdown starts
 POLL_S = 0.05
 
 
@@ -33,7 +33,7 @@ class Command:
     Attributes:
         name: prefix of its output.
         argv: program and arguments.
-        leads: its end is the end of all; without it only a signal or a failure is.
+        leads: its exit shuts down the fleet; otherwise only a signal or a failure does.
     """
 
     name: str
@@ -51,13 +51,13 @@ class _Child:
 
 @dataclass(slots=True)
 class Supervisor:
-    """Runs commands until the leading one ends, one fails or a signal comes.
+    """Runs commands until the leading one exits, one fails or a signal arrives.
 
     Attributes:
-        environment: variables that differ from ours.
-        log_dir: also keep each process's output in a file here.
+        environment: variables in addition to ours.
+        log_dir: folder for a log file of each process.
         escalation: what is sent to those that still run, and how many seconds after the order to end.
-        on_line: called with (name, line) for all output; the default prints it with its prefix.
+        on_line: called with (name, line) for all output; by default it is printed with its prefix.
     """
 
     environment: dict[str, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Supervisor:
     _code: int | None = None
 
     def run(self, commands: Iterable[Command]) -> int:
-        """Run to the end and leave nothing behind.
+        """Run until the shutdown of all processes.
 
         Returns:
             0, the exit code of the first process that failed, or 128 + the signal that ended the run.
@@ -84,7 +84,7 @@ class Supervisor:
                 self._relay(POLL_S)
                 self._watch()
         finally:
-            self._end_all()
+            self._shut_down()
             for number, handler in before.items():
                 signal.signal(number, handler)
         return self._code if self._code else 128 + self._signal if self._signal else 0
@@ -102,7 +102,7 @@ class Supervisor:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 process_group=0,
-                preexec_fn=_die_with(os.getpid()),
+                preexec_fn=_child_setup(os.getpid()),
             )
         except OSError as error:
             raise ConfigError(f"{command.name} can't be started: {command.argv[0]}: {error.strerror}") from None
@@ -119,7 +119,7 @@ class Supervisor:
         return (self.log_dir / f"{name.replace('/', '_')}.log").open("wb")
 
     def _relay(self, timeout_s: float) -> None:
-        """Pass on what the processes have written."""
+        """Forward the processes' output."""
         if not self._selector.get_map():
             time.sleep(timeout_s)
         for key, _ in self._selector.select(timeout_s):
@@ -136,18 +136,18 @@ class Supervisor:
                 (self.on_line or print_line)(child.command.name, line.decode(errors="replace"))
 
     def _watch(self) -> None:
-        """Note the first process that has ended: the leading one may, any other has failed."""
+        """Detect the first process that has exited: a failure, unless it is the leading one."""
         for child in self._children:
             code = child.process.poll()
             if code is None:
                 continue
             if not child.command.leads or code != 0:
-                _say(f"{child.command.name} {describe_exit(code)}; the fleet is ended")
+                _log(f"{child.command.name} {describe_exit(code)}; the fleet is shut down")
             self._code = _shell_code(code) if child.command.leads else _shell_code(code) or 1
             return
 
-    def _end_all(self) -> None:
-        """End what still runs, ever more firmly, and take note of who fails at it."""
+    def _shut_down(self) -> None:
+        """Signal the running processes, with escalation, and check their exit codes."""
         led = any(child.command.leads and child.process.poll() is not None for child in self._children)
         if led and not self._signal:
             self._relay_for(DRAIN_S)
@@ -157,7 +157,7 @@ class Supervisor:
                 self._send(steps.pop(0)[1])
             self._relay_for(POLL_S)
         self._relay_for(0.0)
-        self._judge_endings()
+        self._check_exit_codes()
         for child in self._children:
             if child.process.stdout is not None:
                 child.process.stdout.close()
@@ -166,7 +166,7 @@ class Supervisor:
         self._selector.close()
 
     def _relay_for(self, duration_s: float) -> None:
-        """Relay, but let no broken pipe or error of `on_line` keep the processes alive."""
+        """Relay; a broken pipe or an error of `on_line` must not stop the shutdown."""
         end_s = time.monotonic() + duration_s
         while True:
             try:
@@ -180,15 +180,15 @@ class Supervisor:
         for child in self._children:
             if child.process.poll() is None:
                 if number == signal.SIGKILL:
-                    _say(f"{child.command.name} does not end; it is killed")
+                    _log(f"{child.command.name} does not exit; it is killed")
                 early = number == signal.SIGINT and not _handles_sigterm(child.process.pid)
                 os.killpg(child.process.pid, signal.SIGTERM if early else number)
 
-    def _judge_endings(self) -> None:
+    def _check_exit_codes(self) -> None:
         for child in self._children:
             code = child.process.returncode
             if self._code == 0 and code not in {0, -signal.SIGINT, -signal.SIGTERM}:
-                _say(f"{child.command.name} {describe_exit(code)} while it was ended")
+                _log(f"{child.command.name} {describe_exit(code)} during shutdown")
                 self._code = _shell_code(code)
 
 
@@ -199,7 +199,7 @@ def node_command(spec: NodeSpec) -> Command:
 
 
 def find_executable(name: str) -> list[str]:
-    """Return how to start a node: the installed program as `ros2 run` finds it, or the module itself."""
+    """Return the start command of a node: the installed program as for `ros2 run`, or the module itself."""
     beside = [Path(sys.argv[0]).resolve().parent]
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if prefix]
     for folder in [*(prefix / "lib" / PACKAGE for prefix in prefixes), *beside]:
@@ -219,7 +219,7 @@ def print_line(name: str, line: str) -> None:
 
 
 def _handles_sigterm(pid: int) -> bool:
-    """Tell whether a process has set itself up; before that, SIGINT would only make Python print a traceback."""
+    """Return whether a process has installed its handlers; before that, SIGINT would only cause a traceback."""
     try:
         status = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -232,12 +232,12 @@ def _shell_code(code: int) -> int:
     return code if code >= 0 else 128 - code
 
 
-def _say(text: str) -> None:
+def _log(text: str) -> None:
     print(f"uav-vslam: {text}", file=sys.stderr, flush=True)
 
 
-def _die_with(parent: int) -> Callable[[], None]:
-    """Return what a child does before it becomes its program: bind its life to ours, and take SIGINT again."""
+def _child_setup(parent: int) -> Callable[[], None]:
+    """Return the child's preexec function: exit with the parent, and restore the default SIGINT handler."""
 
     def prepare() -> None:
         exit_with_parent(parent)

@@ -19,7 +19,7 @@ SPIN_S = 0.1
 
 
 class Observer(Node):
-    """A node that only listens."""
+    """A node with subscriptions only."""
 
     def __init__(self, context: rclpy.Context) -> None:
         super().__init__("uav_vslam_topic", context=context, start_parameter_services=False, enable_rosout=False)
@@ -27,7 +27,7 @@ class Observer(Node):
         self._executor.add_node(self)
 
     def spin_until(self, done: Callable[[], bool], timeout_s: float = float("inf")) -> bool:
-        """Take in messages until something is so; return whether it came to be in time."""
+        """Spin until a condition holds; return whether it did before the timeout."""
         end_s = time.monotonic() + timeout_s
         while not done():
             if time.monotonic() >= end_s:
@@ -38,7 +38,7 @@ class Observer(Node):
 
 @contextmanager
 def observer(domain_id: int | None) -> Iterator[Observer]:
-    """Join a ROS domain as a listener."""
+    """Join a ROS domain as an observer."""
     context = rclpy.Context()
     context.init(domain_id=domain_id)
     node = Observer(context)
@@ -58,7 +58,7 @@ def print_topics(node: Observer, *, wait_s: float) -> int:
 
 
 def echo(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
-    """Print a topic's messages, as many as `count` or (0) for ever."""
+    """Print `count` messages of a topic, or (0) without end."""
     printed: list[None] = []
 
     def show(message: Any) -> None:
@@ -71,7 +71,7 @@ def echo(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
 
 
 def print_rate(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
-    """Print a topic's rate and bandwidth once a second, `count` times or (0) for ever."""
+    """Print a topic's rate and bandwidth once a second, `count` times or (0) without end."""
     sizes: list[int] = []
     _subscribe(node, topic, lambda data: sizes.append(len(data)), wait_s=wait_s, raw=True)
     reports = 0
@@ -86,7 +86,7 @@ def print_rate(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
 
 
 def format_message(message: Any, indent: str = "") -> list[str]:
-    """Return a message as indented lines; arrays longer than `LONGEST` are cut and their length is told."""
+    """Return a message as indented lines; arrays longer than `LONGEST` are truncated, with their length."""
     lines = []
     for name in message.get_fields_and_field_types():
         lines += _format_value(name, getattr(message, name), indent)
@@ -111,14 +111,14 @@ def _format_scalar(value: Any) -> str:
 
 
 def _subscribe(node: Observer, topic: str, callback: Callable[[Any], None], *, wait_s: float, raw: bool) -> None:
-    """Subscribe as the publishers offer it.
+    """Subscribe with the QoS that the publishers offer.
 
     Raises:
-        UavVslamError: nobody publishes the topic, or its type is not installed.
+        UavVslamError: the topic has no publisher, or its type is not installed.
     """
     absolute = topic if topic.startswith("/") else f"/{topic}"
     if not node.spin_until(lambda: node.count_publishers(absolute) > 0, wait_s):
-        raise UavVslamError(f"{absolute}: nobody publishes it; see `uav-vslam topic list` and check ROS_DOMAIN_ID")
+        raise UavVslamError(f"{absolute}: no publisher; see `uav-vslam topic list` and check ROS_DOMAIN_ID")
     offers = [info.qos_profile for info in node.get_publishers_info_by_topic(absolute)]
     reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
     latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many bytes pass: rates of counters, and the kernel's own count of what crosses a network interface."""
+"""Traffic: rates of byte counters, and the kernel's counters of a network interface."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ class Rate:
     _samples: deque[tuple[int, int]] = field(default_factory=deque)
 
     def update(self, now_ns: int, total: int) -> float:
-        """Note the counter and return its rate since the last value that is at least a window old [1/s]."""
+        """Add a value of the counter and return its rate since the last value that is at least a window old [1/s]."""
         if self._samples and now_ns < self._samples[-1][0]:
             self._samples.clear()  # a clock that was set back
         self._samples.append((now_ns, total))
@@ -32,7 +32,7 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """A network interface, with all that the kernel counts on it: discovery, headers, and other programs' traffic.
+    """A network interface; the kernel counts all of its traffic: discovery, headers, and other programs' too.
 
     Attributes:
         name: as `ip link` shows it.
