@@ -77,13 +77,13 @@ def test_with_an_emulated_link_the_vehicles_hear_each_other_through_it_alone() -
     assert specs[-2].parameters == {"vehicles": ["a", "b", "c"], "link": str(link), "use_sim_time": True}
     remapped = {spec.namespace: spec.remappings for spec in specs if spec.remappings}
     assert remapped["/a"] == {
-        "/b/landmark_information": "/a/heard/b",
-        "/c/landmark_information": "/a/heard/c",
-        "/a/fusion/feedback": "/a/heard/feedback",
+        "/b/landmark_information": "/a/received/b",
+        "/c/landmark_information": "/a/received/c",
+        "/a/fusion/feedback": "/a/received/feedback",
     }
     assert set(remapped) == {"/a", "/b", "/c"}
     fusion = next(spec for spec in specs if spec.executable == "fusion")
-    assert "/b/landmark_information:=/a/heard/b" in fusion.ros_arguments()
+    assert "/b/landmark_information:=/a/received/b" in fusion.ros_arguments()
     assert not any(spec.remappings for spec in node_specs(fleet("a", "b", "c")))
 
 

@@ -40,13 +40,13 @@ class Air:
         self.received: list[tuple[str, str, int]] = []  # (receiver, sender, sequence)
         self.diagnostics: dict[str, str] = {}
         self.others.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        ears = [self._listen(r, s) for r in VEHICLES for s in VEHICLES if r != s]
+        subscriptions = [self._listen(r, s) for r in VEHICLES for s in VEHICLES if r != s]
         self._clock = self.others.create_publisher(Clock, "/clock", 10)
         self._senders = {
             name: self.others.create_publisher(LandmarkInformation, f"/{name}/landmark_information", RADIO[mode])
             for name in VEHICLES
         }
-        assert self.spin(lambda: all(ear.get_publisher_count() for ear in ears))
+        assert self.spin(lambda: all(subscription.get_publisher_count() for subscription in subscriptions))
         assert self.spin(lambda: all(p.get_subscription_count() for p in self.node._outputs.values()))
         assert self.spin(lambda: all(p.get_subscription_count() for p in self._senders.values()))
         assert self.spin(lambda: self._clock.get_subscription_count())
@@ -127,13 +127,13 @@ def test_the_fate_of_packets_is_reported_by_direction(air: Callable[..., Air]) -
 def test_feedback_uses_the_link_of_its_sender(air: Callable[..., Air]) -> None:
     radio = air("delay_s: 1.0\n")
     received: list[LandmarkInformation] = []
-    ear = radio.others.create_subscription(LandmarkInformation, "/uav1/received/feedback", received.append, 10)
-    giver = radio.others.create_publisher(LandmarkInformation, "/uav1/fusion/feedback", RADIO["wideband"])
-    assert radio.spin(lambda: ear.get_publisher_count() and giver.get_subscription_count())
+    subscription = radio.others.create_subscription(LandmarkInformation, "/uav1/received/feedback", received.append, 10)
+    sender = radio.others.create_publisher(LandmarkInformation, "/uav1/fusion/feedback", RADIO["wideband"])
+    assert radio.spin(lambda: subscription.get_publisher_count() and sender.get_subscription_count())
     assert radio.spin(lambda: radio.node._returns["uav1"].get_subscription_count())
     radio.at(100.0)
     for vehicle in ("stranger", "uav3"):
-        giver.publish(LandmarkInformation(vehicle=vehicle))
+        sender.publish(LandmarkInformation(vehicle=vehicle))
     assert radio.spin(lambda: radio.node._links["uav3", "uav1"].packets["offered"] == 1)
     radio.at(100.9)
     assert received == []

@@ -73,7 +73,7 @@ def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(g
     context = rclpy.Context()
     context.init(domain_id=graph.domain_id)
     node = rclpy.create_node("pilot", context=context)
-    node.create_subscription(LandmarkInformation, "/uav1/heard/uav2", heard.append, 10)
+    node.create_subscription(LandmarkInformation, "/uav1/received/uav2", heard.append, 10)
     node.create_subscription(FusionStatus, "/uav1/fusion/status", lambda status: modes.append(status.mode), 10)
     client = node.create_client(SetParameters, "/uav1/fusion/set_parameters")
     executor = SingleThreadedExecutor(context=context)

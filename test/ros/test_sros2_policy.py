@@ -38,12 +38,12 @@ def test_a_node_is_allowed_just_what_it_does(name: str, domain_id: int) -> None:
     node = NODES[name]()
     try:
         said = {p.topic_name for p in node.publishers} - OF_EVERY_NODE
-        heard = {s.topic_name for s in node.subscriptions} - OF_EVERY_NODE
+        subscribed = {s.topic_name for s in node.subscriptions} - OF_EVERY_NODE
     finally:
         node.destroy_node()
         rclpy.shutdown()
     assert said <= allowed(name, "publish")
     assert allowed(name, "publish") - said <= SAID_BY_ONE
-    assert heard - ON_DEMAND <= allowed(name, "subscribe")
+    assert subscribed - ON_DEMAND <= allowed(name, "subscribe")
     compressed = {t for t in allowed(name, "subscribe") if t.endswith("/compressed")}
-    assert allowed(name, "subscribe") - heard <= ON_DEMAND | compressed
+    assert allowed(name, "subscribe") - subscribed <= ON_DEMAND | compressed

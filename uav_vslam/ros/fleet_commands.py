@@ -57,8 +57,8 @@ def node_specs(fleet: FleetConfig, *, link: Path | None = None) -> list[NodeSpec
         for executable in VEHICLE_NODES:
             peers = [name for name in fleet.vehicles if name != vehicle]
             own = {"peers": peers} if executable == "fusion" and peers else {}  # ROS can't type an empty list
-            via = {packets_of(p): heard_as(vehicle, p) for p in peers} if executable == "fusion" and link else {}
-            via |= {feedback_to(vehicle): heard_as(vehicle, "feedback")} if via else {}
+            via = {packets_of(p): link_output(vehicle, p) for p in peers} if executable == "fusion" and link else {}
+            via |= {feedback_to(vehicle): link_output(vehicle, "feedback")} if via else {}
             specs.append(NodeSpec(executable, executable, f"/{vehicle}", {**shared, **own}, via))
     if link is not None:
         parameters = {"vehicles": list(fleet.vehicles), "link": str(link.resolve()), "use_sim_time": replayed}
@@ -81,9 +81,9 @@ def feedback_to(vehicle: str) -> str:
     return f"/{vehicle}/fusion/feedback"
 
 
-def heard_as(receiver: str, sender: str) -> str:
+def link_output(receiver: str, sender: str) -> str:
     """Return the topic on which what a link let through of a sender reaches a receiver."""
-    return f"/{receiver}/heard/{sender}"
+    return f"/{receiver}/received/{sender}"
 
 
 def differences(config: Any) -> dict[str, Any]:

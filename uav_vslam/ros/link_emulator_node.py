@@ -3,12 +3,12 @@
 
 in   /<sender>/landmark_information        uav_vslam_msgs/LandmarkInformation of every vehicle
      /<receiver>/fusion/feedback           the same type, peers' fused estimates of its landmarks
-out  /<receiver>/heard/<sender>            the same bytes, as delivered by the link
-     /<receiver>/heard/feedback            likewise
+out  /<receiver>/received/<sender>            the same bytes, as delivered by the link
+     /<receiver>/received/feedback            likewise
      /diagnostics                          fate of the packets, by direction
 
-A receiver uses it if its fusion node's /<sender>/landmark_information is remapped to /<receiver>/heard/<sender>,
-and fusion/feedback to /<receiver>/heard/feedback.
+A receiver uses it if its fusion node's /<sender>/landmark_information is remapped to /<receiver>/received/<sender>,
+and fusion/feedback to /<receiver>/received/feedback.
 Time is the ROS clock, so that the link is the same at any replay rate.
 """
 
@@ -26,7 +26,7 @@ from rclpy.serialization import deserialize_message
 from uav_vslam.config import find_link, load
 from uav_vslam.cooperation.link import Link, LinkConfig, link_between
 from uav_vslam.errors import ConfigError
-from uav_vslam.ros.fleet_commands import feedback_to, heard_as, packets_of
+from uav_vslam.ros.fleet_commands import feedback_to, link_output, packets_of
 from uav_vslam.ros.inputs import unmatched
 from uav_vslam.ros.qos import RADIO
 from uav_vslam.ros.radio import PeerInput
@@ -55,12 +55,12 @@ class LinkEmulatorNode(Node):
         }
         self._outputs = {
             (sender, receiver): self.create_publisher(
-                LandmarkInformation, heard_as(receiver, sender), RADIO["wideband"]
+                LandmarkInformation, link_output(receiver, sender), RADIO["wideband"]
             )
             for sender, receiver in self._links
         }
         self._returns = {
-            receiver: self.create_publisher(LandmarkInformation, heard_as(receiver, "feedback"), RADIO["wideband"])
+            receiver: self.create_publisher(LandmarkInformation, link_output(receiver, "feedback"), RADIO["wideband"])
             for receiver in vehicles
         }
         self._inputs = [self._listen(packets_of(name), partial(self._on_packet, name)) for name in vehicles]
