@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 def fleet(*names: str, bags: tuple[Path, ...] = (Path("sample"),)) -> FleetConfig:
     vehicles = {name: VehicleConfig(backend=BackendConfig(sigma_px=0.5)) for name in names}
-    return FleetConfig(vehicles, dict.fromkeys(names), ReplayConfig(bags))
+    return FleetConfig(vehicles, ReplayConfig(bags))
 
 
 def test_each_vehicle_has_its_four_nodes_and_the_fleet_one_replay() -> None:
@@ -26,13 +26,13 @@ def test_each_vehicle_has_its_four_nodes_and_the_fleet_one_replay() -> None:
     assert found == [*expected, ("/", "replay")]
 
 
-def test_fusion_hears_every_vehicle_but_its_own() -> None:
-    heard = {
+def test_fusion_subscribes_to_every_vehicle_but_its_own() -> None:
+    peers = {
         s.parameters["vehicle"]: s.parameters["peers"]
         for s in node_specs(fleet("a", "b", "c"))
         if "peers" in s.parameters
     }
-    assert heard == {"a": ["b", "c"], "b": ["a", "c"], "c": ["a", "b"]}
+    assert peers == {"a": ["b", "c"], "b": ["a", "c"], "c": ["a", "b"]}
 
 
 def test_a_start_state_that_a_vehicle_finds_itself_is_not_replayed() -> None:
