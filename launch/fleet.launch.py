@@ -12,7 +12,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-from uav_vslam.config import find_link, load_fleet
+from uav_vslam.config import load_fleet, load_link
 from uav_vslam.ros.fleet_commands import node_specs
 
 
@@ -31,7 +31,7 @@ def start_fleet(context):
             output="screen",
             on_exit=Shutdown(reason="the replay has ended") if spec.executable == "replay" else None,
         )
-        for spec in node_specs(load_fleet(file), link=find_link(link) if link else None)
+        for spec in node_specs(load_fleet(file), link=load_link(link) if link else None)
     ]
 
 

@@ -5,8 +5,8 @@ import dataclasses
 
 import pytest
 
-from uav_vslam.config import FusionConfig, VehicleConfig
-from uav_vslam.cooperation.link import Link, LinkConfig
+from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
+from uav_vslam.cooperation.link import Link
 from uav_vslam.fleet import CooperativeTrack, PacketLink, cooperate
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.simulation.landmarks import scatter_landmarks

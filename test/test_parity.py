@@ -153,7 +153,7 @@ def test_a_start_found_in_flight_is_the_same_in_the_graph(rendered: Case, launch
     """The recording holds a start state, which neither of them may use."""
     (bag,) = load_fleet(rendered.fleet).replay.bags
     sample = (ROOT / "config" / "sample.yaml").read_text()
-    (tmp_path / "in_flight.yaml").write_text(f"{sample}start: {{method: in_flight}}\n")
+    (tmp_path / "in_flight.yaml").write_text(f"{sample}    start: {{method: in_flight}}\n")
     twin = fly_twin(write_fleet(tmp_path, bag, str(tmp_path / "in_flight.yaml"), vehicles=("uav1",), mode="none"))
     first = twin.tracks["uav1"].outputs[0].report.pose
     np.testing.assert_array_equal(first.T_map_body.t, np.zeros(3))

@@ -9,9 +9,9 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from uav_vslam.config import FusionConfig, VehicleConfig
+from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.cooperation.link import Link, LinkConfig
+from uav_vslam.cooperation.link import Link
 from uav_vslam.cooperation.outbox import Outbox
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.pipeline import VehicleTrack

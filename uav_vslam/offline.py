@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import cv2
 
-from uav_vslam.config import VehicleConfig, to_tree
+from uav_vslam.config import VehicleConfig, parameter_file
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
 from uav_vslam.evaluation.start_frame import in_start_frame
@@ -121,7 +121,7 @@ def flight_result(
         duration_s=(max(stamps) - min(stamps)) / NS_PER_S if stamps else 0.0,
         wall_s=wall_s,
         vehicles=vehicles,
-        config={vehicle: to_tree(config) for vehicle, config in configs.items()},
+        config=parameter_file({f"/{vehicle}/**": config for vehicle, config in configs.items()}),
     )
 
 

@@ -166,7 +166,7 @@ def test_a_vehicle_that_was_not_recorded_is_named_with_what_was(
 def test_an_unknown_key_is_told_with_file_and_the_nearest_known_one(
     verb: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "mine.yaml").write_text("backend: {sigma_pxx: 1.0}\n")
+    (tmp_path / "mine.yaml").write_text("/**: {ros__parameters: {backend: {sigma_pxx: 1.0}}}\n")
     fleet = fleet_file(tmp_path, f"vehicles: {{uav1: {{config: mine.yaml}}}}\nreplay: {{bags: [{good}]}}\n")
     line = refused(capsys, verb, fleet)
     assert f"{tmp_path / 'mine.yaml'}: unknown key backend.sigma_pxx; did you mean backend.sigma_px?" in line
@@ -179,9 +179,9 @@ def test_a_link_that_there_is_not_or_that_is_impossible_is_told(
     fleet = fleet_file(tmp_path, f"vehicles: {{uav1: {{}}}}\nreplay: {{bags: [{good}]}}\n")
     line = refused(capsys, verb, fleet, "--link", "lossless")
     assert "link 'lossless' is neither a file nor one of ours (bad_radio, blackouts, clean, wifi)" in line
-    (tmp_path / "link.yaml").write_text("loss: 2.0\n")
+    (tmp_path / "link.yaml").write_text("/**: {ros__parameters: {link: {loss: 2.0}}}\n")
     line = refused(capsys, verb, fleet, "--link", tmp_path / "link.yaml")
-    assert f"{tmp_path / 'link.yaml'}: LinkConfig.loss = 2.0 is not allowed" in line
+    assert f"{tmp_path / 'link.yaml'}: link.loss = 2.0 is not allowed" in line
 
 
 @pytest.mark.parametrize("verb", ["run", "launch"])
@@ -233,8 +233,8 @@ def test_a_vehicle_named_twice_on_the_command_line_is_told(good: Path, capsys: p
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("backend.sigma_px=-1", "a positive number of pixels"),
-        ("backend.sigma_px=abc", "must be of type float"),
+        ("backend.sigma_px=-1", "use a number above 0 [px]"),
+        ("backend.sigma_px=abc", "backend.sigma_px = 'abc' is not allowed; use a number"),
         ("backend.nope=1", "unknown key backend.nope"),
         ("backend", "must have the form KEY=VALUE"),
     ],

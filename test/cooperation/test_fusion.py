@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fused_pose import FusedEpoch, carried, move
-from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.cooperation.fusion import MIN_DELAY_S, Fusion
 from uav_vslam.geometry.coded_points import DensePoints, pack_lower
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_log
 from uav_vslam.slam.packet import POSE_DIM, PacketPolicy, checksum, make_packet
-from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
+from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
 
 Array = NDArray[np.float64]
 
@@ -47,11 +47,13 @@ def own(make_joint) -> JointInformation:
 
 @pytest.fixture
 def peer_packet(make_joint):
-    """Return a maker of packets over the same landmarks, a second old."""
+    """Return a maker of packets over the same landmarks, a second old by default."""
 
-    def make(vehicle: str = "uav2", *, shift=(-0.5, 0.2, 0.1), drift_m: float = 0.8, **options) -> LandmarkPacket:
+    def make(
+        vehicle: str = "uav2", *, shift=(-0.5, 0.2, 0.1), drift_m: float = 0.8, age_ns: int = NS_PER_S, **options
+    ) -> LandmarkPacket:
         joint = make_joint(
-            TRUTH + np.asarray(shift), belief_covariance(drift_m), vehicle=vehicle, stamp_ns=NOW_NS - 1_000_000_000
+            TRUTH + np.asarray(shift), belief_covariance(drift_m), vehicle=vehicle, stamp_ns=NOW_NS - age_ns
         )
         return make_packet(
             joint, sequence=options.pop("sequence", 1), policy=PacketPolicy(max_landmarks=COUNT), **options
@@ -207,10 +209,9 @@ def test_without_cooperation_the_fused_track_is_the_own_one(own, peer_packet) ->
 
 
 def test_a_packet_too_young_for_the_epoch_waits(own, peer_packet) -> None:
-    packet = peer_packet()
-    config = FusionConfig(floor_sigma_m=0.0, min_delay_s=1.5)  # the packet is one second old
-    assert fuse(own, packet, config=config).common == {}
-    assert fuse(own, packet, config=FusionConfig(min_delay_s=1.0)).common == {"uav2": COUNT}
+    age_ns = round(MIN_DELAY_S * NS_PER_S)
+    assert fuse(own, peer_packet(age_ns=age_ns - 1)).common == {}
+    assert fuse(own, peer_packet(age_ns=age_ns)).common == {"uav2": COUNT}
 
 
 def test_fusion_writes_nothing_back(own, peer_packet) -> None:

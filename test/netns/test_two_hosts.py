@@ -189,7 +189,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Flown]:
 def fusion_command(host: Host, peer: Host) -> list[str]:
     parameters = {
         "peers": f"[{peer.vehicle}]",
-        "mode": "narrowband",
+        "fusion.mode": "narrowband",
         "radio_domain_id": str(RADIO_DOMAIN_ID),
         "radio_peers": f"['{peer.address}']",
         "radio_interface": host.interface,

@@ -179,7 +179,7 @@ def nodes_of(bag: Path, folder: Path, key_file: str) -> list[NodeSpec]:
     """Return a vehicle's nodes, the recorder and, last, a replay that waits for the attacker at each frame."""
     settings = {"fusion.fleet_key_file": key_file, "fusion.feedback": True}
     config = load_vehicle(ROOT / "config" / "sample.yaml", overrides=settings)
-    specs = node_specs(FleetConfig({"uav1": config}, {"uav1": None}, ReplayConfig(bags=(bag,))))
+    specs = node_specs(FleetConfig({"uav1": config}, ReplayConfig(bags=(bag,))))
     added = {
         "fusion": {"peers": list(PEERS)},
         "replay": {"wait_for": ["odometry", "fused/odometry", "attacked"]},

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from uav_vslam.config import BackendConfig, FleetConfig, FusionConfig, ReplayConfig, StartConfig, VehicleConfig
-from uav_vslam.ros.fleet_commands import VEHICLE_NODES, differences, node_specs
+from uav_vslam.config import BackendConfig, FleetConfig, LinkConfig, ReplayConfig, StartConfig, VehicleConfig
+from uav_vslam.ros.fleet_commands import VEHICLE_NODES, node_specs
 
 ROOT = Path(__file__).parents[2]
 
@@ -55,10 +55,10 @@ def test_without_recordings_nothing_is_replayed_and_the_wall_clock_counts() -> N
 
 
 def test_only_what_differs_from_the_defaults_is_passed_on() -> None:
-    assert differences(VehicleConfig()) == {}
-    config = VehicleConfig(backend=BackendConfig(sigma_px=0.5), fusion=FusionConfig(mode="none"))
-    assert differences(config) == {"backend.sigma_px": 0.5, "fusion.mode": "none"}
-    assert differences(ReplayConfig((Path("a"), Path("b")), rate=2.0)) == {"bags": ["a", "b"], "rate": 2.0}
+    *vehicle, replay = node_specs(fleet("uav1", bags=(Path("a"), Path("b"))))
+    for spec in vehicle:
+        assert spec.parameters == {"vehicle": "uav1", "use_sim_time": True, "backend.sigma_px": 0.5}
+    assert replay.parameters == {"vehicles": ["uav1"], "bags": ["a", "b"]}
 
 
 def test_arguments_name_the_node_and_keep_the_types_of_parameters() -> None:
@@ -71,10 +71,9 @@ def test_arguments_name_the_node_and_keep_the_types_of_parameters() -> None:
 
 
 def test_with_an_emulated_link_the_vehicles_hear_each_other_through_it_alone() -> None:
-    link = ROOT / "config" / "links" / "bad_radio.yaml"
-    specs = node_specs(fleet("a", "b", "c"), link=link)
+    specs = node_specs(fleet("a", "b", "c"), link=LinkConfig(loss=0.2))
     assert [(spec.namespace, spec.executable) for spec in specs[-2:]] == [("/", "link_emulator"), ("/", "replay")]
-    assert specs[-2].parameters == {"vehicles": ["a", "b", "c"], "link": str(link), "use_sim_time": True}
+    assert specs[-2].parameters == {"vehicles": ["a", "b", "c"], "use_sim_time": True, "link.loss": 0.2}
     remapped = {spec.namespace: spec.remappings for spec in specs if spec.remappings}
     assert remapped["/a"] == {
         "/b/landmark_information": "/a/received/b",

@@ -140,34 +140,30 @@ def test_the_mode_is_switched_in_flight_and_estimates_go_on(fly: Callable[..., F
     flight = fly()
     assert flight.spin(lambda: flight.offered() == [ReliabilityPolicy.RELIABLE])
     assert flight.epoch(1).mode == "wideband"
-    assert flight.set("mode", "narrowband").successful
+    assert flight.set("fusion.mode", "narrowband").successful
     assert flight.spin(lambda: flight.offered() == [ReliabilityPolicy.BEST_EFFORT])
     assert flight.epoch(2).mode == "narrowband"
     assert flight.epoch(3).packets_sent == 2  # two epochs save for a narrowband packet
-    assert flight.set("mode", "none").successful
+    assert flight.set("fusion.mode", "none").successful
     assert flight.spin(lambda: flight.offered() == [])
     status = flight.epoch(4)
     assert (status.mode, status.packets_sent) == ("none", 2)
-    assert flight.set("mode", "wideband").successful
+    assert flight.set("fusion.mode", "wideband").successful
     assert flight.spin(lambda: flight.offered() == [ReliabilityPolicy.RELIABLE])
     assert flight.epoch(5).packets_sent == 3
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [("mode", "radio", "use one of wideband, narrowband, none"), ("fusion.mode", "none", "set mode instead")],
-)
-def test_a_mode_that_there_is_not_is_refused(fly: Callable[..., Flight], name: str, value: str, reason: str) -> None:
+def test_a_mode_that_there_is_not_is_refused(fly: Callable[..., Flight]) -> None:
     flight = fly()
-    result = flight.set(name, value)
+    result = flight.set("fusion.mode", "radio")
     assert not result.successful
-    assert reason in result.reason
+    assert "fusion.mode = 'radio' is not allowed; use one of wideband, narrowband, none" in result.reason
     assert flight.epoch(1).mode == "wideband"
 
 
 def test_a_mode_that_does_not_go_with_the_extractor_is_refused(fly: Callable[..., Flight]) -> None:
     flight = fly("frontend.extractor:=surf")
-    result = flight.set("mode", "narrowband")
+    result = flight.set("fusion.mode", "narrowband")
     assert not result.successful
     assert "in narrowband mode, whose descriptors are made of SIFT's" in result.reason
     assert flight.epoch(1).mode == "wideband"
@@ -195,7 +191,7 @@ def test_an_epoch_that_fails_leaves_the_vehicle_its_pose(
 
 
 def test_a_mode_that_there_is_not_ends_the_node_at_its_start(domain_id: int) -> None:
-    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "mode:=radio"], domain_id=domain_id)
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "fusion.mode:=radio"], domain_id=domain_id)
     try:
         with pytest.raises(ConfigError, match="mode = 'radio' is not allowed; use one of wideband, narrowband, none"):
             FusionNode()
@@ -218,7 +214,7 @@ def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., 
 
 
 def test_while_nobody_is_heard_a_narrow_radio_is_left_to_discovery(fly: Callable[..., Flight]) -> None:
-    flight = fly("mode:=narrowband", "fusion.silent_after_s:=2.0")
+    flight = fly("fusion.mode:=narrowband", "fusion.silent_after_s:=2.0")
     publisher = flight.peer("narrowband")
     sent = [flight.epoch(second).packets_sent for second in range(101, 108)]
     assert sent == [0, 1, 2, 3, 4, 4, 4]  # the first is saved for
@@ -291,8 +287,54 @@ def test_in_wideband_a_peer_is_told_what_became_of_its_landmarks(fly: Callable[.
     assert flight.spin(lambda: returned.get_subscription_count() > 0)
     returned.publish(flight.packet(2))
     assert flight.spin(lambda: "uav2" in flight.node._fusion.returned.peers)
-    flight.set("mode", "narrowband")
+    flight.set("fusion.mode", "narrowband")
     assert flight.spin(lambda: ear.get_publisher_count() == 0)
+
+
+def test_the_exchange_follows_its_parameters(fly: Callable[..., Flight]) -> None:
+    flight = fly("fusion.feedback:=false", peers="[uav2, uav3]")
+    subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
+    returned = flight.others.create_subscription(LandmarkInformation, "/uav2/fusion/feedback", lambda _: None, STATE)
+    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    assert flight.epoch(1).packets_sent == 1
+    assert flight.spin(lambda: flight.heard)
+    assert len(flight.heard[-1].ids) == 6
+
+    assert flight.set("fusion.max_packet_landmarks", 2).successful
+    flight.epoch(2)
+    assert flight.spin(lambda: len(flight.heard) == 2)
+    assert len(flight.heard[-1].ids) == 2
+
+    assert flight.set("fusion.relay", True).successful
+    publisher.publish(flight.packet(2, of="uav3"))
+    assert flight.spin(lambda: len(flight.heard) == 3)
+    assert flight.heard[-1].vehicle == "uav3"
+
+    publisher.publish(flight.packet(2))
+    assert flight.spin(lambda: flight.newest_ns() == 2 * NS_PER_S)
+    (silent_of_2, _) = flight.epoch(4).peers
+    assert not silent_of_2.silent
+    assert flight.set("fusion.silent_after_s", 1.0).successful
+    assert [link.silent for link in flight.epoch(5).peers] == [True, True]
+
+    assert flight.set("fusion.feedback", True).successful
+    assert flight.spin(lambda: returned.get_publisher_count() > 0)
+    assert flight.set("fusion.feedback", False).successful
+    assert flight.spin(lambda: returned.get_publisher_count() == 0)
+
+    sent = flight.epoch(6).packets_sent
+    assert flight.set("fusion.budget_bytes_per_s", 1).successful
+    status = flight.epoch(7)
+    assert (status.packets_sent, status.packets_held_back) == (sent, 1)
+
+
+def test_a_setting_that_leaves_the_budget_alone_does_not_refill_it(fly: Callable[..., Flight]) -> None:
+    flight = fly("fusion.budget_bytes_per_s:=1500")
+    sent = flight.epoch(1).bytes_sent
+    left = flight.node._exchange.outbox.available(NS_PER_S)
+    assert sent > 0
+    assert flight.set("fusion.relay", True).successful
+    assert flight.node._exchange.outbox.available(NS_PER_S) == left
 
 
 @pytest.mark.parametrize("relay", [True, False])
@@ -321,7 +363,7 @@ def test_a_packet_of_a_vehicle_that_is_not_of_the_fleet_is_refused(fly: Callable
 
 @pytest.mark.parametrize(("own", "theirs"), [("wideband", "narrowband"), ("narrowband", "wideband")])
 def test_vehicles_in_different_modes_hear_each_other(fly: Callable[..., Flight], own: str, theirs: str) -> None:
-    flight = fly(f"mode:={own}")
+    flight = fly(f"fusion.mode:={own}")
     publisher = flight.peer(theirs)
     publisher.publish(flight.packet(1))
     assert flight.spin(lambda: "uav2" in flight.node._fusion.inbox.peers)
@@ -332,7 +374,7 @@ def test_vehicles_in_different_modes_hear_each_other(fly: Callable[..., Flight],
 
 
 def test_a_missed_deadline_and_bytes_that_are_no_packet_are_counted(fly: Callable[..., Flight]) -> None:
-    flight = fly("mode:=narrowband")
+    flight = fly("fusion.mode:=narrowband")
     publisher = flight.peer("narrowband")
     publisher.publish(b"\x00\x01\x00\x00nonsense")
     assert flight.spin(lambda: flight.node.counts["dropped/undecodable"] == 1)

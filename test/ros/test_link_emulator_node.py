@@ -30,7 +30,8 @@ class Air:
     """An emulator over three vehicles, a clock that is set by hand, and a subscription at every receiver."""
 
     def __init__(self, link: Path, mode: str, domain_id: int) -> None:
-        parameters = ["-p", f"vehicles:=[{', '.join(VEHICLES)}]", "-p", f"link:={link}", "-p", "use_sim_time:=true"]
+        parameters = ["-p", f"vehicles:=[{', '.join(VEHICLES)}]", "-p", "use_sim_time:=true"]
+        parameters += ["--params-file", str(link)]
         rclpy.init(args=["--ros-args", *parameters], domain_id=domain_id)
         self.executor = SingleThreadedExecutor()
         self.node = LinkEmulatorNode()
@@ -85,7 +86,7 @@ def air(tmp_path: Path, domain_id: int) -> Iterator[Callable[..., Air]]:
     made: list[Air] = []
 
     def make(text: str, mode: str = "wideband") -> Air:
-        (tmp_path / "link.yaml").write_text(text)
+        (tmp_path / "link.yaml").write_text(f"/**: {{ros__parameters: {{link: {{{text}}}}}}}")
         made.append(Air(tmp_path / "link.yaml", mode, domain_id))
         return made[-1]
 
@@ -99,7 +100,7 @@ def air(tmp_path: Path, domain_id: int) -> Iterator[Callable[..., Air]]:
 
 @pytest.mark.parametrize("mode", ["wideband", "narrowband"])
 def test_a_packet_reaches_every_peer_after_the_delay_by_the_ros_clock(air: Callable[..., Air], mode: str) -> None:
-    radio = air("delay_s: 1.0\n", mode)
+    radio = air("delay_s: 1.0", mode)
     radio.at(100.0)
     radio.send("uav1", 7)
     radio.at(100.9)
@@ -110,7 +111,7 @@ def test_a_packet_reaches_every_peer_after_the_delay_by_the_ros_clock(air: Calla
 
 
 def test_the_fate_of_packets_is_reported_by_direction(air: Callable[..., Air]) -> None:
-    radio = air("blackouts: [[1.0, 2.0]]\nduplication: 1.0\n")
+    radio = air("blackouts: [1.0, 2.0], duplication: 1.0")
     for second in (100, 101, 102):
         radio.at(second)
         radio.send("uav2", second)
@@ -125,7 +126,7 @@ def test_the_fate_of_packets_is_reported_by_direction(air: Callable[..., Air]) -
 
 
 def test_feedback_uses_the_link_of_its_sender(air: Callable[..., Air]) -> None:
-    radio = air("delay_s: 1.0\n")
+    radio = air("delay_s: 1.0")
     received: list[LandmarkInformation] = []
     subscription = radio.others.create_subscription(LandmarkInformation, "/uav1/received/feedback", received.append, 10)
     sender = radio.others.create_publisher(LandmarkInformation, "/uav1/fusion/feedback", RADIO["wideband"])
@@ -142,10 +143,10 @@ def test_feedback_uses_the_link_of_its_sender(air: Callable[..., Air]) -> None:
     assert [message.vehicle for message in received] == ["uav3"]
 
 
-def test_missing_vehicles_or_link_are_reported(domain_id: int) -> None:
+def test_missing_vehicles_are_reported(domain_id: int) -> None:
     rclpy.init(args=["--ros-args", "-p", "vehicles:=[uav1]"], domain_id=domain_id)
     try:
-        with pytest.raises(ConfigError, match="set the parameters vehicles"):
+        with pytest.raises(ConfigError, match="set the parameter vehicles"):
             LinkEmulatorNode()
     finally:
         rclpy.try_shutdown()

@@ -87,7 +87,7 @@ def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(g
         assert (heard[0].vehicle, modes[-1]) == ("uav2", "wideband")
         assert spin(client.service_is_ready)
         value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="narrowband")
-        request = SetParameters.Request(parameters=[Parameter(name="mode", value=value)])
+        request = SetParameters.Request(parameters=[Parameter(name="fusion.mode", value=value)])
         answer = client.call_async(request)
         assert spin(answer.done)
         assert [result.successful for result in answer.result().results] == [True]

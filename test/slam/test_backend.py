@@ -14,6 +14,7 @@ from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.health import MAX_LOST
 from uav_vslam.slam.map_matching import MapMatcher
+from uav_vslam.slam.relocalisation import MIN_INLIERS
 from uav_vslam.types import NS_PER_S, ImuIncrement, StereoFeatures
 
 FRAMES = 25
@@ -179,7 +180,7 @@ def test_a_lost_vehicle_relocalises_in_its_map(flight: Flight) -> None:
     backend.process(flight.features[0], None)
     report = backend.process(flight.features[1], flight.increments[1])
     assert report.relocalised
-    assert report.associated >= config.backend.min_relocalisation_inliers
+    assert report.associated >= MIN_INLIERS
 
 
 @pytest.mark.parametrize(

@@ -117,11 +117,10 @@ def test_a_wrong_calibration_has_another_reason_than_too_few_features(flown) -> 
 
 def test_a_larger_uncertainty_than_configured_is_refused(flown) -> None:
     flight = flown(1)
-    start = StartConfig(method="in_flight", max_tilt_sigma_deg=0.1)
-    search = InFlightInitializer(flight.vehicle.rig, config(start=start))
+    search = InFlightInitializer(flight.vehicle.rig, config(), max_tilt_sigma_deg=0.1)
     assert feed(search, flight.frames) is None
     assert "and tilt to 0." in search.reason
-    assert "start.max_tilt_sigma_deg" in search.reason
+    assert "m/s and 0.1 deg" in search.reason
 
 
 def test_a_gyro_bias_beyond_the_increments_linearisation_is_refused(flown) -> None:
@@ -156,8 +155,7 @@ def test_a_gap_in_the_motion_restarts_the_window(flown) -> None:
 
 def test_a_longer_window_uses_some_frames_and_keeps_all(flown) -> None:
     flight = flown(1)
-    start = StartConfig(method="in_flight", window_s=2.0)
-    found = feed(InFlightInitializer(flight.vehicle.rig, config(start=start)), flight.frames)
+    found = feed(InFlightInitializer(flight.vehicle.rig, config(), window_s=2.0), flight.frames)
     assert found is not None
     assert len(found.frames) == 16
     assert velocity_error(flight.vehicle, found) < VELOCITY_M_S

@@ -153,7 +153,7 @@ def test_the_twentieth_with_the_largest_covariance_is_removed_but_no_new_landmar
 
 
 def test_the_cap_removes_the_longest_unseen_mature_landmarks() -> None:
-    config = dataclasses.replace(CONFIG, max_in_view=3, max_landmarks=3, young_frames=5)
+    config = dataclasses.replace(CONFIG, max_in_view=3, max_landmarks=3)
     view = view_of(
         in_view=[True] * 6,
         seen=[90, 80, 80, 70, FRAME, FRAME],

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 def _run_in(folder: Path, args: argparse.Namespace) -> int:
     from uav_vslam.cli import evaluate
     from uav_vslam.cli.launch import launch, read_fleet
-    from uav_vslam.config import find_config, to_tree
+    from uav_vslam.config import find_config, parameter_file
     from uav_vslam.ros.domain import claimed_domain
     from uav_vslam.ros.supervisor import print_line
 
@@ -68,7 +68,7 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
         argparse.Namespace(
             bags=[estimates, *fleet.replay.bags], name="demo", alignment="none", root=args.root, no_plots=args.no_plots
         ),
-        config={name: to_tree(config) for name, config in fleet.vehicles.items()},
+        config=parameter_file({f"/{name}/**": config for name, config in fleet.vehicles.items()}),
         wall_s=time.monotonic() - started,
     )
 

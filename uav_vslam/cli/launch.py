@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from uav_vslam.config import FleetConfig
+    from uav_vslam.config import FleetConfig, LinkConfig
 
 HELP = "start a fleet's node graph, one process a node"
 EXAMPLES = """examples:
@@ -39,10 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Launch and return the exit code of the first process that failed, or 0."""
-    from uav_vslam.config import find_link
+    from uav_vslam.config import load_link
 
     fleet = read_fleet(args.fleet, bags=args.bag, rate=args.rate, mode=args.mode)
-    link = find_link(args.link) if args.link else None
+    link = load_link(args.link) if args.link else None
     return launch(fleet, record=args.record, log_dir=args.log_dir, domain_id=args.domain, link=link)
 
 
@@ -91,7 +91,7 @@ def launch(
     record: Path | None = None,
     log_dir: Path | None = None,
     domain_id: int | None = None,
-    link: Path | None = None,
+    link: LinkConfig | None = None,
     on_line: Callable[[str, str], None] | None = None,
 ) -> int:
     """Run a fleet's processes to their end.
@@ -101,14 +101,12 @@ def launch(
         record: bag to record the estimates into.
         log_dir: folder for the output of each process.
         domain_id: ROS domain; None takes the environment's.
-        link: file of an emulated radio link to put between the vehicles.
+        link: emulated radio link to put between the vehicles.
         on_line: called with (process, line) for each line of output; the default prints it.
 
     Returns:
         The exit code of the first process that failed, 128 + the signal that ended the run, or 0.
     """
-    from uav_vslam.config import load
-    from uav_vslam.cooperation.link import LinkConfig
     from uav_vslam.errors import ConfigError
     from uav_vslam.ros.domain import MAX_DOMAIN_ID
     from uav_vslam.ros.fleet_commands import NodeSpec, node_specs
@@ -116,8 +114,6 @@ def launch(
 
     if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
-    if link is not None:
-        load(LinkConfig, link)  # a mistake in it is told before anything is started
     specs = node_specs(fleet, link=link)
     if record is not None:
         parameters = {"output": str(record), "vehicles": list(fleet.vehicles)}

@@ -47,8 +47,8 @@ def run(args: argparse.Namespace) -> int:
     import time
     from functools import partial
 
-    from uav_vslam.config import find_link, load
-    from uav_vslam.cooperation.link import LinkConfig, link_between
+    from uav_vslam.config import load_link
+    from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.bag import open_flight
     from uav_vslam.datasets.truth import truth_trajectory
     from uav_vslam.evaluation.output import write_results
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.table import print_summary
 
     bags, configs = _inputs(args)
-    links = partial(link_between, load(LinkConfig, find_link(args.link))) if args.link else None
+    links = partial(link_between, load_link(args.link)) if args.link else None
     flights = {name: open_flight(bags, name) for name in configs}
     for flight in flights.values():
         flight.check_images()

@@ -28,6 +28,7 @@ from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEsti
 
 Pairs = NDArray[np.intp]
 
+MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that a replay repeats exactly
 ENOUGH_SHARED = 5  # landmarks in common that make a newer packet worth more than an older one with more of them
 FEEDBACK = PacketPolicy(form=ANCHOR, max_landmarks=20)  # a few say it all, and bounding many by one error takes long
 
@@ -150,7 +151,7 @@ class Fusion:
     def _newest(self, inbox: Inbox) -> Iterator[tuple[str, LandmarkPacket]]:
         """Yield each peer's newest packet that this epoch may use."""
         assert self.belief is not None
-        not_after_ns = self.belief.stamp_ns - round(self._config.min_delay_s * NS_PER_S)
+        not_after_ns = self.belief.stamp_ns - round(MIN_DELAY_S * NS_PER_S)
         for peer in sorted(inbox.peers) if self._config.mode != "none" else ():
             packet = inbox.newest(peer, not_after_ns)
             if packet is not None:

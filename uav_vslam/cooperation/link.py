@@ -8,41 +8,15 @@ delayed or duplicated on air. The same seed and the same calls give the same pac
 import heapq
 import zlib
 from collections import Counter, deque
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 import numpy as np
 
-from uav_vslam.errors import ConfigError
+from uav_vslam.config import LinkConfig
 from uav_vslam.types import NS_PER_S
 
 Item = TypeVar("Item")
-
-
-@dataclass(frozen=True, slots=True)
-class LinkConfig:
-    """Impairments of a link; the default is a perfect one."""
-
-    rate_bytes_per_s: float = 0.0  # 0: unlimited
-    burst_bytes: int = 1500  # sent at once after a pause; a larger packet is delayed
-    queue_bytes: int = 16384  # capacity of the send queue; a packet that does not fit is dropped
-    delay_s: float = 0.0  # from leaving the queue to arrival
-    jitter_s: float = 0.0  # further delay, uniform up to this for each packet, so that packets are reordered
-    loss: float = 0.0  # fraction of the packets that never arrive
-    duplication: float = 0.0  # fraction of the packets that arrive twice
-    blackouts: tuple[tuple[float, float], ...] = ()  # [start, end) since the first packet, in which all is lost [s]
-    seed: int = 0  # of all draws
-
-    def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self) if f.name != "blackouts"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"LinkConfig.{name} = {getattr(self, name)!r} is not allowed; use zero or more")
-        for name in ("loss", "duplication"):
-            if not getattr(self, name) <= 1:
-                raise ConfigError(f"LinkConfig.{name} = {getattr(self, name)!r} is not allowed; use 0 to 1")
-        for span in self.blackouts:
-            if not (isinstance(span, tuple | list) and len(span) == 2 and 0 <= span[0] < span[1]):
-                raise ConfigError(f"LinkConfig.blackouts holds {span!r}; use pairs [start_s, end_s] with start < end")
 
 
 class Link(Generic[Item]):
@@ -121,7 +95,7 @@ class Link(Generic[Item]):
         return leaves_ns
 
     def _is_dark(self, since_start_s: float) -> bool:
-        return any(start <= since_start_s < end for start, end in self._config.blackouts)
+        return any(start <= since_start_s < end for start, end in self._config.blackout_spans)
 
     def _count(self, what: str, size_bytes: int) -> None:
         self.packets[what] += 1

@@ -32,10 +32,11 @@ class Outbox:
         self._last_received_ns = 0  # stamp of the newest packet of any peer
         self.now_ns = 0
         self._silent_epochs = 0
+        self._granted: tuple[int, int, int] | None = None  # what the budget was made of
         self.configure(config)
 
     def configure(self, config: FusionConfig, *, copies: int = 1) -> None:
-        """Begin a new budget, as another communication mode has it; counts go on.
+        """Go on with other settings; a budget that stays the same is not refilled, and counts go on.
 
         Args:
             config: mode, budget and epoch.
@@ -46,7 +47,9 @@ class Outbox:
         share = round(rate * config.epoch_s)
         self._worth_bytes = min(round(share * WORTH_EPOCHS), NARROWBAND_PACKET_BYTES)
         self._most_bytes = round(share * SAVED_EPOCHS) + self._worth_bytes * (copies - 1)
-        self._budget = ByteBudget(rate, self._most_bytes, share)
+        granted = rate, self._most_bytes, share
+        if granted != self._granted:
+            self._granted, self._budget = granted, ByteBudget(*granted)
 
     @property
     def sent_bytes_per_s(self) -> float:

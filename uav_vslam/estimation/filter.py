@@ -69,6 +69,7 @@ class Filter:
     """The mean is `nav`, `rig_state` and `landmarks` (N, 3); `belief` is the Gaussian over its error.
 
     Rows of the error: navigation state in the model's coordinates, rig errors, landmarks (map frame).
+    `sigma_px`, the standard deviation of each pixel coordinate, may be set at any time.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class Filter:
         self._linear: Linearisation = linearisation or Jacobians()
         self._model: StateModel = MODELS[model]()
         self._errors = RigErrors(rig, rig_config or RigConfig(rigid_sigma_deg=0.0), self._model.nav_dim)
-        self._sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
+        self.sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
         self._rate_map: Array | None = None  # [rad/s] at the end of the last increment
         self.nav: NavState = initial.state
         self.rig_state = RigState()
@@ -241,10 +242,10 @@ class Filter:
         T_map_left = camera.nav.T_map_body @ camera.rig.T_body_left
         landmarks = T_map_left.apply(points_left)
         _, J_vehicle, J_landmark = camera_points(camera, landmarks)
-        variance = triangulation_covariance(camera.rig, points_left, self._sigma_px)[:, 2, 2]
+        variance = triangulation_covariance(camera.rig, points_left, self.sigma_px)[:, 2, 2]
         at = smoothed(points_left, variance, depth_sigma_ratio=self._depth_sigma_ratio)
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
-        kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / self._sigma_px
+        kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / self.sigma_px
         self.belief = self.belief.appended(kept @ H_vehicle, kept @ H_landmark)
         self.landmarks = np.vstack([self.landmarks, landmarks])
 
@@ -311,7 +312,7 @@ class Filter:
             model=self._model,
             nav=self._errors.at_exposure(self.rig_state, self.nav, rate_map),
             rate_map=rate_map,
-            sigma_px=self._sigma_px,
+            sigma_px=self.sigma_px,
             depth_sigma_ratio=self._depth_sigma_ratio,
         )
 

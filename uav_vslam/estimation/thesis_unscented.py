@@ -64,11 +64,11 @@ class ThesisUnscentedFilter(Filter):
     ) -> tuple[Update, Array, int]:
         chi, mean_weights, weights = self._sigma_points()
         P = self.covariance()
-        seen = self._project(chi, predicted) / self._sigma_px
+        seen = self._project(chi, predicted) / self.sigma_px
         expected = mean_weights @ seen
         D_y, D_x = seen - expected, chi - mean_weights @ chi
         P_yy, P_xy = (D_y.T * weights) @ D_y, (D_x.T * weights) @ D_y
-        innovation = (nu + predicted.expected).ravel() / self._sigma_px - expected
+        innovation = (nu + predicted.expected).ravel() / self.sigma_px - expected
         S = P_yy + np.diag(1.0 / np.repeat(observation_weights, STEREO_DOF))
         K = np.linalg.solve(S, P_xy.T).T
         after = P - K @ S @ K.T if self._gamma is None else _bounded(P, P_xy, P_yy)

@@ -63,7 +63,7 @@ class FlightResult:
         duration_s: flight time [s].
         wall_s: processing time [s].
         vehicles: by name.
-        config: the resolved configuration as plain data.
+        config: the resolved configuration, as a ROS parameter file has it.
     """
 
     name: str

@@ -7,10 +7,9 @@ It imports no ROS, because launch files are read by the system's Python, which n
 import dataclasses
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from uav_vslam.config import FleetConfig
+from uav_vslam.config import FleetConfig, LinkConfig, differences
 
 VEHICLE_NODES = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
 
@@ -43,12 +42,12 @@ class NodeSpec:
         return arguments
 
 
-def node_specs(fleet: FleetConfig, *, link: Path | None = None) -> list[NodeSpec]:
+def node_specs(fleet: FleetConfig, *, link: LinkConfig | None = None) -> list[NodeSpec]:
     """List every node of the fleet: four a vehicle, then what serves all of them.
 
     Args:
         fleet: with recordings, a replay of them comes last.
-        link: file of an emulated radio link; the vehicles then hear each other through it alone.
+        link: emulated radio link; the vehicles then hear each other through it alone.
     """
     replayed = bool(fleet.replay.bags)
     specs = []
@@ -61,7 +60,8 @@ def node_specs(fleet: FleetConfig, *, link: Path | None = None) -> list[NodeSpec
             via |= {feedback_to(vehicle): link_output(vehicle, "feedback")} if via else {}
             specs.append(NodeSpec(executable, executable, f"/{vehicle}", {**shared, **own}, via))
     if link is not None:
-        parameters = {"vehicles": list(fleet.vehicles), "link": str(link.resolve()), "use_sim_time": replayed}
+        parameters = {"vehicles": list(fleet.vehicles), "use_sim_time": replayed}
+        parameters |= {f"link.{name}": value for name, value in differences(link).items()}
         specs.append(NodeSpec("link_emulator", "link_emulator", "/", parameters))
     if replayed:
         parameters = {"vehicles": list(fleet.vehicles), **differences(fleet.replay)}
@@ -84,22 +84,3 @@ def feedback_to(vehicle: str) -> str:
 def link_output(receiver: str, sender: str) -> str:
     """Return the topic on which what a link let through of a sender reaches a receiver."""
     return f"/{receiver}/received/{sender}"
-
-
-def differences(config: Any) -> dict[str, Any]:
-    """Return what differs from the defaults, by dotted name ("backend.sigma_px"), as ROS parameter values."""
-    default = type(config)()
-    found: dict[str, Any] = {}
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            found |= {f"{field.name}.{key}": inner for key, inner in differences(value).items()}
-        elif value != getattr(default, field.name):
-            found[field.name] = _parameter_value(value)
-    return found
-
-
-def _parameter_value(value: Any) -> Any:
-    if isinstance(value, tuple | list):
-        return [_parameter_value(item) for item in value]
-    return str(value) if isinstance(value, Path) else value

@@ -14,19 +14,16 @@ out  landmark_information                  uav_vslam_msgs/LandmarkInformation at
                                            world is the own map's, and world to <peer>/map is found and said too
 """
 
-import dataclasses
 from collections import deque
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
+from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.errors import ConfigError
 from uav_vslam.ros.convert import (
     cloud_to_msg,
     header,
@@ -53,12 +50,7 @@ MAX_PATH = 2000  # poses in a published path
 
 
 class FusionNode(VehicleNode):
-    """Feeds `Fusion` in stamp order: an epoch's joint information before the odometry of the same stamp.
-
-    Parameters: `peers`, names of the other vehicles; `mode`, communication mode, which may be set in flight (default:
-    `fusion.mode`); `radio_domain_id`, ROS domain of the radio (-1: the vehicle's own), `radio_peers`, addresses that
-    are sought there; `radio_interface`, whose traffic is reported.
-    """
+    """Feeds `Fusion` in stamp order: an epoch's joint information before the odometry of the same stamp."""
 
     def __init__(self) -> None:
         self._participant = open_participant("fusion")
@@ -77,43 +69,22 @@ class FusionNode(VehicleNode):
         self.listen(Odometry, "odometry", self._on_odometry, STATE)
         if self._participant is not None:
             self._participant.serve(self)
-        peers = [p for p in self.declare_parameter("peers", [""]).value if p and p != self.vehicle]
+        peers = [peer for peer in self.own.peers if peer != self.vehicle]
         host = self._participant.node if self._participant else None
         self._exchange = PacketExchange(self, self._fusion, peers, host=host)
-        name = self.declare_parameter("radio_interface", "").value
-        interface = Interface(name) if name else None
+        interface = Interface(self.own.radio_interface) if self.own.radio_interface else None
         self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
-        mode = self.declare_parameter("mode", self.config.fusion.mode).value
-        self._check_mode(mode)
-        self._exchange.tune(mode)
-        self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._on_parameters)
+        self._exchange.configure(self.config.fusion)
+
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
+        self._exchange.configure(config.fusion)
 
     def destroy_node(self) -> None:
         """Leave the radio, then the vehicle's graph."""
         if self._participant is not None:
             self._participant.close()
         super().destroy_node()
-
-    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for one in parameters:
-            if one.name == "mode":
-                try:
-                    self._check_mode(one.value)
-                except ConfigError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
-            if one.name == "fusion.mode":
-                return SetParametersResult(successful=False, reason="fusion.mode counts at the start; set mode instead")
-        return SetParametersResult(successful=True)
-
-    def _check_mode(self, mode: str) -> None:
-        """Raise `ConfigError` where the configuration does not go with a communication mode."""
-        dataclasses.replace(self.config, fusion=dataclasses.replace(self.config.fusion, mode=mode))
-
-    def _on_parameters(self, parameters: list[Parameter]) -> None:
-        for one in parameters:
-            if one.name == "mode" and one.value != self._exchange.settings.mode:
-                self._exchange.tune(one.value)
 
     def _on_joint(self, message: JointInformationMsg) -> None:
         joint = joint_from_msg(message)

@@ -23,11 +23,12 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
-from uav_vslam.config import find_link, load
-from uav_vslam.cooperation.link import Link, LinkConfig, link_between
+from uav_vslam.config.nodes import LinkNodeConfig
+from uav_vslam.cooperation.link import Link, link_between
 from uav_vslam.errors import ConfigError
 from uav_vslam.ros.fleet_commands import feedback_to, link_output, packets_of
 from uav_vslam.ros.inputs import unmatched
+from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import RADIO
 from uav_vslam.ros.radio import PeerInput
 from uav_vslam.ros.runtime import FOLLOW_PERIOD_S, READERS, UNMATCHED, run_node
@@ -38,18 +39,15 @@ REPORT_S = 1.0
 
 
 class LinkEmulatorNode(Node):
-    """Relays bytes through one `Link` a direction.
-
-    Parameters: `vehicles`, their names; `link`, a YAML file or the name of one in config/links.
-    """
+    """Relays bytes through one `Link` a direction."""
 
     def __init__(self) -> None:
         super().__init__("link_emulator")
-        vehicles = [name for name in self.declare_parameter("vehicles", [""]).value if name]
-        name = self.declare_parameter("link", "").value
-        if len(vehicles) < 2 or not name:
-            raise ConfigError("link_emulator: set the parameters vehicles (two names or more) and link (a YAML file)")
-        config = load(LinkConfig, find_link(name))
+        own = read(self, LinkNodeConfig)
+        declare(self, own)
+        vehicles, config = own.vehicles, own.link
+        if len(vehicles) < 2:
+            raise ConfigError("link_emulator: set the parameter vehicles (two names or more)")
         self._links: dict[tuple[str, str], Link[tuple[Any, bytes]]] = {  # of (output publisher, bytes)
             (sender, receiver): link_between(config, sender, receiver) for sender, receiver in permutations(vehicles, 2)
         }

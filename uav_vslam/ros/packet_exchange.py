@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packets out and in: what the fusion core makes, over the radio within the budget; what peers send, to its inbox."""
 
-import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 
@@ -23,13 +22,13 @@ class PacketExchange:
     """A vehicle's part in the exchange of packets, in one communication mode at a time.
 
     Attributes:
-        settings: with the present mode.
+        settings: at present.
         outbox: what was sent and held back.
         received_bytes: serialised size of all packets that came, by peer.
     """
 
     def __init__(self, node: VehicleNode, fusion: Fusion, peers: Sequence[str], *, host: Node | None) -> None:
-        """Prepare; nothing is opened before `tune`.
+        """Prepare; nothing is opened before `configure`.
 
         Args:
             node: counts what is dropped.
@@ -43,15 +42,20 @@ class PacketExchange:
         self.settings: FusionConfig = node.config.fusion
         self.outbox = Outbox(self.settings)
         self.received_bytes: Counter[str] = Counter()
+        self._tuned: tuple[str, bool] | None = None  # mode, and whether feedback is sent
 
-    def tune(self, mode: str) -> None:
-        """Begin a communication mode."""
-        self.settings = dataclasses.replace(self.settings, mode=mode)
-        self._fusion.configure(self.settings)
-        self.outbox.configure(self.settings, copies=self._radio.expected_copies)
-        self._radio.tune(mode, feedback=self.settings.returns_feedback)
-        self._node.notes["mode"] = mode
-        self._node.get_logger().info(f"communication mode: {mode}")
+    def configure(self, settings: FusionConfig) -> None:
+        """Begin, or go on with other settings; the radio is opened again where its topics change."""
+        self.settings = settings
+        self._fusion.configure(settings)
+        self.outbox.configure(settings, copies=self._radio.expected_copies)
+        tuned = settings.mode, settings.returns_feedback
+        if tuned == self._tuned:
+            return
+        self._tuned = tuned
+        self._radio.tune(settings.mode, feedback=settings.returns_feedback)
+        self._node.notes["mode"] = settings.mode
+        self._node.get_logger().info(f"communication mode: {settings.mode}")
 
     def send(self, joint: JointInformation) -> None:
         """Send an epoch's packet, unless the budget has no room for it: then the next epoch's replaces it."""

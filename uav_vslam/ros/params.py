@@ -1,33 +1,121 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters from configuration dataclasses: names, types and defaults have their one home in `config`."""
+"""ROS parameters from the configuration classes: names, types, ranges and texts have their one home in `config`."""
 
+import math
 import typing
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Mapping
 
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
-from uav_vslam.config import build, flatten
+from uav_vslam.config import VehicleConfig
+from uav_vslam.config.nodes import NODES
+from uav_vslam.config.settings import Setting, Settings, all_settings, build, check_names, flatten, plain, replaced
+from uav_vslam.errors import ConfigError
 
-Config = typing.TypeVar("Config")
+Config = typing.TypeVar("Config", bound=Settings)
+
+OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # beginnings of names that are not ours
+LARGEST_INTEGER = 2**63 - 1
 
 
-def declare(node: Node, cls: type[Config]) -> Config:
-    """Declare a parameter for every field of a (nested) configuration class and return what was set.
+def read(node: Node, cls: type[Config]) -> Config:
+    """Return a configuration from what the command line and parameter files set for a node.
 
     Raises:
-        ConfigError: a value is out of range; the text names node, key and what is allowed.
+        ConfigError: a name that no node of ours has, or a value of this class that is not allowed.
     """
-    tree: dict[str, Any] = {}
-    for dotted, default in flatten(cls()).items():
-        value = node.declare_parameter(dotted, _parameter(default)).value
-        *sections, key = dotted.split(".")
-        branch = tree
-        for section in sections:
-            branch = branch.setdefault(section, {})
-        branch[key] = tuple(Path(v) for v in value if v) if isinstance(default, tuple) else value
-    return typing.cast(Config, build(cls, tree, where=f"parameters of {node.get_fully_qualified_name()}"))
+    where = f"parameters of {node.get_fully_qualified_name()}"
+    given = {
+        name: parameter.value
+        for name, parameter in node._parameter_overrides.items()  # rclpy hands them out one by one only, by known names
+        if not name.startswith(OF_ROS)
+    }
+    check_names(given, VehicleConfig, *(parameters.own for parameters in NODES.values()), where=where)
+    names = all_settings(cls)
+    return build(cls, {name: value for name, value in given.items() if name in names}, where=where)
 
 
-def _parameter(default: Any) -> Any:
-    return [str(item) for item in default] or [""] if isinstance(default, tuple) else default
+def declare(node: Node, config: Settings, names: typing.Iterable[str] | None = None) -> None:
+    """Declare settings of a configuration, all by default, each with its text, unit and range."""
+    settings, values = all_settings(type(config)), flatten(config)
+    for name in settings if names is None else names:
+        value = plain(values[name])
+        if value == []:  # has no type, so the parameter is declared by type and has no value
+            texts = settings[name].kind != tuple[float, ...]
+            value = Parameter.Type.STRING_ARRAY if texts else Parameter.Type.DOUBLE_ARRAY
+        node.declare_parameter(name, value, _descriptor(settings[name]), ignore_override=True)
+
+
+class VehicleParameters:
+    """The settings of a vehicle that one of its nodes uses; live ones follow `ros2 param set`.
+
+    Attributes:
+        config: at present. Settings of sections that the node does not use are as given at the start.
+    """
+
+    def __init__(self, node: Node, names: typing.Iterable[str], on_change: Callable[[VehicleConfig], None]) -> None:
+        """Declare.
+
+        Args:
+            node: reads them from its command line and parameter files.
+            names: those that it uses.
+            on_change: called with the configuration after live settings have changed.
+
+        Raises:
+            ConfigError: an unknown name, or a value that is not allowed.
+        """
+        self.config = read(node, VehicleConfig)
+        self._node, self._on_change = node, on_change
+        settings = all_settings(VehicleConfig)
+        self._settings: Mapping[str, Setting] = {name: settings[name] for name in names}
+        declare(node, self.config, self._settings)
+        node.add_pre_set_parameters_callback(self._converted)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _converted(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Give values their declared types: `ros2 param set` sends 1 as an integer and 1e-3 as a text."""
+        return [self._as_declared(one) for one in parameters]
+
+    def _as_declared(self, given: Parameter) -> Parameter:
+        try:
+            return Parameter(given.name, value=plain(self._settings[given.name].accepted(given.value)))
+        except (KeyError, ValueError):
+            return given  # refused later, with the reason
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._with(parameters)
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        before, self.config = self.config, self._with(parameters)
+        if self.config != before:
+            self._on_change(self.config)
+
+    def _with(self, parameters: list[Parameter]) -> VehicleConfig:
+        changes = {one.name: one.value for one in parameters if one.name in self._settings}
+        return replaced(self.config, changes, where=self._node.get_fully_qualified_name())
+
+
+def _descriptor(described: Setting) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=described.description,
+        additional_constraints=described.range,
+        read_only=not described.live,
+    )
+    lowest = described.above if described.at_least is None else described.at_least
+    highest = described.below if described.at_most is None else described.at_most
+    if lowest is None and highest is None:
+        return descriptor
+    if described.kind is int:
+        bounds = int(lowest or 0), LARGEST_INTEGER if highest is None else int(highest)
+        descriptor.integer_range = [IntegerRange(from_value=bounds[0], to_value=bounds[1])]
+    else:
+        from_value, to_value = -math.inf if lowest is None else lowest, math.inf if highest is None else highest
+        descriptor.floating_point_range = [FloatingPointRange(from_value=float(from_value), to_value=float(to_value))]
+    return descriptor

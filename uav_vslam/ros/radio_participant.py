@@ -14,6 +14,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from uav_vslam.config.nodes import FusionNodeConfig
+from uav_vslam.ros.params import read
+
 POLL_S = 0.05  # how often the second context is looked after: packets come once a second
 CALLBACKS_A_TURN = 4
 
@@ -25,11 +28,11 @@ def open_participant(name: str) -> "Participant | None":
     gone before it. They are `radio_domain_id` (-1: the radio shares the vehicle's domain) and `radio_peers`.
     """
     reader = Node(name, enable_rosout=False, start_parameter_services=False)
-    domain_id = reader.declare_parameter("radio_domain_id", -1).value
-    addresses = [address for address in reader.declare_parameter("radio_peers", [""]).value if address]
-    namespace = reader.get_namespace()
-    reader.destroy_node()
-    return Participant(namespace, domain_id, addresses) if domain_id >= 0 else None
+    try:
+        own, namespace = read(reader, FusionNodeConfig), reader.get_namespace()
+    finally:
+        reader.destroy_node()
+    return Participant(namespace, own.radio_domain_id, own.radio_peers) if own.radio_domain_id >= 0 else None
 
 
 class Participant:

@@ -17,9 +17,11 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from uav_vslam.config.nodes import RecorderNodeConfig
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawRecorder
 from uav_vslam.errors import BagError, ConfigError
+from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.runtime import UNMATCHED, run_node
 from uav_vslam_msgs.msg import FusionStatus
@@ -36,15 +38,13 @@ WAKE_S = 0.2  # Python handles a signal only when the executor wakes
 
 
 class RecorderNode(Node):
-    """Writes raw messages to a bag.
-
-    Parameters: `output`, the folder to make; `vehicles`, their names.
-    """
+    """Writes raw messages to a bag."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        output = self.declare_parameter("output", "").value
-        vehicles = [name for name in self.declare_parameter("vehicles", [""]).value if name]
+        own = read(self, RecorderNodeConfig)
+        declare(self, own)
+        output, vehicles = own.output, own.vehicles
         if not output or not vehicles:
             raise ConfigError("recorder: set the parameters output (folder to make) and vehicles (their names)")
         Path(output).parent.mkdir(parents=True, exist_ok=True)

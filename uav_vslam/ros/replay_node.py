@@ -25,12 +25,12 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock as ClockMsg
 from tf2_msgs.msg import TFMessage
 
-from uav_vslam.config import ReplayConfig
+from uav_vslam.config.nodes import ReplayNodeConfig
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.errors import BagError
 from uav_vslam.ros.convert import stamp_from_ns
 from uav_vslam.ros.pacing import EARLY_ANSWER, IMU_AHEAD, Answers, Kind, LockStep, Pacer, Readings, RealTime, Recorded
-from uav_vslam.ros.params import declare
+from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
 from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording
@@ -53,12 +53,10 @@ class ReplayNode(Node):
 
     def __init__(self) -> None:
         super().__init__("replay")
-        self._config = declare(self, ReplayConfig)
-        names = [name for name in self.declare_parameter("vehicles", [""]).value if name]
-        wait_for = self.declare_parameter("wait_for", ["odometry", "fused/odometry"]).value
-        self._wait_for = [topic for topic in wait_for if topic]
-        finding = [name for name in self.declare_parameter("finding_start", [""]).value if name]
-        self._recording = Recording(self._config.bags, names, finding_start=finding)
+        self._config = read(self, ReplayNodeConfig)
+        declare(self, self._config)
+        self._wait_for = self._config.wait_for
+        self._recording = Recording(self._config.bags, self._config.vehicles, finding_start=self._config.finding_start)
         self._vehicles, self._starts_ns = self._recording.vehicles, dict(self._recording.starts_ns)
         self._answers = Answers(self._vehicles, self._starts_ns, self._wait_for)
         self._readings = Readings(self._vehicles, self._starts_ns, IMU_AHEAD if self._wait_for else None)

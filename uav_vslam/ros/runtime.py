@@ -4,6 +4,7 @@
 import signal
 import sys
 import time
+import typing
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import cv2
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -18,9 +20,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.errors import UavVslamError
+from uav_vslam.config.nodes import NODES
+from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.ros.inputs import Input, silent, stopped, unmatched
-from uav_vslam.ros.params import declare
+from uav_vslam.ros.params import VehicleParameters, declare, read
 
 DIAGNOSTICS_PERIOD_S = 1.0
 UNMATCHED = "unmatched"  # key in diagnostics: subscriptions without a publisher so far; the replay waits for them
@@ -32,23 +35,40 @@ QUIET_AFTER_S = 5.0  # without a first message for so long, report the topic as 
 class VehicleNode(Node):
     """A node in a vehicle's namespace, with its configuration and its health.
 
-    Parameters: `vehicle` (default: the namespace) and every field of `VehicleConfig`, e.g. `backend.sigma_px`.
+    Parameters: those that `config.nodes.NODES` lists for the node's name.
+
+    Attributes:
+        own: the node's own parameters.
+        vehicle: name.
+        counts: what happened how often, for the diagnostics.
+        notes: further values for the diagnostics.
+        alarms: current faults, by subject; they set the status to WARN.
     """
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        self.own: Any = read(self, typing.cast(Any, NODES[name].own))
+        declare(self, self.own)
+        self._settings = VehicleParameters(self, NODES[name].used_names, self.configure)
         namespace = self.get_namespace().strip("/").replace("/", "_")
-        self.vehicle: str = self.declare_parameter("vehicle", namespace or "uav1").value
-        self.config: VehicleConfig = declare(self, VehicleConfig)
+        self.vehicle: str = self.own.vehicle or namespace or "uav1"
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
-        self.alarms: dict[str, str] = {}  # current faults, by subject; they set the status to WARN
+        self.alarms: dict[str, str] = {}
         self._inputs: list[Input] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=wall_clock)
         self.create_timer(FOLLOW_PERIOD_S, self._follow_reliability, clock=wall_clock)
         self.create_timer(QUIET_AFTER_S, self._report_missing, clock=wall_clock)
+
+    @property
+    def config(self) -> VehicleConfig:
+        """The vehicle's configuration; live settings as they are now."""
+        return self._settings.config
+
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
 
     @property
     def map_frame(self) -> str:
@@ -179,15 +199,15 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
+        _initialise(args)
         node = factory()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stopping:  # each node has a timer on wall time, which ends the wait
             executor.spin_once()
-    except UavVslamError as error:
+    except (UavVslamError, ParameterException) as error:
         print(f"{getattr(node, 'get_name', lambda: 'uav_vslam')()}: {error}", file=sys.stderr)
         return 2
     except SystemExit as leaving:
@@ -197,3 +217,15 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _initialise(args: list[str] | None) -> None:
+    """Initialise ROS.
+
+    Raises:
+        ConfigError: an argument or a parameter file can't be parsed.
+    """
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # what rcl says of each
+        raise ConfigError(str(error)) from None

@@ -21,6 +21,7 @@ from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
+from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import (
@@ -53,7 +54,7 @@ class SlamBackendNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("slam_backend")
-        session: int = self.declare_parameter("session", 0).value or next_session(self.vehicle)
+        session: int = self.own.session or next_session(self.vehicle)
         self._stage = SlamStage(self.config, vehicle=self.vehicle, session=session)
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._odometry = self.advertise(Odometry, "odometry", STATE)
@@ -70,6 +71,10 @@ class SlamBackendNode(VehicleNode):
             self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
         self.listen(InsIncrement, "ins/increment", self._on_increment, SENSOR)
         self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, STATE)
+
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
+        self._stage.configure(config)
 
     def _on_initial_state(self, message: NavigationState) -> None:
         self._stage.start(navigation_from_msg(message))

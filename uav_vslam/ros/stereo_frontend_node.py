@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
+from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import InvalidMessage
@@ -60,6 +61,11 @@ class StereoFrontendNode(VehicleNode):
                 Image: self.listen(Image, raw, on_image, IMAGE),
                 CompressedImage: self.listen(CompressedImage, f"{raw}/compressed", on_image, IMAGE, instead_of=raw),
             }
+
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
+        if self._frontend is not None:
+            self._frontend.configure(config.frontend)
 
     def _on_image(self, side: str, add: AddImage, message: Image | CompressedImage) -> None:
         if not self._uses(side, type(message)):

@@ -146,6 +146,12 @@ class SlamBackend:
             sightings=np.vstack([sightings, np.column_stack([self._map.ids[len(self._map) - len(added) :], added])]),
         )
 
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
+        self._vehicle_config, self._config = config, config.backend
+        self._matcher.configure(config.backend)
+        self._filter.sigma_px = config.backend.sigma_px
+
     def joint_information(self) -> JointInformation:
         """Return the estimate of pose and landmarks, for the vehicle's own fusion."""
         return JointInformation(

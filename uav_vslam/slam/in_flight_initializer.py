@@ -23,6 +23,9 @@ from uav_vslam.vision.matching.nn_ratio import match_descriptors
 
 Frame = tuple[StereoFeatures, ImuIncrement | None]
 
+WINDOW_S = 1.0  # of the frames that the start is found from
+MAX_TILT_SIGMA_DEG = 3.0  # frames that leave roll and pitch less certain are not used
+MIN_MATCHES = 6  # of a view with the first frame
 MIN_VIEWS = 3  # later frames that see the first one's points: velocity and gravity (6 unknowns) need two
 MAX_VIEWS = 8  # more views in the window add little
 MIN_AGREEING = 0.5  # share of the matches that must fit one motion
@@ -55,11 +58,23 @@ class InFlightInitializer:
         dropped: frames dropped as the window moved.
     """
 
-    def __init__(self, rig: StereoRig, config: VehicleConfig) -> None:
+    def __init__(
+        self,
+        rig: StereoRig,
+        config: VehicleConfig,
+        *,
+        window_s: float = WINDOW_S,
+        max_tilt_sigma_deg: float = MAX_TILT_SIGMA_DEG,
+    ) -> None:
         self._rig, self._config = rig, config
+        self._window_s, self._max_tilt_sigma_deg = window_s, max_tilt_sigma_deg
         self._buffer: list[Frame] = []
         self.reason = "no frame has arrived"
         self.dropped = 0
+
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
+        self._config = config
 
     @property
     def waiting(self) -> int:
@@ -86,7 +101,7 @@ class InFlightInitializer:
 
     def _window_is_full(self) -> bool:
         span_ns = self._buffer[-1][0].stamp_ns - self._buffer[0][0].stamp_ns
-        full = len(self._buffer) > MIN_VIEWS and span_ns >= self._config.start.window_s * NS_PER_S
+        full = len(self._buffer) > MIN_VIEWS and span_ns >= self._window_s * NS_PER_S
         if not full and self.dropped == 0:
             self.reason = f"{len(self._buffer)} frames over {span_ns / NS_PER_S:.1f} s have arrived, not yet enough"
         return full
@@ -131,20 +146,20 @@ class InFlightInitializer:
                 continue
             matches = match_descriptors(descriptors, features.descriptors, self._config.frontend.ratio)
             counts.append(len(matches))
-            if len(matches) >= self._config.backend.min_pnp_inliers:
+            if len(matches) >= MIN_MATCHES:
                 views.append(View(motion, matches[:, 0], features.pixels[matches[:, 1]].astype(float)))
                 motion = None
         if len(views) < MIN_VIEWS:
             raise InsufficientEvidence(
                 f"of {len(descriptors)} points only {', '.join(map(str, counts))} are matched in later frames; "
-                f"{MIN_VIEWS} frames with {self._config.backend.min_pnp_inliers} are needed"
+                f"{MIN_VIEWS} frames with {MIN_MATCHES} are needed"
             )
         return views
 
     def _validate(self, found: Alignment, views: list[View]) -> None:
         """Raise if too few matches agree, or the uncertainty exceeds the configured limits."""
         agreeing, matched = int(found.inliers.sum()), sum(len(view.rows) for view in views)
-        enough = (found.inliers >= self._config.backend.min_pnp_inliers).sum() >= MIN_VIEWS
+        enough = (found.inliers >= MIN_MATCHES).sum() >= MIN_VIEWS
         if not enough or agreeing < MIN_AGREEING * matched:
             raise InsufficientEvidence(
                 f"{agreeing} of {matched} matches fit one motion; check calibration, IMU axes and units, "
@@ -159,9 +174,9 @@ class InFlightInitializer:
             )
         start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt(found)))
         velocity = float(np.sqrt(np.linalg.eigvalsh(found.covariance[VELOCITY, VELOCITY])[-1]))
-        if velocity > start.velocity_sigma or tilt_deg > start.max_tilt_sigma_deg:
+        if velocity > start.velocity_sigma or tilt_deg > self._max_tilt_sigma_deg:
             raise InsufficientEvidence(
                 f"velocity is known to {velocity:.2f} m/s and tilt to {tilt_deg:.2f} deg only, not to "
-                f"{start.velocity_sigma:g} m/s and {start.max_tilt_sigma_deg:g} deg; raise start.window_s, or "
-                "start.velocity_sigma and start.max_tilt_sigma_deg"
+                f"{start.velocity_sigma:g} m/s and {self._max_tilt_sigma_deg:g} deg; raise start.velocity_sigma, or "
+                "fly with more parallax and more acceleration"
             )

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 FAILED_AFTER_FRAMES = 3  # a rarely observed landmark, in view but unseen for so long, is bad
+YOUNG_FRAMES = 5  # younger landmarks are not removed for space
 ESTABLISHED_OBSERVATIONS = 3  # from so many observations on, a landmark is worth retaining
 CELL_GROWTH = 2.0**0.25  # of the cell's side, if there are more cells than capacity
 LARGEST_CELL_M = 1e4  # stops the growth of cells
@@ -125,7 +126,7 @@ def rows_to_remove(view: MapView, config: BackendConfig) -> Rows:
     out = rest[~view.in_view[rest]]
     rows = np.union1d(rows, _longest_unseen(landmark_map, out)[: max(0, len(out) - capacity_out_of_view(view, config))])
     rest = np.setdiff1d(rest, rows)
-    mature = rest[view.frame - landmark_map.born[rest] >= config.young_frames]
+    mature = rest[view.frame - landmark_map.born[rest] >= YOUNG_FRAMES]
     rows = np.union1d(rows, _longest_unseen(landmark_map, mature)[: max(0, len(rest) - config.max_landmarks)])
     return rows.astype(np.intp)
 

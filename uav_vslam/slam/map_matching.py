@@ -29,6 +29,7 @@ from uav_vslam.types import StereoFeatures
 
 Rows = NDArray[np.intp]
 
+MIN_INLIERS = 6  # of PnP; fewer, and the frame is tried without gates against the whole map
 VIEW_MARGIN_PX = 50.0  # a landmark predicted so far outside the image may still be seen
 
 
@@ -39,6 +40,10 @@ class MapMatcher:
         """Match as configured, or with an associator that is given in the configured one's place."""
         self._config = config
         self._associate = associate or ASSOCIATORS[config.association]
+
+    def configure(self, config: BackendConfig) -> None:
+        """Go on with live settings that have changed."""
+        self._config = config
 
     def candidates(
         self, slam_filter: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
@@ -54,10 +59,10 @@ class MapMatcher:
         if len(landmark_map) == 0 or len(features) == 0:
             return
         gated, uncertain = self._gated(slam_filter, landmark_map, features, frame)
-        if not uncertain and len(gated) >= self._config.min_pnp_inliers:
+        if not uncertain and len(gated) >= MIN_INLIERS:
             yield self._capped(slam_filter, landmark_map, gated)
         attempts = (
-            lambda: verified(slam_filter, gated, self._config, min_inliers=self._config.min_pnp_inliers),
+            lambda: verified(slam_filter, gated, self._config, min_inliers=MIN_INLIERS),
             lambda: self._agreeing(slam_filter, self._capped(slam_filter, landmark_map, gated)),
             lambda: relocalise(slam_filter, landmark_map.descriptors, features, self._config),
         )
@@ -98,7 +103,7 @@ class MapMatcher:
         """Keep the largest set of matches that agree with one another; None where it is too small."""
         nu, S = slam_filter.joint_innovation(matches.landmarks, matches.pixels)
         rows = consensus(nu, S, probability=self._config.gate_probability)
-        return matches.chosen(rows) if len(rows) >= self._config.min_pnp_inliers else None
+        return matches.chosen(rows) if len(rows) >= MIN_INLIERS else None
 
     def _capped(self, slam_filter: Filter, landmark_map: LandmarkMap, matches: Matches) -> Matches:
         """Cap the number of updates, oldest landmarks first, spread over the image."""

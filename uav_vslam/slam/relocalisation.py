@@ -13,6 +13,9 @@ from uav_vslam.types import StereoFeatures
 from uav_vslam.vision.matching.nn_ratio import match_descriptors
 from uav_vslam.vision.pnp import pnp_ransac
 
+MIN_INLIERS = 12  # fewer, and the vehicle coasts on its INS
+ITERATE_BEYOND_M = 0.05  # PnP and INS differ by more: the update is linearised at the PnP pose
+
 
 def verified(slam_filter: Filter, matches: Matches, config: BackendConfig, *, min_inliers: int) -> Matches | None:
     """Keep the inliers of PnP with RANSAC; None with fewer than `min_inliers`.
@@ -31,7 +34,7 @@ def verified(slam_filter: Filter, matches: Matches, config: BackendConfig, *, mi
         return None
     T_map_left, inliers = solved
     T_map_body = T_map_left @ rig.T_body_left.inverse()
-    is_far = np.linalg.norm(T_map_body.t - predicted.t) > config.iterate_beyond_m
+    is_far = np.linalg.norm(T_map_body.t - predicted.t) > ITERATE_BEYOND_M
     agreeing = matches.chosen(np.flatnonzero(inliers))
     return dataclasses.replace(agreeing, linearise_at=T_map_body if is_far else None)
 
@@ -42,4 +45,4 @@ def relocalise(
     """Match all landmarks by descriptor alone and verify by PnP; None with too few inliers."""
     pairs = match_descriptors(landmark_descriptors, features.descriptors, config.min_descriptor_ratio)
     matches = Matches.of(pairs, features, relocalised=True)
-    return verified(slam_filter, matches, config, min_inliers=config.min_relocalisation_inliers)
+    return verified(slam_filter, matches, config, min_inliers=MIN_INLIERS)

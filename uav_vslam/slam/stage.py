@@ -81,6 +81,13 @@ class SlamStage:
             "motion_refused": self._queue.motion_refused,
         }
 
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
+        self._config = config
+        for part in (self._search, self._backend):
+            if part is not None:
+                part.configure(config)
+
     def start(self, initial: NavEstimate) -> None:
         """Set the start state; a later one counts only before the first frame, and not in flight."""
         if self.initial is None or (self._backend is None and not self._in_flight):

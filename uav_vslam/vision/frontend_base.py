@@ -27,6 +27,12 @@ class Frontend(ABC):
         self._gate = StereoGate(rig, config, rig_config or RigConfig(), noise_px=noise_px)
         self._health = FrontendHealth(rig, self._gate.epipolar_px)
 
+    def configure(self, config: FrontendConfig) -> None:
+        """Go on with live settings that have changed."""
+        self._config = config
+        self._gate.configure(config)
+        self._health.epipolar_px = self._gate.epipolar_px
+
     @property
     def alarms(self) -> dict[str, str]:
         """Current faults of the images or the rig, by subject; normally empty."""

@@ -26,6 +26,7 @@ class FrontendHealth:
 
     Attributes:
         alarms: current faults, by subject; normally empty.
+        epipolar_px: largest distance from the epipolar line at which points are matched [px]; may be set at any time.
     """
 
     def __init__(self, rig: StereoRig, epipolar_px: float) -> None:
@@ -33,9 +34,9 @@ class FrontendHealth:
 
         Args:
             rig: calibration.
-            epipolar_px: largest distance from the epipolar line at which points are matched [px].
+            epipolar_px: see the attribute.
         """
-        self._rig, self._epipolar_px = rig, epipolar_px
+        self._rig, self.epipolar_px = rig, epipolar_px
         self._cameras = {"left": ImageWatch(), "right": ImageWatch()}
         self._rate, self._stamp_ns = RunningBaseline(GAP_SHARE), 0
         self._missing: deque[int] = deque(maxlen=COUNTED_PAIRS)
@@ -73,7 +74,7 @@ class FrontendHealth:
             return
         self._distances.append(float(np.median(self._rig.epipolar_distance(pixels))))
         usual = float(np.median(self._distances))
-        wrong = len(self._distances) == EPIPOLAR_FRAMES and usual > EPIPOLAR_SHARE * self._epipolar_px
+        wrong = len(self._distances) == EPIPOLAR_FRAMES and usual > EPIPOLAR_SHARE * self.epipolar_px
         self._set(
             "rig",
             f"points are {usual:.1f} px off their epipolar lines: the rig calibration is off" if wrong else "",
@@ -82,7 +83,7 @@ class FrontendHealth:
     def _fit(self, pixels: Array) -> float:
         """Return the share of stereo points on their epipolar lines and in front of both cameras."""
         ahead = np.isfinite(self._rig.triangulate(pixels, refinements=0)[:, 2])
-        return float(np.mean(ahead & (self._rig.epipolar_distance(pixels) <= self._epipolar_px)))
+        return float(np.mean(ahead & (self._rig.epipolar_distance(pixels) <= self.epipolar_px)))
 
     def _set(self, subject: str, text: str) -> None:
         if text:

@@ -35,8 +35,13 @@ class StereoGate:
             rig_config: uncertainty of the calibration.
             noise_px: largest difference of two disparities on one surface due to noise [px].
         """
-        self._rig, self._config, self._noise_px = rig, config, noise_px
-        self.epipolar_px = epipolar_gate(rig, config.epipolar_px, rig_config)
+        self._rig, self._rig_config, self._noise_px = rig, rig_config, noise_px
+        self.configure(config)
+
+    def configure(self, config: FrontendConfig) -> None:
+        """Judge by other gates from now on."""
+        self._config = config
+        self.epipolar_px = epipolar_gate(self._rig, config.epipolar_px, self._rig_config)
 
     def check(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return the (N,) depths [m] of (N, 4) undistorted stereo pixels, and the mask of valid matches.

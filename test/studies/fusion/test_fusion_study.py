@@ -3,8 +3,7 @@
 
 import pytest
 
-from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.link import LinkConfig
+from uav_vslam.config import FusionConfig, LinkConfig
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.cooperation import Setting
 from uav_vslam.studies.engine.fusion_parts import Part, run_parts

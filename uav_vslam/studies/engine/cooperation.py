@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import FusionConfig, VehicleConfig
+from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.cooperation.link import Link, LinkConfig
+from uav_vslam.cooperation.link import Link
 from uav_vslam.errors import UavVslamError
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.evaluation.consistency import nees
@@ -261,7 +261,7 @@ class _PacketWatch:
         counts = [1]
         for peer, record in fusion.inbox.peers.items():
             sent = self._sent_ns[peer]
-            end_ns = min(sent.values()) + round(link.blackouts[-1][1] * NS_PER_S)
+            end_ns = min(sent.values()) + round(link.blackouts[-1] * NS_PER_S)
             after = sorted(key for key, stamp_ns in sent.items() if stamp_ns >= end_ns)
             counts.append(next((k for k, key in enumerate(after, start=1) if key in record.used), len(after)))
         return float(max(counts))

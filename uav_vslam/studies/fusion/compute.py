@@ -4,8 +4,7 @@
 import dataclasses
 from collections.abc import Callable
 
-from uav_vslam.config import FUSION_WEIGHTS, MAX_PACKET_LANDMARKS
-from uav_vslam.cooperation.link import LinkConfig
+from uav_vslam.config import FUSION_WEIGHTS, MAX_PACKET_LANDMARKS, LinkConfig
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario
 from uav_vslam.studies.engine.cooperation import Setting
 from uav_vslam.studies.engine.fusion_parts import Part
@@ -68,7 +67,7 @@ def network() -> list[Part]:
         Setting("duplication 40%", link=LinkConfig(duplication=0.4)),
         Setting("reordering, up to 3 s", link=LinkConfig(jitter_s=3.0)),
         Setting("delay 1 s", link=LinkConfig(delay_s=1.0)),
-        Setting("blackout of 60 s", link=LinkConfig(blackouts=(BLACKOUT_S,))),
+        Setting("blackout of 60 s", link=LinkConfig(blackouts=BLACKOUT_S)),
         Setting(
             "narrowband, 9.6 kbit/s, loss 20%", {"mode": "narrowband"}, LinkConfig(rate_bytes_per_s=1200, loss=0.2)
         ),

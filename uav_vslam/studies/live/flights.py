@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from uav_vslam.config import VehicleConfig, to_tree
+from uav_vslam.config import VehicleConfig, parameter_file
 from uav_vslam.datasets.outputs import read_outputs
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.engine.node_graph import Launcher, fly_graph, record_fleet
@@ -29,7 +29,7 @@ def fly(seed: int, config: VehicleConfig, *, frames: int, scale: float, rate: fl
     samples: list[Sample] = []
     with tempfile.TemporaryDirectory(prefix="uav_vslam_live_") as name:
         file = Path(name) / "vehicle.yaml"
-        file.write_text(yaml.safe_dump(to_tree(config)), encoding="utf-8")
+        file.write_text(yaml.safe_dump(parameter_file({"/**": config})), encoding="utf-8")
         fleet = record_fleet(Path(name), scenario, file, coding="raw", rate=rate)
         outputs, _ = read_outputs([fly_graph(fleet, mode, watch=lambda launcher: _sample(launcher, samples))])
     processed = {vehicle: len(output.own_only) for vehicle, output in outputs.items()}

@@ -28,6 +28,7 @@ from uav_vslam.vision.tracking.tracks import Tracks
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
+SEARCH_EVERY = 3  # frames from one detection of new keypoints to the next
 MAX_GAP_S = 1.0  # after a longer gap, all tracks are dropped
 DISPARITY_NOISE_PX = 0.3  # six sigma
 FEW_SHARE = 0.5  # of the tracks; if fewer survive with the predicted flow, the image's global shift is tried
@@ -110,6 +111,6 @@ class TrackingFrontend(Frontend):
     def _search(self, image: NDArray[np.generic]) -> None:
         """Every few frames start detection of new keypoints; they join at the next pair."""
         self._since_search += 1
-        if self._since_search >= self._config.search_every:
+        if self._since_search >= SEARCH_EVERY:
             self._refill.start(image)
             self._since_search = 0

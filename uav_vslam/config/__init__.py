@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every parameter of a vehicle, a fleet and a node: the one home of defaults, units, ranges and texts.
+
+settings    what a setting is, and the checks made from it
+imu, vehicle, fleet, nodes    the settings
+files       YAML files
+reference   the reference page docs/reference/parameters.md
+"""
+
+from uav_vslam.config.files import find_config, load_fleet, load_link, load_vehicle, parameter_file
+from uav_vslam.config.fleet import FleetConfig, LinkConfig, ReplayConfig
+from uav_vslam.config.imu import IMU_GRADES, ImuConfig
+from uav_vslam.config.settings import differences
+from uav_vslam.config.vehicle import (
+    ASSOCIATIONS,
+    EXTRACTORS,
+    FILTERS,
+    FUSION_SCHEMES,
+    FUSION_WEIGHTS,
+    MAX_PACKET_LANDMARKS,
+    MODE_BUDGETS,
+    RETENTION_POLICIES,
+    STATE_MODELS,
+    BackendConfig,
+    FrontendConfig,
+    FusionConfig,
+    RigConfig,
+    StartConfig,
+    VehicleConfig,
+)
+
+__all__ = [
+    "ASSOCIATIONS",
+    "EXTRACTORS",
+    "FILTERS",
+    "FUSION_SCHEMES",
+    "FUSION_WEIGHTS",
+    "IMU_GRADES",
+    "MAX_PACKET_LANDMARKS",
+    "MODE_BUDGETS",
+    "RETENTION_POLICIES",
+    "STATE_MODELS",
+    "BackendConfig",
+    "FleetConfig",
+    "FrontendConfig",
+    "FusionConfig",
+    "ImuConfig",
+    "LinkConfig",
+    "ReplayConfig",
+    "RigConfig",
+    "StartConfig",
+    "VehicleConfig",
+    "differences",
+    "find_config",
+    "load_fleet",
+    "load_link",
+    "load_vehicle",
+    "parameter_file",
+]

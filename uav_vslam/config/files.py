@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading and writing configuration files.
+
+Vehicles and links have ROS parameter files, which hold differences only and also go to `--params-file`:
+
+    /**:
+      ros__parameters:
+        backend:
+          sigma_px: 0.5
+
+An unknown key, a wrong type or a value out of range raises `ConfigError` that names the file, the key and the remedy.
+"""
+
+import difflib
+import os
+from collections import Counter
+from collections.abc import Hashable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from uav_vslam.config.fleet import FleetConfig, LinkConfig, ReplayConfig
+from uav_vslam.config.nodes import LinkNodeConfig
+from uav_vslam.config.settings import build, flatten, flattened, plain
+from uav_vslam.config.vehicle import VehicleConfig
+from uav_vslam.errors import ConfigError
+
+ALL_NODES, PARAMETERS = "/**", "ros__parameters"
+
+
+def find_config(name: str) -> Path:
+    """Return the file that a name stands for: a path, or the name of a file in this project's `config` folder.
+
+    Raises:
+        ConfigError: there is neither.
+    """
+    beside = Path(__file__).resolve().parents[2] / "config"
+    prefixes = [
+        Path(prefix) / "share/uav_vslam/config" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":")
+    ]
+    candidates = [Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in [beside, *prefixes])]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    known = ", ".join(sorted(file.stem for file in beside.glob("*.yaml")))
+    raise ConfigError(f"configuration {name!r} is neither a file nor one of ours ({known})")
+
+
+def find_link(name: str) -> Path:
+    """Return the file of an emulated radio link: a path, or the name of a file in `config/links`.
+
+    Raises:
+        ConfigError: there is neither.
+    """
+    try:
+        return find_config(name if Path(name).is_file() else f"links/{name}")
+    except ConfigError:
+        ours = find_config("links/clean").parent.glob("*.yaml")
+        known = ", ".join(sorted(file.stem for file in ours))
+        raise ConfigError(f"link {name!r} is neither a file nor one of ours ({known})") from None
+
+
+def load_vehicle(path: Path | None, *, overrides: Mapping[str, Any] | None = None) -> VehicleConfig:
+    """Read a vehicle's parameter file; keys that are absent keep their defaults.
+
+    Args:
+        path: YAML file, or None for pure defaults.
+        overrides: {"backend.sigma_px": 0.5, ...}, applied last.
+
+    Raises:
+        ConfigError: the file can't be read, or a key or value is wrong.
+    """
+    values = {} if path is None else _read_parameters(path)
+    return build(VehicleConfig, values | dict(overrides or {}), where=str(path or "overrides"))
+
+
+def load_link(name: str) -> LinkConfig:
+    """Read the parameter file of an emulated radio link: a path, or the name of a file in `config/links`.
+
+    Raises:
+        ConfigError: the file can't be read, or a key or value is wrong.
+    """
+    path = find_link(name)
+    return build(LinkNodeConfig, _read_parameters(path), where=str(path)).link
+
+
+def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> FleetConfig:
+    """Read a fleet file: `vehicles: {uav1: {config: kagaru.yaml}}`, `replay: {bags: [...], rate: 0}`, `mode: wideband`.
+
+    Paths in it are relative to the file; overrides such as {"backend.sigma_px": 0.5} reach every vehicle.
+
+    Raises:
+        ConfigError: the file can't be read, a key or value is wrong, or a vehicle's name is used twice.
+    """
+    tree = _read_yaml(path)
+    _reject_unknown(tree, {"vehicles", "replay", "mode"}, where=str(path), prefix="")
+    if not isinstance(tree.get("vehicles"), dict) or not tree["vehicles"]:
+        raise ConfigError(
+            f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}"
+        )
+    shared = {"fusion.mode": tree["mode"]} if "mode" in tree else {}
+    vehicles = {
+        name: load_vehicle(_vehicle_file(path, name, entry), overrides={**shared, **(overrides or {})})
+        for name, entry in tree["vehicles"].items()
+    }
+    return FleetConfig(vehicles, _replay(path, tree.get("replay") or {}))
+
+
+def parameter_file(configs: Mapping[str, VehicleConfig]) -> dict[str, Any]:
+    """Return whole configurations, by the nodes that they are for ("/**", "/uav1/**"), as a ROS parameter file."""
+    return {nodes: {PARAMETERS: _tree(config)} for nodes, config in configs.items()}
+
+
+def _tree(config: VehicleConfig) -> dict[str, dict[str, Any]]:
+    tree: dict[str, dict[str, Any]] = {}
+    for name, value in flatten(config).items():
+        section, _, key = name.partition(".")
+        tree.setdefault(section, {})[key] = plain(value)
+    return tree
+
+
+def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:
+    """Return the parameter file that a fleet file names for a vehicle."""
+    if not (isinstance(name, str) and name.isascii() and name.isidentifier()):
+        raise ConfigError(f"{path}: vehicle name {name!r} must be a valid ROS namespace: letters, digits, underscores")
+    entry = entry or {}
+    if not (isinstance(entry, dict) and isinstance(entry.get("config") or "", str)):
+        raise ConfigError(f"{path}: vehicles.{name} = {entry!r} must look like {{config: kagaru.yaml}}")
+    _reject_unknown(entry, {"config"}, where=str(path), prefix=f"vehicles.{name}.")
+    return path.parent / entry["config"] if entry.get("config") else None
+
+
+def _replay(path: Path, tree: Any) -> ReplayConfig:
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: replay must hold keys and values, not {tree!r}")
+    replay = build(ReplayConfig, {str(key): value for key, value in tree.items()}, where=f"{path}: replay")
+    bags = tuple(path.parent / bag for bag in replay.bags)
+    return ReplayConfig(bags, replay.rate, replay.timeout_s)
+
+
+def _reject_unknown(keys: Iterable[Any], known: set[str], *, where: str, prefix: str) -> None:
+    for key in sorted(map(str, set(keys) - known)):
+        near = difflib.get_close_matches(key, known, n=1)
+        hint = f"did you mean {prefix}{near[0]}?" if near else f"known keys: {', '.join(sorted(known))}"
+        raise ConfigError(f"{where}: unknown key {prefix}{key}; {hint}")
+
+
+def _read_parameters(path: Path) -> dict[str, Any]:
+    """Return the values of a ROS parameter file for all nodes by dotted name."""
+    tree = _read_yaml(path)
+    if not tree:
+        return {}
+    inner = tree.get(ALL_NODES)
+    if set(tree) != {ALL_NODES} or not isinstance(inner, dict) or set(inner) != {PARAMETERS}:
+        raise ConfigError(
+            f"{path}: must be a ROS parameter file: put everything below '{ALL_NODES}:' and, indented, '{PARAMETERS}:'"
+        )
+    values = inner[PARAMETERS] or {}
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: {PARAMETERS} must hold keys and values, not {values!r}")
+    flat = list(flattened(values))
+    for name, count in Counter(name for name, _ in flat).items():
+        if count > 1:
+            raise ConfigError(f"{path}: key {name!r} is used twice")
+    return dict(flat)
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML silently lets a later key win; a vehicle named twice must not vanish like that."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                raise ConfigError(
+                    f"{node.start_mark.name}: key {key!r} must be a word (line {key_node.start_mark.line + 1})"
+                )
+            if key in seen:
+                raise ConfigError(
+                    f"{node.start_mark.name}: key {key!r} is used twice (line {key_node.start_mark.line + 1})"
+                )
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _read_yaml(path: Path) -> dict[Any, Any]:
+    try:
+        with path.open(encoding="utf-8") as stream:
+            tree = yaml.load(stream, Loader=_UniqueKeyLoader)
+    except OSError as error:
+        raise ConfigError(f"{path}: can't be read ({error.strerror}); give the path of a YAML file") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid YAML ({error})") from None
+    if tree is not None and not isinstance(tree, dict):
+        raise ConfigError(f"{path}: must hold keys and values, not {type(tree).__name__}")
+    return tree or {}

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of each ROS node: its own ones, and which of a vehicle's settings it uses."""
+
+from dataclasses import dataclass, field
+
+from uav_vslam.config.fleet import LinkConfig, ReplayConfig
+from uav_vslam.config.settings import Settings, all_settings, setting
+from uav_vslam.config.vehicle import VehicleConfig
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleNodeConfig(Settings):
+    """What each node of a vehicle has."""
+
+    vehicle: str = setting("", "name of the vehicle; empty: the node's namespace")
+
+
+@dataclass(frozen=True, slots=True)
+class BackendNodeConfig(VehicleNodeConfig):
+    """Of slam_backend."""
+
+    session: int = setting(0, "number of this start of the vehicle; 0: a later one than the last", at_least=0)
+
+
+@dataclass(frozen=True, slots=True)
+class FusionNodeConfig(VehicleNodeConfig):
+    """Of fusion."""
+
+    peers: tuple[str, ...] = setting((), "names of the other vehicles")
+    radio_domain_id: int = setting(-1, "ROS domain of the radio; -1: the vehicle's own", at_least=-1, at_most=232)
+    radio_peers: tuple[str, ...] = setting((), "addresses of the other vehicles on the radio's domain")
+    radio_interface: str = setting("", "network interface whose traffic is reported; empty for none")
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayNodeConfig(ReplayConfig):
+    """Of replay."""
+
+    vehicles: tuple[str, ...] = setting((), "names of the vehicles; empty: all in the recordings")
+    wait_for: tuple[str, ...] = setting(
+        ("odometry", "fused/odometry"), "topics of each vehicle that answer a frame; they pace lock-step"
+    )
+    finding_start: tuple[str, ...] = setting((), "vehicles that find their start state themselves")
+
+
+@dataclass(frozen=True, slots=True)
+class LinkNodeConfig(Settings):
+    """Of link_emulator."""
+
+    vehicles: tuple[str, ...] = setting((), "names of the vehicles, two or more")
+    link: LinkConfig = field(default_factory=LinkConfig)
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderNodeConfig(Settings):
+    """Of recorder."""
+
+    output: str = setting("", "folder to make")
+    vehicles: tuple[str, ...] = setting((), "names of the vehicles")
+
+
+@dataclass(frozen=True, slots=True)
+class NodeParameters:
+    """What a node declares.
+
+    Attributes:
+        own: class of its own parameters.
+        uses: sections ("backend") and single settings ("fusion.epoch_s") of a vehicle's configuration.
+    """
+
+    own: type[Settings]
+    uses: tuple[str, ...] = ()
+
+    @property
+    def used_names(self) -> list[str]:
+        """Dotted names of the vehicle's settings that the node uses."""
+        return [name for name in all_settings(VehicleConfig) if {name, name.partition(".")[0]} & set(self.uses)]
+
+
+NODES: dict[str, NodeParameters] = {
+    "stereo_frontend": NodeParameters(VehicleNodeConfig, ("rig", "frontend")),
+    "ins_propagator": NodeParameters(VehicleNodeConfig, ("start", "imu")),
+    "slam_backend": NodeParameters(
+        BackendNodeConfig, ("start", "imu", "rig", "backend", "frontend.ratio", "fusion.epoch_s")
+    ),
+    "fusion": NodeParameters(FusionNodeConfig, ("fusion", "frontend.extractor")),
+    "replay": NodeParameters(ReplayNodeConfig),
+    "link_emulator": NodeParameters(LinkNodeConfig),
+    "recorder": NodeParameters(RecorderNodeConfig),
+}

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a setting is: a dataclass field that carries its text, unit and range, and the checks made from them.
+
+    sigma_px: float = setting(1.0, "standard deviation of each pixel coordinate", unit="px", above=0, live=True)
+
+From this one line come validation, the ROS parameter's descriptor and the reference page.
+"""
+
+import dataclasses
+import difflib
+import functools
+import math
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from uav_vslam.errors import ConfigError
+
+Value = typing.TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What is known of a setting besides its name.
+
+    Attributes:
+        text: what it means, one line.
+        unit: of a number; empty for none.
+        above, at_least, below, at_most: range of a number, open or closed; None for no bound.
+        choices: what a text may be; empty for any.
+        live: it can change while the node runs.
+        kind: declared type.
+        default: value unless set.
+    """
+
+    text: str
+    unit: str = ""
+    above: float | None = None
+    at_least: float | None = None
+    below: float | None = None
+    at_most: float | None = None
+    choices: tuple[str, ...] = ()
+    live: bool = False
+    kind: Any = None
+    default: Any = None
+
+    @property
+    def description(self) -> str:
+        """Text and unit."""
+        return f"{self.text} [{self.unit}]" if self.unit else self.text
+
+    @property
+    def range(self) -> str:
+        """What may be set, without the unit."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        words = {"above": self.above, "of at least": self.at_least, "below": self.below, "at most": self.at_most}
+        bounds = " and ".join(f"{word} {bound:g}" for word, bound in words.items() if bound is not None)
+        return f"{KINDS[self.kind]} {bounds}".strip()
+
+    @property
+    def allowed(self) -> str:
+        """What may be set, with the unit."""
+        return f"{self.range} [{self.unit}]" if self.unit else self.range
+
+    def accepted(self, value: Any) -> Any:
+        """Return the value as the declared type: a whole number, or a text such as "1e-3", may stand for a float.
+
+        Raises:
+            ValueError: it has another type or is out of range.
+        """
+        value = _converted(value, self.kind)
+        if self.choices and value not in self.choices:
+            raise ValueError
+        outside = (
+            (self.above is not None and not value > self.above)
+            or (self.at_least is not None and not value >= self.at_least)
+            or (self.below is not None and not value < self.below)
+            or (self.at_most is not None and not value <= self.at_most)
+        )
+        if outside:
+            raise ValueError
+        return value
+
+
+KINDS: dict[Any, str] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a text",
+    tuple[float, ...]: "a list of numbers",
+    tuple[str, ...]: "a list of texts",
+    tuple[Path, ...]: "a list of paths",
+}
+
+
+def setting(
+    default: Value,
+    text: str,
+    *,
+    unit: str = "",
+    above: float | None = None,
+    at_least: float | None = None,
+    below: float | None = None,
+    at_most: float | None = None,
+    choices: typing.Iterable[str] = (),
+    live: bool = False,
+) -> Value:
+    """Declare a field of a configuration class; the arguments are the attributes of `Setting`."""
+    described = Setting(text, unit, above, at_least, below, at_most, tuple(choices), live, default=default)
+    return dataclasses.field(default=default, metadata={"setting": described})
+
+
+class Settings:
+    """Base of the configuration classes: every value is checked, and brought to its declared type, when one is made."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        cls: type = type(self)
+        for name, described in own_settings(cls).items():
+            value = getattr(self, name)
+            try:
+                object.__setattr__(self, name, described.accepted(value))
+            except ValueError:
+                refuse(name, value, described.allowed)
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Refuse values that do not go with each other."""
+
+
+def refuse(name: str, value: Any, allowed: str) -> typing.NoReturn:
+    """Raise `ConfigError` for a value, saying what is allowed."""
+    raise ConfigError(f"{name} = {value!r} is not allowed; use {allowed}")
+
+
+@functools.cache
+def own_settings(cls: Any) -> dict[str, Setting]:
+    """Return the settings of a configuration class by name, without those of its sections."""
+    hints = typing.get_type_hints(cls)
+    return {
+        f.name: dataclasses.replace(f.metadata["setting"], kind=hints[f.name])
+        for f in dataclasses.fields(cls)
+        if "setting" in f.metadata
+    }
+
+
+@functools.cache
+def sections(cls: Any) -> dict[str, type]:
+    """Return the classes of a configuration class's sections by name."""
+    hints = typing.get_type_hints(cls)
+    return {f.name: hints[f.name] for f in dataclasses.fields(cls) if dataclasses.is_dataclass(hints[f.name])}
+
+
+def all_settings(cls: type, prefix: str = "") -> dict[str, Setting]:
+    """Return the settings of a class and its sections by dotted name ("backend.sigma_px")."""
+    found = {prefix + name: described for name, described in own_settings(cls).items()}
+    for name, section in sections(cls).items():
+        found |= all_settings(section, f"{prefix}{name}.")
+    return found
+
+
+def flatten(config: Any) -> dict[str, Any]:
+    """Return the values of a configuration by dotted name."""
+    return {name: functools.reduce(getattr, name.split("."), config) for name in all_settings(type(config))}
+
+
+def differences(config: Any) -> dict[str, Any]:
+    """Return the values that differ from the defaults, by dotted name, as plain data."""
+    defaults = flatten(type(config)())
+    return {name: plain(value) for name, value in flatten(config).items() if value != defaults[name]}
+
+
+def plain(value: Any) -> Any:
+    """Return a value as YAML, JSON and ROS parameters have it: lists for tuples, text for paths."""
+    if isinstance(value, tuple):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def replaced(config: Value, changes: Mapping[str, Any], *, where: str) -> Value:
+    """Return a configuration with some values, by dotted name, changed.
+
+    Raises:
+        ConfigError: an unknown name, or a value that is not allowed, alone or with the others.
+    """
+    return build(type(config), flatten(config) | dict(changes), where=where)
+
+
+def build(cls: type[Value], values: Mapping[str, Any], *, where: str) -> Value:
+    """Make a configuration from values by dotted name; those absent keep their defaults.
+
+    Raises:
+        ConfigError: an unknown name (with the nearest known one), or a value that is not allowed.
+    """
+    check_names(values, cls, where=where)
+    try:
+        return typing.cast(Value, _built(cls, values, ""))
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def check_names(values: Mapping[str, Any], *classes: type, where: str) -> None:
+    """Refuse names that are settings of none of the classes."""
+    known = {name for cls in classes for name in all_settings(cls)}
+    parts = {name.partition(".")[0] for name in known if "." in name}
+    for name, value in values.items():
+        if name in parts and value not in (None, {}):
+            raise ConfigError(f"{where}: {name} must hold keys and values, not {value!r}")
+        if name not in known | parts:
+            raise ConfigError(f"{where}: unknown key {name}; {_hint(name, known, parts)}")
+
+
+def _hint(name: str, known: set[str], parts: set[str]) -> str:
+    same_end = [key for key in sorted(known) if key.endswith(f".{name}")]
+    near = difflib.get_close_matches(name, sorted(known | parts), n=1) or same_end
+    return f"did you mean {near[0]}?" if near else f"known keys: {', '.join(sorted(parts or known))}"
+
+
+def _built(cls: type, values: Mapping[str, Any], prefix: str) -> Any:
+    inner = {name: _built(section, values, f"{prefix}{name}.") for name, section in sections(cls).items()}
+    own = {name: values[prefix + name] for name in own_settings(cls) if prefix + name in values}
+    try:
+        return cls(**inner, **own)
+    except ConfigError as error:
+        raise ConfigError(f"{prefix}{error}") from None
+
+
+def flattened(tree: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield dotted name and value of everything in nested data; an empty section as itself."""
+    for key, value in tree.items():
+        if isinstance(value, dict) and value:
+            yield from flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _converted(value: Any, kind: Any) -> Any:
+    """Return a value as a type; ValueError where it can't stand for one."""
+    if typing.get_origin(kind) is tuple:
+        if not isinstance(value, list | tuple):
+            raise ValueError
+        item = typing.get_args(kind)[0]
+        return tuple(_converted(one, item) for one in value if one != "")  # ROS can't type an empty list: [""]
+    if kind is Path and isinstance(value, str | Path):
+        return Path(value)
+    if kind is float and isinstance(value, int | str) and not isinstance(value, bool):
+        value = float(value)  # YAML reads 1e-3 as text
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+        raise ValueError
+    if kind is float and not math.isfinite(value):
+        raise ValueError
+    return value

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The settings of one vehicle: the one home of their defaults, units and ranges."""
+
+from dataclasses import dataclass, field
+
+from uav_vslam.config.imu import ImuConfig
+from uav_vslam.config.settings import Settings, refuse, setting
+
+START_METHODS = ("given", "static", "in_flight")
+
+
+@dataclass(frozen=True, slots=True)
+class StartConfig(Settings):
+    """How a vehicle gets its start state."""
+
+    method: str = setting(
+        "given",
+        "given: topic initial_state; static: gravity at rest; in_flight: gravity and stereo odometry",
+        choices=START_METHODS,
+    )
+    rest_s: float = setting(1.0, "static: time over which readings are averaged", unit="s", above=0)
+    velocity_sigma: float = setting(
+        5.0, "in_flight: prior standard deviation of the start's velocity, per axis", unit="m/s", above=0
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RigConfig(Settings):
+    """How far the calibration may be trusted: the attitude of the right camera, and the cameras' clock."""
+
+    flexing: bool = setting(False, "the cameras' relative attitude drifts and vibrates, so it is estimated")
+    attitude_sigma_deg: float = setting(
+        0.05, "flexing: slow part at the start, per axis; best twice what is expected", unit="deg", at_least=0
+    )
+    attitude_walk_deg: float = setting(0.001, "flexing: random walk of the slow part", unit="deg/sqrt(s)", at_least=0)
+    vibration_sigma_deg: float = setting(
+        0.05, "flexing: part that is independent in each frame, rms per axis", unit="deg", at_least=0
+    )
+    rigid_sigma_deg: float = setting(
+        5.0e-4, "not flexing: what calibration left; small, but data can contradict it", unit="deg", at_least=0
+    )
+    time_offset_sigma_s: float = setting(
+        0.0, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
+    )
+
+
+# The names in vision.features.EXTRACTORS.
+EXTRACTORS = ("sift", "asift", "surf", "dsift", "phow_rgb", "phow_hsv", "phow_opponent", "orb")
+SIFT_EXTRACTORS = ("sift", "asift", "dsift")  # with SIFT descriptors of 128 bytes
+FRONTEND_METHODS = ("klt", "sift")  # the names in vision.frontends.FRONTENDS
+
+
+@dataclass(frozen=True, slots=True)
+class FrontendConfig(Settings):
+    """Stereo features."""
+
+    method: str = setting(
+        "klt",
+        "klt: points are detected every few frames and tracked; sift: each pair is detected and matched",
+        choices=FRONTEND_METHODS,
+    )
+    extractor: str = setting(
+        "sift", "detector and descriptor; dsift and phow_* use a grid, too coarse for a map", choices=EXTRACTORS
+    )
+    search_scale: float = setting(
+        0.25, "klt: factor by which images are shrunk for detection (INTER_AREA)", at_least=0.1, at_most=1
+    )
+    max_tracks: int = setting(300, "klt: points that are tracked", at_least=1)
+    scale: float = setting(
+        0.5, "sift: factor by which images are shrunk for detection (INTER_AREA)", at_least=0.1, at_most=1
+    )
+    max_features: int = setting(1000, "keypoints kept per image, strongest first", at_least=1)
+    contrast_threshold: float = setting(
+        0.01, "SIFT contrast threshold (OpenCV's default 0.04 finds too little on grass)", at_least=0
+    )
+    ratio: float = setting(0.8, "sift: nearest / second-nearest descriptor distance, left to right", above=0, at_most=1)
+    epipolar_px: float = setting(
+        2.0,
+        "largest distance to the epipolar line, full-resolution pixels; wider if rig.flexing",
+        unit="px",
+        above=0,
+        live=True,
+    )
+    min_depth_m: float = setting(0.3, "nearer points are rejected", unit="m", above=0, live=True)
+    max_depth_m: float = setting(500.0, "farther points are rejected", unit="m", above=0, live=True)
+    max_matches: int = setting(400, "sift: stereo points passed on, spread over the image", at_least=1)
+
+    def _check_together(self) -> None:
+        if not self.min_depth_m < self.max_depth_m:
+            refuse("min_depth_m", self.min_depth_m, f"a depth below max_depth_m, which is {self.max_depth_m:g}")
+
+
+FILTERS = ("eif", "ekf", "ukf", "uhf", "thesis_ukf", "thesis_uhf")  # the names in estimation.filters.FILTERS
+STATE_MODELS = ("ri15", "so15", "euler9")  # the names in estimation.models.MODELS
+# The names in slam.map_manager.RETENTION.
+RETENTION_POLICIES = ("grid", "most_observed", "none", "first_last", "largest_covariance")
+ASSOCIATIONS = (  # the names in association.ASSOCIATORS
+    "gated",
+    "gated_classification",
+    "classification",
+    "nn",
+    "ransac",
+    "gtm",
+    "hgtm",
+    "gated_ransac",
+    "gated_gtm",
+    "gated_hgtm",
+    "cds",
+    "coarse_fine",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class BackendConfig(Settings):
+    """The own-only filter and its map."""
+
+    filter: str = setting("eif", "filter", choices=FILTERS)
+    model: str = setting(
+        "ri15", "state and error coordinates; ri15: right-invariant; euler9: the thesis's", choices=STATE_MODELS
+    )
+    gamma: float = setting(
+        100.0, "bound of the unscented H-infinity filter: smaller is more cautious, raised where infeasible", above=0
+    )
+    sigma_px: float = setting(1.0, "standard deviation of each stereo pixel coordinate", unit="px", above=0, live=True)
+    depth_sigma_ratio: float = setting(
+        0.043, "relief / height, smooths the depth in the Jacobian; 0: off (indoors)", at_least=0
+    )
+    association: str = setting("gated", "data association", choices=ASSOCIATIONS)
+    min_descriptor_ratio: float = setting(
+        0.85, "nearest / second-nearest descriptor distance inside the gate", above=0, at_most=1
+    )
+    gate_probability: float = setting(
+        0.99, "of the chi-square gate on a predicted observation", above=0, below=1, live=True
+    )
+    robust: bool = setting(
+        True, "observations that fit badly after the update are down-weighted (Huber), the update repeated"
+    )
+    pnp_px: float = setting(4.0, "reprojection error of a PnP inlier", unit="px", above=0)
+    redetection_px: float = setting(
+        0.0, "standard deviation between two detections of one place, long apart", unit="px", at_least=0
+    )
+    min_revisited: int = setting(2, "long-unseen landmarks with wide gates are used only if so many agree", at_least=1)
+    pnp_beyond_px: float = setting(
+        8.0,
+        "PnP checks the matches when the median predicted 1-sigma is wider than this; 0: always",
+        unit="px",
+        at_least=0,
+    )
+    max_observations: int = setting(100, "updates a frame, spread over the image", at_least=1, live=True)
+    max_new_landmarks: int = setting(40, "landmarks added a frame", at_least=0)
+    max_in_view: int = setting(120, "with so many landmarks in view no new ones are added", at_least=1)
+    max_landmarks: int = setting(200, "landmarks in the state, retained ones included", at_least=1)
+    retention: str = setting("grid", "which landmarks out of view are kept", choices=RETENTION_POLICIES)
+    retention_cell_m: float = setting(25.0, "grid: one retained landmark per cell of this size", unit="m", above=0)
+
+    def _check_together(self) -> None:
+        if self.max_landmarks < self.max_in_view:
+            refuse("max_landmarks", self.max_landmarks, f"at least max_in_view, which is {self.max_in_view}")
+
+
+FUSION_SCHEMES = ("split_ci", "full_ci", "overlay", "inverse_ci")
+FUSION_WEIGHTS = ("position_trace", "trace", "determinant", "niehsen", "franken_hupper")
+# Communication modes, and what a vehicle may send in each: payload, before DDS, UDP and IP [B/s].
+MODE_BUDGETS = {"wideband": 100_000, "narrowband": 900, "none": 0}
+MAX_PACKET_LANDMARKS = 400  # a packet that claims more is rejected: checking it costs the cube
+
+
+@dataclass(frozen=True, slots=True)
+class FusionConfig(Settings):
+    """Cooperation with peers."""
+
+    mode: str = setting("wideband", "communication mode", choices=MODE_BUDGETS, live=True)
+    budget_bytes_per_s: int = setting(
+        0, "payload that is sent at most; 0: as much as the mode allows", unit="B/s", at_least=0, live=True
+    )
+    silent_after_s: float = setting(
+        5.0, "a peer whose newest packet is older is reported as silent", unit="s", above=0, live=True
+    )
+    epoch_s: float = setting(
+        1.0,
+        "whenever a stamp passes a multiple: a fusion, and a packet (narrowband: two of three)",
+        unit="s",
+        above=0,
+    )
+    scheme: str = setting("split_ci", "how packets are fused", choices=FUSION_SCHEMES)
+    weighing: str = setting(
+        "position_trace", "what the own weight of a covariance intersection minimises", choices=FUSION_WEIGHTS
+    )
+    prior_id: str = setting("", "hash of a loaded map or shared survey that the start state rests on; empty for none")
+    common_origin: bool = setting(
+        True, "all maps began at one known point and heading; otherwise each peer's frame is estimated"
+    )
+    # Feedback pays where some vehicles are out of each other's range (ends of a row of three: ATE 0.61 instead of 0.68
+    # of that alone); it triples a pair's time and gains it nothing.
+    feedback: bool = setting(False, "wideband: send each peer the fused estimate of its landmarks", live=True)
+    relay: bool = setting(False, "forward peers' packets unchanged to those out of their range", live=True)
+    memory_landmarks: int = setting(
+        40, "shared landmarks that are remembered after they have left the filter's state", at_least=0
+    )
+    max_packet_landmarks: int = setting(
+        64, "landmarks in one packet", at_least=1, at_most=MAX_PACKET_LANDMARKS, live=True
+    )
+    ratio: float = setting(0.8, "descriptor ratio test between vehicles, before the gate", above=0, at_most=1)
+    gate_probability: float = setting(0.99, "of the chi-square gate on a common landmark", above=0, below=1)
+    min_common: int = setting(2, "pairs that must agree with each other before any is used", at_least=1)
+    floor_sigma_m: float = setting(
+        0.3,
+        "added to each packet landmark: two descriptors rarely show exactly the same point",
+        unit="m",
+        at_least=0,
+    )
+    fleet_key_file: str = setting(
+        "", "secret of 16 bytes or more that the fleet shares: packets without its tag are dropped"
+    )
+    signing_key_file: str = setting("", "instead: this vehicle's own Ed25519 key (PEM)")
+    peer_keys_folder: str = setting("", "with it: <vehicle>.pem, the public key of every vehicle")
+
+    def _check_together(self) -> None:
+        if self.fleet_key_file and self.signing_key_file:
+            refuse("fleet_key_file", self.fleet_key_file, "either a fleet key or signing keys")
+        if bool(self.signing_key_file) != bool(self.peer_keys_folder):
+            refuse("peer_keys_folder", self.peer_keys_folder, "signing_key_file and peer_keys_folder together")
+
+    @property
+    def returns_feedback(self) -> bool:
+        """Whether peers receive the fused estimate of their landmarks: not where each byte counts."""
+        return self.feedback and self.mode == "wideband"
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleConfig(Settings):
+    """Everything that one vehicle's nodes, or its offline twin, need besides calibration and start state."""
+
+    start: StartConfig = field(default_factory=StartConfig)
+    imu: ImuConfig = field(default_factory=ImuConfig)
+    rig: RigConfig = field(default_factory=RigConfig)
+    frontend: FrontendConfig = field(default_factory=FrontendConfig)
+    backend: BackendConfig = field(default_factory=BackendConfig)
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+
+    def _check_together(self) -> None:
+        if self.fusion.mode == "narrowband" and self.frontend.extractor not in SIFT_EXTRACTORS:
+            allowed = f"one of {', '.join(SIFT_EXTRACTORS)} in narrowband mode, whose descriptors are made of SIFT's"
+            refuse("frontend.extractor", self.frontend.extractor, allowed)
