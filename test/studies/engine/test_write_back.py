@@ -181,6 +181,7 @@ def test_own_maps_hold_nothing_that_peers_wrote_and_fused_ones_do(sends_own: boo
         packets: list[Shared] = []
 
         def noted(own: Filter, rows: NDArray[np.int64], told: Shared, before: Shared | None) -> None:
+            assert not np.allclose(told.positions, own.landmarks[rows], atol=0.01)  # it is the peer's map
             packets.append(told)
             write(own, rows, told, before)
 
