@@ -5,7 +5,7 @@ import pytest
 
 from uav_vslam.config import FrontendConfig, VehicleConfig
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.studies.engine.flights import Method, run_study, with_backend
+from uav_vslam.studies.engine.flights import TRACKS, Method, Outcome, _rows, run_study, with_backend
 
 SHORT = Scenario(frames=25)
 FIELDS = {
@@ -42,6 +42,20 @@ def test_ratios_belong_to_their_own_method(rows):
     assert math.isclose(own["end_ratio_to_ins"], own["end_rms_m"] / ins["end_rms_m"])
     assert math.isclose(fused["ratio_to_s_slam"], fused["ate_rms_m"] / own["ate_rms_m"])
     assert rows[3]["ratio_to_s_slam"] == 1.0
+
+
+def test_ratio_and_nees_have_their_interval_over_the_seeds():
+    method = Method("ri15", "landmarks", SHORT)
+
+    def outcome(seed: int, fused_m: float, nees: float) -> Outcome:
+        tracks = {"ins": {"ate_m": 9.0}, "s_slam": {"ate_m": 2.0}, "c_slam": {"ate_m": fused_m, "nees_position": nees}}
+        return Outcome(method, seed, {name: {"uav1": of} for name, of in tracks.items()}, ms_per_frame=1.0)
+
+    outcomes = [outcome(1, 1.0, 0.5), outcome(2, 1.6, 0.5), outcome(3, 1.0, 2.0)]
+    ins, _, fused = _rows(method, outcomes, TRACKS)
+    assert (fused["ratio_low"], fused["ratio_high"]) == pytest.approx((0.5, 0.8))  # all draws of one seed
+    assert (fused["nees_position_low"], fused["nees_position_high"]) == pytest.approx((0.5, 2.0))
+    assert "nees_position_low" not in ins
 
 
 def test_every_frame_is_processed_and_nothing_fails(rows):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig, RigConfig, VehicleConfig, find_config, load_vehicle
 from uav_vslam.errors import UavVslamError
@@ -20,7 +21,7 @@ from uav_vslam.offline import FlightSource, flight_result, fly
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
+from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, ratio, ratio_interval, rms
 from uav_vslam.types import StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
@@ -189,8 +190,10 @@ def _rows(method: Method, outcomes: list[Outcome], tracks: Sequence[str]) -> lis
             "end_rms_m": errors[track, "end_m"],
             "ate_rms_m": errors[track, "ate_m"],
             "ratio_to_s_slam": ratio(errors[track, "ate_m"], errors["s_slam", "ate_m"]),
+            **ratio_interval(_of_seeds(good, "s_slam", "ate_m") ** 2, _of_seeds(good, track, "ate_m") ** 2),
             "end_ratio_to_ins": ratio(errors[track, "end_m"], errors["ins", "end_m"]),
             "nees_position": mean(_values(good, track, "nees_position")),
+            **mean_interval("nees_position", _of_seeds(good, track, "nees_position", mean)),
             "processed_share": mean([outcome.processed for outcome in good]),
             "failures": len(outcomes) - len(good),
             "runs": len(outcomes),
@@ -203,6 +206,13 @@ def _rows(method: Method, outcomes: list[Outcome], tracks: Sequence[str]) -> lis
 def _values(outcomes: list[Outcome], track: str, key: str) -> list[float]:
     found = [v.get(key) for o in outcomes for v in (o.figures or {}).get(track, {}).values()]
     return [float(value) for value in found if value is not None]
+
+
+def _of_seeds(
+    outcomes: list[Outcome], track: str, key: str, pool: Callable[[Sequence[float]], float | None] = rms
+) -> NDArray[np.float64]:
+    """Return (S,) figures of each seed, pooled over its vehicles; NaN where there are none."""
+    return np.array([pool(_values([outcome], track, key)) for outcome in outcomes], dtype=np.float64)
 
 
 def kagaru_configs(variants: Mapping[str, dict[str, object]]) -> dict[str, VehicleConfig]:
