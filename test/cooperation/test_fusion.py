@@ -479,14 +479,14 @@ def test_the_packet_of_last_time_is_not_used_where_it_shares_less_than_the_newes
         assert fusion.fuse(own).common == {"uav2": shared}
 
 
-def test_only_landmarks_of_the_belief_are_counted_as_shown(own) -> None:
+def test_only_landmarks_of_the_estimate_are_counted_as_sent(own) -> None:
     """A flight leaves ever more landmarks behind; their counts must not fill the memory."""
     fusion = Fusion("uav1", EXACT)
     for first in (0, 100, 200):
         joint = dataclasses.replace(own, ids=np.arange(first, first + COUNT, dtype=np.uint32))
         fusion.fuse(joint)
         fusion.packet(joint)
-        assert set(fusion._shown) <= set(joint.ids.tolist())
+        assert set(fusion._times_sent) <= set(joint.ids.tolist())
 
 
 def test_a_restart_withdraws_the_packet_of_last_time_too(own, peer_packet, make_joint) -> None:
