@@ -297,18 +297,18 @@ def test_the_exchange_follows_its_parameters(fly: Callable[..., Flight]) -> None
     returned = flight.others.create_subscription(LandmarkInformation, "/uav2/fusion/feedback", lambda _: None, STATE)
     assert flight.spin(lambda: subscription.get_publisher_count() > 0)
     assert flight.epoch(1).packets_sent == 1
-    assert flight.spin(lambda: flight.heard)
-    assert len(flight.heard[-1].ids) == 6
+    assert flight.spin(lambda: flight.received)
+    assert len(flight.received[-1].ids) == 6
 
     assert flight.set("fusion.max_packet_landmarks", 2).successful
     flight.epoch(2)
-    assert flight.spin(lambda: len(flight.heard) == 2)
-    assert len(flight.heard[-1].ids) == 2
+    assert flight.spin(lambda: len(flight.received) == 2)
+    assert len(flight.received[-1].ids) == 2
 
     assert flight.set("fusion.relay", True).successful
     publisher.publish(flight.packet(2, of="uav3"))
-    assert flight.spin(lambda: len(flight.heard) == 3)
-    assert flight.heard[-1].vehicle == "uav3"
+    assert flight.spin(lambda: len(flight.received) == 3)
+    assert flight.received[-1].vehicle == "uav3"
 
     publisher.publish(flight.packet(2))
     assert flight.spin(lambda: flight.newest_ns() == 2 * NS_PER_S)
