@@ -221,7 +221,7 @@ def test_fusion_writes_nothing_back(own, peer_packet) -> None:
     first = fusion.fuse(own)
     np.testing.assert_array_equal(own.information, before[0])
     np.testing.assert_array_equal(own.positions, before[1])
-    second = fusion.fuse(own)  # the same packet again, on the same own belief: the overlay is made anew
+    second = fusion.fuse(own)  # the same packet again, on the same own belief: the epoch is fused afresh
     np.testing.assert_array_equal(first.pose.covariance, second.pose.covariance)
     np.testing.assert_array_equal(first.positions, second.positions)
 

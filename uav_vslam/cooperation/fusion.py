@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.authentication import authentication_for
 from uav_vslam.cooperation.common_landmarks import comparable
+from uav_vslam.cooperation.epoch_fusion import EpochFusion
 from uav_vslam.cooperation.fused_pose import FusedEpoch, carried
 from uav_vslam.cooperation.inbox import Inbox
 from uav_vslam.cooperation.memory import LandmarkMemory
-from uav_vslam.cooperation.overlay import Overlay
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
 from uav_vslam.estimation.belief import state_rows
 from uav_vslam.numerics import inverse_spd, submatrix
@@ -118,22 +118,22 @@ class Fusion:
             self._shared, self._offered, self._times_sent = set(), set(), Counter()
         self.belief = self._memory.extended(joint, self._shared, self._offered)
         config = self._config
-        overlay = Overlay(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
+        fusing = EpochFusion(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
         self._told.clear()
         for peer, newest in self._newest(self.inbox):
             if not comparable(joint.descriptors, newest):
                 self.inbox.peers[peer].dropped["descriptor_size"] += 1
                 continue
-            packet, pairs = self._chosen(overlay, newest)
+            packet, pairs = self._chosen(fusing, newest)
             self._note(peer, packet, len(pairs))
-            overlay.common[peer] = len(pairs)
-            overlay.add(packet, pairs, self.frame(peer))
+            fusing.common[peer] = len(pairs)
+            fusing.add(packet, pairs, self.frame(peer))
             if len(pairs):
                 self._told[peer] = packet.source, pairs[:, 0], packet.ids[pairs[:, 1]]
         for peer, packet in self._newest(self.returned):
-            overlay.add(packet, self._named(overlay, packet), self.frame(peer))
-        self._shared = self._shared & set(self.belief.ids.tolist()) | overlay.matched
-        self.epoch = overlay.epoch()
+            fusing.add(packet, self._named(fusing, packet), self.frame(peer))
+        self._shared = self._shared & set(self.belief.ids.tolist()) | fusing.matched
+        self.epoch = fusing.epoch()
         return self.epoch
 
     def frame(self, peer: str) -> PeerFrame:
@@ -157,38 +157,38 @@ class Fusion:
             if packet is not None:
                 yield peer, packet
 
-    def _chosen(self, overlay: Overlay, newest: LandmarkPacket) -> tuple[LandmarkPacket, Pairs]:
+    def _chosen(self, fusing: EpochFusion, newest: LandmarkPacket) -> tuple[LandmarkPacket, Pairs]:
         """Return the one packet of a peer that is used: the newest, or the one of last time if only that shares enough.
 
         Not while a frame has to be found: that takes every packet once, in order.
         """
-        pairs, last = self._common(overlay, newest), self._used.get(newest.vehicle)
+        pairs, last = self._common(fusing, newest), self._used.get(newest.vehicle)
         another = last is not None and last is not newest and last.session == newest.session
         if last is not None and another and len(pairs) < ENOUGH_SHARED and self._config.common_origin:
-            before = self._common(overlay, last)
+            before = self._common(fusing, last)
             if len(before) > len(pairs):
                 return last, before
         self._used[newest.vehicle] = newest
         return newest, pairs
 
-    def _common(self, overlay: Overlay, packet: LandmarkPacket) -> Pairs:
+    def _common(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
         """Return (K, 2) rows of own landmarks and of the packet that show the same."""
-        covariance, descriptors = overlay.landmark_covariance, overlay.joint.descriptors
-        return self.frame(packet.vehicle).find_common(overlay.positions, covariance, descriptors, packet)
+        covariance, descriptors = fusing.landmark_covariance, fusing.joint.descriptors
+        return self.frame(packet.vehicle).find_common(fusing.positions, covariance, descriptors, packet)
 
-    def _named(self, overlay: Overlay, packet: LandmarkPacket) -> Pairs:
+    def _named(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
         """Return (K, 2) rows of own landmarks and of feedback, which names them in the peer's frame.
 
         None where it is for another vehicle, for an earlier start of this one, or of an earlier start of the peer.
         """
-        nothing, addressee = np.zeros((0, 2), np.intp), overlay.joint.source
+        nothing, addressee = np.zeros((0, 2), np.intp), fusing.joint.source
         record = self.inbox.peers.get(packet.vehicle)
         ended = record is not None and record.arrived[-1].session != packet.session
         if packet.other_sources[:1] != (addressee,) or ended:
             return nothing
-        _, own, theirs = np.intersect1d(overlay.joint.ids, packet.ids, return_indices=True)
+        _, own, theirs = np.intersect1d(fusing.joint.ids, packet.ids, return_indices=True)
         pairs = np.column_stack([own, theirs])
-        return self.frame(packet.vehicle).agreeing(overlay.positions, overlay.landmark_covariance, packet, pairs)
+        return self.frame(packet.vehicle).agreeing(fusing.positions, fusing.landmark_covariance, packet, pairs)
 
     def _note(self, peer: str, packet: LandmarkPacket, common: int) -> None:
         record = self.inbox.peers[peer]

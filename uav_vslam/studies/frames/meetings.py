@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.alignment import Alignment
+from uav_vslam.cooperation.epoch_fusion import EpochFusion
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.cooperation.overlay import Overlay
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.studies.engine.apart import Flown
 from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
@@ -43,10 +43,10 @@ class RecordingFusion(Fusion):
         super().__init__(vehicle, config)
         self.meetings: list[Meeting] = []
 
-    def _common(self, overlay: Overlay, packet: LandmarkPacket) -> Pairs:
-        pairs = super()._common(overlay, packet)
+    def _common(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
+        pairs = super()._common(fusing, packet)
         alignment = self.frame(packet.vehicle).alignment
-        self.meetings.append(Meeting(overlay.joint, packet, pairs, alignment))
+        self.meetings.append(Meeting(fusing.joint, packet, pairs, alignment))
         return pairs
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The own belief of one epoch while peers' packets are laid over it; what went in decides how the next may go in."""
+"""The fusion of one epoch: the own belief while peers' packets enter it; what entered decides how the next may."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 Pairs = NDArray[np.intp]
 
 
-class Overlay:
-    """Begins with the own belief alone.
+class EpochFusion:
+    """Starts with the own belief alone; every scheme fuses in it.
 
     Attributes:
         joint: the own belief.
@@ -66,7 +66,7 @@ class Overlay:
         self._priors |= {packet.prior_id} - {""}
 
     def epoch(self) -> FusedEpoch:
-        """Return what has come of it."""
+        """Return the result."""
         joint, total = self.joint, self._belief.total
         return FusedEpoch(
             own=PoseEstimate(joint.stamp_ns, joint.T_map_body, self._own_covariance),
