@@ -79,6 +79,17 @@ def test_fusion_is_consistent_for_any_correlation(seed: int, independent_share: 
     assert np.linalg.eigvalsh(fused.P.dependent)[0] >= -ROUNDING * trace(fused.P.total)
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_the_independent_share_is_what_the_gain_makes_of_both_independent_shares(seed: int) -> None:
+    """Next time it adds, so that it must hold nothing of the dependent ones: (I - K E) P (I - K E)^T + K R K^T."""
+    rng = np.random.default_rng(seed)
+    own, peer = Split(spd(rng, OWN), spd(rng, OWN)), Split(spd(rng, PEER), spd(rng, PEER))
+    fused, K = split_covariance_intersection(own, E, np.zeros(PEER), peer), gain(own, peer)
+    A = np.eye(OWN) - K @ E
+    expected = A @ own.independent @ A.T + K @ peer.independent @ K.T
+    np.testing.assert_allclose(fused.P.independent, expected, rtol=0, atol=ROUNDING * trace(expected) * 10)
+
+
 def test_a_plain_sum_of_correlated_information_is_overconfident() -> None:
     failed = 0
     for seed in range(50):

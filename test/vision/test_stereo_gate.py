@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from uav_vslam.config import RigConfig
+from uav_vslam.config import FrontendConfig, RigConfig
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.vision.stereo_gate import epipolar_distances, epipolar_gate, stereo_candidates
+from uav_vslam.vision.stereo_gate import StereoGate, epipolar_distances, epipolar_gate, stereo_candidates
 
 CAMERA = PinholeCamera(1280, 960, 1642.0, 1642.0, 640.0, 480.0)
 
@@ -71,3 +71,17 @@ def test_the_gate_of_a_flexing_rig_accepts_pairs_of_a_rotated_camera(rig):
         assert np.diagonal(allowed).all()
         farthest.append(rig.epipolar_distance(z).max())
     assert max(farthest) > 0.5 * epipolar_px  # no wider than needed
+
+
+@pytest.mark.parametrize(("depth_m", "good"), [(9.0, False), (12.0, True), (90.0, True), (120.0, False)])
+def test_points_outside_the_range_of_depths_or_off_their_line_are_not_believed(rig, depth_m: float, good) -> None:
+    config = FrontendConfig(min_depth_m=10.0, max_depth_m=100.0)
+    gate = StereoGate(rig, config, RigConfig(), noise_px=1.0)
+    z = observe(rig, depth_m)
+    depth, believed = gate.check(z)
+    np.testing.assert_allclose(depth, depth_m, rtol=1e-6)
+    assert (believed == good).all()
+    lines = np.hstack([z[:, :2], np.ones((len(z), 1))]) @ rig.fundamental.T
+    across = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    off = z + np.hstack([np.zeros((len(z), 2)), (gate.epipolar_px + 0.5) * across])
+    assert not gate.check(off)[1].any()
