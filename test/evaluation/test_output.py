@@ -69,6 +69,13 @@ def test_tum_keeps_every_nanosecond_and_repeats_byte_for_byte(truth, tmp_path):
     np.testing.assert_allclose([float(v) for v in fields[4:]], np.roll(truth.quaternions_wxyz[1], -1), atol=1e-12)
 
 
+def test_tum_pads_the_nanoseconds(truth, tmp_path):
+    few = truth.select(np.arange(2))
+    stamped = dataclasses.replace(few, stamps_ns=np.array([3_000_000_007, 4_050_000_000]))
+    lines = write_tum(stamped, tmp_path / "padded.tum").read_text().splitlines()
+    assert [line.split()[0] for line in lines] == ["3.000000007", "4.050000000"]
+
+
 def test_evo_reads_our_tum(truth, tmp_path):
     file_interface = pytest.importorskip("evo.tools.file_interface", reason="evo is a development requirement")
     read = file_interface.read_tum_trajectory_file(str(write_tum(truth, tmp_path / "truth.tum")))

@@ -201,6 +201,12 @@ def test_a_navigation_state_with_nan_is_refused(field: str) -> None:
     assert refusal(convert.navigation_from_msg, message) == "not_finite"
 
 
+def test_a_navigation_state_at_no_place_is_refused() -> None:
+    message = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")
+    message.pose.position.y = NAN
+    assert refusal(convert.navigation_from_msg, message) == "not_finite"
+
+
 @pytest.mark.parametrize("broken", [-np.eye(15), np.zeros((15, 15)), np.diag([1.0] * 14 + [-1e-6])])
 def test_a_navigation_state_whose_covariance_is_not_positive_definite_is_refused(broken: np.ndarray) -> None:
     message = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")

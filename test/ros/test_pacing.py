@@ -172,6 +172,25 @@ def test_in_an_imu_gap_the_sample_that_completes_a_frame_is_sent_ahead() -> None
     assert imu == readings
 
 
+def test_an_imu_sample_beyond_the_look_ahead_is_not_waited_for() -> None:
+    """It would take all images up to it into memory; the frames that need it go on without."""
+    recorded = flight("uav1", frames=range(0, 300, 100), imu=range(0, 100, 10))
+    graph = Graph([*recorded, message("uav1", Kind.OTHER, 5_000), message("uav1", Kind.IMU, 10_000)])
+    graph.advance()
+    graph.answer("uav1", 0)
+    for _ in range(10):  # it is asked again after each frame that it gave up
+        graph.advance()
+    assert graph.newest_imu("uav1") == 10_000
+    assert graph.frames("uav1") == [0, 100, 200]
+    assert [m.stamp_ns for m in graph.published] == sorted(m.stamp_ns for m in graph.published)
+
+
+def test_frames_closer_than_the_overlap_wait_for_one_another_too() -> None:
+    graph = Graph(flight("uav1", frames=range(0, 200, 50), imu=range(0, 300, 10)))
+    graph.advance()
+    assert graph.frames("uav1") == [0]
+
+
 def test_a_vehicle_whose_imu_ends_does_not_block_the_others() -> None:
     dead = flight("uav1", frames=range(0, 10_000, 100), imu=range(0, 150, 10))
     alive = flight("uav2", frames=range(0, 10_000, 100), imu=range(0, 10_100, 10))
