@@ -54,11 +54,11 @@ class EpochFusion:
         if len(pairs) == 0:
             return
         dependent = bool(self.sources & set(packet.sources)) or packet.prior_id in self._priors
-        evidence = frame.evidence(self.positions, packet, pairs, dependent=dependent)
-        fused = self._bring_in(self._belief, evidence, self._weighing)
-        settled = frame.settled(fused)
-        if settled is not None:
-            self._frames[packet.vehicle] = settled
+        framed = frame.framed(self.positions, packet, pairs, dependent=dependent)
+        fused = self._bring_in(self._belief, framed.evidence, self._weighing)
+        estimate = framed.frame(fused)
+        if estimate is not None:
+            self._frames[packet.vehicle] = estimate
         self._belief = fused.P
         self._T_map_body, self.positions = move(self._T_map_body, self.positions, fused.delta)
         self._weight = min(self._weight, fused.weight)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a peer's map lies to ours: in a common frame, or in one that has to be found; one of them for each peer."""
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -41,11 +42,29 @@ class PeerFrame(Protocol):
     def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
         """Return those of (K, 2) pairs, which identifiers have told, that can be believed; none in an unknown frame."""
 
-    def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
-        """Return what the packet says of the own state, position, xi and (N, 3) landmarks."""
+    def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> "FramedPacket":
+        """Return what the packet says of the own state, position, xi and (N, 3) landmarks, and of the peer's frame."""
 
-    def settled(self, fused: Fused) -> FrameEstimate | None:
-        """Return where the peer's frame lies, now that the last evidence has been fused; None where it is ours."""
+
+class FramedPacket(Protocol):
+    """A packet expressed in the own frame."""
+
+    @property
+    def evidence(self) -> Evidence:
+        """What it says of the own state."""
+
+    def frame(self, fused: Fused) -> FrameEstimate | None:
+        """Return where the peer's frame is once `evidence` was fused; None where it is ours."""
+
+
+@dataclass(frozen=True, slots=True)
+class InOwnFrame:
+    """A packet whose frame is ours already."""
+
+    evidence: Evidence
+
+    def frame(self, fused: Fused) -> None:
+        """See `FramedPacket`."""
 
 
 class CommonFrame:
@@ -74,21 +93,19 @@ class CommonFrame:
         peer = packet.positions, packet.covariance
         return pairs[common_landmarks.gated(pairs, positions, covariance, *peer, self._config)]
 
-    def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
+    def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> InOwnFrame:
         """See `PeerFrame`."""
         columns, rows = landmark_rows(POSE_DIM, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
         E = np.zeros((len(columns), POSE_DIM + positions.size))
         E[np.arange(len(columns)), columns] = 1.0
-        return Evidence(
+        evidence = Evidence(
             E=E,
             innovation=(packet.positions[pairs[:, 1]] - positions[pairs[:, 0]]).ravel(),
             R=packet.covariance[np.ix_(rows, rows)],
             floor=self._config.floor_sigma_m**2 * np.eye(len(rows)),
             dependent=dependent,
         )
-
-    def settled(self, fused: Fused) -> None:
-        """See `PeerFrame`."""
+        return InOwnFrame(evidence)
 
 
 class UnknownFrame:
@@ -97,7 +114,6 @@ class UnknownFrame:
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
         self._link = FrameLink()
-        self._framed: Framed | None = None
 
     @property
     def reason(self) -> str:
@@ -120,13 +136,8 @@ class UnknownFrame:
         points = PointPairs.of(positions, covariance, packet, pairs, self._config.floor_sigma_m)
         return pairs[self._link.agreeing(points)]
 
-    def evidence(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Evidence:
-        """See `PeerFrame`; where the frame lies is taken out of it."""
+    def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Framed:
+        """See `PeerFrame`; the evidence does not depend on where the frame is."""
         assert self._link.alignment is not None  # there are pairs
         T_own_peer, floor_m = self._link.alignment.T_own_peer, self._config.floor_sigma_m
-        self._framed = framed(positions, packet, pairs, T_own_peer, floor_sigma_m=floor_m, dependent=dependent)
-        return self._framed.evidence
-
-    def settled(self, fused: Fused) -> FrameEstimate | None:
-        """See `PeerFrame`."""
-        return self._framed.frame(fused) if self._framed else None
+        return framed(positions, packet, pairs, T_own_peer, floor_sigma_m=floor_m, dependent=dependent)
