@@ -42,7 +42,7 @@ def received(member: CooperativeTrack) -> dict[str, int]:
 
 def test_without_links_every_packet_reaches_every_peer(tracks: dict[str, VehicleTrack]) -> None:
     fleet = cooperate(tracks, configs(feedback=False))
-    sent = {name: member.outbox.packets_sent for name, member in fleet.items()}
+    sent = {name: member.exchange.outbox.packets_sent for name, member in fleet.items()}
     assert min(sent.values()) >= 5
     for name, member in fleet.items():
         assert received(member) == {peer: count for peer, count in sent.items() if peer != name}
@@ -58,7 +58,7 @@ def test_each_direction_has_a_link_of_its_own(tracks: dict[str, VehicleTrack]) -
     assert set(made) == {(a, b) for a in VEHICLES for b in VEHICLES if a != b}
     assert set(received(fleet["uav1"])) == {"uav2", "uav3"}
     assert set(received(fleet["uav2"])) == {"uav3"}
-    assert made["uav1", "uav2"].packets["lost"] == fleet["uav1"].outbox.packets_sent
+    assert made["uav1", "uav2"].packets["lost"] == fleet["uav1"].exchange.outbox.packets_sent
 
 
 def test_a_packet_counts_from_when_it_arrives(tracks: dict[str, VehicleTrack]) -> None:
@@ -83,9 +83,22 @@ def test_a_packet_that_comes_twice_is_counted_and_changes_nothing(tracks: dict[s
 def test_what_the_budget_has_no_room_for_reaches_nobody(tracks: dict[str, VehicleTrack]) -> None:
     fleet = cooperate(tracks, configs(budget_bytes_per_s=1))
     for member in fleet.values():
-        assert member.outbox.packets_sent == 0
-        assert member.outbox.over_budget >= 5
+        assert member.exchange.outbox.packets_sent == 0
+        assert member.exchange.dropped["budget"] >= 5
         assert received(member) == {}
+
+
+@pytest.mark.parametrize("rate", [0, 4000])  # as the mode has it; so little that packets leave no room for feedback
+def test_feedback_is_paid_for_as_packets_are(tracks: dict[str, VehicleTrack], rate: int) -> None:
+    made: dict[tuple[str, str], PacketLink] = {}
+    pair, settings = {name: tracks[name] for name in VEHICLES[:2]}, configs(feedback=True, budget_bytes_per_s=rate)
+    fleet = cooperate(pair, settings, lambda *ends: made.setdefault(ends, Link(LinkConfig())))
+    for (sender, _), link in made.items():
+        exchange, epochs = fleet[sender].exchange, sum(output.joint is not None for output in tracks[sender].outputs)
+        outbox, held_back = exchange.outbox, exchange.dropped["budget"]
+        assert (link.packets["offered"], link.size_bytes["offered"]) == (outbox.packets_sent, outbox.bytes_sent)
+        assert outbox.packets_sent + held_back > epochs  # there was feedback
+        assert (held_back > 0) == (rate > 0)
 
 
 def test_a_relay_hands_on_what_the_ends_cannot_hear(tracks: dict[str, VehicleTrack]) -> None:
@@ -95,7 +108,7 @@ def test_a_relay_hands_on_what_the_ends_cannot_hear(tracks: dict[str, VehicleTra
     alone, relayed = (cooperate(tracks, configs(relay=relay), ends_apart) for relay in (False, True))
     assert set(received(alone["uav1"])) == {"uav2"}
     assert set(received(relayed["uav1"])) == {"uav2", "uav3"}
-    heard, sent = relayed["uav1"].fusion.inbox.peers["uav3"], relayed["uav3"].outbox.packets_sent
+    heard, sent = relayed["uav1"].fusion.inbox.peers["uav3"], relayed["uav3"].exchange.outbox.packets_sent
     assert 0 < heard.received <= sent
     assert heard.used
     assert heard.packets[-1].sources == ("uav3/1",)

@@ -112,7 +112,7 @@ def test_the_network_does_not_affect_the_own_track() -> None:
 def test_without_cooperation_the_fused_track_is_the_own_one() -> None:
     _, tracks, fleet = fly_fleet(1, mode="none")
     for name, member in fleet.items():
-        assert member.outbox.packets_sent == 0
+        assert member.exchange.outbox.packets_sent == 0
         assert member.fusion.inbox.peers == {}
         for own, fused in zip((o.report.pose for o in tracks[name].outputs), member.poses, strict=True):
             np.testing.assert_allclose(fused.T_map_body.t, own.T_map_body.t, rtol=0, atol=1e-9)

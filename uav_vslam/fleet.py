@@ -6,25 +6,24 @@ packets and the fusion follow in stamp order, exactly as in lock-step replay.
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 
 from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
+from uav_vslam.cooperation.exchange import Exchange, Receiver
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link
-from uav_vslam.cooperation.outbox import Outbox
-from uav_vslam.errors import InvalidMessage
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.slam.packet import payload_bytes
-from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
+from uav_vslam.types import LandmarkPacket, PoseEstimate
 
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A packet on the air; `returned` if it is feedback to the receiver on what it told."""
+    """A packet on its way; `feedback` if it says what became of the receiver's landmarks."""
 
     packet: LandmarkPacket
-    returned: bool = False
+    feedback: bool = False
 
 
 PacketLink = Link[Sent]
@@ -36,12 +35,12 @@ class CooperativeTrack:
 
     Attributes:
         fusion: the fusion core; it knows what was received, used and dropped.
-        outbox: it knows what was sent, and what the budget held back.
+        exchange: it knows what was sent, and what was refused or held back.
         poses: fused pose at every own-only frame.
     """
 
     fusion: Fusion
-    outbox: Outbox
+    exchange: Exchange
     poses: list[PoseEstimate] = field(default_factory=list)
 
 
@@ -57,82 +56,97 @@ def cooperate(
         tracks: own-only tracks by vehicle.
         configs: their configurations; a vehicle whose `fusion.mode` is none neither sends nor listens.
         links: makes the radio link from a sender to a receiver; without it all arrives at once.
-        on_packet: shown every packet that is sent, who made it, and its size [byte].
+        on_packet: shown every packet that is sent, who made it, and its size [byte]; not those that are relayed.
 
     Returns:
         A cooperative track for each vehicle.
     """
-    fleet = {
-        name: CooperativeTrack(Fusion(name, configs[name].fusion), Outbox(configs[name].fusion)) for name in tracks
-    }
-    air = _Air(fleet, {name: config.fusion for name, config in configs.items()}, links, on_packet)
+    fleet: dict[str, CooperativeTrack] = {}
+    air = Air(tracks, links, lambda packet: on_packet(fleet[packet.vehicle].fusion, packet, payload_bytes(packet)))
+    for name in tracks:
+        settings = configs[name].fusion
+        fusion, peers = Fusion(name, settings), [peer for peer in tracks if peer != name]
+        fleet[name] = CooperativeTrack(fusion, Exchange(fusion, peers, LinkTransport(air, name), settings))
+        fleet[name].exchange.configure(settings)
     frames = [(output.report.pose.stamp_ns, name, output) for name, track in tracks.items() for output in track.outputs]
     for stamp_ns, name, output in sorted(frames, key=lambda frame: frame[:2]):
         member = fleet[name]
         if output.joint is not None:
             air.deliver(stamp_ns)
             member.fusion.fuse(output.joint)
-            air.send(name, output.joint)
+            member.exchange.send()
         member.poses.append(member.fusion.carry(output.report.pose))
     if frames:
         air.deliver(max(stamp_ns for stamp_ns, _, _ in frames))
     return fleet
 
 
-class _Air:
-    """The links between the vehicles that cooperate."""
+class Air:
+    """The links between the vehicles, each direction its own.
+
+    Attributes:
+        receivers: where each vehicle takes in what arrives.
+        now_ns: up to when all was delivered.
+    """
 
     def __init__(
         self,
-        fleet: dict[str, CooperativeTrack],
-        configs: dict[str, FusionConfig],
-        links: Callable[[str, str], PacketLink] | None,
-        on_packet: Callable[[Fusion, LandmarkPacket, int], None],
+        vehicles: Iterable[str],
+        links: Callable[[str, str], PacketLink] | None = None,
+        on_sent: Callable[[LandmarkPacket], None] = lambda _: None,
     ) -> None:
-        self._fleet, self._configs, self._on_packet = fleet, configs, on_packet
-        on_air = [name for name in fleet if configs[name].mode != "none"]
-        self._links: dict[tuple[str, str], PacketLink] = {
-            (sender, receiver): links(sender, receiver) if links else Link(LinkConfig())
-            for sender, receiver in itertools.permutations(on_air, 2)
+        """Prepare.
+
+        Args:
+            vehicles: their names.
+            links: makes the link from a sender to a receiver; without it all arrives at once.
+            on_sent: shown each vehicle's own packets.
+        """
+        self.receivers: dict[str, Receiver] = {}
+        self.now_ns = 0
+        self.on_sent = on_sent
+        self._links = {
+            pair: links(*pair) if links else Link(LinkConfig()) for pair in itertools.permutations(vehicles, 2)
         }
 
-    def send(self, name: str, joint: JointInformation) -> None:
-        """Let a vehicle send what it has to say at an epoch, as far as its budget goes."""
-        member, stamp_ns = self._fleet[name], joint.stamp_ns
-        if not member.outbox.should_send(stamp_ns):
-            return
-        packet = member.fusion.packet(joint, byte_limit=member.outbox.available(stamp_ns))
-        size = payload_bytes(packet)
-        if member.outbox.try_reserve(stamp_ns, size):
-            self._on_packet(member.fusion, packet, size)
-            for link in self._from(name).values():
-                link.send(stamp_ns, size, Sent(packet))
-        if self._configs[name].returns_feedback:
-            for peer, link in self._from(name).items():
-                feedback = member.fusion.feedback(peer)
-                if feedback is not None and member.outbox.try_reserve(stamp_ns, size := payload_bytes(feedback)):
-                    link.send(stamp_ns, size, Sent(feedback, returned=True))
+    def send(self, sender: str, receiver: str, sent: Sent) -> None:
+        """Put a packet on the link between two vehicles."""
+        self._links[sender, receiver].send(self.now_ns, payload_bytes(sent.packet), sent)
 
     def deliver(self, now_ns: int) -> None:
-        """Hand over what has arrived; an inbox counts what it refuses; what is news, a relay sends on as it came."""
-        for (sender, receiver), link in self._links.items():
+        """Hand over what has arrived."""
+        self.now_ns = now_ns
+        for (sender, name), link in self._links.items():
             for sent in link.receive(now_ns):
-                member = self._fleet[receiver]
-                try:
-                    (member.fusion.returned if sent.returned else member.fusion.inbox).add(sent.packet)
-                except InvalidMessage:
-                    continue
-                member.outbox.on_packet(sent.packet.stamp_ns)
-                if self._configs[receiver].relay and not sent.returned:
-                    self._relay(sent, receiver, now_ns, but_to={sender, sent.packet.vehicle})
+                size, receiver = payload_bytes(sent.packet), self.receivers[name]
+                if sent.feedback:
+                    receiver.on_feedback(sent.packet, size)
+                else:
+                    receiver.on_packet(sender, sent.packet, size)
 
-    def _relay(self, sent: Sent, name: str, now_ns: int, *, but_to: set[str]) -> None:
-        size = payload_bytes(sent.packet)
-        if self._fleet[name].outbox.try_reserve(now_ns, size):
-            for peer, link in self._from(name).items():
-                if peer not in but_to:
-                    link.send(now_ns, size, sent)
 
-    def _from(self, name: str) -> dict[str, PacketLink]:
-        """Return a sender's links by receiver."""
-        return {receiver: link for (sender, receiver), link in self._links.items() if sender == name}
+class LinkTransport:
+    """A vehicle's end of the links: the `cooperation.exchange.Transport` of the offline twin.
+
+    Together the links are one broadcast radio: a packet costs its size once, however many peers hear it.
+    """
+
+    copies = expected_copies = 1
+
+    def __init__(self, air: Air, vehicle: str) -> None:
+        self._air, self._vehicle = air, vehicle
+
+    def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
+        """Give what arrives to a receiver, which ignores it in the mode none."""
+        self._air.receivers[self._vehicle] = receiver
+
+    def send(self, packet: LandmarkPacket, to: Collection[str]) -> None:
+        """Send a packet over the links to some peers."""
+        if packet.vehicle == self._vehicle:
+            self._air.on_sent(packet)
+        for peer in to:
+            self._air.send(self._vehicle, peer, Sent(packet))
+
+    def send_feedback(self, packet: LandmarkPacket, peer: str) -> None:
+        """Send feedback over the link to one peer."""
+        self._air.send(self._vehicle, peer, Sent(packet, feedback=True))

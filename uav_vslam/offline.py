@@ -128,13 +128,14 @@ def flight_result(
 def link_counters(member: CooperativeTrack) -> LinkCounters:
     """Return the statistics of a vehicle's radio link."""
     peers = member.fusion.inbox.peers.values()
-    dropped = {"budget": member.outbox.over_budget} if member.outbox.over_budget else {}
+    held_back = member.exchange.dropped["budget"]
+    dropped = {"budget": held_back} if held_back else {}
     for record in peers:
         for reason, count in record.dropped.items():
             dropped[reason] = dropped.get(reason, 0) + count
     return LinkCounters(
-        sent_bytes_per_s=member.outbox.sent_bytes_per_s,
-        packets_sent=member.outbox.packets_sent,
+        sent_bytes_per_s=member.exchange.outbox.sent_bytes_per_s,
+        packets_sent=member.exchange.outbox.packets_sent,
         packets_received=sum(record.received for record in peers),
         packets_used=sum(len(record.used) for record in peers),
         dropped=dropped,

@@ -186,10 +186,13 @@ def test_a_fleet_with_a_key_fuses_its_own_packets_and_no_strangers(with_fleet_ke
     uav1, uav2 = (make_joint(points, np.eye(96), vehicle=v, stamp_ns=10**10 * k) for k, v in ((2, "uav1"), (1, "uav2")))
     with_key = FusionConfig(mode="narrowband", fleet_key_file=str(tmp_path / "fleet.key"))
     receiver, member = Fusion("uav1", with_key), Fusion("uav2", with_key)
+    stranger = Fusion("uav2", dataclasses.replace(with_key, fleet_key_file=""))
+    for fusion in (stranger, member):
+        fusion.fuse(uav2)
     with pytest.raises(InvalidMessage, match="signature"):
-        receiver.inbox.add(Fusion("uav2", dataclasses.replace(with_key, fleet_key_file="")).packet(uav2))
+        receiver.inbox.add(stranger.packet())
     assert receiver.fuse(uav1).common == {}
-    packet = member.packet(uav2)
+    packet = member.packet()
     assert payload_bytes(packet) <= 1340
     receiver.inbox.add(packet)
     assert receiver.fuse(uav1).common == {"uav2": len(packet)}

@@ -78,5 +78,5 @@ def test_feedback_in_a_frame_that_was_found_is_used_until_the_frame_is_forgotten
     assert not here.fuse(own).matched_ids
     here.returned.add(there.feedback("uav1"))
     assert len(here.fuse(own).matched_ids) > 10
-    here.frame("uav2")._link._forget("contradicted")
+    here.frame("uav2")._link._reset("contradicted")
     assert not here.fuse(own).matched_ids

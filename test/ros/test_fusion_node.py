@@ -101,7 +101,8 @@ class Flight:
 
     def packet(self, second: int, *, of: str = "uav2") -> LandmarkInformation:
         fusion = self._peer if of == "uav2" else Fusion(of, FusionConfig())
-        return packet_to_msg(fusion.packet(self.joint(second, of)))
+        fusion.fuse(self.joint(second, of))
+        return packet_to_msg(fusion.packet())
 
     def newest_ns(self) -> int:
         """Stamp of the newest packet that uav1 has of uav2, 0 for none."""
@@ -292,7 +293,7 @@ def test_in_wideband_a_peer_is_told_what_became_of_its_landmarks(fly: Callable[.
 
 
 def test_the_exchange_follows_its_parameters(fly: Callable[..., Flight]) -> None:
-    flight = fly("fusion.feedback:=false", peers="[uav2, uav3]")
+    flight = fly("fusion.feedback:=false", peers="[uav2, uav3, uav4]")
     subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
     returned = flight.others.create_subscription(LandmarkInformation, "/uav2/fusion/feedback", lambda _: None, STATE)
     assert flight.spin(lambda: subscription.get_publisher_count() > 0)
@@ -312,7 +313,7 @@ def test_the_exchange_follows_its_parameters(fly: Callable[..., Flight]) -> None
 
     publisher.publish(flight.packet(2))
     assert flight.spin(lambda: flight.newest_ns() == 2 * NS_PER_S)
-    (silent_of_2, _) = flight.epoch(4).peers
+    silent_of_2, *_ = flight.epoch(4).peers
     assert not silent_of_2.silent
     assert flight.set("fusion.silent_after_s", 1.0).successful
     assert [link.silent for link in flight.epoch(5).peers] == [True, True]
@@ -339,7 +340,7 @@ def test_a_setting_that_leaves_the_budget_alone_does_not_refill_it(fly: Callable
 
 @pytest.mark.parametrize("relay", [True, False])
 def test_a_relay_sends_on_what_is_new_to_it_as_it_came(fly: Callable[..., Flight], relay: bool) -> None:
-    flight = fly(f"fusion.relay:={str(relay).lower()}", peers="[uav2, uav3]")
+    flight = fly(f"fusion.relay:={str(relay).lower()}", peers="[uav2, uav3, uav4]")
     subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
     assert flight.spin(lambda: subscription.get_publisher_count() > 0)
     direct, sent_on, homecoming = (flight.packet(1, of=name) for name in ("uav2", "uav3", "uav1"))
@@ -400,7 +401,7 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         flight.epoch(1)
         assert flight.spin(lambda: executor.spin_once(timeout_sec=0.02) or flight.received)
         flight.listen("wideband", node=peer)
-        assert flight.spin(lambda: flight.node._exchange._radio.copies == 2)
+        assert flight.spin(lambda: flight.node._exchange._transport.copies == 2)
         size = len(serialize_message(flight.received[0]))
         assert flight.epoch(2).bytes_sent == (1 + 2) * size  # each peer is sent its own copy
         nodes = peer.get_node_names_and_namespaces
@@ -431,8 +432,7 @@ def test_where_the_map_of_a_peer_without_a_common_origin_lies_is_said(fly: Calla
         return flight._make_joint(at, P, vehicle=vehicle, stamp_ns=second * NS_PER_S)
 
     flight.joint = joint
-    peer, message = flight.peer("wideband"), packet_to_msg(Fusion("uav2", FusionConfig()).packet(joint(1, "uav2")))
-    peer.publish(message)
+    flight.peer("wideband").publish(flight.packet(1))
     assert flight.spin(flight.newest_ns)
     flight.epoch(3)
     assert flight.spin(lambda: any(edge.child_frame_id == "uav2/map" for edge in edges))

@@ -37,6 +37,7 @@ class Fusion:
     """The fusion node's core.
 
     Attributes:
+        vehicle: whose it is.
         inbox: what peers sent.
         returned: what peers' fusions made of the own landmarks: their feedback.
         belief: own belief of the last epoch, with the landmarks that are remembered.
@@ -44,6 +45,7 @@ class Fusion:
     """
 
     def __init__(self, vehicle: str, config: FusionConfig) -> None:
+        self.vehicle = vehicle
         self._authentication = authentication_for(vehicle, config)
         self.inbox = Inbox(vehicle, authentication=self._authentication)
         self.returned = Inbox(vehicle, authentication=self._authentication)
@@ -63,18 +65,16 @@ class Fusion:
         """Go on with other settings, as another communication mode has them."""
         self._config = config
 
-    def packet(self, joint: JointInformation, *, byte_limit: int | None = None) -> LandmarkPacket:
-        """Make the next packet from the own-only belief; fused numbers are never sent as own.
+    def packet(self, *, byte_limit: int | None = None) -> LandmarkPacket:
+        """Make the next packet from the own belief of the last epoch; fused numbers are never sent as own.
 
         Args:
-            joint: the own belief, as it was fused last or newer.
             byte_limit: what the link has room for now.
         """
-        if self.belief is not None and self.belief.stamp_ns == joint.stamp_ns:
-            joint = self.belief
+        assert self.belief is not None  # an epoch has been fused
         self._sequence += 1
         packet = make_packet(
-            joint,
+            self.belief,
             sequence=self._sequence,
             policy=packet_policy(self._config, tag_bytes=self._authentication.tag_bytes),
             matched_ids=self._shared,
@@ -82,7 +82,7 @@ class Fusion:
             prior_id=self._config.prior_id,
             byte_limit=byte_limit,
         )
-        self._times_sent = Counter({i: self._times_sent[i] for i in joint.ids.tolist()})
+        self._times_sent = Counter({i: self._times_sent[i] for i in self.belief.ids.tolist()})
         self._times_sent.update(packet.ids.tolist())
         self._offered = set() if self._config.returns_feedback else set(packet.ids.tolist())
         return self._authentication.sign(packet)

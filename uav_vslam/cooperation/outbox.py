@@ -19,14 +19,12 @@ class Outbox:
 
     Attributes:
         packets_sent, bytes_sent: what was let through (payload).
-        over_budget: packets held back.
         now_ns: stamp of the last epoch.
     """
 
     def __init__(self, config: FusionConfig) -> None:
         self.packets_sent = 0
         self.bytes_sent = 0
-        self.over_budget = 0
         self._first_ns: int | None = None  # stamp of the first epoch
         self._last_ns = 0
         self._last_received_ns = 0  # stamp of the newest packet of any peer
@@ -83,7 +81,6 @@ class Outbox:
     def try_reserve(self, stamp_ns: int, size_bytes: int) -> bool:
         """Tell whether a packet of that stamp and payload may be sent, and count it."""
         if not self._budget.spend(stamp_ns, size_bytes):
-            self.over_budget += 1
             return False
         self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
         self._last_ns = stamp_ns

@@ -22,6 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.ros.convert import (
@@ -34,8 +35,8 @@ from uav_vslam.ros.convert import (
     transform_to_msg,
 )
 from uav_vslam.ros.fusion_status import StatusReporter
-from uav_vslam.ros.packet_exchange import PacketExchange
 from uav_vslam.ros.qos import STATE
+from uav_vslam.ros.radio import Radio
 from uav_vslam.ros.radio_participant import open_participant
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.ros.traffic import Interface
@@ -71,7 +72,8 @@ class FusionNode(VehicleNode):
             self._participant.serve(self)
         peers = [peer for peer in self.own.peers if peer != self.vehicle]
         host = self._participant.node if self._participant else None
-        self._exchange = PacketExchange(self, self._fusion, peers, host=host)
+        radio = Radio(self, peers, host=host)
+        self._exchange = Exchange(self._fusion, peers, radio, self.config.fusion, on_drop=self.drop)
         interface = Interface(self.own.radio_interface) if self.own.radio_interface else None
         self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
         self._exchange.configure(self.config.fusion)
@@ -113,7 +115,7 @@ class FusionNode(VehicleNode):
 
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
-        self._exchange.send(joint)
+        self._exchange.send()
         stamp_ns = joint.stamp_ns
         self._publish_frames(stamp_ns, epoch)
         self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=WORLD))

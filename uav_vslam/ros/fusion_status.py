@@ -4,9 +4,9 @@
 import time
 from collections import defaultdict
 
+from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.ros.convert import header
-from uav_vslam.ros.packet_exchange import PacketExchange
 from uav_vslam.ros.traffic import Interface, Rate
 from uav_vslam.types import NS_PER_S
 from uav_vslam_msgs.msg import FusionStatus, PeerLink
@@ -19,7 +19,7 @@ class StatusReporter:
         silent: peers whose newest packet is too old, with its age [s].
     """
 
-    def __init__(self, vehicle: str, fusion: Fusion, exchange: PacketExchange, interface: Interface | None) -> None:
+    def __init__(self, vehicle: str, fusion: Fusion, exchange: Exchange, interface: Interface | None) -> None:
         self._vehicle, self._fusion, self._exchange, self._interface = vehicle, fusion, exchange, interface
         self._sent_rate, self._wire_rate = Rate(), Rate()
         self._received_rates: dict[str, Rate] = defaultdict(Rate)
@@ -38,7 +38,7 @@ class StatusReporter:
             mode=mode,
             own_weight=own_weight,
             packets_sent=outbox.packets_sent,
-            packets_held_back=outbox.over_budget,
+            packets_held_back=self._exchange.dropped["budget"],
             bytes_sent=outbox.bytes_sent,
             sent_bytes_per_s=outbox.sent_bytes_per_s,
             recent_bytes_per_s=self._sent_rate.update(stamp_ns, outbox.bytes_sent),

@@ -4,22 +4,27 @@
 It is on a domain of its own (`radio_participant`) or shares the vehicle's.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
+from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.exchange import Receiver
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.inputs import Input
+from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
 from uav_vslam.ros.qos import RADIO, compatible_qos
 from uav_vslam.ros.runtime import VehicleNode
+from uav_vslam.types import LandmarkPacket
 from uav_vslam_msgs.msg import LandmarkInformation
 
-OnPacket = Callable[[str, LandmarkInformation, bytes], None]  # (peer, message, as it came)
+OnPacket = Callable[[LandmarkPacket, int], None]  # (packet, serialised size)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -60,46 +65,38 @@ class PeerInput(Input):
 
 
 class Radio:
-    """The vehicle's end of the radio, in one communication mode at a time."""
+    """The `cooperation.exchange.Transport` over DDS."""
 
-    def __init__(
-        self,
-        node: VehicleNode,
-        peers: Sequence[str],
-        on_packet: OnPacket,
-        on_feedback: OnPacket,
-        *,
-        host: Node | None,
-    ) -> None:
+    def __init__(self, node: VehicleNode, peers: Sequence[str], *, host: Node | None) -> None:
         """Prepare; nothing is opened before `tune`.
 
         Args:
-            node: counts drops and events, and watches the inputs.
+            node: counts what cannot be decoded and what the middleware reports, and watches the inputs.
             peers: names of the other vehicles.
-            on_packet: called with each packet that can be decoded; may raise an error of ours.
-            on_feedback: called with what peers' fusions made of own landmarks; likewise.
             host: the node of a participant of its own; None: the vehicle's node itself.
         """
-        self._node, self._host = node, host or node
-        self._on_packet, self._on_feedback = on_packet, on_feedback
-        self._peers = tuple(peers)
+        self._node, self._host, self._peers = node, host or node, tuple(peers)
         self._publisher: Any = None
         self._returns: dict[str, Any] = {}  # publishers of feedback, by peer
         self._inputs: list[PeerInput] = []
 
-    def tune(self, mode: str, *, feedback: bool) -> None:
-        """Change the communication mode: publishers and subscriptions are made anew, or none in the mode none."""
+    def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
+        """Change the communication mode: publishers and subscriptions are replaced, or removed in the mode none."""
+        mode = settings.mode
         self._close()
+        self._node.notes["mode"] = mode
+        self._node.get_logger().info(f"communication mode: {mode}")
         if mode not in RADIO:
             return
         events = PublisherEventCallbacks(**self._counters("deadline", "liveliness", "incompatible_qos"))
         self._publisher = self._advertise("landmark_information", mode, event_callbacks=events)
         for peer in self._peers:
-            self._inputs.append(self._listen(peer, f"/{peer}/landmark_information", self._on_packet, RADIO[mode]))
+            on_packet = partial(receiver.on_packet, peer)
+            self._inputs.append(self._listen(peer, f"/{peer}/landmark_information", on_packet, RADIO[mode]))
             self._node.watch(self._inputs[-1])
-        if feedback:
+        if settings.returns_feedback:
             self._returns = {peer: self._advertise(f"/{peer}/fusion/feedback", mode) for peer in self._peers}
-            self._inputs.append(self._listen("feedback", "fusion/feedback", self._on_feedback, RADIO[mode]))
+            self._inputs.append(self._listen("feedback", "fusion/feedback", receiver.on_feedback, RADIO[mode]))
 
     @property
     def copies(self) -> int:
@@ -112,13 +109,13 @@ class Radio:
         """The same once all peers listen, and nobody else does."""
         return max(len(self._peers), 1) if self._host is not self._node else 1
 
-    def send(self, data: bytes) -> None:
-        """Publish a serialised packet."""
-        self._publisher.publish(data)
+    def send(self, packet: LandmarkPacket, to: Collection[str]) -> None:
+        """Publish a packet on the one topic that all peers hear; those that it is not for know it and drop it."""
+        self._publisher.publish(serialize_message(packet_to_msg(packet)))
 
-    def give_back(self, peer: str, data: bytes) -> None:
-        """Publish serialised feedback, which only that peer hears."""
-        self._returns[peer].publish(data)
+    def send_feedback(self, packet: LandmarkPacket, peer: str) -> None:
+        """Publish feedback on the topic that only that peer hears."""
+        self._returns[peer].publish(serialize_message(packet_to_msg(packet)))
 
     def _close(self) -> None:
         for one in self._inputs:
@@ -142,7 +139,7 @@ class Radio:
                 message = deserialize_message(data, LandmarkInformation)
             except Exception as error:  # rclpy names no class for it
                 raise InvalidMessage("undecodable", f"{len(data)} bytes are no packet: {error}") from None
-            callback(peer, message, data)
+            callback(packet_from_msg(message), len(data))
 
         events = self._counters("deadline", "liveliness", "message_lost", "incompatible_qos", "matched", of=peer)
         one = PeerInput(

@@ -124,7 +124,7 @@ def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: F
         member = fleet[name]
         figures = {
             **shared,
-            "sent_bytes_per_s": member.outbox.sent_bytes_per_s,
+            "sent_bytes_per_s": member.exchange.outbox.sent_bytes_per_s,
             "packet_bytes_max": watch.largest_bytes.get(name, 0),
             "recovery_packets": watch.until_used(member.fusion, setting.link),
         }

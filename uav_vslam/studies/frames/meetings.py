@@ -57,7 +57,7 @@ def meet(flown: Flown, fusions: Mapping[str, Fusion]) -> dict[str, Trajectory]:
     for _, name, output in sorted(outputs, key=lambda item: item[:2]):
         if output.joint is not None:
             fusions[name].fuse(output.joint)
-            packet = fusions[name].packet(output.joint)
+            packet = fusions[name].packet()
             for other in fusions:
                 if other != name:
                     fusions[other].inbox.add(packet)

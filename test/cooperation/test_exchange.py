@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a vehicle sends, relays and refuses, over the links of the offline twin; test_exchange_transports has DDS."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.exchange import Exchange
+from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.fleet import Air, LinkTransport, Sent
+from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
+
+RELAY = FusionConfig(relay=True, feedback=True)
+VEHICLES = ("uav1", "uav2", "uav3", "uav4")
+
+
+class Ear:
+    """A peer that only listens."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, LandmarkPacket]] = []
+
+    def on_packet(self, sender: str, packet: LandmarkPacket, _: int) -> None:
+        self.heard.append((sender, packet))
+
+    def on_feedback(self, packet: LandmarkPacket, size_bytes: int) -> None:
+        raise AssertionError("no feedback was to be sent")
+
+
+class Exchanging:
+    """uav1 among peers that only listen."""
+
+    def __init__(self, settings: FusionConfig, vehicles: tuple[str, ...] = VEHICLES) -> None:
+        self.air = Air(vehicles)
+        self.fusion = Fusion("uav1", settings)
+        self.exchange = Exchange(self.fusion, vehicles[1:], LinkTransport(self.air, "uav1"), settings)
+        self.exchange.configure(settings)
+        self.ears = {name: Ear() for name in vehicles[1:]}
+        self.air.receivers |= self.ears
+
+    def epoch(self, joint: JointInformation) -> None:
+        self.fusion.fuse(joint)
+        self.exchange.send()
+        self.air.deliver(self.air.now_ns)
+
+    def comes(self, sender: str, packet: LandmarkPacket, *, feedback: bool = False) -> set[str]:
+        """Let something come from a peer; return who hears of it afterwards."""
+        before = {name: len(ear.heard) for name, ear in self.ears.items()}
+        self.air.send(sender, "uav1", Sent(packet, feedback))
+        for _ in ("to uav1", "from uav1"):
+            self.air.deliver(self.air.now_ns)
+        return {name for name, ear in self.ears.items() if len(ear.heard) > before[name]}
+
+
+def garbled(packet: LandmarkPacket) -> LandmarkPacket:
+    return dataclasses.replace(packet, checksum=packet.checksum ^ 1)
+
+
+Maker = Callable[..., LandmarkPacket]
+
+
+def test_a_relay_sends_to_all_but_the_sender_and_the_origin_as_it_came(make_small_packet: Maker) -> None:
+    vehicle, packet = Exchanging(RELAY), make_small_packet(1)
+    assert vehicle.comes("uav2", packet) == {"uav3", "uav4"}
+    assert vehicle.ears["uav4"].heard == [("uav1", packet)]
+    assert vehicle.comes("uav3", packet) == set()  # no news
+    assert vehicle.comes("uav3", make_small_packet(2)) == {"uav4"}
+
+
+def test_a_relay_with_nobody_left_to_tell_spends_nothing(make_small_packet: Maker) -> None:
+    vehicle = Exchanging(RELAY, VEHICLES[:2])
+    assert vehicle.comes("uav2", make_small_packet(1)) == set()
+    assert vehicle.exchange.outbox.bytes_sent == 0
+
+
+def test_what_a_relay_may_well_repeat_is_no_drop_but_what_it_garbles_is(make_small_packet: Maker) -> None:
+    vehicle = Exchanging(FusionConfig())
+    for packet in (make_small_packet(1), make_small_packet(1), make_small_packet(1, vehicle="uav1")):
+        vehicle.comes("uav3", packet)
+    assert not vehicle.exchange.dropped
+    assert vehicle.fusion.inbox.peers["uav2"].dropped == {"duplicate": 1}
+    assert vehicle.fusion.inbox.refused == {"own": 1}
+    vehicle.comes("uav3", garbled(make_small_packet(2)))
+    vehicle.comes("uav2", make_small_packet(1))
+    assert vehicle.exchange.dropped == {"checksum": 1, "duplicate": 1}
+
+
+def test_strangers_and_feedback_among_packets_are_refused_and_not_relayed(make_small_packet: Maker) -> None:
+    vehicle, packet = Exchanging(RELAY), make_small_packet(1)
+    assert vehicle.comes("uav2", make_small_packet(1, vehicle="uav9")) == set()
+    assert vehicle.comes("uav2", dataclasses.replace(packet, sources=(packet.source, "uav1/1"))) == set()
+    vehicle.comes("uav2", make_small_packet(1, vehicle="uav9"), feedback=True)
+    vehicle.comes("uav2", make_small_packet(1, vehicle="uav1"), feedback=True)
+    assert vehicle.exchange.dropped == {"sender": 3, "sources": 1}
+    assert vehicle.fusion.inbox.peers == vehicle.fusion.returned.peers == {}
+
+
+@pytest.mark.parametrize("mode", ["none", "narrowband", "wideband"])
+def test_a_mode_takes_in_what_it_listens_to(make_small_packet: Maker, mode: str) -> None:
+    vehicle = Exchanging(FusionConfig(mode=mode, feedback=True))
+    vehicle.comes("uav2", make_small_packet(1))
+    vehicle.comes("uav3", make_small_packet(1, vehicle="uav3"), feedback=True)
+    assert set(vehicle.fusion.inbox.peers) == ({"uav2"} if mode != "none" else set())
+    assert set(vehicle.fusion.returned.peers) == ({"uav3"} if mode == "wideband" else set())
+    assert bool(vehicle.exchange.received_bytes) == (mode != "none")
+
+
+def test_a_relay_that_the_budget_has_no_room_for_is_held_back(make_small_packet: Maker) -> None:
+    vehicle = Exchanging(dataclasses.replace(RELAY, budget_bytes_per_s=100))
+    assert vehicle.comes("uav2", make_small_packet(1)) == set()
+    assert vehicle.exchange.dropped == {"budget": 1}
+    assert vehicle.fusion.inbox.newest("uav2", 10**18) is not None
+
+
+def test_a_packet_shrinks_to_what_the_budget_has_room_for(make_joint: Callable[..., JointInformation]) -> None:
+    vehicle = Exchanging(FusionConfig(budget_bytes_per_s=1000))
+    vehicle.epoch(make_joint(np.arange(18.0).reshape(6, 3), np.eye(24)))
+    (_, packet), *more = vehicle.ears["uav2"].heard
+    assert 0 < len(packet) < 6
+    assert not more
+    assert not vehicle.exchange.dropped
+
+
+def test_who_hears_a_peer_leaves_no_epoch_to_discovery(
+    make_joint: Callable[..., JointInformation], make_small_packet: Maker
+) -> None:
+    sent = {}
+    for heard in (True, False):
+        vehicle = Exchanging(FusionConfig(mode="narrowband", budget_bytes_per_s=5000))
+        for second in range(100, 115):
+            if heard:
+                vehicle.comes("uav2", make_small_packet(second))
+            vehicle.epoch(make_joint([[1.0, 2.0, 0.0]], np.eye(9), stamp_ns=second * NS_PER_S))
+        sent[heard] = len(vehicle.ears["uav2"].heard)
+    assert sent[True] == 15 > sent[False]
