@@ -87,6 +87,15 @@ def test_parallel_rays_and_points_behind_triangulate_to_nan() -> None:
     np.testing.assert_allclose(found[1], rig.left.bearings([300.0, 200.0]) * 5.0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("refinements", [0, 2])
+def test_rays_that_meet_behind_the_right_camera_alone_triangulate_to_nan(refinements: int) -> None:
+    backward = Pose(so3_exp([0.0, 3.0, 0.0]), np.array([0.5, 0.0, 0.0]))
+    rig = dataclasses.replace(CONVERGING, T_body_right=T_BODY_LEFT @ backward)
+    point = np.array([[0.1, 0.2, 5.0]])
+    assert rig.T_right_left.apply(point)[0, 2] < 0
+    assert np.isnan(rig.triangulate(rig.project(point), refinements=refinements)).all()
+
+
 def test_no_pixels_give_no_points(rig: StereoRig) -> None:
     assert rig.triangulate(np.zeros((0, 4))).shape == (0, 3)
     assert rig.epipolar_distance(np.zeros((0, 4))).shape == (0,)
