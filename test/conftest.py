@@ -58,9 +58,9 @@ def _own_state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
 
 
 def _descriptors(identities: ArrayLike) -> NDArray[np.uint8]:
-    """Return (N, 128) descriptors; the same identity looks the same to every vehicle."""
-    looks = [np.random.default_rng(int(k)).integers(0, 256, 128, np.uint8) for k in np.atleast_1d(identities)]
-    return np.array(looks, np.uint8).reshape(-1, 128)
+    """Return (N, 128) descriptors; an identity has the same descriptor for every vehicle."""
+    descriptors = [np.random.default_rng(int(k)).integers(0, 256, 128, np.uint8) for k in np.atleast_1d(identities)]
+    return np.array(descriptors, np.uint8).reshape(-1, 128)
 
 
 @pytest.fixture(scope="session")

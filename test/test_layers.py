@@ -56,7 +56,7 @@ AT_HOME = {
     "rclpy": {"ros"},
     "rosbags": {"datasets"},
     "mcap": {"datasets"},
-    "gtsam": {"studies"},  # a yardstick, no part of the estimator
+    "gtsam": {"studies"},  # a reference, no part of the estimator
     "matplotlib": {"report", "studies"},
     MESSAGES: {"ros"},
 }

@@ -30,7 +30,7 @@ def test_the_quick_bench_measures_every_stage_and_writes_the_study(
     }
     assert set(stages) == singles | {"back end", "fusion", "weight search", "make packet", "read packet"}
     for row in rows:
-        assert row["ratio_to_yardstick"] > 0
+        assert row["ratio_to_reference"] > 0
         assert row.get("ms_per_frame", 0) + row.get("ms_per_packet", 0) > 0
     assert [row["landmarks"] for row in rows if row["method"] == "fusion"] == [10, 50, 200]
     for row, landmarks in zip(

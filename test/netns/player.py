@@ -29,11 +29,11 @@ def main(messages: Path, start_s: float, result: Path) -> None:
     rclpy.init()
     node = rclpy.create_node("player", namespace=f"/{vehicle}")
     publishers = {topic: node.create_publisher(kind, topic, STATE) for topic, kind in TYPES.items()}
-    heard = {"fused": [], "status": [], "diagnostics": {}}
+    received = {"fused": [], "status": [], "diagnostics": {}}
 
     def on_fused(message: Odometry) -> None:
         at = message.pose.pose.position
-        heard["fused"].append((stamp_ns_of(message), at.x, at.y, at.z))
+        received["fused"].append((stamp_ns_of(message), at.x, at.y, at.z))
 
     def on_status(message: FusionStatus) -> None:
         own = {
@@ -44,12 +44,12 @@ def main(messages: Path, start_s: float, result: Path) -> None:
             )
         }
         names = ("peer", "packets_received", "packets_used", "received_bytes", "common_landmarks", "age_s", "silent")
-        heard["status"].append({**own, "peers": [{n: getattr(peer, n) for n in names} for peer in message.peers]})
+        received["status"].append({**own, "peers": [{n: getattr(peer, n) for n in names} for peer in message.peers]})
 
     def on_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name.endswith(": fusion"):
-                heard["diagnostics"] = {entry.key: entry.value for entry in status.values}
+                received["diagnostics"] = {entry.key: entry.value for entry in status.values}
 
     node.create_subscription(Odometry, "fused/odometry", on_fused, SENSOR)
     node.create_subscription(FusionStatus, "fusion/status", on_status, STATE)
@@ -64,8 +64,8 @@ def main(messages: Path, start_s: float, result: Path) -> None:
     end_s = time.time() + 2.0
     while time.time() < end_s:
         rclpy.spin_once(node, timeout_sec=0.1)
-    heard["frames"] = sum(topic == "odometry" for _, topic, _ in recorded["messages"])
-    result.write_text(json.dumps(heard))
+    received["frames"] = sum(topic == "odometry" for _, topic, _ in recorded["messages"])
+    result.write_text(json.dumps(received))
     rclpy.try_shutdown()
 
 

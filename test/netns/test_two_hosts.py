@@ -64,7 +64,7 @@ QUEUE_BYTES = 8192  # of the modem
 WIRE_BYTES_PER_S = 1200.0
 PAYLOAD_BYTES_PER_S = 900.0
 # Of 80 packets or more a fifth is lost: four sigmas below the mean are 62 %.
-LEAST_HEARD = 0.6
+LEAST_RECEIVED = 0.6
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ def report(host: Host, noted: dict[str, Any]) -> str:
     return (
         f"{host.vehicle}: {first[1]} B in the first {first[0]:.0f} s, then {rate:.0f} B/s on the wire; payload "
         f"{status['sent_bytes_per_s']:.0f} B/s; {status['packets_sent']} packets sent, {status['packets_held_back']} "
-        f"held back, {peer['packets_received']} heard from epoch {begun} on, {peer['packets_used']} used; "
+        f"held back, {peer['packets_received']} received from epoch {begun} on, {peer['packets_used']} used; "
         f"{len(noted['fused'])} of {noted['frames']} frames fused; {last[3]} datagrams dropped by the modem's "
         f"queue in all; it holds {max(s[2] for s in host.since(SETTLED_S))} B at most after {SETTLED_S:.0f} s, "
         f"{last[2]} B at the end"
@@ -273,19 +273,19 @@ def test_two_hosts_cooperate_over_a_lossy_9600_bit_radio_within_its_budget(
     print(f"pooled ATE: {alone:.3f} m alone, {together:.3f} m together")
     assert together < alone
     for host, peer in (hosts, hosts[::-1]):
-        settled, heard = host.since(SETTLED_S), noted[host.vehicle]
-        assert len(heard["fused"]) == heard["frames"] == FRAMES
+        settled, received = host.since(SETTLED_S), noted[host.vehicle]
+        assert len(received["fused"]) == received["frames"] == FRAMES
         rate = (settled[-1][1] - settled[0][1]) / (settled[-1][0] - settled[0][0])
         assert rate <= WIRE_BYTES_PER_S
         assert settled[-1][3] == settled[0][3], "the modem's queue overflowed"
         third = len(settled) // 3
         backlog = [sample[2] for sample in settled]
         assert sum(backlog[-third:]) <= sum(backlog[:third]) + third * 1100, "the modem's queue grows"
-        status = heard["status"][-1]
+        status = received["status"][-1]
         assert status["sent_bytes_per_s"] <= PAYLOAD_BYTES_PER_S
         (link,) = status["peers"]
         assert not link["silent"]
-        begun = next(epoch for epoch, status in enumerate(heard["status"]) if status["peers"])
+        begun = next(epoch for epoch, status in enumerate(received["status"]) if status["peers"])
         assert begun <= FOUND_EPOCHS, "the vehicles found each other too late"
         sent = noted[peer.vehicle]["status"]
-        assert link["packets_received"] >= LEAST_HEARD * (sent[-1]["packets_sent"] - sent[begun]["packets_sent"])
+        assert link["packets_received"] >= LEAST_RECEIVED * (sent[-1]["packets_sent"] - sent[begun]["packets_sent"])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A vehicle's own nodes as processes, on a radio where an attacker sends hundreds of packets a frame.
 
-The attacker sits in this process. It spoils an honest peer's packets in all the ways of test_packet_fuzz, as bytes and
+The attacker sits in this process. It corrupts an honest peer's packets as test_packet_fuzz does, as bytes and
 as messages, sends them again, and sends the vehicle's own packets back to it as those of a peer, a metre away. The
 replay waits for it at each frame, so that the whole flight is attacked, however fast the machine.
 """
@@ -47,7 +47,7 @@ from waiting import wait_for  # noqa: E402
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
-FUZZ = runpy.run_path(str(Path(__file__).with_name("test_packet_fuzz.py")))  # its ways to spoil a packet
+FUZZ = runpy.run_path(str(Path(__file__).with_name("test_packet_fuzz.py")))  # its ways to corrupt a packet
 
 FRAMES = 17  # 2.2 s: epochs at 1 and 2 s, so that what comes in the first can do its harm in the second
 SHARE = 150  # hostile packets at each frame
@@ -268,7 +268,7 @@ def hostile(sent_by_peer: list[bytes]) -> list[list[bytes]]:
     """What the attacker sends at each frame, made from what it has heard by then."""
     rng = np.random.default_rng(1)
     return [
-        [FUZZ["spoiled"](sent_by_peer[rng.integers(k + 1)], rng) for _ in range(SHARE)]
+        [FUZZ["corrupted"](sent_by_peer[rng.integers(k + 1)], rng) for _ in range(SHARE)]
         for k in range(len(sent_by_peer))
     ]
 

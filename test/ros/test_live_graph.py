@@ -33,13 +33,13 @@ from uav_vslam_msgs.msg import LandmarkInformation
 
 rclpy.init()
 node = rclpy.create_node("mine")
-heard = {}
+received = {}
 for topic, kind in (("/uav1/odometry", Odometry), ("/uav1/landmark_information", LandmarkInformation)):
-    node.create_subscription(kind, topic, lambda message, topic=topic: heard.setdefault(topic, message), 10)
-while len(heard) < 2:
+    node.create_subscription(kind, topic, lambda message, topic=topic: received.setdefault(topic, message), 10)
+while len(received) < 2:
     rclpy.spin_once(node)
-print(heard["/uav1/odometry"].header.frame_id, heard["/uav1/odometry"].child_frame_id)
-print(heard["/uav1/landmark_information"].vehicle, len(heard["/uav1/landmark_information"].ids) > 0)
+print(received["/uav1/odometry"].header.frame_id, received["/uav1/odometry"].child_frame_id)
+print(received["/uav1/landmark_information"].vehicle, len(received["/uav1/landmark_information"].ids) > 0)
 """
 
 
@@ -62,18 +62,18 @@ def graph(
 
 @pytest.mark.slow
 def test_a_users_own_node_receives_the_topics(graph: Any) -> None:
-    heard = subprocess.run(in_a_fresh_shell(LISTENER, graph.domain_id), capture_output=True, text=True)
-    assert heard.stdout.splitlines() == ["uav1/map uav1/base_link", "uav1 True"], heard.stderr
+    received = subprocess.run(in_a_fresh_shell(LISTENER, graph.domain_id), capture_output=True, text=True)
+    assert received.stdout.splitlines() == ["uav1/map uav1/base_link", "uav1 True"], received.stderr
 
 
 @pytest.mark.slow
 def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(graph: Any) -> None:
-    heard: list[LandmarkInformation] = []
+    received: list[LandmarkInformation] = []
     modes: list[str] = []
     context = rclpy.Context()
     context.init(domain_id=graph.domain_id)
     node = rclpy.create_node("pilot", context=context)
-    node.create_subscription(LandmarkInformation, "/uav1/received/uav2", heard.append, 10)
+    node.create_subscription(LandmarkInformation, "/uav1/received/uav2", received.append, 10)
     node.create_subscription(FusionStatus, "/uav1/fusion/status", lambda status: modes.append(status.mode), 10)
     client = node.create_client(SetParameters, "/uav1/fusion/set_parameters")
     executor = SingleThreadedExecutor(context=context)
@@ -83,8 +83,8 @@ def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(g
         return wait_for(until, lambda: executor.spin_once(timeout_sec=0.02), alive=graph.alive)
 
     try:
-        assert spin(lambda: heard and modes)
-        assert (heard[0].vehicle, modes[-1]) == ("uav2", "wideband")
+        assert spin(lambda: received and modes)
+        assert (received[0].vehicle, modes[-1]) == ("uav2", "wideband")
         assert spin(client.service_is_ready)
         value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="narrowband")
         request = SetParameters.Request(parameters=[Parameter(name="fusion.mode", value=value)])

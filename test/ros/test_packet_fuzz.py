@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ten thousand spoiled packets: with a key none gets in, without one none gets in that could do harm.
+"""Ten thousand corrupted packets: with a key none gets in, without one none gets in that could do harm.
 
-They are spoiled as bytes, and as messages whose checksum an attacker has made anew, and go the way of received ones:
+They are corrupted as bytes, and as messages whose checksum an attacker has recomputed, and are received like any other:
 from bytes to message to packet to inbox. rclpy's own decoding refuses bytes that make no sense with an RMWError.
 """
 
@@ -53,10 +53,10 @@ def packets(make_joint) -> list[LandmarkPacket]:
 
 
 def flip(data: Bytes, rng: Rng) -> Bytes:
-    spoiled = bytearray(data)
+    corrupted = bytearray(data)
     for place in rng.integers(len(data), size=rng.integers(1, 8)):
-        spoiled[place] = rng.integers(256)
-    return bytes(spoiled)
+        corrupted[place] = rng.integers(256)
+    return bytes(corrupted)
 
 
 def truncate(data: Bytes, rng: Rng) -> Bytes:
@@ -147,8 +147,8 @@ AS_BYTES = (flip, truncate, garbage, miscount, replay)
 AS_MESSAGE = (scramble, other_version, forge_sender, from_the_future, swap)
 
 
-def spoiled(data: Bytes, rng: Rng) -> Bytes:
-    """Return a spoiled packet; half of the spoiled messages get a checksum that fits."""
+def corrupted(data: Bytes, rng: Rng) -> Bytes:
+    """Return a corrupted packet; half of the corrupted messages get a checksum that fits."""
     way: Callable = (AS_BYTES + AS_MESSAGE)[rng.integers(len(AS_BYTES) + len(AS_MESSAGE))]
     if way in AS_BYTES:
         return way(data, rng)
@@ -177,7 +177,7 @@ def receive(inbox: Inbox, data: Bytes) -> tuple[str, LandmarkPacket | None]:
 
 
 def bombard(packets: list[LandmarkPacket], authentication: Authentication) -> tuple[Counter[str], list[LandmarkPacket]]:
-    """Return how many spoiled packets were refused, by reason, and those that were taken in."""
+    """Return how many corrupted packets were refused, by reason, and those that were taken in."""
     rng = np.random.default_rng(1)
     good = [serialize_message(packet_to_msg(authentication.sign(packet))) for packet in packets]
     reasons: Counter[str] = Counter()
@@ -186,7 +186,7 @@ def bombard(packets: list[LandmarkPacket], authentication: Authentication) -> tu
         if k % PER_INBOX == 0:
             inbox = Inbox("uav1", authentication=authentication)
             assert [receive(inbox, data)[0] for data in good] == [""] * len(good)
-        reason, packet = receive(inbox, spoiled(good[rng.integers(len(good))], rng))
+        reason, packet = receive(inbox, corrupted(good[rng.integers(len(good))], rng))
         reasons[reason] += 1
         if packet is not None:
             accepted.append(packet)

@@ -37,12 +37,12 @@ class Graph:
         self.size = vehicle.rig.left.width, vehicle.rig.left.height
         self.starts: list[NavigationState] = []
         self.odometry: list[Odometry] = []
-        self.reckoned: list[Odometry] = []
+        self.dead_reckoned: list[Odometry] = []
         self.live: list[Odometry] = []
         for kind, topic, heard, qos in (
             (NavigationState, "initial_state", self.starts, LATCHED),
             (Odometry, "odometry", self.odometry, STATE),
-            (Odometry, "ins/dead_reckoning", self.reckoned, STATE),
+            (Odometry, "ins/dead_reckoning", self.dead_reckoned, STATE),
             (Odometry, "ins/odometry", self.live, STATE),
         ):
             self.other.create_subscription(kind, topic, heard.append, qos)
@@ -105,9 +105,9 @@ def test_the_start_that_the_back_end_finds_starts_the_ins(graph: Graph, vehicle:
         graph.feed(sample)
         graph.spin_until(lambda newest=sample.stamp_ns: newest_of(graph.ins) >= newest)
     expected = [(stamp.sec, stamp.nanosec) for stamp in map(stamp_from_ns, frames)]
-    assert graph.spin_until(lambda: len(graph.odometry) == FRAMES and len(graph.reckoned) == FRAMES)
+    assert graph.spin_until(lambda: len(graph.odometry) == FRAMES and len(graph.dead_reckoned) == FRAMES)
     assert stamps(graph.odometry) == expected
-    assert stamps(graph.reckoned) == expected
+    assert stamps(graph.dead_reckoned) == expected
     (start,) = graph.starts
     found = navigation_from_msg(start)
     assert found.state.stamp_ns == min(frames)

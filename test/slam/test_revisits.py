@@ -17,7 +17,7 @@ from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_v
 from uav_vslam.slam.backend import FrameReport, SlamBackend
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.revisits import recognise
-from uav_vslam.studies.engine.own_only import reckon
+from uav_vslam.studies.engine.own_only import dead_reckon
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
 CONFIG = BackendConfig()
@@ -35,7 +35,7 @@ def vehicle() -> Iterator[SimulatedVehicle]:
 @pytest.fixture(scope="module")
 def increments(vehicle: SimulatedVehicle) -> list[ImuIncrement | None]:
     stamps = [int(stamp_ns) for stamp_ns in vehicle.frame_stamps_ns]
-    return reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)[0]
+    return dead_reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)[0]
 
 
 def observed(vehicle: SimulatedVehicle, field: LandmarkField) -> list[StereoFeatures]:

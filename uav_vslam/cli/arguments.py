@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of arguments: what can't be used is refused before any work begins."""
+"""Argument types: invalid values are refused before any work starts."""
 
 import argparse
 import os
@@ -17,7 +17,7 @@ def non_negative(text: str) -> int:
 
 
 def results_folder(text: str) -> Path:
-    """Return the folder of all results, which is made when there are some."""
+    """Return the folder of all results, which is created with the first of them."""
     from uav_vslam.errors import UavVslamError
     from uav_vslam.evaluation.output import latest_link
 

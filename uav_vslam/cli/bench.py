@@ -11,9 +11,9 @@ from uav_vslam.cli.arguments import results_folder
 HELP = "measure the speed of each stage"
 EXAMPLES = """examples:
   uav-vslam bench
-  uav-vslam bench --quick          a few repeats only, for a first look
+  uav-vslam bench --quick          a few repeats only, for a quick check
 
-Every time stands beside a yardstick measured in the same breath: compare the ratios, not the milliseconds, between
+Each time comes with a reference measured alternately in the same run: compare ratios, not milliseconds, between
 machines and revisions. All in one process and one thread; times are processor time.
 """
 
@@ -51,11 +51,11 @@ def _print(rows: list[dict[str, Any]]) -> None:
     table = Table("Stage", "Condition")
     for heading in ("Time", "Ratio to"):
         table.add_column(heading, justify="right")
-    table.add_column("Yardstick")
+    table.add_column("Reference")
     for row in rows:
-        yardstick = "\n".join([row["yardstick"], *_figures(row, "gtsam_")])
+        reference = "\n".join([row["reference"], *_figures(row, "gtsam_")])
         table.add_row(
-            row["method"], row["condition"], "\n".join(_figures(row)), f"{row['ratio_to_yardstick']:.3g}", yardstick
+            row["method"], row["condition"], "\n".join(_figures(row)), f"{row['ratio_to_reference']:.3g}", reference
         )
     Console().print(table)
 

@@ -74,6 +74,6 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
 
 
 def print_progress(name: str, line: str) -> None:
-    """Print what the replay says, and of all others only what is serious; who still waits, the replay tells."""
+    """Print the replay's output, and of other nodes only errors; the replay itself reports which nodes still wait."""
     if name == "replay" or (SERIOUS.search(line) and "waiting for" not in line):
         print(f"[{name}] {STAMPED.sub('', line)}", flush=True)

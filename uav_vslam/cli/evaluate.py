@@ -12,8 +12,8 @@ from uav_vslam.cli.arguments import results_folder
 
 HELP = "score recorded estimates against the recorded truth"
 EXAMPLES = """examples:
-  uav-vslam evaluate out/estimates bags/sample                 estimates and truth lie in different bags
-  uav-vslam evaluate out/estimates --alignment yaw             forgive yaw and position of the start
+  uav-vslam evaluate out/estimates bags/sample                 estimates and truth in different bags
+  uav-vslam evaluate out/estimates --alignment yaw             align yaw and position of the start
   uav-vslam evaluate out/estimates bags/sample --no-plots --root out/results
 
 Writes summary.json, TUM trajectories and plots into a new folder below results/, to which results/latest leads, and
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, wall_s: float = 0.0) -> int:
-    """Evaluate as `run` does; one who made the recordings adds their configuration and how long that took [s]."""
+    """Evaluate as `run` does; the caller that made the recordings adds their configuration and its run time [s]."""
     from uav_vslam.datasets.outputs import read_outputs
     from uav_vslam.datasets.recorded_result import flight_result
     from uav_vslam.evaluation.output import write_results

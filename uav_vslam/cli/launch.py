@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 HELP = "start a fleet's node graph, one process a node"
 EXAMPLES = """examples:
-  uav-vslam launch config/fleet_demo.yaml                                 replay what the file names, in lock-step
+  uav-vslam launch config/fleet_demo.yaml                                 replay the file's recordings, in lock-step
   uav-vslam launch config/fleet_demo.yaml --bag flight --rate 1           another recording, in real time
   uav-vslam launch config/fleet_demo.yaml --mode none --record out/alone  without cooperation, estimates recorded
   uav-vslam launch config/fleet_demo.yaml --mode narrowband --link bad_radio    over 9.6 kbit/s with 20 % loss
@@ -25,7 +25,7 @@ The end of the replay ends the fleet; so does a node that dies, SIGINT and SIGTE
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument("fleet", type=Path, metavar="FLEET.yaml", help="vehicles, what is replayed, and the mode")
+    parser.add_argument("fleet", type=Path, metavar="FLEET.yaml", help="vehicles, recordings to replay, and the mode")
     parser.add_argument("--bag", type=Path, action="append", metavar="BAG", help="replay this instead; may be repeated")
     parser.add_argument(
         "--rate", type=float, metavar="R", help="multiple of real time; 0: paced by the graph (lock-step)"
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, mode: str | None) -> FleetConfig:
-    """Read a fleet file; what is given here replaces what it says.
+    """Read a fleet file; the arguments override its values.
 
     Raises:
         ConfigError: the file or a value is wrong.
@@ -74,7 +74,7 @@ def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, m
 
 
 def _check_recordings(bags: Sequence[Path], vehicles: Iterable[str]) -> None:
-    """Say before anything is started what no node could work with: each would only drop its messages."""
+    """Refuse unusable recordings before anything is started: nodes would only drop their messages."""
     from uav_vslam.datasets.bag import open_flight
     from uav_vslam.errors import BagError
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `uav-vslam` command: picks the verb's module, and turns what it raises into one line and an exit code.
+"""The `uav-vslam` command: imports the verb's module, and turns its exceptions into one line and an exit code.
 
 A verb is a module of this package with HELP, `add_arguments(parser)` and `run(args) -> int`. Only what is asked for is
 imported, and the verbs themselves import late, so that `--help` is quick.
@@ -23,8 +23,8 @@ EXAMPLES = """examples:
   uav-vslam simulate out/flight --frames 60          record a simulated flight of two vehicles
   uav-vslam VERB --help                              arguments and examples of one verb
 
-exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (what can be read of a damaged recording is used
-before), 130 interrupted
+exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (the readable part of a damaged recording is used
+first), 130 interrupted
 """
 FAILURE, WRONG_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return WRONG_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of our output has left; Python would complain while it flushes at exit
+    except BrokenPipeError:  # the reader closed the pipe; Python would raise again while it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far long work has come: a bar on a terminal, now and then a line where the output goes to a file or a log."""
+"""Progress of long work: a bar on a terminal, a line from time to time in a file or log."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LINE_EVERY_S = 60.0
 
 @contextmanager
 def progress_bar(title: str, total: int) -> Iterator[Callable[..., None]]:
-    """Show progress and give the function that moves it on, by one unless told by how many."""
+    """Show progress and yield the function that advances it by a count (default 1)."""
     if not sys.stdout.isatty():
         yield _lines(title, total)
         return
@@ -25,7 +25,7 @@ def progress_bar(title: str, total: int) -> Iterator[Callable[..., None]]:
 
 
 def _lines(title: str, total: int) -> Callable[..., None]:
-    """Return a function that counts, and tells standard error each time that `LINE_EVERY_S` have passed."""
+    """Return a function that counts, and prints to standard error every `LINE_EVERY_S` seconds."""
     started_s = told_s = time.monotonic()
     done = 0
 

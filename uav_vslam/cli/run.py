@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run, evaluate, write; return 2 where a recording broke off, after using what there is."""
+    """Run, evaluate, write; return 2 where a recording is truncated, after using what can be read."""
     import sys
     import time
     from functools import partial

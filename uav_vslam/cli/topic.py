@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`uav-vslam topic`: look at live topics where ROS came from PyPI, without its `ros2` command."""
+"""`uav-vslam topic`: inspect live topics where ROS came from PyPI, without its `ros2` command."""
 
 import argparse
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look at the graph until there is nothing more to say or Ctrl-C."""
+    """Inspect the graph until done or Ctrl-C."""
     from uav_vslam.ros import topic_tools
 
     with topic_tools.observer(args.domain) as node:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons over many seeds: each study is a list of methods and conditions, and what one seed of them gives."""
+"""Comparisons over many seeds: each study defines methods, conditions and what it measures on one seed."""

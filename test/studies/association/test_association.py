@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Associations are judged by what the features truly show, and the matchers by their keypoints."""
+"""Associations are scored by what the features truly show, and the matchers by their keypoints."""
 
 import dataclasses
 
@@ -9,13 +9,13 @@ import pytest
 from uav_vslam.association import ASSOCIATORS
 from uav_vslam.config import FrontendConfig, VehicleConfig
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
-from uav_vslam.studies.association.compute import Found, Job, TruePoints, associate_all, fly, judge, map_rows
-from uav_vslam.studies.association.image_matching import image_rows, judge_images, kept_frames
+from uav_vslam.studies.association.compute import Found, Job, TruePoints, associate_all, fly, map_rows, score_pairs
+from uav_vslam.studies.association.image_matching import image_rows, kept_frames, score_matchers
 from uav_vslam.studies.engine.association_stages import Score
+from uav_vslam.studies.engine.extracted_flights import ExtractedFlight, recorded_flight, rendered_flight, shown_at
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.own_only import INS
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
-from uav_vslam.studies.engine.searched_flights import SearchedFlight, recorded_flight, rendered_flight, shown_at
 from uav_vslam.vision.matching import MATCHERS
 
 FRAMES = 7
@@ -23,46 +23,48 @@ CONFIG = VehicleConfig(frontend=FrontendConfig(scale=1.0, max_features=500))
 
 
 @pytest.fixture(scope="module")
-def flight() -> SearchedFlight:
+def flight() -> ExtractedFlight:
     scenario = dataclasses.replace(SCENARIOS["sample"], frames=FRAMES, vehicles=1)
     return rendered_flight("sample", scenario, CONFIG, keep=kept_frames(FRAMES))
 
 
-def in_frame(flight: SearchedFlight, frame: int, pairs: np.ndarray) -> Found:
+def in_frame(flight: ExtractedFlight, frame: int, pairs: np.ndarray) -> Found:
     """Return pairs of landmarks that are the features of frame 0."""
     rows = np.arange(len(flight.points[0]))
     return Found(rows, flight.steps[frame][0], pairs, 0.0)
 
 
-def test_a_feature_shows_the_point_that_projects_onto_it(flight: SearchedFlight) -> None:
+def test_a_feature_shows_the_point_that_projects_onto_it(flight: ExtractedFlight) -> None:
     for frame in (0, FRAMES - 1):
         shown = shown_at(flight.T_world_left[frame], flight.rig.left, flight.points[frame])
         np.testing.assert_allclose(shown, flight.steps[frame][0].pixels[:, :2], atol=0.01)
 
 
-def test_a_landmarks_own_feature_is_right_and_any_other_is_wrong(flight: SearchedFlight) -> None:
+def test_a_landmarks_own_feature_is_right_and_any_other_is_wrong(flight: ExtractedFlight) -> None:
     count = len(flight.points[0])
     same = np.column_stack([np.arange(count), np.arange(count)])
-    score = judge(in_frame(flight, 0, same), flight.points[0], flight.T_world_left[0], flight)
+    score = score_pairs(in_frame(flight, 0, same), flight.points[0], flight.T_world_left[0], flight)
     assert score == Score(count, count, count, count)
     other = np.column_stack([np.arange(count), np.roll(np.arange(count), 1)])
-    assert judge(in_frame(flight, 0, other), flight.points[0], flight.T_world_left[0], flight).right < 0.05 * count
+    assert (
+        score_pairs(in_frame(flight, 0, other), flight.points[0], flight.T_world_left[0], flight).right < 0.05 * count
+    )
 
 
-def test_landmarks_of_unknown_origin_count_neither_way(flight: SearchedFlight) -> None:
+def test_landmarks_of_unknown_origin_count_neither_way(flight: ExtractedFlight) -> None:
     points = flight.points[0].copy()
     points[:10] = np.nan
     same = np.column_stack([np.arange(len(points)), np.arange(len(points))])
-    score = judge(in_frame(flight, 0, same), points, flight.T_world_left[0], flight)
+    score = score_pairs(in_frame(flight, 0, same), points, flight.T_world_left[0], flight)
     assert score.left == score.findable == len(points) - 10
 
 
-def test_what_is_behind_the_camera_is_not_shown(flight: SearchedFlight) -> None:
+def test_what_is_behind_the_camera_is_not_shown(flight: ExtractedFlight) -> None:
     T = flight.T_world_left[0]
     assert np.isnan(shown_at(T, flight.rig.left, T.apply(np.array([[0.0, 0.0, -5.0]])))).all()
 
 
-def test_a_landmark_shows_for_ever_what_it_began_as(flight: SearchedFlight) -> None:
+def test_a_landmark_shows_for_ever_what_it_began_as(flight: ExtractedFlight) -> None:
     truth = TruePoints(flight)
     T_map_body = flight.T_world_left[0] @ flight.rig.T_body_left.inverse()
     ids = np.array([4, 9], np.uint32)
@@ -75,7 +77,7 @@ def test_a_landmark_shows_for_ever_what_it_began_as(flight: SearchedFlight) -> N
     assert np.isnan(truth.of(np.array([11, 12], np.uint32))).all()
 
 
-def test_a_recording_is_judged_by_its_true_poses_and_its_stereo_points(flight: SearchedFlight) -> None:
+def test_a_recording_is_judged_by_its_true_poses_and_its_stereo_points(flight: ExtractedFlight) -> None:
     """The same flight as a recording, whose first frame is older than its start."""
     vehicle = simulate_vehicle(dataclasses.replace(SCENARIOS["sample"], frames=FRAMES, vehicles=1), 0)
     features = [seen for seen, _ in flight.steps]
@@ -96,7 +98,7 @@ def test_a_recording_is_judged_by_its_true_poses_and_its_stereo_points(flight: S
 
 
 @pytest.mark.parametrize("name", ["gated", "nn", "hgtm"])
-def test_on_clear_images_most_of_what_is_found_is_right(flight: SearchedFlight, name: str) -> None:
+def test_on_clear_images_most_of_what_is_found_is_right(flight: ExtractedFlight, name: str) -> None:
     found = fly(flight, name)
     assert found.score.right > 0.95 * found.score.left
     assert found.score.left > 20 * (FRAMES - 1)
@@ -104,7 +106,7 @@ def test_on_clear_images_most_of_what_is_found_is_right(flight: SearchedFlight, 
     assert not found.run.track.failure
 
 
-def test_a_row_tells_precision_and_recall_of_each_associator_and_errors_of_the_ins(flight: SearchedFlight) -> None:
+def test_a_row_tells_precision_and_recall_of_each_associator_and_errors_of_the_ins(flight: ExtractedFlight) -> None:
     rows = map_rows(associate_all(flight, ["gated"]))
     assert [row["method"] for row in rows] == [INS, "gated"]
     assert rows[0]["precision"] is None
@@ -113,8 +115,8 @@ def test_a_row_tells_precision_and_recall_of_each_associator_and_errors_of_the_i
     assert set(ASSOCIATORS) >= set(Job("clear", 1, 5, ("gated",)).names)
 
 
-def test_every_matcher_is_judged_on_pairs_and_in_time(flight: SearchedFlight) -> None:
-    rows = image_rows(judge_images(flight, ratio=0.8))
+def test_every_matcher_is_judged_on_pairs_and_in_time(flight: ExtractedFlight) -> None:
+    rows = image_rows(score_matchers(flight, ratio=0.8))
     assert {(row["condition"], row["method"]) for row in rows} == {
         (f"{flight.condition}, {kind}", name) for kind in ("left and right", "in time") for name in MATCHERS
     }

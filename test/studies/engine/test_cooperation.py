@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine of the fusion studies: what it watches for, it would see."""
+"""The engine of the fusion studies: its monitor detects over-confident packets."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ import pytest
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.slam.packet import PacketPolicy, make_packet
-from uav_vslam.studies.engine.cooperation import _PacketWatch
+from uav_vslam.studies.engine.cooperation import _PacketMonitor
 from uav_vslam.types import JointInformation, LandmarkPacket
 
 POINTS = [[-10.0, 0.0, 0.0], [20.0, 5.0, 1.0], [0.0, 30.0, -1.0]]
@@ -21,11 +21,11 @@ def joint(make_joint) -> JointInformation:
     return make_joint(POINTS, np.diag(np.r_[np.full(6, 0.01), np.repeat(VARIANCES, 3)]))
 
 
-def watched(joint: JointInformation, packet: LandmarkPacket) -> _PacketWatch:
-    fusion, watch = Fusion(joint.vehicle, FusionConfig()), _PacketWatch()
+def monitored(joint: JointInformation, packet: LandmarkPacket) -> _PacketMonitor:
+    fusion, monitor = Fusion(joint.vehicle, FusionConfig()), _PacketMonitor()
     fusion.fuse(joint)
-    watch.see(fusion, packet, 100)
-    return watch
+    monitor.on_packet(fusion, packet, 100)
+    return monitor
 
 
 def in_other_order(joint: JointInformation) -> LandmarkPacket:
@@ -44,7 +44,7 @@ def in_other_order(joint: JointInformation) -> LandmarkPacket:
 def test_an_honest_packet_rings_no_alarm(joint: JointInformation) -> None:
     packet = in_other_order(joint)
     assert packet.ids.tolist() != joint.ids.tolist()
-    assert 0.9 < watched(joint, packet).largest <= 1.0
+    assert 0.9 < monitored(joint, packet).largest <= 1.0
 
 
 @pytest.mark.parametrize("landmark", range(3))
@@ -53,13 +53,13 @@ def test_a_packet_that_claims_more_than_is_known_of_one_landmark_rings(joint: Jo
     P = joint.covariance.copy()
     P[6 + 3 * landmark : 9 + 3 * landmark] /= 3.0
     packet = in_other_order(dataclasses.replace(joint, information=np.linalg.inv(P)))
-    assert 2.7 < watched(joint, packet).largest <= 3.0
+    assert 2.7 < monitored(joint, packet).largest <= 3.0
 
 
 def test_the_alarm_keeps_ringing_after_honest_packets(joint: JointInformation) -> None:
-    fusion, watch = Fusion(joint.vehicle, FusionConfig()), _PacketWatch()
+    fusion, monitor = Fusion(joint.vehicle, FusionConfig()), _PacketMonitor()
     fusion.fuse(joint)
     doubled = dataclasses.replace(joint, information=2.0 * joint.information)
     for sent in (doubled, joint):
-        watch.see(fusion, in_other_order(sent), 100)
-    assert watch.largest > 1.8
+        monitor.on_packet(fusion, in_other_order(sent), 100)
+    assert monitor.largest > 1.8

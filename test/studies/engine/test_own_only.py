@@ -15,10 +15,10 @@ from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.studies.engine.own_only import (
     INS,
     Trial,
+    dead_reckon,
     dead_reckoning,
     own_only,
     prepare,
-    reckon,
     run_trial,
     run_trials,
 )
@@ -49,9 +49,9 @@ def test_it_is_what_the_pipeline_gives(runs):
     (flight, _) = prepare(dataclasses.replace(SHORT, seed=1), LandmarkNoise())
     source = SimulatedSource(flight.vehicle, flight.landmarks)
     outputs = track_vehicle(source, VehicleConfig(imu=SHORT.imu_config)).outputs
-    reckoned, estimated = runs[0].track.estimate, runs[2].track.estimate
+    ins, estimated = runs[0].track.estimate, runs[2].track.estimate
     np.testing.assert_array_equal(estimated.positions, [output.report.pose.T_map_body.t for output in outputs])
-    np.testing.assert_array_equal(reckoned.positions, [output.dead_reckoning.pose.T_map_body.t for output in outputs])
+    np.testing.assert_array_equal(ins.positions, [output.dead_reckoning.pose.T_map_body.t for output in outputs])
 
 
 def test_a_frame_has_its_time_its_landmarks_and_its_memory(runs):
@@ -111,6 +111,6 @@ def test_a_flight_longer_than_readings_are_kept_is_reckoned_whole():
     period_ns, count = NS_PER_S // 20, int(20 * 1.2 * MAX_HELD_S)
     level = np.zeros(3), np.array([0.0, 0.0, SHORT.imu_config.gravity])
     samples = [ImuSample(initial.state.stamp_ns + k * period_ns, *level) for k in range(count)]
-    increments, _ = reckon(initial, SHORT.imu_config, samples, [sample.stamp_ns for sample in samples[::20]])
+    increments, _ = dead_reckon(initial, SHORT.imu_config, samples, [sample.stamp_ns for sample in samples[::20]])
     assert len(increments) == count // 20
     assert all(increment.samples > 0 for increment in increments[1:])

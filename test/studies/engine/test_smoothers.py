@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The yardsticks are consistent, agree with each other, and hold what they should."""
+"""The references are consistent, agree with each other, and hold what they should."""
 
 import dataclasses
 
@@ -78,9 +78,9 @@ def test_the_batch_optimum_errs_as_much_as_it_says() -> None:
 
 
 def test_wrong_matches_are_left_out(vehicle, frames) -> None:
-    spoiled = [(features, np.where(np.arange(len(ids)) == 3, -1, ids)) for features, ids in frames]
-    cleaned = [without(frame, -1) for frame in spoiled]
-    np.testing.assert_array_equal(optimum(vehicle, spoiled).positions, optimum(vehicle, cleaned).positions)
+    corrupted = [(features, np.where(np.arange(len(ids)) == 3, -1, ids)) for features, ids in frames]
+    cleaned = [without(frame, -1) for frame in corrupted]
+    np.testing.assert_array_equal(optimum(vehicle, corrupted).positions, optimum(vehicle, cleaned).positions)
 
 
 def test_what_is_not_the_optimum_is_not_given_out(vehicle, frames, monkeypatch) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thesis's ways to share a map do what its equations say, and so double-count until the filter believes too much.
+"""The thesis's map sharing schemes follow its equations, and so double-count until the filter is over-confident.
 
 That a baseline fails proves nothing about its code: each is held against dense algebra on a small problem.
 """
@@ -61,7 +61,7 @@ def own(rng: np.random.Generator) -> Filter:
 
 
 @pytest.fixture
-def told(own: Filter, rng: np.random.Generator) -> Shared:
+def received(own: Filter, rng: np.random.Generator) -> Shared:
     """What a peer sent: metres off, and better than the own map along x, but worse along y and z."""
     scale = np.diag(np.tile([0.6, 2.0, 2.0], 3))
     P = scale @ spd(rng, 9) @ scale
@@ -95,43 +95,43 @@ def intersection(a: Array, P_a: Array, b: Array, P_b: Array) -> tuple[Array, Arr
 
 
 def test_intersecting_each_landmark_leaves_it_as_the_intersection_and_the_rest_follows(
-    own: Filter, told: Shared
+    own: Filter, received: Shared
 ) -> None:
     P, x = own.covariance(), np.zeros(NAV + 3 * LANDMARKS)
-    P_told, before = np.linalg.inv(told.information), state(own)
+    P_received, before = np.linalg.inv(received.information), state(own)
     for k, row in enumerate(ROWS):
         at, block = columns(row), slice(3 * k, 3 * k + 3)
         a = own.landmarks[row] + x[at]
-        c, P_c = intersection(a, P[at, at], told.positions[k], P_told[block, block])
+        c, P_c = intersection(a, P[at, at], received.positions[k], P_received[block, block])
         G = P[:, at] @ np.linalg.inv(P[at, at])
         x, P = x + G @ (c - a), P - G @ (P[at, at] - P_c) @ G.T
-    intersect_each(own, ROWS, told, None)
+    intersect_each(own, ROWS, received, None)
     np.testing.assert_allclose(own.covariance(), P, atol=WEIGHT_ACCURACY)
     np.testing.assert_allclose(state(own) - before, additive(x), atol=WEIGHT_ACCURACY)
 
 
-def test_overwriting_puts_the_intersection_in_its_place_and_leaves_all_else(own: Filter, told: Shared) -> None:
+def test_overwriting_puts_the_intersection_in_its_place_and_leaves_all_else(own: Filter, received: Shared) -> None:
     P, x = own.covariance(), np.zeros(NAV + 3 * LANDMARKS)
-    P_told, before = np.linalg.inv(told.information), state(own)
+    P_received, before = np.linalg.inv(received.information), state(own)
     for k, row in enumerate(ROWS):
         at, block = columns(row), slice(3 * k, 3 * k + 3)
-        c, P[at, at] = intersection(own.landmarks[row], P[at, at], told.positions[k], P_told[block, block])
+        c, P[at, at] = intersection(own.landmarks[row], P[at, at], received.positions[k], P_received[block, block])
         x[at] = c - own.landmarks[row]
-    overwrite(own, ROWS, told, None)
+    overwrite(own, ROWS, received, None)
     np.testing.assert_allclose(own.covariance(), P, atol=WEIGHT_ACCURACY)
     np.testing.assert_allclose(state(own) - before, additive(x), atol=WEIGHT_ACCURACY)
 
 
 def test_adding_deltas_is_the_kalman_update_by_what_the_peer_has_measured_since(
-    own: Filter, told: Shared, rng: np.random.Generator
+    own: Filter, received: Shared, rng: np.random.Generator
 ) -> None:
     """Then it knew two of the landmarks; since it measured both as z with covariance R, and found a third one."""
     known, z, R = np.array([2, 0]), rng.normal(0.0, 20.0, 6), spd(rng, 6)
-    then = Shared(IDS[known], told.positions[known], np.linalg.inv(spd(rng, 6)))
+    then = Shared(IDS[known], received.positions[known], np.linalg.inv(spd(rng, 6)))
     Y = then.information + np.linalg.inv(R)
     x_now = np.linalg.solve(Y, then.information @ then.positions.ravel() + np.linalg.solve(R, z))
     at = np.r_[6:9, 0:3]  # of the two in the order of the newer packet
-    positions, information = told.positions.copy(), np.eye(9)
+    positions, information = received.positions.copy(), np.eye(9)
     positions[known] = x_now.reshape(2, 3)
     information[np.ix_(at, at)] = Y
     P, before = own.covariance(), state(own)
@@ -145,9 +145,9 @@ def test_adding_deltas_is_the_kalman_update_by_what_the_peer_has_measured_since(
     np.testing.assert_allclose(state(own) - before, additive(x), atol=1e-9)
 
 
-def test_a_first_packet_has_no_delta(own: Filter, told: Shared) -> None:
+def test_a_first_packet_has_no_delta(own: Filter, received: Shared) -> None:
     before = state(own)
-    add_deltas(own, ROWS, told, None)
+    add_deltas(own, ROWS, received, None)
     np.testing.assert_array_equal(state(own), before)
 
 
@@ -180,10 +180,10 @@ def test_own_maps_hold_nothing_that_peers_wrote_and_fused_ones_do(sends_own: boo
     def sent(write: Write) -> list[Shared]:
         packets: list[Shared] = []
 
-        def noted(own: Filter, rows: NDArray[np.int64], told: Shared, before: Shared | None) -> None:
-            assert not np.allclose(told.positions, own.landmarks[rows], atol=0.01)  # it is the peer's map
-            packets.append(told)
-            write(own, rows, told, before)
+        def noted(own: Filter, rows: NDArray[np.int64], received: Shared, before: Shared | None) -> None:
+            assert not np.allclose(received.positions, own.landmarks[rows], atol=0.01)  # it is the peer's map
+            packets.append(received)
+            write(own, rows, received, before)
 
         fly_with_write_back(flights, VehicleConfig(), WriteBack(noted, "", sends_own=sends_own))
         return packets

@@ -19,7 +19,15 @@ from uav_vslam.studies.features.compute import (
     feature_rows,
     nearest,
 )
-from uav_vslam.studies.features.sets import ImageSet, View, cross_pairs, narrowed, rendered_set, spaced_pairs, steady
+from uav_vslam.studies.features.sets import (
+    ImageSet,
+    View,
+    cross_pairs,
+    downscaled,
+    rendered_set,
+    spaced_pairs,
+    static_truth,
+)
 from uav_vslam.studies.features.sets import usual_pairs as usual
 from uav_vslam.studies.features.trends import TRENDS, trend_rows
 from uav_vslam.vision.features import Keypoints
@@ -44,7 +52,7 @@ def make_set(*, bands: int = 1) -> ImageSet:
         images = {0: parts[0], 1: parts[1], 2: parts[1]}
         views[band] = {k: View("made", band, k, str(k), image) for k, image in images.items()}
         shifts |= {(band, 0): SHIFT, (band, 1): np.zeros(2), (band, 2): np.zeros(2)}
-    return ImageSet("made", views, (1, 2), cross=1 if bands > 1 else None, truth=steady(shifts))
+    return ImageSet("made", views, (1, 2), cross=1 if bands > 1 else None, truth=static_truth(shifts))
 
 
 def test_pairs_are_those_of_each_band_between_bands_and_at_all_distances() -> None:
@@ -72,8 +80,8 @@ def test_the_truth_of_a_rendered_flight_moves_points_along_the_flight() -> None:
 
 
 def test_wide_images_alone_are_shrunk() -> None:
-    assert narrowed(np.zeros((60, 80, 3), np.uint8), 40).shape == (30, 40, 3)
-    assert narrowed(np.zeros((60, 80), np.uint8), 80).shape == (60, 80)
+    assert downscaled(np.zeros((60, 80, 3), np.uint8), 40).shape == (30, 40, 3)
+    assert downscaled(np.zeros((60, 80), np.uint8), 80).shape == (60, 80)
 
 
 def test_matching_some_rows_at_a_time_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,20 +4,20 @@
 import pytest
 
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.studies.engine.apart import Flown, fly_own_only
 from uav_vslam.studies.engine.association_stages import STAGES, UNKNOWN_FRAME
+from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only
 from uav_vslam.studies.frames.compute import OWN, PEER, TRACKS, run_together
 
 FRAMES = 36  # five seconds
 
 
 @pytest.fixture(scope="module")
-def flown() -> Flown:
+def flown() -> OwnOnlyTracks:
     return fly_own_only(Scenario(seed=1, frames=FRAMES))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_vehicles_find_each_others_maps(flown: Flown, share: float) -> None:
+def test_vehicles_find_each_others_maps(flown: OwnOnlyTracks, share: float) -> None:
     run = run_together(flown, 1, share)
     assert run.first is not None
     assert run.first.after_s < 5.0
@@ -31,7 +31,7 @@ def test_vehicles_find_each_others_maps(flown: Flown, share: float) -> None:
     assert (run.first.matches.wrong > 0) == (share > 0)
 
 
-def test_a_run_is_judged_in_every_respect(flown: Flown) -> None:
+def test_a_run_is_judged_in_every_respect(flown: OwnOnlyTracks) -> None:
     run = run_together(flown, 1, 0.3)
     assert run.share == 0.3
     assert set(run.stages) == {*STAGES, UNKNOWN_FRAME}
@@ -43,7 +43,7 @@ def test_a_run_is_judged_in_every_respect(flown: Flown) -> None:
     assert run.ate_m[OWN]["unknown"] != run.ate_m[OWN]["alone"]
 
 
-def test_vehicles_that_share_too_little_stay_apart(flown: Flown) -> None:
+def test_vehicles_that_share_too_little_stay_apart(flown: OwnOnlyTracks) -> None:
     run = run_together(flown, 1, 1.0)  # all that they share looks wrong
     assert run.first is None
     assert run.errors.shape == (0, 2)

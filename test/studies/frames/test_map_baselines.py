@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An alignment's errors are those of the maps, not of the yardstick."""
+"""An alignment's errors are those of the maps, not of the reference."""
 
 import numpy as np
 import pytest

@@ -15,7 +15,7 @@ from uav_vslam.studies.revisit.compute import (
     LANDMARK,
     RENDERED,
     Loop,
-    Witness,
+    RevisitChecker,
     ground_points,
     revisit_jobs,
     revisit_loops,
@@ -26,7 +26,7 @@ from uav_vslam.types import StereoFeatures
 
 @dataclasses.dataclass
 class Report:
-    """As much of a frame's report as the witness looks at."""
+    """The part of a frame's report that the checker reads."""
 
     sightings: np.ndarray
 
@@ -79,12 +79,14 @@ def test_pixels_are_traced_to_the_points_that_they_show():
     ],
 )
 def test_the_witness_knows_which_closures_are_false(first, then, false):
-    witness = Witness([np.array([[first, 0.0, 0.0, 0.0]]), *[np.zeros((0, 4))] * (LONG_FRAMES - 1), np.array(then)])
-    witness.add(Report(np.array([[7, 0]])))
+    checker = RevisitChecker(
+        [np.array([[first, 0.0, 0.0, 0.0]]), *[np.zeros((0, 4))] * (LONG_FRAMES - 1), np.array(then)]
+    )
+    checker.add(Report(np.array([[7, 0]])))
     for _ in range(LONG_FRAMES - 1):
-        witness.add(Report(np.zeros((0, 2), int)))
-    witness.add(Report(np.array([[7, 0], [8, 1]])))  # 8 is new
-    assert witness.false == [false]
+        checker.add(Report(np.zeros((0, 2), int)))
+    checker.add(Report(np.array([[7, 0], [8, 1]])))  # 8 is new
+    assert checker.false == [false]
 
 
 def test_ends_are_compared_seed_by_seed_and_false_closures_are_counted(make_run):

@@ -6,7 +6,7 @@ from uav_vslam.report.style import STYLES
 from uav_vslam.studies.rig.plot import draw_rig, rig_plot
 
 CONDITIONS = ("rigid", "vibration 0.05 deg")
-METHODS = ("S-SLAM, believed", "S-SLAM, estimated")
+METHODS = ("S-SLAM, fixed", "S-SLAM, estimated")
 
 
 @pytest.fixture

@@ -28,15 +28,15 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
     conditions, methods = list(study.CONDITIONS), tuple(args.methods)
     jobs = [study.Job(condition, seed, args.frames, methods) for condition in conditions for seed in seeds]
-    associated, judged = [], []
+    associated, matched = [], []
     for in_map, in_images in in_pool(study.study_rendered, jobs, args.workers, progress(len(jobs))):
         associated += in_map
-        judged += in_images
+        matched += in_images
     associated.sort(key=lambda one: (conditions.index(one.run.condition), one.run.seed))
-    judged.sort(key=lambda one: conditions.index(one.condition))
+    matched.sort(key=lambda one: conditions.index(one.condition))
     if args.recording:
         associated += study.study_recording(args.recording, args.config, methods, progress)
-    rows = study.map_rows(associated) + image_rows(judged)
+    rows = study.map_rows(associated) + image_rows(matched)
     notes = study.NOTES | IMAGE_NOTES | {"Failures": FAILURE_RULE} | breakdowns([one.run for one in associated])
     return Findings(rows, notes, draw=draw_association)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every way to tell which feature shows which landmark, on the same images: chapter 6 of [thesis].
+"""Every method of data association on the same images: chapter 6 of [thesis].
 
-A landmark shows the point of the feature that it began as, whatever the filter has made of its position since.
+A landmark's true point is that of its first feature, however the filter has moved its estimate since.
 """
 
 import dataclasses
@@ -20,13 +20,13 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.slam.backend import FrameReport, SlamBackend
 from uav_vslam.slam.map_matching import MapMatcher
-from uav_vslam.studies.association.image_matching import Judged, judge_images, kept_frames
+from uav_vslam.studies.association.image_matching import MatcherScore, kept_frames, score_matchers
 from uav_vslam.studies.engine.association_stages import Score
+from uav_vslam.studies.engine.extracted_flights import ExtractedFlight, recorded_flight, rendered_flight, shown_at
 from uav_vslam.studies.engine.own_only import INS, Run, Track, feed
 from uav_vslam.studies.engine.pool import median
-from uav_vslam.studies.engine.recorded_flights import searched_recording
+from uav_vslam.studies.engine.recorded_flights import extracted_recording
 from uav_vslam.studies.engine.scores import pooled
-from uav_vslam.studies.engine.searched_flights import SearchedFlight, recorded_flight, rendered_flight, shown_at
 from uav_vslam.studies.engine.study import Progress
 from uav_vslam.types import StereoFeatures
 
@@ -37,17 +37,17 @@ CONDITIONS = {
     "clear": Scenario(vehicles=1),
     "low contrast, blurred": Scenario(vehicles=1, contrast=0.2, blur_px=4.0),
 }
-BORN_PX = 2.0  # a new landmark's projection lies that close to the feature that it began as
+INITIAL_PX = 2.0  # a new landmark projects that close to its first feature
 IN_MAP = "Association with the map"
 
 NOTES = {
     "Flights": "one vehicle over rendered ground, ADIS16480; low contrast: a fifth of it, at the same noise, and "
     "4 px of motion blur. All associators have the same features, by SIFT at half resolution",
-    "Pairs": "what the associator found before anything else judged it. Right: the feature lies within 4 px of where "
-    "the point that the landmark began as truly is (8 px in a recording, whose points are known by stereo alone). "
+    "Pairs": "the associator's output before any other check. Right: the feature lies within 4 px of where "
+    "the true point of the landmark's first feature is (8 px in a recording, where only stereo gives the points). "
     "Recall: of the landmarks in view that some feature shows",
-    "Errors": "of the whole back end, which tries what the associator found first, and what PnP, consensus or a search "
-    "of the whole map leave of it where the innovations contradict it",
+    "Errors": "of the whole back end, which first uses the associator's matches, and what PnP, consensus or a search "
+    "of the whole map leaves of them where the innovations contradict them",
     "Time": "of this process, median over the frames; ms_association is the associator's share",
 }
 
@@ -62,11 +62,11 @@ class Job:
     names: tuple[str, ...]
 
 
-def study_rendered(job: Job) -> tuple[list["Association"], list[Judged]]:
+def study_rendered(job: Job) -> tuple[list["Association"], list[MatcherScore]]:
     """Fly a job with all associators, and try all matchers on its images."""
     scenario = dataclasses.replace(CONDITIONS[job.condition], seed=job.seed, frames=job.frames)
     flight = rendered_flight(job.condition, scenario, VehicleConfig(), keep=kept_frames(scenario.frames))
-    return associate_all(flight, job.names), judge_images(flight, ratio=flight.config.frontend.ratio)
+    return associate_all(flight, job.names), score_matchers(flight, ratio=flight.config.frontend.ratio)
 
 
 def study_recording(
@@ -74,13 +74,13 @@ def study_recording(
 ) -> list["Association"]:
     """Associate on a recording with truth."""
     config = load_vehicle(find_config(config_name))
-    found = searched_recording(recording, None, config, progress)
+    found = extracted_recording(recording, None, config, progress)
     return associate_all(recorded_flight(recording.parent.name or "recording", found, config), methods)
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What an associator found in a frame: rows of the map, the features that it was shown, and its pairs."""
+    """An associator's result in a frame: rows of the map, the features given to it, and its pairs."""
 
     rows: NDArray[np.intp]
     seen: StereoFeatures
@@ -89,14 +89,14 @@ class Found:
 
 
 class Recorder:
-    """An associator that keeps what another one found."""
+    """Records the matches of another associator."""
 
     def __init__(self, associate: Associator) -> None:
         self._associate = associate
         self.found: list[Found] = []
 
     def __call__(self, in_view: InView, seen: StereoFeatures, config: BackendConfig) -> Pairs:
-        """Associate as the other one does."""
+        """Associate as the other one does, and record it."""
         started_ns = time.process_time_ns()
         pairs = self._associate(in_view, seen, config)
         self.found.append(Found(in_view.rows, seen, pairs, 1e-6 * (time.process_time_ns() - started_ns)))
@@ -104,24 +104,24 @@ class Recorder:
 
 
 class TruePoints:
-    """The points that a back end's landmarks began as, by identifier."""
+    """The true points of a back end's landmarks, by identifier."""
 
-    def __init__(self, flight: SearchedFlight) -> None:
+    def __init__(self, flight: ExtractedFlight) -> None:
         self._flight = flight
         self._points: dict[int, Array] = {}
 
     def of(self, ids: NDArray[np.uint32]) -> Array:
-        """Return (N, 3) points in the world [m]; NaN for a landmark that began as no known feature."""
+        """Return (N, 3) points in the world [m]; NaN for a landmark whose first feature is not known."""
         unknown = np.full(3, np.nan)
         return np.array([self._points.get(k, unknown) for k in ids.tolist()]).reshape(-1, 3)
 
     def note(self, frame: int, ids: NDArray[np.uint32], landmarks: Array, T_map_body: Pose) -> None:
-        """Remember which feature of a frame each landmark began as that is new after it.
+        """Remember the first feature of each landmark that this frame added.
 
         Args:
             frame: its number.
-            ids, landmarks: (N,), (N, 3) all landmarks after it.
-            T_map_body: pose that they were placed from.
+            ids, landmarks: (N,), (N, 3) all landmarks after this frame.
+            T_map_body: pose from which new ones were initialised.
         """
         new = np.flatnonzero([k not in self._points for k in ids.tolist()])
         features = self._flight.steps[frame][0]
@@ -131,10 +131,12 @@ class TruePoints:
         distance = np.linalg.norm(pixels[:, None] - features.pixels[:, :2], axis=2)
         nearest = distance.argmin(axis=1)
         for row, feature, off in zip(new, nearest, distance[np.arange(len(new)), nearest], strict=True):
-            self._points[int(ids[row])] = self._flight.points[frame][feature] if off <= BORN_PX else np.full(3, np.nan)
+            self._points[int(ids[row])] = (
+                self._flight.points[frame][feature] if off <= INITIAL_PX else np.full(3, np.nan)
+            )
 
 
-def judge(found: Found, points: Array, T_world_left: Pose, flight: SearchedFlight) -> Score:
+def score_pairs(found: Found, points: Array, T_world_left: Pose, flight: ExtractedFlight) -> Score:
     """Count an associator's pairs.
 
     Args:
@@ -161,13 +163,13 @@ class Association:
     ms: tuple[float, ...]
 
 
-def associate_all(flight: SearchedFlight, names: Sequence[str] = tuple(ASSOCIATORS)) -> list[Association]:
+def associate_all(flight: ExtractedFlight, names: Sequence[str] = tuple(ASSOCIATORS)) -> list[Association]:
     """Fly by the INS alone and with each associator."""
     ins = Run(INS, flight.condition, flight.seed, "uav1", Track(flight.ins), flight.truth, flight.ins)
     return [Association(ins, Score(), ()), *(fly(flight, name) for name in names)]
 
 
-def fly(flight: SearchedFlight, name: str) -> Association:
+def fly(flight: ExtractedFlight, name: str) -> Association:
     """Feed a flight to the back end with one associator."""
     backend_config = dataclasses.replace(flight.config.backend, association=name)
     config = dataclasses.replace(flight.config, backend=backend_config)
@@ -175,18 +177,18 @@ def fly(flight: SearchedFlight, name: str) -> Association:
     matcher = MapMatcher(backend_config, recorder)
     backend = SlamBackend(flight.initial, rig=flight.rig, config=config, vehicle="uav1", matcher=matcher)
     scores, ms = [], []
-    points = [truth.of(backend.landmarks[0])]  # that the map shows before each frame
+    points = [truth.of(backend.landmarks[0])]  # of the map before each frame
 
-    def judge_frame(report: FrameReport) -> None:
+    def score_frame(report: FrameReport) -> None:
         frame = len(points) - 1
         for found in recorder.found:
-            scores.append(judge(found, points[frame], flight.T_world_left[frame], flight))
+            scores.append(score_pairs(found, points[frame], flight.T_world_left[frame], flight))
             ms.append(found.ms)
         recorder.found.clear()
         truth.note(frame, *backend.landmarks, report.pose.T_map_body)
         points.append(truth.of(backend.landmarks[0]))
 
-    track = feed(backend, flight.steps, judge_frame)
+    track = feed(backend, flight.steps, score_frame)
     run = Run(name, flight.condition, flight.seed, "uav1", track, flight.truth, flight.ins)
     return Association(run, sum(scores, Score()), tuple(ms))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every matcher on pairs of rendered images, judged by what their keypoints truly show: section 6.3.5 of [thesis]."""
+"""Every matcher on pairs of rendered images against the true ground points: section 6.3.5 of [thesis]."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -12,8 +12,8 @@ from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.studies.engine.association_stages import Score
+from uav_vslam.studies.engine.extracted_flights import ExtractedFlight, ground_points, shown_at
 from uav_vslam.studies.engine.pool import median
-from uav_vslam.studies.engine.searched_flights import SearchedFlight, ground_points, shown_at
 from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.matching import MATCHERS
 
@@ -22,21 +22,21 @@ View = tuple[
     Keypoints, Array, Pose, PinholeCamera
 ]  # keypoints, undistorted full-resolution pixels, T_world_cam, camera
 
-EVERY = 10  # frames from one judged image to the next
+EVERY = 10  # frames from one evaluated image to the next
 LATER = 5  # frames to the second image of a pair in time
 IN_IMAGES = "Matching of two images"
 
 IMAGE_NOTES = {
     "Images": f"left and right: of every {EVERY}th frame; in time: its left image and that of "
-    f"{LATER} frames later, 0.7 s or 14 m. Up to 1000 SIFT keypoints each. Precision: the matched keypoint lies within "
-    "4 px of where the first one's point of the ground truly is; recall: of the keypoints whose point the other image "
-    "has a keypoint of",
+    f"{LATER} frames later, 0.7 s or 14 m. Up to 1000 SIFT keypoints each. Precision: the matched keypoint is within "
+    "4 px of the true position of the first one's ground point; recall: of the keypoints whose point the other image "
+    "also has a keypoint of",
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What a matcher made of two images, and how long it took [ms]."""
+class MatcherScore:
+    """A matcher's result on two images, and its time [ms]."""
 
     condition: str
     kind: str
@@ -46,12 +46,12 @@ class Judged:
 
 
 def kept_frames(frames: int) -> set[int]:
-    """Return the frames whose keypoints the comparison wants."""
+    """Return the frames whose keypoints the comparison needs."""
     first = range(0, frames - LATER, EVERY)
     return {*first, *(frame + LATER for frame in first)}
 
 
-def image_pairs(flight: SearchedFlight) -> Iterator[tuple[str, View, View]]:
+def image_pairs(flight: ExtractedFlight) -> Iterator[tuple[str, View, View]]:
     """Yield what kind of pair it is and both views."""
     for frame in range(0, len(flight.steps) - LATER, EVERY):
         pair, T = flight.pairs[frame], flight.T_world_left[frame]
@@ -62,7 +62,7 @@ def image_pairs(flight: SearchedFlight) -> Iterator[tuple[str, View, View]]:
         yield "in time", left, (later.left, later.pixels_left, flight.T_world_left[frame + LATER], flight.rig.left)
 
 
-def judge_images(flight: SearchedFlight, *, ratio: float) -> list[Judged]:
+def score_matchers(flight: ExtractedFlight, *, ratio: float) -> list[MatcherScore]:
     """Try every matcher on every pair of images of a rendered flight."""
     found = []
     for kind, a, b in image_pairs(flight):
@@ -73,11 +73,11 @@ def judge_images(flight: SearchedFlight, *, ratio: float) -> list[Judged]:
             ms = 1e-6 * (time.process_time_ns() - started_ns)
             good = int(right[matches[:, 0], matches[:, 1]].sum())
             score = Score(len(matches), good, good, int(right.any(axis=1).sum()))
-            found.append(Judged(flight.condition, kind, name, score, ms))
+            found.append(MatcherScore(flight.condition, kind, name, score, ms))
     return found
 
 
-def _same_points(flight: SearchedFlight, a: View, b: View) -> NDArray[np.bool_]:
+def _same_points(flight: ExtractedFlight, a: View, b: View) -> NDArray[np.bool_]:
     """Return (Na, Nb), which keypoints of two views show the same point of the ground."""
     assert flight.relief is not None
     points = ground_points(flight.relief, a[2], a[3], a[1])
@@ -85,11 +85,11 @@ def _same_points(flight: SearchedFlight, a: View, b: View) -> NDArray[np.bool_]:
     return np.asarray(off_px <= flight.tolerance_px)
 
 
-def image_rows(judged: Sequence[Judged]) -> list[Row]:
+def image_rows(matched: Sequence[MatcherScore]) -> list[Row]:
     """Return a row per condition, kind of pair and matcher."""
     rows = []
-    for condition, kind, name in dict.fromkeys((j.condition, j.kind, j.matcher) for j in judged):
-        chosen = [j for j in judged if (j.condition, j.kind, j.matcher) == (condition, kind, name)]
+    for condition, kind, name in dict.fromkeys((j.condition, j.kind, j.matcher) for j in matched):
+        chosen = [j for j in matched if (j.condition, j.kind, j.matcher) == (condition, kind, name)]
         score = sum((j.score for j in chosen), Score())
         figures = score.row()
         rows.append(

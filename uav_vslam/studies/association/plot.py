@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the study of associations: how much of what each method finds is right, how much it finds, and its price."""
+"""Draws the association study: precision, recall, ATE and time of each method."""
 
 from pathlib import Path
 from typing import Any

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed of each stage beside a yardstick: what `uav-vslam bench` measures."""
+"""The speed of each stage beside a reference: what `uav-vslam bench` measures."""

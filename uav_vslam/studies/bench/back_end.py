@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The back end beside GTSAM's fixed-lag smoother: the same features and motions, frame by frame in turns.
+"""The back end beside GTSAM's fixed-lag smoother: the same features and motions, alternating frame by frame.
 
 Every frame shows N landmarks, each for as long as it is in view, and both use them all. Ours keeps a landmark while it
 is in view (`retention: none`), GTSAM until it has not been seen for the lag: with a lag of one frame both hold the same
-landmarks. The motion between frames is prepared outside of both times. Ours has to associate, GTSAM is told.
+landmarks. The motion between frames is prepared outside of both times. Ours associates the data, GTSAM is given that.
 """
 
 import itertools
@@ -23,14 +23,14 @@ from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.studies.bench.stages import Row, medians
 from uav_vslam.studies.engine.factors import Motion
 from uav_vslam.studies.engine.frame_chain import Identities
-from uav_vslam.studies.engine.own_only import reckon
+from uav_vslam.studies.engine.own_only import dead_reckon
 from uav_vslam.studies.engine.smoothers import FixedLagSmoother, cholesky_motion
 from uav_vslam.types import ImuSample, NavState, StereoFeatures
 
 Frame = tuple[StereoFeatures, Identities]
 
-FRAME_LAG_S = 0.2  # the window holds one frame beside the newest: the nearest to a filter
-TRACK_LAG_S = 2.0  # it holds every frame that shows a landmark: how smoothers are mostly flown
+FRAME_LAG_S = 0.2  # the window holds one frame besides the newest: closest to a filter
+TRACK_LAG_S = 2.0  # it holds every frame that shows a landmark: the usual way to run a smoother
 WARM_UP = 5  # frames until both have all landmarks and marginalise
 CHOLESKY, QR = "CHOLESKY", "QR"
 ABUNDANCE = 1.5  # landmarks on the ground for each that a frame shows
@@ -43,8 +43,8 @@ def back_end(landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factori
         landmarks: in view of each frame.
         frames: to be timed, after the warm-up.
         lag_s: of the smoother [s].
-        factorisation: of the smoother. CHOLESKY is many times faster, but can't take the motion as exact as it was
-            measured and as our filter takes it; QR can.
+        factorisation: of the smoother. CHOLESKY is many times faster, but can't use the motion with the covariance that
+            was measured and that our filter uses; QR can.
     """
     vehicle = simulate_vehicle(Scenario(frames=WARM_UP + frames), 0)
     field = scatter_landmarks([vehicle], per_frame=ABUNDANCE * landmarks)
@@ -59,8 +59,8 @@ def back_end(landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factori
         "condition": f"{landmarks} in view, lag {lag_s:g} s",
         "ms_per_frame": ms,
         **ours.figures(vehicle),
-        "ratio_to_yardstick": ratio,
-        "yardstick": f"GTSAM smoother, {factorisation}",
+        "ratio_to_reference": ratio,
+        "reference": f"GTSAM smoother, {factorisation}",
         "gtsam_ms_per_frame": gtsam_ms,
         **{f"gtsam_{key}": value for key, value in theirs.figures(vehicle).items()},
     }
@@ -80,8 +80,8 @@ def thin_out(frames: Iterable[Frame], count: int, *, size: tuple[float, float]) 
     return chosen
 
 
-class _Contestant:
-    """Turns frame k into a pose and the number of landmarks in the state, and remembers them."""
+class _TimedEstimator:
+    """Processes frame k and records the pose and the number of landmarks in the state."""
 
     def __init__(self, step: Callable[[int], tuple[Pose, int]]) -> None:
         self._step = step
@@ -101,14 +101,14 @@ class _Contestant:
         }
 
 
-def _our_back_end(vehicle: SimulatedVehicle, seen: list[Frame]) -> _Contestant:
-    most = 2 * max(len(features) for features, _ in seen)  # no cap ever acts
+def _our_back_end(vehicle: SimulatedVehicle, seen: list[Frame]) -> _TimedEstimator:
+    most = 2 * max(len(features) for features, _ in seen)  # the cap never applies
     settings = BackendConfig(
         retention="none", max_observations=most, max_new_landmarks=most, max_in_view=most, max_landmarks=most
     )
     config = VehicleConfig(imu=vehicle.scenario.imu_config, backend=settings)
     backend = SlamBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
-    increments, _ = reckon(
+    increments, _ = dead_reckon(
         vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), vehicle.frame_stamps_ns.tolist()
     )
 
@@ -116,10 +116,10 @@ def _our_back_end(vehicle: SimulatedVehicle, seen: list[Frame]) -> _Contestant:
         report = backend.process(seen[k][0], increments[k])
         return report.pose.T_map_body, report.landmarks
 
-    return _Contestant(step)
+    return _TimedEstimator(step)
 
 
-def _gtsam(vehicle: SimulatedVehicle, seen: list[Frame], lag_s: float, factorisation: str) -> _Contestant:
+def _gtsam(vehicle: SimulatedVehicle, seen: list[Frame], lag_s: float, factorisation: str) -> _TimedEstimator:
     smoother = FixedLagSmoother(
         vehicle.initial,
         rig=vehicle.rig,
@@ -132,7 +132,7 @@ def _gtsam(vehicle: SimulatedVehicle, seen: list[Frame], lag_s: float, factorisa
     def step(k: int) -> tuple[Pose, int]:
         return smoother.process(*seen[k], motions[k]), smoother.landmarks
 
-    return _Contestant(step)
+    return _TimedEstimator(step)
 
 
 def _motions(

@@ -77,8 +77,8 @@ def bag_reading(vehicle: SimulatedVehicle, frames: list[StereoFrame], *, repeats
         "condition": f"mcap, raw {width}x{height}",
         "ms_per_frame": ms / len(frames),
         "mb_per_s": megabytes / (ms * 1e-3),
-        "ratio_to_yardstick": ratio,
-        "yardstick": "reading its bytes",
+        "ratio_to_reference": ratio,
+        "reference": "reading its bytes",
     }
 
 

@@ -17,7 +17,7 @@ DESCRIPTOR_LENGTH = 128
 
 
 def graph_matching(keypoints: int, repeats: int) -> Iterator[Row]:
-    """Time both graph methods; a third of the matches that graph transformation is given is wrong.
+    """Time both graph methods; a third of the matches given to graph transformation is wrong.
 
     Args:
         keypoints: of each image, all of them matched.
@@ -39,6 +39,6 @@ def graph_matching(keypoints: int, repeats: int) -> Iterator[Row]:
             "method": method,
             "condition": condition,
             "ms_per_frame": ms,
-            "ratio_to_yardstick": ratio,
-            "yardstick": "matching their descriptors",
+            "ratio_to_reference": ratio,
+            "reference": "matching their descriptors",
         }

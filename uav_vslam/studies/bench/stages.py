@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long each stage takes, beside a yardstick measured in the same breath.
+"""Processor time of each stage, beside a reference measured alternately in the same run.
 
-Machines differ and are noisy, so a time alone says little: work and yardstick take turns, and what counts is the median
-of the ratios of neighbours. Times are of the processor, so that what else runs there does not count. The back end's
-yardstick is in `back_end`; most others are numpy's Cholesky factor of a matrix as large as the stage's own state.
+Machines differ and are noisy, so a time alone says little: work and reference alternate, and the result is the median
+of the ratios of consecutive pairs. Times are processor times, so other load does not count. The back end's
+reference is in `back_end`; most others are numpy's Cholesky factor of a matrix as large as the stage's own state.
 """
 
 import dataclasses
@@ -44,14 +44,14 @@ POSE = 6  # of a joint information
 OWN_LANDMARKS = 100
 
 
-def take_turns(works: Iterable[Work], yardstick: Work) -> tuple[float, float]:
-    """Run each work and, right after it, the yardstick.
+def take_turns(works: Iterable[Work], reference: Work) -> tuple[float, float]:
+    """Run each work and, right after it, the reference.
 
     Returns:
-        Median time of the works [ms], and median ratio of a work's time to its yardstick's.
+        Median time of the works [ms], and median ratio of a work's time to its reference's.
     """
-    yardstick()  # once for caches and lazy imports
-    ms, _, ratio = medians((work, yardstick) for work in works)
+    reference()  # once for caches and lazy imports
+    ms, _, ratio = medians((work, reference) for work in works)
     return ms, ratio
 
 
@@ -92,28 +92,28 @@ def stereo_front_end(
 def live_front_end(
     vehicle: SimulatedVehicle, frames: Sequence[StereoFrame], sift: Callable[[NDArray[Any]], object]
 ) -> Row:
-    """Time the front end that follows points, over consecutive pairs and on average, and each of its parts there.
+    """Time the tracking front end over consecutive pairs, the mean of all and of each of its parts.
 
-    The yardstick is plain SIFT on both whole images.
+    The reference is plain SIFT on both whole images.
     """
     frontend = TimedFrontend(vehicle.rig, FrontendConfig(method="klt"))
     frontend.process(frames[0])
     frontend.spent_ms = dict.fromkeys(frontend.spent_ms, 0.0)
     ms = _ms(lambda: [frontend.process(frame) for frame in frames[1:]])
-    yardstick_ms = float(np.median([_ms(lambda: (sift(frames[0].left), sift(frames[0].right))) for _ in range(2)]))
+    reference_ms = float(np.median([_ms(lambda: (sift(frames[0].left), sift(frames[0].right))) for _ in range(2)]))
     parts = frontend.spent_ms | {"search": ms - sum(frontend.spent_ms.values())}
     count = len(frames) - 1
-    told = ", ".join(f"{name} {part / count:.1f}" for name, part in parts.items())
+    parts_ms = ", ".join(f"{name} {part / count:.1f}" for name, part in parts.items())
     size = f"{vehicle.rig.left.width}x{vehicle.rig.left.height}"
-    condition = f"{size}, {count} frames; ms: {told}"
-    return _row("live front end", condition, "OpenCV SIFT, scale 1", ms / count / yardstick_ms, ms_per_frame=ms / count)
+    condition = f"{size}, {count} frames; ms: {parts_ms}"
+    return _row("live front end", condition, "OpenCV SIFT, scale 1", ms / count / reference_ms, ms_per_frame=ms / count)
 
 
 class TimedFrontend(TrackingFrontend):
-    """Tells what its own thread does; what is left of the processor's time, the other thread's, is the search.
+    """Measures its own thread; the rest of the processor time, the other thread's, is feature detection.
 
     Attributes:
-        spent_ms: "images" are local means and the cameras' health, "in time" and "across" the two ways of following.
+        spent_ms: "images" are local means and the cameras' health, "in time" and "across" the two trackings.
     """
 
     def __init__(self, rig: StereoRig, config: FrontendConfig) -> None:
@@ -161,14 +161,14 @@ def preintegration(repeats: int) -> Row:
 
 
 def fusion(shared: int, repeats: int) -> Row:
-    """Time the fusion of one packet, all of whose landmarks are shared, into the own belief."""
+    """Time the fusion of one packet, all of whose landmarks are shared."""
     count = max(OWN_LANDMARKS, shared)
     own = _belief("uav1", list(range(count)), stamp_s=11.0)
     peer = _belief("uav2", list(range(shared)), stamp_s=10.0)
     core = Fusion("uav1", FusionConfig())
     core.inbox.add(make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=shared)))
     size = POSE + 3 * count
-    # Anew each time: a belief keeps its inverse.
+    # A new belief each time, because it caches its inverse.
     ms, ratio = take_turns([lambda: core.fuse(dataclasses.replace(own))] * repeats, _cholesky(size))
     found = core.epoch.common["uav2"] if core.epoch else 0
     condition = f"{count} own landmarks, {shared} shared"
@@ -179,7 +179,7 @@ def weight_search(shared: int, repeats: int) -> Row:
     """Time finding the weight of an intersection, beside scipy's search over the whole fused covariance."""
     count = max(OWN_LANDMARKS, shared)
     own_belief = _belief("uav1", list(range(count)), stamp_s=1.0, sigma_m=(0.3, 0.15, 0.3))
-    peer_belief = _belief("uav2", list(range(shared)), stamp_s=1.0, sigma_m=(0.15, 0.3, 0.3))  # better in another way
+    peer_belief = _belief("uav2", list(range(shared)), stamp_s=1.0, sigma_m=(0.15, 0.3, 0.3))  # along other axes
     P = own_belief.covariance
     R = peer_belief.covariance[POSE:, POSE:]
     own, peer = Split(np.zeros_like(P), P), Split(0.09 * np.eye(len(R)), R)
@@ -198,7 +198,7 @@ def weight_search(shared: int, repeats: int) -> Row:
         return WEIGHTS["position_trace"](EstimatePair(own, E, peer))
 
     ms, ratio = take_turns([ours] * repeats, theirs)
-    condition = f"{shared} shared, weight {ours():.3f}, yardstick's {theirs():.3f}"
+    condition = f"{shared} shared, weight {ours():.3f}, reference's {theirs():.3f}"
     return _row("weight search", condition, "scipy over the whole", ratio, ms_per_packet=ms)
 
 
@@ -223,8 +223,8 @@ def packets(landmarks: int, policy: PacketPolicy, repeats: int) -> list[Row]:
     return rows
 
 
-def _row(method: str, condition: str, yardstick: str, ratio: float, **figures: float) -> Row:
-    return {"method": method, "condition": condition, **figures, "ratio_to_yardstick": ratio, "yardstick": yardstick}
+def _row(method: str, condition: str, reference: str, ratio: float, **figures: float) -> Row:
+    return {"method": method, "condition": condition, **figures, "ratio_to_reference": ratio, "reference": reference}
 
 
 def _ms(work: Work) -> float:
@@ -246,10 +246,10 @@ def _cholesky_name(size: int) -> str:
 def _belief(
     vehicle: str, identities: list[int], *, stamp_s: float, sigma_m: tuple[float, float, float] = (0.3, 0.3, 0.3)
 ) -> JointInformation:
-    """Return a belief with a common error of pose and landmarks; the same identity is the same place and look."""
-    looks = [np.random.default_rng([7, identity]) for identity in identities]
-    positions = np.array([rng.uniform([-60, -60, -2], [60, 60, 2]) for rng in looks])
-    descriptors = np.array([rng.integers(0, 256, 128, np.uint8) for rng in looks])
+    """Return a belief with a common error of pose and landmarks; an identity fixes position and descriptor."""
+    generators = [np.random.default_rng([7, identity]) for identity in identities]
+    positions = np.array([rng.uniform([-60, -60, -2], [60, 60, 2]) for rng in generators])
+    descriptors = np.array([rng.integers(0, 256, 128, np.uint8) for rng in generators])
     n = POSE + 3 * len(identities)
     common = np.zeros((n, 3))
     common[:3] = np.diag(sigma_m)

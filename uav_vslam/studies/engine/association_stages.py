@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each stage of telling common landmarks is worth: how many of its pairs are right, and how many right ones it
-loses.
-"""
+"""Precision and recall of each stage of landmark association between vehicles."""
 
 import dataclasses
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -30,11 +28,11 @@ UNKNOWN_FRAME = "ratio, mutual, alignment (frame unknown)"
 
 @dataclass(frozen=True, slots=True)
 class Identities:
-    """What is truly what.
+    """True identities of two vehicles' landmarks.
 
     Attributes:
         own, peer: true identity of each vehicle's landmarks.
-        mistaken: identifiers of the peer's landmarks that look like others: nobody could find those.
+        mistaken: identifiers of the peer's landmarks that look like others: no method could match those.
     """
 
     own: Names
@@ -44,9 +42,9 @@ class Identities:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Counts of pairs that a stage leaves and of right ones, of landmarks that these find, and that could be found.
+    """Counts: pairs that a stage keeps, right ones among them, landmarks that these match, landmarks that could be.
 
-    A vehicle may have one landmark twice, so that several right pairs find it.
+    A vehicle may have one landmark twice, so that several right pairs match it.
     """
 
     left: int = 0
@@ -77,12 +75,12 @@ class Score:
 
 
 def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: FusionConfig) -> dict[str, Pairs]:
-    """Return the pairs that each stage leaves, in a common frame.
+    """Return the pairs that each stage keeps, in a common frame.
 
     Args:
         joint: the own belief.
         packet: a peer's.
-        config: ratio, gate and floor; the last stage believes any number of pairs.
+        config: ratio, gate and floor; the last stage accepts any number of pairs.
     """
     covariance = joint.covariance[POSE_DIM:, POSE_DIM:]
     one_way = descriptor_matches(joint.descriptors, packet, config.ratio, mutual=False)

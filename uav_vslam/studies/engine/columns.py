@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The columns of every study's tables: the same quantity has the same key everywhere, and its unit in the name.
 
-A row says what it is of (`method`) and under which circumstances (`condition`). Its figures are those of the track
-that the method makes; `s_slam_` or `c_slam_` before a key says that a figure is of the own-only or of the fused track
+A row names its `method` and its `condition`. Its figures are those of the track
+that the method computes; the prefix `s_slam_` or `c_slam_` marks a figure of the own-only or of the fused track
 of the same flights. Shares and ratios have no unit; `_worst`, `_max` and `_mean` are over the runs.
 """
 
@@ -16,11 +16,11 @@ Row = dict[str, Any]
 IDENTITY = ("method", "condition")
 COLUMNS: dict[str, str] = {
     # which
-    TABLE: "heading under which the row stands",
-    "method": "what is compared: a method, setting, stage or process",
-    "condition": "under which circumstances: flight, noise, images, start",
-    "seed": "of the one run that the row is of",
-    "channel": "what crosses the radio",
+    TABLE: "heading of the row's table",
+    "method": "the compared method, setting, stage or process",
+    "condition": "flight, noise, images, start",
+    "seed": "of the row's single run",
+    "channel": "content sent over the radio",
     "extractor": "whose noise is simulated",
     "kind": "of wrong match",
     "wrong_match_share": "of the matches that are simulated wrong",
@@ -28,7 +28,7 @@ COLUMNS: dict[str, str] = {
     "camera": "still or moving",
     "spacing": "number of images from the first to the second",
     "descriptor_ratio": "largest ratio of nearest to second-nearest descriptor distance",
-    "yardstick": "what is timed beside it",
+    "reference": "timed alternately with it",
     # errors, root mean square over the runs
     "ate_rms_m": "position error over the flight",
     "ate_yaw_aligned_rms_m": "the same, position and yaw of the start aligned",
@@ -62,9 +62,9 @@ COLUMNS: dict[str, str] = {
     "nees_position_outside": "share of runs whose mean over time is outside of the chi-square band of one NEES",
     "nees_rotation": "NEES of the rotation over 3, mean",
     "nees_frame": "NEES of the peer's frame over 4, mean",
-    "lambda_excess": "largest eigenvalue of R^-1 P over all packets, less 1: above 0 a packet claimed too much",
+    "lambda_excess": "largest eigenvalue of R^-1 P over all packets, less 1: above 0 a packet is over-confident",
     "largest_jump_sigmas": "largest step of the correction from frame to frame over the fused sigma",
-    # runs and what became of them
+    # runs and their outcomes
     "runs": "number of runs",
     "failures": "runs that failed",
     "failure": "why the run ended early",
@@ -74,17 +74,17 @@ COLUMNS: dict[str, str] = {
     "frames_coasted": "frames with no associated landmark, on the INS alone",
     "frames_coasted_worst": "the same of the worst run",
     "recovered_frames": "from the fault's end until many landmarks are associated, worst run",
-    "alarms": "diagnostics' reports and in how many frames",
+    "alarms": "reports of the diagnostics and their number of frames",
     "found": "runs that found it",
     "good": "runs that found it in time and well",
     "settled": "runs that settled in time",
     "settled_worst_s": "time until the last one settled",
     "warned": "runs in which the start monitor warned",
     "closed": "runs with a right loop closure",
-    "closures": "landmarks recognised after long, of a run",
+    "closures": "landmarks re-observed after a long time, per run",
     "false_closures": "wrong ones among them, sum over the runs",
     # time and memory
-    "ms_per_frame": "processor time of what is compared",
+    "ms_per_frame": "processor time of the method",
     "ms_per_frame_early": "the same early in the flight",
     "ms_per_frame_late": "and late in it",
     "late_to_early": "ratio of the two",
@@ -94,7 +94,7 @@ COLUMNS: dict[str, str] = {
     "ms_per_packet": "processor time",
     "us_per_landmark": "processor time",
     "mb_per_s": "read",
-    "ratio_to_yardstick": "of the times",
+    "ratio_to_reference": "of the times",
     "core_share": "of one processor core",
     "growth_mb": "memory gained over the flight",
     "extract_s": "processor time, both images",
@@ -119,7 +119,7 @@ COLUMNS: dict[str, str] = {
     "rate_2_ransac": "matches_ransac over keypoints_2",
     "precision": "share of the pairs that are right",
     "precision_ransac": "the same after RANSAC",
-    "recall": "share of what could be found",
+    "recall": "share of the possible pairs that were found",
     "error_median_px": "of the right matches",
     "pairs": "of landmarks",
     "pairs_per_frame": "of landmark and feature",
@@ -132,13 +132,13 @@ COLUMNS: dict[str, str] = {
     "packets_used": "sum",
     "packets_dropped": "by reason",
     "recovery_packets": "sent after the blackout until one was used",
-    "measured": "what was measured of it",
-    "limit": "what was asked for",
+    "measured": "measured value",
+    "limit": "required value",
     "met": "yes or no",
-    # where the peer's map is
+    # the peer's frame
     "wrong_share": "of the matches in the packet that gives the frame",
     "wrong": "matches among them",
-    "used": "matches that the alignment rests on",
+    "used": "inlier matches of the alignment",
     "wrong_used": "wrong ones among those",
     "found_s": "time until the frame was found",
     "found_median_s": "the same, median",
@@ -155,21 +155,21 @@ COLUMNS: dict[str, str] = {
     "true_deg": "the same",
     "true_worst_m": "the same, worst run",
     "true_worst_deg": "the same, worst run",
-    # the start that was found
+    # the estimated start
     "start_velocity_rms_m_per_s": "error",
     "start_tilt_rms_deg": "error",
     # the thesis's conclusions
     "verdict": "whether our figures agree",
-    "figures": "that it rests on",
+    "figures": "on which the verdict is based",
 }
 TRACKS = ("s_slam_", "c_slam_", "gtsam_")
 
 
 def check_rows(rows: Sequence[Row]) -> None:
-    """Check that every row says what it is of, and that its columns are declared.
+    """Check that every row has its labels, and that its columns are declared.
 
     Raises:
-        ValueError: it does not, or one is not.
+        ValueError: a label is missing, or a column is not declared.
     """
     for row in rows:
         missing = [key for key in IDENTITY if not isinstance(row.get(key), str)]
@@ -181,7 +181,7 @@ def check_rows(rows: Sequence[Row]) -> None:
 
 
 def legend(rows: Sequence[Row]) -> str:
-    """Return what the figures of some rows mean."""
+    """Return what the figures of the rows mean."""
     used = dict.fromkeys(_plain(key) for row in rows for key in row if key not in (TABLE, *IDENTITY))
     return "; ".join(f"{key}: {COLUMNS[key]}" for key in used)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine of the fusion studies: own-only tracks are flown once, then fused again and again in different ways."""
+"""The engine of the fusion studies: own-only tracks are computed once, then fused under each setting."""
 
 import dataclasses
 import time
@@ -22,8 +22,8 @@ from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.slam.packet import POSE_DIM
-from uav_vslam.studies.engine.apart import Flown, fly_own_only
 from uav_vslam.studies.engine.own_only import prepare
+from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only
 from uav_vslam.studies.engine.write_back import WRITE_BACK, fly_with_write_back
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
 
@@ -32,15 +32,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One way to cooperate.
+    """One cooperation setting.
 
     Attributes:
         name: label of its rows.
         fusion: settings of `FusionConfig` that differ from the defaults.
-        link: the radio, the same in every direction but for its draws; a perfect one unless given.
-        out_of_range: vehicles that can't hear each other.
-        restarts: how often the second vehicle is started again, from a checkpoint, spread over the flight.
-        write_back: name in `write_back.WRITE_BACK`, instead of the fusion node's way.
+        link: the radio, the same in every direction but for its random draws; default: perfect.
+        out_of_range: vehicles that receive nothing from each other.
+        restarts: how often the second vehicle restarts from a checkpoint, spread over the flight.
+        write_back: name in `write_back.WRITE_BACK`, which replaces the fusion node's method.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Setting:
     write_back: str = ""
 
     def channel(self, base: FusionConfig) -> str:
-        """Return what crosses the radio, with what the setting leaves as in `base`."""
+        """Return the content sent over the radio; keys that the setting does not change are those of `base`."""
         if self.write_back:
             return WRITE_BACK[self.write_back].channel
         fusion = dataclasses.replace(base, **self.fusion)
@@ -73,7 +73,7 @@ class Outcome:
         own_nees, nees: (F,) of the position.
         sigma: (F,) root of the trace of the fused position's covariance [m].
         correction: (F, 3) fused less own position [m].
-        failure: why it broke down; empty if it did not.
+        failure: why the estimate failed; empty if it did not.
         figures: of the link, and the fusion's time.
     """
 
@@ -94,7 +94,7 @@ class Outcome:
 def run_settings(
     scenario: Scenario, settings: tuple[Setting, ...], config: VehicleConfig, noise: LandmarkNoise
 ) -> list[Outcome]:
-    """Fly a scenario's vehicles alone, then cooperate in every way."""
+    """Fly a scenario's vehicles alone, then fuse them under every setting."""
     config = dataclasses.replace(config, imu=scenario.imu_config)
     flown = fly_own_only(scenario, config, noise)
     outcomes: list[Outcome] = []
@@ -106,27 +106,27 @@ def run_settings(
     return outcomes
 
 
-def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: Flown) -> list[Outcome]:
+def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: OwnOnlyTracks) -> list[Outcome]:
     tracks = flown.tracks
     fusion = dataclasses.replace(config.fusion, **setting.fusion)
     configs = {name: dataclasses.replace(config, fusion=fusion) for name in tracks}
-    watch = _PacketWatch()
+    monitor = _PacketMonitor()
     started = time.process_time()
     try:
-        fleet = cooperate(_restarted(tracks, setting.restarts), configs, _links(scenario, setting), watch.see)
+        fleet = cooperate(_restarted(tracks, setting.restarts), configs, _links(scenario, setting), monitor.on_packet)
     except UavVslamError as error:
         return [_failed(scenario, setting, name, str(error)) for name in tracks]
     epochs = sum(output.joint is not None for track in tracks.values() for output in track.outputs)
-    fusing_s = time.process_time() - started - watch.watching_s
-    shared = {"ms_per_epoch": 1e3 * fusing_s / epochs, "lambda_excess": watch.largest - 1.0}
+    fusing_s = time.process_time() - started - monitor.overhead_s
+    shared = {"ms_per_epoch": 1e3 * fusing_s / epochs, "lambda_excess": monitor.largest - 1.0}
     outcomes = []
     for name, track in tracks.items():
         member = fleet[name]
         figures = {
             **shared,
             "sent_bytes_per_s": member.exchange.outbox.sent_bytes_per_s,
-            "packet_bytes_max": watch.largest_bytes.get(name, 0),
-            "recovery_packets": watch.until_used(member.fusion, setting.link),
+            "packet_bytes_max": monitor.largest_bytes.get(name, 0),
+            "recovery_packets": monitor.until_used(member.fusion, setting.link),
         }
         estimate = Trajectory.from_estimates(member.poses)
         outcomes.append(_scored(scenario, setting, name, _own(track), estimate, flown.truths[name], figures))
@@ -134,7 +134,7 @@ def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: F
 
 
 def _written_back(
-    scenario: Scenario, setting: Setting, config: VehicleConfig, noise: LandmarkNoise, flown: Flown
+    scenario: Scenario, setting: Setting, config: VehicleConfig, noise: LandmarkNoise, flown: OwnOnlyTracks
 ) -> list[Outcome]:
     found = fly_with_write_back(prepare(scenario, noise), config, WRITE_BACK[setting.write_back])
     return [
@@ -210,13 +210,13 @@ def _seconds(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> Array:
 
 
 def _links(scenario: Scenario, setting: Setting) -> Callable[[str, str], PacketLink]:
-    """Return a maker of links whose draws differ by seed and direction."""
+    """Return a factory of links whose random draws differ by seed and direction."""
     names = [scenario.vehicle_name(k) for k in range(scenario.vehicles)]
 
     def link(sender: str, receiver: str) -> PacketLink:
-        apart = sender in setting.out_of_range and receiver in setting.out_of_range
+        unreachable = sender in setting.out_of_range and receiver in setting.out_of_range
         seed = 1000 * scenario.seed + names.index(sender) * len(names) + names.index(receiver)
-        return Link(dataclasses.replace(setting.link, seed=seed, loss=1.0 if apart else setting.link.loss))
+        return Link(dataclasses.replace(setting.link, seed=seed, loss=1.0 if unreachable else setting.link.loss))
 
     return link
 
@@ -239,18 +239,18 @@ def _in_session(joint: JointInformation, restarts: int) -> JointInformation:
     return dataclasses.replace(joint, session=joint.session + restarts)
 
 
-class _PacketWatch:
-    """Compares every packet with what it stands for.
+class _PacketMonitor:
+    """Compares every packet's covariance with that of the sender's belief.
 
     Attributes:
-        largest: the largest eigenvalue of R^-1 P over all packets; above 1 a packet told more than was known.
+        largest: the largest eigenvalue of R^-1 P over all packets; above 1 a packet is over-confident.
         largest_bytes: of the packets of each vehicle.
-        watching_s: CPU time that the watch took itself [s].
+        overhead_s: CPU time of the monitor itself [s].
     """
 
     def __init__(self) -> None:
         self.largest = 0.0
-        self.watching_s = 0.0
+        self.overhead_s = 0.0
         self.largest_bytes: dict[str, int] = {}
         self._sent_ns: dict[str, dict[tuple[int, int], int]] = {}
 
@@ -266,8 +266,8 @@ class _PacketWatch:
             counts.append(next((k for k, key in enumerate(after, start=1) if key in record.used), len(after)))
         return float(max(counts))
 
-    def see(self, fusion: Fusion, packet: LandmarkPacket, size_bytes: int) -> None:
-        """Note a packet that is sent."""
+    def on_packet(self, fusion: Fusion, packet: LandmarkPacket, size_bytes: int) -> None:
+        """Record a packet that is sent."""
         self._sent_ns.setdefault(packet.vehicle, {})[packet.session, packet.sequence] = packet.stamp_ns
         self.largest_bytes[packet.vehicle] = max(self.largest_bytes.get(packet.vehicle, 0), size_bytes)
         if fusion.belief is None or len(packet) == 0:
@@ -280,4 +280,4 @@ class _PacketWatch:
         L = np.linalg.cholesky(packet.covariance)
         half = np.linalg.solve(L, P)
         self.largest = max(self.largest, float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1]))
-        self.watching_s += time.process_time() - started
+        self.overhead_s += time.process_time() - started

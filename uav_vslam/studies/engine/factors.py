@@ -28,7 +28,7 @@ INTEGRATION_SIGMA = 1e-6  # of the position [m/sqrt(s)]; only keeps the covarian
 
 
 class Cameras(Protocol):
-    """A way to write stereo pixels as factors."""
+    """Stereo pixels as factors."""
 
     def add(self, graph: gtsam.NonlinearFactorGraph, pixels: Array, pose: int, landmarks: Sequence[int]) -> None:
         """Add the factors of (M, 4) stereo pixels between the key of a pose and those of M landmarks."""
@@ -55,8 +55,8 @@ class CameraPair:
 class RectifiedPair:
     """One stereo factor for both cameras, turned so that the baseline is their x axis: half the factors.
 
-    The mean of the two v (standard deviation sigma / sqrt 2) is all that they tell of the landmark; their difference
-    tells of the rig alone. Turning the Kagaru rig by 2 degrees stretches pixels by less than 2 %.
+        Only the mean of the two v (standard deviation sigma / sqrt 2) depends on the landmark; their difference
+    depends on the rig alone. Turning the Kagaru rig by 2 degrees stretches pixels by less than 2 %.
     """
 
     def __init__(self, rig: StereoRig, sigma_px: float) -> None:
@@ -125,7 +125,7 @@ class Motion:
         readings = np.column_stack([np.interp(t_s, known_s, column) for column in self._readings.T])
         gyro, accel = readings[:, :3], readings[:, 3:]
         dt, omega = np.diff(t_s), 0.5 * (gyro[:-1] + gyro[1:])
-        # GTSAM holds a step's first attitude throughout, so the reading at its end is turned back to that.
+        # GTSAM holds a step's first attitude throughout, so the reading at its end is rotated back to it.
         turn, force = (omega - self._start.gyro_bias) * dt[:, None], accel[1:] - self._start.accel_bias
         ahead = np.einsum("kij,kj->ki", so3_exp(turn), force) + self._start.accel_bias
         measured = gtsam.PreintegratedCombinedMeasurements(self._params, to_bias(self._start))
@@ -140,7 +140,7 @@ def motion_factor(frame: int, motion: gtsam.PreintegratedCombinedMeasurements) -
 
 
 def start_factor(start: NavEstimate) -> gtsam.LinearContainerFactor:
-    """Return what is known of frame 0, with all its correlations."""
+    """Return the prior of frame 0, with all its correlations."""
     C = np.zeros((NAV_DIM, NAV_DIM))  # from our error to GTSAM's: omega, u, velocity, accelerometer and gyro bias
     R = start.state.T_map_body.R
     C[0:3, ROTATION], C[3:6, POSITION] = R.T, R.T

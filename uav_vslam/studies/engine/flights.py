@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every study does: fly a simulated fleet per seed and method, and pool the figures over seeds and vehicles."""
+"""Flies a simulated fleet per seed and method, and pools the figures over seeds and vehicles."""
 
 import dataclasses
 import functools
@@ -63,11 +63,11 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class FeatureCache:
-    """What front ends have found in images, so that these are drawn and searched only once.
+    """Features found by front ends, so that images are rendered and searched only once.
 
     Attributes:
-        searched: keypoints of the whole fleet, by look and front end; they don't depend on the trust in the rig.
-        followed: points of a vehicle, by its name, look, front end and trust in the rig.
+        searched: keypoints of the whole fleet, by images and front end; they don't depend on the rig's uncertainty.
+        followed: tracked points of a vehicle, by its name, images, front end and rig uncertainty.
     """
 
     searched: dict[tuple[Scenario, FrontendConfig], list[tuple[DetectedPair, ...]]] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class FeatureCache:
 
 
 def run_seed(methods: list[Method], seed: int) -> list[Outcome]:
-    """Fly all methods on one seed; rendered images are made and searched for features only once for all of them."""
+    """Fly all methods on one seed; images are rendered and searched for features only once for all of them."""
     cache = FeatureCache()
     return [_run(method, seed, cache) for method in methods]
 
@@ -112,7 +112,7 @@ def _run(method: Method, seed: int, cache: FeatureCache) -> Outcome:
 def fly_sources(
     method: Method, scenario: Scenario, vehicles: list[SimulatedVehicle], sources: list[FlightSource]
 ) -> Outcome:
-    """Fly one seed's vehicles with what their sources show them."""
+    """Fly one seed's vehicles with the features of their sources."""
     seed = scenario.seed
     config = dataclasses.replace(method.config, imu=scenario.imu_config)
     configs = {vehicle.name: config for vehicle in vehicles}
@@ -149,7 +149,7 @@ def _sources(
 
 
 def _followed(vehicle: SimulatedVehicle, look: Scenario, config: VehicleConfig, cache: FeatureCache) -> SimulatedSource:
-    """Follow points through a flight; what is found next depends on what the rig's gates let through before."""
+    """Track points through a flight; later detections depend on which points the rig's gates accepted before."""
     key = (vehicle.name, look, config.frontend, config.rig)
     if key not in cache.followed:
         frontend = make_frontend(vehicle.rig, config.frontend, config.rig)
@@ -164,7 +164,7 @@ def _searched(source: SimulatedSource, config: VehicleConfig) -> tuple[DetectedP
 
 
 def _matched(rig: StereoRig, pairs: Sequence[DetectedPair], config: VehicleConfig) -> tuple[StereoFeatures, ...]:
-    """Match what was found; unlike the search, that depends on how far the rig is trusted."""
+    """Match the detected keypoints; unlike detection, this depends on the rig's uncertainty."""
     frontend = StereoFrontend(rig, config.frontend, config.rig)
     return tuple(frontend.match(pair) for pair in pairs)
 

@@ -26,8 +26,8 @@ class FrameChain:
 
     Attributes:
         frame: number of the newest frame; -1 before the first.
-        state, bias: what is believed of it; whoever improves them sets them.
-        landmark_keys: of the landmarks in the graph, by identity; whoever removes one from the graph removes it here.
+        state, bias: its current estimate; the optimiser updates them.
+        landmark_keys: of the landmarks in the graph, by identity; remove a landmark from the graph and from here.
         landmarks_made: number of keys ever given.
     """
 
@@ -44,7 +44,7 @@ class FrameChain:
         identities: Identities,
         motion: gtsam.PreintegratedCombinedMeasurements | None,
     ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-        """Advance by a motion and see features; the first frame, whose state is the start, has none.
+        """Advance by a motion and add features; the first frame, whose state is the start, has no motion.
 
         Raises:
             ValueError: the motion to a later frame is missing, or the first frame has one.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of ways to cooperate: what each gains, and whether it stays consistent."""
+"""Tables of cooperation settings: what each gains, and whether it stays consistent."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -19,21 +19,21 @@ from uav_vslam.studies.engine.scores import nees_figures
 Array = NDArray[np.float64]
 
 PARTED_S = 65.0  # of the scenario "parting": from then on the vehicles never see the same ground again
-LASTING_S = 60.0  # after that, the gain is looked at again
-PARTING_S = (60.0, 75.0)  # while they part, no correction may leap
+LASTING_S = 60.0  # after that, the gain is measured again
+PARTING_S = (60.0, 75.0)  # while they part, no correction may jump
 
 NOTES = {
-    "Flights": "landmark level, 1 px, ADIS16480; own-only tracks are flown once a seed and fused in every way, so all "
-    "rows of a table see the same flights",
+    "Flights": "landmark level, 1 px, ADIS16480; own-only tracks are computed once a seed, so all rows of a "
+    "table have the same flights",
     "Ratio": "ATE, root mean square over seeds and vehicles, over that of the same vehicles alone; ratio_low and "
     f"ratio_high: {CONFIDENCE:.0%} of the bootstrap over seeds",
-    "Channel": "what crosses the radio: own maps hold the sender's own measurements alone, fused maps also those that "
-    "peers sent; feedback returns to each peer what fusion made of its landmarks; relays forward packets as they came",
+    "Channel": "content sent over the radio: own maps hold only the sender's measurements, fused maps also those of "
+    "peers; feedback returns each peer's landmarks as fused; relays forward packets unchanged",
     "NEES": "of the position over 3, mean over keyframes after the 20th, seeds and vehicles; 1 is consistent. Low and "
     f"high: {CONFIDENCE:.0%} of the bootstrap over seeds; worst quarter: the largest mean of a quarter of the flight; "
     "outside: the share of runs whose mean over time is outside of the 95 % chi-square band of one NEES, 0.07 to 3.1; "
     "errors of a run are correlated, so that a consistent filter leaves it in 5 % of the runs at most",
-    "Failures": "runs (a seed and vehicle) whose covariance lost definiteness or whose filter broke down; their errors "
+    "Failures": "runs (a seed and vehicle) whose covariance lost definiteness or whose filter failed; their errors "
     "do not count",
     "lasting_ratio_to_s_slam": f"from {LASTING_S:.0f} s after the last common view on",
     "largest_jump_sigmas": "while they part",
@@ -43,7 +43,7 @@ NOTES = {
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Part:
-    """One table: a flight, and the ways to cooperate on it."""
+    """One table: a flight and its cooperation settings."""
 
     table: str
     scenario: Scenario

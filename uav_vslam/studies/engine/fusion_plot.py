@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the fusion study: what each way to cooperate gains beside its consistency, and what a larger fleet costs."""
+"""Draws the fusion study: gain and consistency of each setting, and the cost of a larger fleet."""
 
 from pathlib import Path
 from typing import Any

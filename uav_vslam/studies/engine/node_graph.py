@@ -13,7 +13,7 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario
 
-LAST_LINES = 5  # of the output of a graph that failed, for the error
+LAST_LINES = 5  # of a failed graph's output, for the error message
 
 Launcher = subprocess.Popen[bytes]
 
@@ -60,6 +60,6 @@ def fly_graph(fleet: Path, mode: str, *, watch: Callable[[Launcher], None] = lam
         with subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT) as launcher:
             watch(launcher)
     if launcher.returncode != 0:
-        said = " | ".join(log.read_text(encoding="utf-8", errors="replace").splitlines()[-LAST_LINES:])
-        raise UavVslamError(f"the node graph failed (exit code {launcher.returncode}): {said}")
+        tail = " | ".join(log.read_text(encoding="utf-8", errors="replace").splitlines()[-LAST_LINES:])
+        raise UavVslamError(f"the node graph failed (exit code {launcher.returncode}): {tail}")
     return estimates

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies of one vehicle alone at landmark level: every candidate flies the very same flights, with the same noise.
+"""Studies of one vehicle alone at landmark level: every candidate gets the same flights with the same noise.
 
-The back end is fed directly, so that a frame's time is that of prediction, association, update and map alone.
+The back end is called directly, so that a frame's time is that of prediction, association, update and map alone.
 """
 
 import dataclasses
@@ -35,13 +35,13 @@ PAGE_MB = 4096 / 1e6
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """One simulated vehicle's flight as all candidates see it.
+    """One simulated vehicle's flight, the input of all candidates.
 
     Attributes:
         vehicle: truth, instruments, start state.
-        landmarks: what there is to see.
+        landmarks: the simulated landmarks.
         noise: quality of the features.
-        steps: each frame's features, and the motion that leads to it (None for the first).
+        steps: each frame's features, and the motion to it (None for the first).
         truth, ins: true and dead-reckoned poses at the frames.
     """
 
@@ -55,11 +55,11 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What a candidate made of a flight, up to where it came.
+    """A candidate's estimate of a flight, up to where it ended.
 
     Attributes:
         estimate: poses at the frames.
-        failure: why it broke down first, whether it was then re-initialised or gave up; empty if it never did.
+        failure: why it failed first, whether it was then re-initialised or stopped; empty if it never did.
         restarts: how often the back end was re-initialised.
         frame_ms: (F,) time of this process for each frame [ms]; empty where frames are not processed one by one.
         landmarks: (F,) in the state after each frame.
@@ -76,7 +76,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A named way to turn a flight into a track; it travels to worker processes."""
+    """A named estimator, from a flight to a track; it can be pickled for worker processes."""
 
     name: str
     track: Callable[[Flight], Track]
@@ -153,16 +153,16 @@ def prepare(scenario: Scenario, noise: LandmarkNoise, *, per_frame: float = PER_
 
 def _flight(vehicle: SimulatedVehicle, landmarks: LandmarkField, noise: LandmarkNoise) -> Flight:
     stamps = [int(stamp_ns) for stamp_ns in vehicle.frame_stamps_ns]
-    increments, reckoned = reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)
+    increments, reckoned = dead_reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)
     features = [seen for seen, _ in observe(vehicle, landmarks, noise=noise)]
     steps = tuple(zip(features, increments, strict=True))
     return Flight(vehicle, landmarks, noise, steps, true_trajectory(vehicle), reckoned)
 
 
-def reckon(
+def dead_reckon(
     initial: NavEstimate, imu: ImuConfig, samples: Iterable[ImuSample], stamps_ns: Sequence[int]
 ) -> tuple[list[ImuIncrement | None], Trajectory]:
-    """Return the motion that leads to each frame, None for the first, where the start is; and the INS's poses there."""
+    """Return the motion to each frame, None for the first, which has the start state; and the INS's poses there."""
     preintegrator, ins = ImuPreintegrator(imu, initial.state), DeadReckoning(imu)
     increments: list[ImuIncrement | None] = [None]
     poses = [estimate.pose for estimate in ins.start(initial)]
@@ -170,7 +170,7 @@ def reckon(
         preintegrator.add_frame_stamp(stamp_ns)
     for sample in samples:
         preintegrator.add_imu(sample)
-        for increment in preintegrator.increments():  # at once: readings are not kept for a whole flight
+        for increment in preintegrator.increments():  # at once, so that readings are not stored for a whole flight
             increments.append(increment)
             poses += [estimate.pose for estimate in ins.add(increment)]
     return increments, Trajectory.from_estimates(poses)
@@ -178,7 +178,7 @@ def reckon(
 
 def dead_reckoning() -> Candidate:
     """The INS alone."""
-    return Candidate(INS, _reckon)
+    return Candidate(INS, _ins_track)
 
 
 def own_only(name: str, overrides: dict[str, Any]) -> Candidate:
@@ -190,14 +190,14 @@ def own_only(name: str, overrides: dict[str, Any]) -> Candidate:
     return Candidate(name, functools.partial(run_backend, config=load_vehicle(None, overrides=overrides)))
 
 
-def _reckon(flight: Flight) -> Track:
+def _ins_track(flight: Flight) -> Track:
     return Track(flight.ins)
 
 
 def run_backend(
     flight: Flight, *, config: VehicleConfig, on_report: Callable[[FrameReport], None] = lambda _: None
 ) -> Track:
-    """Feed a flight to a back end of its own; `config.imu` gives way to the scenario's."""
+    """Feed a flight to a back end of its own; the scenario's IMU replaces `config.imu`."""
     vehicle = flight.vehicle
     config = dataclasses.replace(config, imu=vehicle.scenario.imu_config)
     backend = SlamBackend(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
@@ -205,7 +205,7 @@ def run_backend(
 
 
 def feed(backend: SlamBackend, steps: Iterable[Step], on_report: Callable[[FrameReport], None]) -> Track:
-    """Feed a flight to a back end, frame by frame, as far as it goes; what `on_report` does is not timed."""
+    """Feed a flight to a back end, frame by frame, until it fails; `on_report` is not timed."""
     poses, landmarks, frame_ms, resident_mb = [], [], [], []
     restarts, failure = 0, ""
     for features, increment in steps:
@@ -233,5 +233,5 @@ def feed(backend: SlamBackend, steps: Iterable[Step], on_report: Callable[[Frame
 
 
 def _resident_mb() -> float:
-    """Return how much memory this process holds, as Linux tells [MB]."""
+    """Return the resident memory of this process, from Linux [MB]."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE_MB

@@ -21,10 +21,10 @@ CONFIDENCE = 0.95  # of the intervals
 def in_pool(
     work: Callable[[Job], Result], jobs: Sequence[Job], workers: int, on_done: Callable[[], None] = lambda: None
 ) -> Iterator[Result]:
-    """Yield the result of each job as it comes; one worker is this very process, in order.
+    """Yield the result of each job as it comes; with one worker, jobs run in this process, in order.
 
     Args:
-        work: a function of a module, so that it travels to other processes.
+        work: a function of a module, so that it can be pickled.
         jobs: its arguments.
         workers: processes.
         on_done: called when a job is done.
@@ -41,22 +41,22 @@ def _in_processes(work: Callable[[Job], Result], jobs: Sequence[Job], workers: i
 
 
 def rms(values: Sequence[float]) -> float | None:
-    """Return the root mean square; None of nothing."""
+    """Return the root mean square; None if there are none."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else None
 
 
 def mean(values: Sequence[float]) -> float | None:
-    """Return the mean; None of nothing."""
+    """Return the mean; None if there are none."""
     return float(np.mean(values)) if len(values) else None
 
 
 def median(values: Sequence[float]) -> float | None:
-    """Return the median; None of nothing."""
+    """Return the median; None if there are none."""
     return float(np.median(values)) if len(values) else None
 
 
 def ratio(a: float | None, b: float | None) -> float | None:
-    """Return a / b; None where there is nothing to divide, or to divide by."""
+    """Return a / b; None where either is missing or b is 0."""
     return a / b if a is not None and b else None
 
 
@@ -75,7 +75,7 @@ def mean_interval(name: str, values: Array) -> dict[str, float]:
 
 
 def _interval(name: str, of_seeds: tuple[Array, ...], statistic: Callable[..., Array]) -> dict[str, float]:
-    """Return the percentile interval over seeds, drawn together from all arrays; none from fewer than three seeds."""
+    """Return the percentile interval over jointly resampled seeds; none from fewer than three seeds."""
     if len(of_seeds[0]) < 3 or not all(np.isfinite(values).all() for values in of_seeds):
         return {}
     found = bootstrap(

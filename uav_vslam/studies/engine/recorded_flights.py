@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings with truth whose images have been searched once."""
+"""Recordings with truth whose features have been extracted once."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RecordedFlight:
-    """A recording that the front end has been through; a `FlightSource`.
+    """A recording with the front end's features; a `FlightSource`.
 
     Attributes:
         vehicle: name.
@@ -56,10 +56,10 @@ class RecordedFlight:
         return np.array([event.stamp_ns for event in self.events if isinstance(event, StereoFeatures)], np.int64)
 
 
-def searched_recording(
+def extracted_recording(
     recording: Path, vehicle: str | None, config: VehicleConfig, progress: Progress
 ) -> RecordedFlight:
-    """Read a recording and search its images."""
+    """Read a recording and extract features from its images."""
     with _opened(recording, vehicle) as flight:
         track, truth = flight.truth(), truth_trajectory(flight)
         if track is None or truth is None:

@@ -15,12 +15,12 @@ from uav_vslam.studies.engine.pool import CONFIDENCE, mean, mean_interval, media
 Array = NDArray[np.float64]
 
 NEES = "nees_position"
-WINDOWS = 4  # of a flight, each of which is judged: a filter may be honest on average and over-confident at the end
+WINDOWS = 4  # of a flight, each of which is tested: a filter may be consistent on average and over-confident at the end
 
 FAILURE_RULE = (
-    "a run fails if the filter breaks down, so that the back end gives up or begins anew, if its estimate is not "
-    "finite, or if it ends farther from the truth than the INS does on root mean square over the same runs; errors and "
-    "NEES are over all runs that came to the end of their flight with one filter, however far off"
+    "a run fails if the filter diverges, so that the back end stops or is re-initialised, if its estimate is not "
+    "finite, or if its end error exceeds the INS's root mean square over the same runs; errors and "
+    "NEES are over all runs that reached the end of their flight without re-initialisation, whatever their error"
 )
 
 
@@ -45,14 +45,14 @@ def pooled(runs: Sequence[Run]) -> Row:
 def nees_figures(runs: Sequence[tuple[int, Array]]) -> Row:
     """Return whether many runs are consistent: each one, at any time of the flight, and on average.
 
-    Errors within a run are correlated, at worst wholly. So a run's mean over time is judged by the chi-square band of
-    one single NEES, the widest: a consistent filter leaves it in 5 % of its runs at most.
+    Errors within a run are correlated, at worst fully. So a run's mean over time is tested against the band of a
+    single NEES, the widest: a consistent filter leaves it in 5 % of its runs at most.
 
     Args:
         runs: seed and (F,) position NEES over 3 at every keyframe.
 
     Returns:
-        Under `nees_position` the mean over keyframes after the 20th and over the runs; its key begins the others:
+        Under `nees_position` the mean over keyframes after the 20th and over the runs; the other keys extend it:
         `_low` and `_high`, its bootstrap interval over seeds; `_worst_quarter`, the largest mean of a quarter
         of the flight; `_outside`, the share of runs whose mean over time is outside of the band.
     """
@@ -73,7 +73,7 @@ def nees_figures(runs: Sequence[tuple[int, Array]]) -> Row:
 
 
 def is_finished(run: Run) -> bool:
-    """Tell whether a run reached the end of its flight with numbers, and with the filter that it began with."""
+    """Return whether a run reached the end of its flight, finite and without re-initialisation."""
     estimate = run.track.estimate
     return not run.track.failure and len(estimate) == len(run.truth) and bool(np.isfinite(estimate.positions).all())
 
@@ -85,7 +85,7 @@ def failures(runs: Sequence[Run]) -> int:
 
 
 def breakdowns(runs: Sequence[Run]) -> dict[str, str]:
-    """Return a note on why candidates broke down, the first reason of each; no note if none did."""
+    """Return a note on why candidates failed, the first reason of each; no note if none did."""
     reasons: dict[str, str] = {}
     for run in runs:
         if run.track.failure:
@@ -101,7 +101,7 @@ def end_error_m(run: Run) -> float:
 def relative_error_rate(runs: Sequence[Run]) -> float | None:
     """Return the RER of section 4.7.1 of [thesis]: errors summed over runs and steps, SLAM over INS, mean of the axes.
 
-    One run gives that run's RER. Runs that were not finished have no place in the sum; None if there are no others.
+    One run gives that run's RER. Unfinished runs are not in the sum; None if there are no others.
     """
     finished = [run for run in runs if is_finished(run)]
     if not finished:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GTSAM on our measurements: how good an estimate can be at all, and how fast others are.
+"""GTSAM on our measurements: the optimum as a bound on accuracy, and a smoother as a reference for speed.
 
-Both smoothers are told which landmark each feature shows; our filter has to find that out.
+Both smoothers are given the data association; our filter has to find it.
 """
 
 import dataclasses
@@ -21,10 +21,10 @@ from uav_vslam.studies.engine.factors import CameraPair, Motion, RectifiedPair, 
 from uav_vslam.studies.engine.frame_chain import FrameChain, Identities
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState, PoseEstimate, StereoFeatures
 
-RELATIVE_ERROR = 1e-9  # of the cost: less gain by a step, and the optimum is reached
+RELATIVE_ERROR = 1e-9  # of the cost: a smaller decrease in a step ends the optimisation
 MAX_STEPS = 50  # six are usual
 # What GTSAM's Cholesky factorisation needs, which refuses pivots below 2^-24 of their diagonal: a frame to frame
-# motion less exact, and biases less constant, than the inertial unit's, but still far more so than what pixels tell.
+# motion and biases noisier than the inertial unit's, but still far more exact than the pixels.
 CHOLESKY_INTEGRATION_SIGMA = 3e-3  # of the position [m/sqrt(s)]
 CHOLESKY_WALK = 10.0  # times the biases' random walk
 
@@ -54,7 +54,7 @@ def batch_optimum(
 ) -> Trajectory:
     """Return the most likely poses given all measurements of a flight, each with its marginal covariance.
 
-    Levenberg and Marquardt's method from dead reckoning on. By QR: position and biases are so much better known from
+    Levenberg-Marquardt, initialised by dead reckoning. By QR: position and biases are so much better known from
     frame to frame than in the map that GTSAM's Cholesky refuses some orders of elimination; with landmarks keyed in
     another order, one flight of twenty stopped 5 m short of the optimum.
 
@@ -111,18 +111,18 @@ class FixedLagSmoother:
 
         | factorisation | motion                       | factors of a view | 0.2 s | 2 s |
         |---------------|------------------------------|-------------------|-------|-----|
-        | Cholesky      | as exact as measured         |                   |    refused  |
+        | Cholesky      | as exact as measured         |                   |    fails    |
         | QR            | as exact as measured         | two projections   |   222 | 406 |
         | QR            | as exact as measured         | one stereo        |   200 | 303 |
         | QR            | less exact (cholesky_motion) | one stereo        |   185 | 321 |
         | Cholesky      | less exact (cholesky_motion) | two projections   |    23 |  42 |
         | Cholesky      | less exact (cholesky_motion) | one stereo        |    19 |  33 |
 
-    The last is the default; QR is for the very noise that our filter takes. All else is GTSAM's default, but that every
+    The last is the default; QR allows exactly the noise of our filter. All else is GTSAM's default, but that every
     frame checks what to relinearise: every tenth frame was not faster, and ended 8 cm farther off at the short lag.
     Relinearisation thresholds from 0.01 to 2, wildfire thresholds from 0 to 0.1, partial checks and no cache of linear
-    factors gave nothing above the noise of the clock: what hangs on a marginal is never relinearised, and each
-    marginalisation eliminates most of the rest anew. Each frame is one update and computes back the newest state only.
+    factors gave nothing above timing noise: variables in a marginal factor are never relinearised, and each
+    marginalisation re-eliminates most of the rest. Each frame is one update and back-substitutes the newest state only.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class FixedLagSmoother:
         params = gtsam.ISAM2Params()
         params.setFactorization(factorisation)
         params.relinearizeSkip = 1
-        params.findUnusedFactorSlots = True  # otherwise marginalised factors leave holes that are searched for ever
+        params.findUnusedFactorSlots = True  # otherwise marginalised factors leave holes that are searched each time
         self._smoother = gtsam.IncrementalFixedLagSmoother(lag_s, params)
         self._chain = FrameChain(start, rig, RectifiedPair(rig, sigma_px))
         self._start_ns, self._lag_s = start.state.stamp_ns, lag_s
@@ -144,7 +144,7 @@ class FixedLagSmoother:
 
     @property
     def landmarks_made(self) -> int:
-        """Landmarks that have ever been in the state; one that was forgotten and came back counts twice."""
+        """Landmarks that have ever been in the state; one that was removed and re-observed counts twice."""
         return self._chain.landmarks_made
 
     def process(
@@ -153,7 +153,7 @@ class FixedLagSmoother:
         identities: Identities,
         motion: gtsam.PreintegratedCombinedMeasurements | None,
     ) -> Pose:
-        """Take in a frame and return its pose T_map_body; a landmark lives on for the lag after it was seen last.
+        """Process a frame and return its pose T_map_body; a landmark is kept for the lag after its last observation.
 
         Args:
             features: stereo points of the frame.
@@ -170,7 +170,7 @@ class FixedLagSmoother:
                 stamps[keys[identity]] = self._seen_s[identity] = now_s
         self._smoother.update(graph, values, stamps)
         for identity in [i for i, seen_s in self._seen_s.items() if seen_s < now_s - self._lag_s]:
-            del self._seen_s[identity], keys[identity]  # marginalised; seen again, it is a new one
+            del self._seen_s[identity], keys[identity]  # marginalised; if re-observed, it is a new one
         pose = self._smoother.calculateEstimatePose3(X(frame))
         self._chain.state = gtsam.NavState(pose, self._smoother.calculateEstimateVector(V(frame)))
         self._chain.bias = self._smoother.calculateEstimateConstantBias(B(frame))
@@ -178,7 +178,7 @@ class FixedLagSmoother:
 
 
 def cholesky_motion(samples: Sequence[ImuSample], imu: ImuConfig, start: NavState) -> Motion:
-    """Return the motion between frames with noise that GTSAM's Cholesky factorisation can bear."""
+    """Return the motion between frames with noise large enough for GTSAM's Cholesky factorisation."""
     softer = dataclasses.replace(
         imu, gyro_bias_walk=CHOLESKY_WALK * imu.gyro_bias_walk, accel_bias_walk=CHOLESKY_WALK * imu.accel_bias_walk
     )

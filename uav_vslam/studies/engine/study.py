@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study is: one record, from which the command line makes its arguments, flies it and publishes what it found.
+"""The record of a study, from which the command line makes its arguments, runs it and publishes its findings.
 
 Nothing heavy is imported here: `uav-vslam study --help` reads the record of every study.
 """
@@ -16,17 +16,17 @@ from uav_vslam.studies.engine.columns import Row, check_rows
 
 
 class Progress(Protocol):
-    """Starts a progress bar, in place of the one before, and returns the function that moves it on."""
+    """Starts a progress bar, in place of the one before, and returns the function that advances it."""
 
     def __call__(self, total: int, title: str = ...) -> Callable[..., None]: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What a study found.
+    """Results of a study.
 
     Attributes:
-        rows: of `study.json`; those with different values of "table" stand in different tables. `columns` has their
+        rows: of `study.json`; those with different values of "table" form different tables. `columns` has their
             keys.
         notes: what the figures mean, by subject.
         series: curves for plots, one dict each, with lists of equal length.
@@ -49,9 +49,9 @@ class Study:
     Attributes:
         help: what it compares.
         takes: how long by default.
-        examples: of the command line, and what more there is to say.
-        run: flies it; given the arguments, the seeds and where to show progress.
-        add_arguments: declares what no other study has.
+        examples: of the command line, and further explanation.
+        run: runs it; given the arguments, the seeds and the progress display.
+        add_arguments: declares the study's own arguments.
         seeds: how many by default.
         workers: processes by default; 0 for a study that is one process at a time.
         frames: of each flight by default; 0 where the study has no such argument.

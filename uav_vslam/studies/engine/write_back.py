@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thesis's ways to share a map, which write what a peer says into the own filter; kept to be measured.
+"""The thesis's map sharing schemes, which write a peer's estimates into the own filter; baselines only.
 
-Once a peer's numbers are in the filter, the next packet carries them back as if they were news, and nobody can tell
-what has been counted how often. None of these is consistent; they fly in this study only, never in a node.
+Once a peer's information is in the filter, the next packet carries it back as if it were independent, and nothing
+records what was counted how often. None of these is consistent; only the study uses them, never a node.
 """
 
 import dataclasses
@@ -32,7 +32,7 @@ Pairs = NDArray[np.int64]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Shared:
-    """Landmarks that two vehicles have in common, as one of them tells of them.
+    """Landmarks that two vehicles have in common, as estimated by the sender.
 
     Attributes:
         ids: (K,) the sender's.
@@ -46,7 +46,7 @@ class Shared:
 
     @classmethod
     def of(cls, packet: LandmarkPacket, rows: Pairs) -> "Shared":
-        """Return what a packet tells of some of its landmarks."""
+        """Return a packet's estimate of some of its landmarks."""
         at = landmark_rows(0, rows)
         Y = inverse_spd(packet.covariance[np.ix_(at, at)], "covariance of a packet")
         return cls(packet.ids[rows], packet.positions[rows], Y)
@@ -57,12 +57,12 @@ Write = Callable[[Filter, Pairs, Shared, Shared | None], None]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class WriteBack:
-    """One of the thesis's ways to share a map.
+    """One of the thesis's map sharing schemes.
 
     Attributes:
-        write: writes what a peer sent into the own filter.
-        channel: what crosses the radio, and where the thesis says so.
-        sends_own: the map of a filter that no peer writes to is sent; otherwise the one with peers' information in it.
+        write: writes a peer's estimate into the own filter.
+        channel: content sent over the radio, with the section of the thesis.
+        sends_own: send the map of a filter that no peer writes to; otherwise the one that includes peers' information.
     """
 
     write: Write
@@ -70,44 +70,44 @@ class WriteBack:
     sends_own: bool = False
 
 
-def intersect_each(own: Filter, rows: Pairs, told: Shared, before: Shared | None) -> None:
-    """Covariance intersection of each landmark alone, Eq. (7.1) and (7.2), its result put in the place of the own."""
+def intersect_each(own: Filter, rows: Pairs, received: Shared, before: Shared | None) -> None:
+    """Covariance intersection of each landmark alone, Eq. (7.1) and (7.2); the result replaces the own estimate."""
     del before
-    P_told = inverse_spd(told.information, "a peer's landmarks")
+    P_received = inverse_spd(received.information, "a peer's landmarks")
     for k, row in enumerate(rows.tolist()):
         at = landmark_rows(own.vehicle, np.array([row]))
         P = own.belief.covariance(np.array([row]))[-3:, -3:]
         Y = inverse_spd(P, "covariance of a landmark")
-        Y_fused, share = _intersection(Y, _block(P_told, k))
-        _add_information(own, at, Y_fused - Y, share @ (told.positions[k] - own.landmarks[row]))
+        Y_fused, share = _intersection(Y, _block(P_received, k))
+        _add_information(own, at, Y_fused - Y, share @ (received.positions[k] - own.landmarks[row]))
 
 
-def overwrite(own: Filter, rows: Pairs, told: Shared, before: Shared | None) -> None:
-    """The same, but the block alone is replaced in the covariance, and what it has to do with the rest is left."""
+def overwrite(own: Filter, rows: Pairs, received: Shared, before: Shared | None) -> None:
+    """The same, but only the covariance's diagonal block is replaced; its cross-covariances stay."""
     del before
-    P_told = inverse_spd(told.information, "a peer's landmarks")
+    P_received = inverse_spd(received.information, "a peer's landmarks")
     P = own.covariance()
     delta = np.zeros(len(P))
     for k, row in enumerate(rows.tolist()):
         at = slice(own.vehicle + 3 * row, own.vehicle + 3 * row + 3)
-        Y_fused, share = _intersection(inverse_spd(P[at, at], "covariance of a landmark"), _block(P_told, k))
+        Y_fused, share = _intersection(inverse_spd(P[at, at], "covariance of a landmark"), _block(P_received, k))
         P[at, at] = np.linalg.inv(Y_fused)
-        delta[at] = P[at, at] @ share @ (told.positions[k] - own.landmarks[row])
+        delta[at] = P[at, at] @ share @ (received.positions[k] - own.landmarks[row])
     own.correct(InformationBelief(inverse_spd(P, "overwritten covariance"), own.vehicle), delta)
 
 
-def add_deltas(own: Filter, rows: Pairs, told: Shared, before: Shared | None) -> None:
-    """Add what the peer's information has grown by since its last packet, Eq. (4.5.9) to (4.5.11)."""
+def add_deltas(own: Filter, rows: Pairs, received: Shared, before: Shared | None) -> None:
+    """Add the increase of the peer's information since its last packet, Eq. (4.5.9) to (4.5.11)."""
     if before is None:
         return
-    _, new, old = np.intersect1d(told.ids, before.ids, return_indices=True)
+    _, new, old = np.intersect1d(received.ids, before.ids, return_indices=True)
     if len(new) == 0:
         return
     now, then = landmark_rows(0, new), landmark_rows(0, old)
     at = landmark_rows(own.vehicle, rows[new])
     x = own.landmarks[rows[new]].ravel()
-    Y_now, Y_then = _marginal(told.information, now), _marginal(before.information, then)
-    gradient = Y_now @ (told.positions[new].ravel() - x) - Y_then @ (before.positions[old].ravel() - x)
+    Y_now, Y_then = _marginal(received.information, now), _marginal(before.information, then)
+    gradient = Y_now @ (received.positions[new].ravel() - x) - Y_then @ (before.positions[old].ravel() - x)
     _add_information(own, at, Y_now - Y_then, gradient)
 
 
@@ -122,11 +122,11 @@ WRITE_BACK = {
 
 
 def fly_with_write_back(flights: Sequence[Flight], config: VehicleConfig, scheme: WriteBack) -> dict[str, Track]:
-    """Fly two or more vehicles that write what they hear into their filters at each epoch, until one breaks down."""
+    """Fly two or more vehicles that write received packets into their filters at each epoch, until one diverges."""
     backends = {flight.vehicle.name: _backend(flight, config) for flight in flights}
     senders = {flight.vehicle.name: _backend(flight, config) for flight in flights} if scheme.sends_own else backends
     names = list(backends)
-    told: dict[tuple[str, str], Shared] = {}
+    received: dict[tuple[str, str], Shared] = {}
     poses: dict[str, list[PoseEstimate]] = {name: [] for name in names}
     failure, previous_ns = "", None
     for steps in zip(*(flight.steps for flight in flights), strict=True):
@@ -138,7 +138,7 @@ def fly_with_write_back(flights: Sequence[Flight], config: VehicleConfig, scheme
                     senders[name].process(features, increment)
             stamp_ns = backends[names[0]].stamp_ns
             if crosses_epoch(previous_ns, stamp_ns, config.fusion.epoch_s):
-                _exchange(backends, senders, told, config, scheme.write)
+                _exchange(backends, senders, received, config, scheme.write)
             previous_ns = stamp_ns
             for name in names:
                 poses[name].append(backends[name].filter.nav_estimate().pose)
@@ -166,7 +166,7 @@ def _backend(flight: Flight, config: VehicleConfig) -> _OpenBackend:
 def _exchange(
     backends: Mapping[str, _OpenBackend],
     senders: Mapping[str, _OpenBackend],
-    told: dict[tuple[str, str], Shared],
+    received: dict[tuple[str, str], Shared],
     config: VehicleConfig,
     write: Write,
 ) -> None:
@@ -179,8 +179,8 @@ def _exchange(
         pairs = find_common(own.positions, P, own.descriptors, packet, config=config.fusion)
         if len(pairs):
             shared = Shared.of(packet, pairs[:, 1])
-            write(backends[receiver].filter, pairs[:, 0], shared, told.get((sender, receiver)))
-            told[sender, receiver] = shared
+            write(backends[receiver].filter, pairs[:, 0], shared, received.get((sender, receiver)))
+            received[sender, receiver] = shared
 
 
 def _everything(joint: JointInformation) -> LandmarkPacket:
@@ -192,10 +192,10 @@ def _block(P: Array, k: int) -> Array:
     return inverse_spd(P[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], "covariance of a peer's landmark")
 
 
-def _intersection(Y: Array, Y_told: Array) -> tuple[Array, Array]:
-    """Return the information w Y + (1 - w) Y_told of the largest determinant, and the peer's share of it."""
-    w = minimising_weight(lambda w: -float(np.linalg.slogdet(w * Y + (1.0 - w) * Y_told)[1]))
-    return w * Y + (1.0 - w) * Y_told, (1.0 - w) * Y_told
+def _intersection(Y: Array, Y_received: Array) -> tuple[Array, Array]:
+    """Return the information w Y + (1 - w) Y_received of the largest determinant, and the peer's share of it."""
+    w = minimising_weight(lambda w: -float(np.linalg.slogdet(w * Y + (1.0 - w) * Y_received)[1]))
+    return w * Y + (1.0 - w) * Y_received, (1.0 - w) * Y_received
 
 
 def _marginal(Y: Array, rows: NDArray[np.int64]) -> Array:
@@ -204,7 +204,7 @@ def _marginal(Y: Array, rows: NDArray[np.int64]) -> Array:
 
 
 def _add_information(own: Filter, at: NDArray[np.int64], Y_more: Array, gradient: Array) -> None:
-    """Add information about some rows, which may be negative, and move the mean to where it then is."""
+    """Add information, which may be negative, about some rows and update the mean."""
     Y = own.belief.information(np.arange(own.belief.size))
     Y[np.ix_(at, at)] += Y_more
     Y = symmetrise(Y)

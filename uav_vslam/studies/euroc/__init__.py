@@ -22,13 +22,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Search the images once, then fly every filter from every start."""
     from uav_vslam.config import find_config, load_vehicle
-    from uav_vslam.studies.engine.recorded_flights import searched_recording
+    from uav_vslam.studies.engine.recorded_flights import extracted_recording
     from uav_vslam.studies.euroc.compute import NOTES, error_series, run_starts, table_rows
     from uav_vslam.studies.euroc.plot import draw_starts
     from uav_vslam.studies.euroc.starts import LATER_SHARES
 
     config = load_vehicle(find_config(args.config), overrides=args.set)
-    flight = searched_recording(args.recording, args.vehicle, config, progress)
+    flight = extracted_recording(args.recording, args.vehicle, config, progress)
     advance = progress(len(args.filters) * (1 + len(seeds) + len(LATER_SHARES)))
     runs = run_starts(flight, config, filters=args.filters, seeds=seeds, workers=args.workers, on_run=advance)
     return Findings(table_rows(flight, runs), NOTES, error_series(flight, runs), draw_starts)

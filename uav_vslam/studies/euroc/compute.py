@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One recorded flight by several filters from many starts: is a good result luck?
+"""One recorded flight by several filters from many start states: does the result depend on the start?
 
 Features depend neither on the filter nor on the start, so the images are searched once for all runs.
 """
@@ -29,9 +29,9 @@ NOTES = {
     "frame K: the true pose and velocity at that frame, undisturbed, with the biases of the recorded start and the "
     "variance of their walk since.",
     "ATE": "root mean square of the position errors, in the truth's frame, without alignment.",
-    "frames_coasted": "frames after the first in which no landmark was recognised, so that the INS alone carried on.",
-    "restarts": "re-initialisations: the filter found that it had lost the vehicle.",
-    "NEES": "squared error over what the filter claims, per axis, from the 21st frame of a run on: 1 is consistent.",
+    "frames_coasted": "frames after the first with no associated landmark, predicted by the INS alone.",
+    "restarts": "re-initialisations after the back end detected that tracking was lost.",
+    "NEES": "squared error over the filter's covariance, per axis, from the 21st frame of a run on: 1 is consistent.",
 }
 
 
@@ -41,10 +41,10 @@ class Run:
 
     Attributes:
         method, start: names.
-        track: poses at the frames, up to where the filter came.
-        associated: (F,) landmarks recognised in each frame.
+        track: poses at the frames, up to the filter's failure.
+        associated: (F,) landmarks associated in each frame.
         restarts: how often the filter was re-initialised.
-        failure: why it came no farther; empty at the end of the flight.
+        failure: why it ended early; empty at the end of the flight.
     """
 
     method: str
@@ -56,7 +56,7 @@ class Run:
 
     @property
     def lost(self) -> int:
-        """Frames after the first without a recognised landmark."""
+        """Frames after the first without an associated landmark."""
         return int((self.associated[1:] == 0).sum())
 
 

@@ -14,7 +14,7 @@ from uav_vslam.report.style import clean, save
 COLOURS = {"recorded": "black", "drawn": "#0072b2", "frame": "#d55e00"}  # by the first word of the start's name
 LABELS = {"recorded": "recorded start", "drawn": "drawn from its covariance", "frame": "truth at a later frame"}
 
-FLOWN_AWAY_M = 1.0  # an error beyond it is shown on a logarithmic axis: on a linear one it would hide all others
+DIVERGED_M = 1.0  # larger errors get a logarithmic axis: on a linear one they would hide all others
 
 
 def draw_starts(tree: dict[str, Any], folder: Path) -> list[Path]:
@@ -30,7 +30,7 @@ def start_plot(series: list[Row]) -> Figure:
     for method, axes in zip(methods, panels, strict=True):
         _draw(axes, [curve for curve in series if curve["method"] == method])
         axes.set_ylabel(f"{method}: error [m]")
-    if max((error for curve in series for error in curve["error_m"]), default=0.0) > FLOWN_AWAY_M:
+    if max((error for curve in series for error in curve["error_m"]), default=0.0) > DIVERGED_M:
         panels[-1].set_yscale("log")
     else:
         panels[-1].set_ylim(bottom=0.0)

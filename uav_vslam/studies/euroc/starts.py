@@ -30,7 +30,7 @@ LATER_SHARES = (0.25, 0.5, 0.75)  # of the frames, where the later starts are
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a run begins, and what it is called."""
+    """A start state of a run, and its name."""
 
     name: str
     estimate: NavEstimate
@@ -59,7 +59,7 @@ def drawn_start(centre: NavEstimate, rng: np.random.Generator) -> NavEstimate:
 
 
 def true_start(flight: RecordedFlight, frame: int, imu: ImuConfig) -> NavEstimate:
-    """Return the true pose and velocity at a frame, as sure as the recorded start, with its biases grown older.
+    """Return the true pose and velocity at a frame, with the recorded start's covariance plus the biases' walk.
 
     Raises:
         UavVslamError: there is no truth at that frame.
@@ -67,7 +67,7 @@ def true_start(flight: RecordedFlight, frame: int, imu: ImuConfig) -> NavEstimat
     stamp_ns = int(flight.frame_stamps_ns[frame])
     pose, rows = interpolate(flight.truth, np.array([stamp_ns]), max_gap_s=MAX_GAP_S)
     if len(rows) == 0:
-        raise UavVslamError(f"{flight.vehicle}: no truth at frame {frame} ({stamp_ns} ns), where a run was to start")
+        raise UavVslamError(f"{flight.vehicle}: no truth at frame {frame} ({stamp_ns} ns), where a run should start")
     since_ns = flight.truth.stamps_ns - stamp_ns
     velocity = np.array([np.interp(0.0, since_ns, component) for component in flight.velocities.T])
     recorded = flight.initial_state

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rendered flights whose cameras fail for a while: what the front end says, and what becomes of the estimate."""
+"""Rendered flights whose cameras fail for a while: what the diagnostics report, and how the estimate recovers."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ from uav_vslam.studies.engine.pool import in_pool, mean, rms
 
 NONE = "none"
 BEGIN_SHARE = 0.3  # of the flight
-MANY = 20  # associated landmarks, and the vehicle sees again
+MANY = 20  # associated landmarks count as recovered
 NEVER, LASTING = "never", "lasting"
 VARIANTS: dict[str, dict[str, object]] = {
     "klt": {"frontend.method": "klt"},
@@ -36,8 +36,8 @@ NOTES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Survived:
-    """What became of one flight."""
+class FaultRun:
+    """The result of one flight."""
 
     method: str
     fault: str
@@ -59,12 +59,12 @@ def jobs(scenario: Scenario, configs: Mapping[str, VehicleConfig], seeds: Sequen
 
 def run_study(work: Sequence[Job], *, workers: int, on_flight: Callable[[], None] = lambda: None) -> list[Row]:
     """Fly everything and return the rows of `study.json`."""
-    flown = list(in_pool(survive, work, workers, on_flight))
+    flown = list(in_pool(fly_fault, work, workers, on_flight))
     labels = dict.fromkeys((name, fault) for name, _, _, fault, _ in work)
     return [_row([one for one in flown if (one.method, one.fault) == label]) for label in labels]
 
 
-def survive(job: Job) -> Survived:
+def fly_fault(job: Job) -> FaultRun:
     """Fly one vehicle through a fault."""
     name, config, scenario, fault, seed = job
     scenario = dataclasses.replace(scenario, seed=seed)
@@ -78,7 +78,7 @@ def survive(job: Job) -> Survived:
     )
     figures = build_summary(result, git=None)["vehicles"][vehicle.name]["s_slam"]
     end = end_s(source.fault, begin_s, vehicle)
-    return Survived(name, fault, track, figures, "" if fault == NONE else _recovered_frames(track, vehicle, end))
+    return FaultRun(name, fault, track, figures, "" if fault == NONE else _recovered_frames(track, vehicle, end))
 
 
 def _recovered_frames(track: VehicleTrack, vehicle: SimulatedVehicle, end: float) -> int | str:
@@ -89,7 +89,7 @@ def _recovered_frames(track: VehicleTrack, vehicle: SimulatedVehicle, end: float
     return next((k for k, report in enumerate(later) if report.associated >= MANY), NEVER)
 
 
-def _row(flown: Sequence[Survived]) -> Row:
+def _row(flown: Sequence[FaultRun]) -> Row:
     reports = [output.report for one in flown for output in one.track.outputs]
     alarms: dict[str, int] = {}
     for one in flown:

@@ -19,7 +19,7 @@ def draw_faults(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 
 def faults_plot(rows: list[Row]) -> Figure:
-    """Return end error and the worst seed's NEES, faults downwards; what is allowed is shaded."""
+    """Return end error and the worst seed's NEES, faults downwards; the allowed range is shaded."""
     faults = list(dict.fromkeys(row["condition"] for row in rows))
     figure = Figure(figsize=(11.0, 1.6 + 0.4 * len(faults)), layout="constrained")
     errors, nees = figure.subplots(1, 2, sharey=True)

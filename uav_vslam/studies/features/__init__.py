@@ -22,7 +22,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     from uav_vslam.errors import ConfigError
     from uav_vslam.studies.features.compute import ALGORITHMS, NOTES, FeatureLab, count_jobs, feature_rows
     from uav_vslam.studies.features.front_end import accepted_rows
-    from uav_vslam.studies.features.named_sets import at_hand, read_set
+    from uav_vslam.studies.features.named_sets import available_sets, read_set
     from uav_vslam.studies.features.plot import draw_with_matches
     from uav_vslam.studies.features.sets import rendered_set
     from uav_vslam.studies.features.trends import trend_rows
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     methods = args.algorithms or list(ALGORITHMS)
     if unknown := set(methods) - set(ALGORITHMS):
         raise ConfigError(f"algorithm {sorted(unknown)[0]!r} is not known; use some of {', '.join(ALGORITHMS)}")
-    sets = [read_set(text, args.width) for text in args.images or at_hand()]
+    sets = [read_set(text, args.width) for text in args.images or available_sets()]
     sets += [rendered_set(seed, args.width) for seed in seeds]
     if not sets:
         raise ConfigError("there are no images: name a folder, let UAV_VSLAM_DATA point to the data, or give --seeds 1")

@@ -60,7 +60,7 @@ NOTES = {
     "Precision": f"matches within {CORRECT_PX:.0f} px of the truth, for points on a grid half its diagonal more, which "
     "is known where the camera stands still or the flight is rendered",
     "Still cameras": "show a point of a grid where it was: dense SIFT and PHOW match the grid with itself, and such "
-    "rows don't count where the thesis's conclusions are judged",
+    "rows don't count where the thesis's conclusions are tested",
     "Times": "CPU seconds of one thread: both images' extraction, matching, and RANSAC besides; SURF searches an image "
     "with a border of 96 px all round, at a width of 360 px 2.6 times as large: without it points near the border, "
     "three quarters of them there, would be lost",
@@ -85,7 +85,7 @@ class Matched:
 
 @dataclass
 class FeatureLab:
-    """Extracts and matches, each image and pair once."""
+    """Extracts and matches each image and pair once."""
 
     _found: dict[tuple[str, View], tuple[Keypoints, float]] = field(default_factory=dict)
     _matched: dict[tuple[str, View, View, float], Matched] = field(default_factory=dict)
@@ -189,7 +189,7 @@ def _jobs(images: ImageSet, methods: Sequence[str]) -> Iterable[tuple[str, Pair,
 
 
 def _half_diagonal(method: str, keypoints: Keypoints) -> float:
-    """Return how far a point may be from the nearest of a grid, 0 for points that find their place [px]."""
+    """Return how far a point may be from the nearest of a grid, 0 for detected points [px]."""
     if method not in ON_A_GRID or len(keypoints) < 2:
         return 0.0
     columns = np.unique(keypoints.pixels[:, 0])

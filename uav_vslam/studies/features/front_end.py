@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many of the matches that the front end's own extractor and matchers accept are right."""
+"""Precision of the matches that the front end's own extractor and matchers accept."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -28,7 +28,7 @@ def match_picture(
         images: (H, W) grey or (H, W, 3) BGR.
         pixels: (M, 2) in the first and (M, 2) in the second image.
         kept: (M,) which matches RANSAC keeps.
-        title: what is matched with what.
+        title: names of algorithm and images.
     """
     figure = Figure(figsize=(9.0, 7.6), layout="constrained")
     above, below = figure.subplots(2, 1)
@@ -39,7 +39,7 @@ def match_picture(
 
 
 def save_match_picture(path: Path, figure: Figure) -> Path:
-    """Write the picture into a folder that is made."""
+    """Write the picture; make its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return save(figure, path)
 

@@ -6,17 +6,17 @@ from pathlib import Path
 
 from uav_vslam.datasets.image_sets import LAYOUTS, Layout, files_of, read_image, shift_between
 from uav_vslam.errors import ConfigError
-from uav_vslam.studies.features.sets import ImageSet, View, narrowed, steady
+from uav_vslam.studies.features.sets import ImageSet, View, downscaled, static_truth
 
 
-def at_hand() -> list[str]:
-    """Return the names of the data sets that the machine has."""
+def available_sets() -> list[str]:
+    """Return the names of the data sets on this machine."""
     root = os.environ.get("UAV_VSLAM_DATA")
     return [name for name in LAYOUTS if root and (Path(root) / name).is_dir()]
 
 
 def read_set(text: str, width: int) -> ImageSet:
-    """Return the set that an argument stands for."""
+    """Return the set that an argument names."""
     if "," in text:
         pair = [Path(part) for part in text.split(",")]
         name = " ".join(dict.fromkeys(path.parent.name or "." for path in pair))
@@ -35,13 +35,13 @@ def read_set(text: str, width: int) -> ImageSet:
 def _loaded(name: str, layout: Layout, files: dict[str, dict[int, Path]], width: int) -> ImageSet:
     """Read a set's images and shrink the wide ones."""
     bands = {
-        band: {k: View(name, band, k, path.stem, narrowed(read_image(path), width)) for k, path in paths.items()}
+        band: {k: View(name, band, k, path.stem, downscaled(read_image(path), width)) for k, path in paths.items()}
         for band, paths in files.items()
     }
     truth = None
     if layout.still:
         last = {band: views[max(views)].image for band, views in bands.items()}
-        truth = steady(
+        truth = static_truth(
             {(b, k): shift_between(view.image, last[b]) for b, vs in bands.items() for k, view in vs.items()}
         )
     return ImageSet(name, bands, layout.spacings, layout.usual, layout.cross, truth, layout.still)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the study of features: what each extractor matches where, over the spacing of images, and over the ratio."""
+"""Draws the study of features: matches by place, by spacing of images, and by ratio."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from uav_vslam.studies.features.sets import ImageSet, cross_pairs, usual_pairs
 BLACK = "#000000"
 COLUMNS = 3
 MATCHES_DRAWN = ("SIFT", "SURF")
-LEAST = 0.5  # what no match is drawn as, for the logarithm
+LEAST = 0.5  # stands for zero matches on the logarithmic axis
 
 
 def draw_with_matches(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image sets for the study of features: what is compared with what, and where the truth is known."""
+"""Image sets for the study of features: their pairs, and the truth where it is known."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ class ImageSet:
         name: of the set.
         bands: images by number, the first being 0, by band.
         spacings, usual, cross: as in `datasets.image_sets.Layout`.
-        truth: where every point lies in any other image, of any band; None where it isn't known.
+        truth: where every point is in any other image, of any band; None where it isn't known.
         still: the camera stood still.
     """
 
@@ -71,22 +71,22 @@ class Pair:
 
     @property
     def spacing(self) -> int:
-        """How many images apart they are."""
+        """Difference of their numbers in the set."""
         return self.second.number - self.first.number
 
     def errors(self, first: Pixels, second: Pixels) -> Pixels | None:
-        """Return how far (N, 2) pixels of the second are from where those of the first lie [px]; None: not known."""
+        """Return the distances of (N, 2) second pixels from the true positions of the first [px]; None: not known."""
         if self.images.truth is None:
             return None
         true = self.images.truth(self.first, self.second, np.asarray(first, float))
         return np.asarray(np.linalg.norm(np.asarray(second) - true, axis=1))
 
 
-def steady(shifts: Mapping[tuple[str, int], Pixels]) -> Truth:
-    """Return the truth of a camera that stands still, but for shifts.
+def static_truth(shifts: Mapping[tuple[str, int], Pixels]) -> Truth:
+    """Return the truth of a static camera, but for shifts.
 
     Args:
-        shifts: by band and number, the (2,) way [px] from an image to where its set's images agree.
+        shifts: by band and number, the (2,) shift [px] from an image to its set's common alignment.
     """
 
     def truth(first: View, second: View, pixels: Pixels) -> Pixels:
@@ -106,7 +106,7 @@ def rendered_set(seed: int, width: int) -> ImageSet:
 
 
 def flown(vehicle: SimulatedVehicle, scenario: Scenario) -> Truth:
-    """Return where the left camera's pixels go as it flies over the ground."""
+    """Return the true positions of the left camera's pixels in later images of the flight."""
     relief, camera = ground_of(scenario).relief, vehicle.rig.left
     poses = [vehicle.truth.pose(float(t)) @ vehicle.rig.T_body_left for t in vehicle.frame_times_s]
 
@@ -117,8 +117,8 @@ def flown(vehicle: SimulatedVehicle, scenario: Scenario) -> Truth:
     return truth
 
 
-def narrowed(image: Image, width: int) -> Image:
-    """Return an image that is at most so wide [px]."""
+def downscaled(image: Image, width: int) -> Image:
+    """Return an image of at most the given width [px]."""
     return shrink(image, width / image.shape[1]) if image.shape[1] > width else image
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sections 3.6 and 3.7 of [thesis] conclude about extractors, each conclusion held against our figures."""
+"""Conclusions of sections 3.6 and 3.7 of [thesis] about extractors, each compared with our figures."""
 
 from collections.abc import Callable, Sequence
 from statistics import median
@@ -20,14 +20,14 @@ Trend = tuple[str, str, Callable[[Sequence[Row]], Verdict]]
 
 
 def trend_rows(rows: Sequence[Row]) -> list[Row]:
-    """Return a row per conclusion: where it stands, whether our figures agree, and the figures.
+    """Return a row per conclusion: its section, whether our figures agree, and the figures.
 
-    What a grid matches with itself, where the camera stood still, says nothing.
+    Matches of a grid with itself, where the camera is static, are left out.
     """
     rows = [row for row in rows if not (row["camera"] == "still" and row["method"] in ON_A_GRID)]
     found: list[Row] = []
-    for section, claim, judge in _trends():
-        agrees, figures = judge(rows)
+    for section, claim, check in _trends():
+        agrees, figures = check(rows)
         verdict = "not tested" if agrees is None else "agrees" if agrees else "differs"
         labels = {TABLE: TRENDS, "method": claim, "condition": f"section {section}"}
         found.append({**labels, "verdict": verdict, "figures": figures})
@@ -49,13 +49,13 @@ def _trends() -> list[Trend]:
             for band in BEYOND
         ],
         ("3.6.3", "dense SIFT is no faster than SIFT and matches fewer points", _dense_gains_nothing),
-        ("3.6.3", "colour descriptors are poor: few matches survive RANSAC", _colour_is_poor),
+        ("3.6.3", "colour descriptors are poor: few matches are left after RANSAC", _colour_is_poor),
         ("3.6.3", "of the colour descriptors RGB is the best", _rgb_is_best),
         *[("3.6.3", f"matching visible with {band} images nearly fails", _bands_fail(band)) for band in BEYOND],
         ("3.6.4", "urban images give more points and matches than rural ones", lambda _: (None, "no urban set")),
         ("3.6.5", "matches grow fewer with the interval", _spacing_costs),
         ("3.6.5", "matches in descending order: ASIFT, SIFT, DSIFT, PHOW (RGB), SURF", _order),
-        ("3.7", "RANSAC fails where most matches are wrong", _ransac_drowns),
+        ("3.7", "RANSAC fails where most matches are wrong", _ransac_fails),
     ]
 
 
@@ -79,16 +79,16 @@ def _listed(medians: dict[str, float]) -> str:
 
 
 def _first(key: str, method: str, *, most: bool) -> Callable[[Sequence[Row]], Verdict]:
-    """Make a judge of whether a method of the thesis has the most, or the least, of something."""
+    """Return a check that a method of the thesis has the largest, or the smallest, value of a figure."""
 
-    def judge(rows: Sequence[Row]) -> Verdict:
+    def check(rows: Sequence[Row]) -> Verdict:
         medians = {name: value for name, value in _by_method(_rows(rows, PLACES), key).items() if name in THESIS}
         if method not in medians or len(medians) < 2:
             return None, "the algorithm was not run"
         best = (max if most else min)(medians, key=lambda name: medians[name])
         return best == method, _listed(medians)
 
-    return judge
+    return check
 
 
 def _threshold_matters(rows: Sequence[Row]) -> Verdict:
@@ -140,9 +140,9 @@ def _surf_is_sparse(rows: Sequence[Row]) -> Verdict:
 
 
 def _infrared_matches(band: str) -> Callable[[Sequence[Row]], Verdict]:
-    """Make a judge of the rates in a band against those in the visible one, by set and algorithm."""
+    """Return a check of the rates in a band against those in the visible one, by set and algorithm."""
 
-    def judge(rows: Sequence[Row]) -> Verdict:
+    def check(rows: Sequence[Row]) -> Verdict:
         rates = {(row["method"], row["condition"].rsplit(" ", 3)[0]): row["rate_1"] for row in _rows(rows, BANDS)}
         pairs = [
             (rates[method, images.removesuffix(band) + "visible"], rate)
@@ -156,7 +156,7 @@ def _infrared_matches(band: str) -> Callable[[Sequence[Row]], Verdict]:
         text = f"higher for {higher} of {len(quotients)} algorithms and sets, median {median(quotients):.2f} times"
         return higher > len(quotients) / 2, text
 
-    return judge
+    return check
 
 
 def _dense_gains_nothing(rows: Sequence[Row]) -> Verdict:
@@ -184,9 +184,9 @@ def _rgb_is_best(rows: Sequence[Row]) -> Verdict:
 
 
 def _bands_fail(band: str) -> Callable[[Sequence[Row]], Verdict]:
-    """Make a judge of whether no algorithm matches visible images with those of a band."""
+    """Return a check that no algorithm matches visible images with those of a band."""
 
-    def judge(rows: Sequence[Row]) -> Verdict:
+    def check(rows: Sequence[Row]) -> Verdict:
         names = f" visible / {band} ", f" {band} / visible "
         across = [row for row in _rows(rows, BANDS) if any(name in row["condition"] for name in names)]
         cross = [row for row in across if row["method"] in THESIS]
@@ -196,7 +196,7 @@ def _bands_fail(band: str) -> Callable[[Sequence[Row]], Verdict]:
         works = [method for method in rates if rates[method] > FAILS and matches[method] > CHANCE]
         return not works, f"matches after RANSAC, {_listed(matches)}; rates, {_listed(rates)}"
 
-    return judge
+    return check
 
 
 def _spacing_costs(rows: Sequence[Row]) -> Verdict:
@@ -222,7 +222,7 @@ def _order(rows: Sequence[Row]) -> Verdict:
     return found == expected, _listed({method: medians[method] for method in found})
 
 
-def _ransac_drowns(rows: Sequence[Row]) -> Verdict:
+def _ransac_fails(rows: Sequence[Row]) -> Verdict:
     known = [row for row in rows if row[TABLE] in (BANDS, SPACINGS) and row["precision"] is not None]
     mostly_wrong = [row for row in known if row["precision"] < 0.1 and row["matches"] >= 10]
     if not mostly_wrong:

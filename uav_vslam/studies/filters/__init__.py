@@ -9,7 +9,7 @@ from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what the noise scales' flights are like."""
+    """Declare the flights of the noise scales."""
     parser.add_argument("--vehicles", type=int, default=2, help="of each seed, each alone and a run (default 2)")
     parser.add_argument("--runs", type=int, default=10, help="runs of each noise scale (default 10)")
     parser.add_argument("--steps", type=int, default=100, help="frames of each of these runs (default 100)")

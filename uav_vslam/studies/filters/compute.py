@@ -41,17 +41,17 @@ MEASURED = {
 NOTES = {
     "Runs": "one vehicle alone on one seed; all rows of a table have the same flights, start errors and noise",
     "Errors": "root mean squares over the runs, in the common frame without alignment; GTSAM's batch knows the true "
-    "identities of the landmarks and every later frame, so that its end error is the one to compare with",
+    "identities of the landmarks and all frames; only at the end has the filter the same data",
     "NEES": "of the position, over 3, mean over the frames after the 20th and over the runs: 1 is consistent, more is "
-    "over-confident; the plots shade what holds 95 % of the means of as many independent samples as there are runs",
+    "over-confident; the plots shade the 95 % range of the mean of as many independent samples as there are runs",
     "Failures": FAILURE_RULE,
     "Time": "of this process in the back end, median over the frames",
-    "Noise scales": "w1 to w4 as in section 4.7.1, drawn anew at each of 100 frames 0.14 s apart; 10 px^2 on each "
-    "pixel coordinate, simulated and believed",
+    "Noise scales": "w1 to w4 as in section 4.7.1, drawn at each of 100 frames 0.14 s apart; 10 px^2 on each "
+    "pixel coordinate, simulated and assumed",
     "SIFT and SURF": "SIFT's table has the thesis's 10 px^2, the default density of landmarks and no wrong match. "
-    "SURF's has what it measures more or less than SIFT on the same rendered images (SURF by mahotas, upright; half of "
+    "SURF's differs as measured on the same rendered images (SURF by mahotas, upright; half of "
     "1280 x 960; two seeds of 6 frames): {points:.2f} times the stereo points, {sigma:.1f} times the pixel noise, "
-    "simulated and believed, and {wrong:.0%} more wrong matches from frame to frame".format(
+    "simulated and assumed, and {wrong:.0%} more wrong matches from frame to frame".format(
         points=MEASURED["SURF"].points / MEASURED["SIFT"].points,
         sigma=MEASURED["SURF"].sigma_px / MEASURED["SIFT"].sigma_px,
         wrong=MEASURED["SURF"].wrong_share - MEASURED["SIFT"].wrong_share,
@@ -70,7 +70,7 @@ BESIDE = {extractor: f"The same runs with {extractor}" for extractor in RER}
 
 
 def candidate(model: str, name: str, **backend: float) -> Candidate:
-    """Return a filter with a state model; the thesis's model does without depth smoothing, as in the thesis.
+    """Return a filter with a state model; the thesis's model has no depth smoothing, as in the thesis.
 
     Args:
         model, name: `backend.model` and `backend.filter`.
@@ -97,14 +97,14 @@ def noise_trials(
     """The noise scales w1 to w4 of section 4.7.1, one vehicle.
 
     Args:
-        extractor: in `MEASURED`; what SIFT has the thesis says, the other differs from it as measured.
+        extractor: in `MEASURED`; the thesis gives SIFT's noise, the other differs from it as measured.
         frames: time steps.
-        altitude: over the ground [m]; the thesis does not tell its own.
+        altitude: over the ground [m]; the thesis does not state its own.
         speed: [m/s].
     """
     measured, sift = MEASURED[extractor], MEASURED["SIFT"]
     sigma_px = THESIS_SIGMA_PX * measured.sigma_px / sift.sigma_px
-    # In such noise the pose that PnP finds is a worse one.
+    # With such noise PnP's pose is worse.
     thresholds = {"sigma_px": sigma_px, "pnp_px": 4.0 * sigma_px, "pnp_beyond_px": 1e6}
     filters = tuple(candidate(model, name, **thresholds) for model, name in IN_TABLE_471)
     slow_and_low = Scenario(
@@ -119,7 +119,7 @@ def noise_trials(
 
 
 def optimum(flight: Flight) -> Track:
-    """GTSAM's optimum over the whole flight; each pose knows of the later frames too, the last one alone of no more."""
+    """GTSAM's optimum over the whole flight; only the last pose uses the same measurements as a filter."""
     try:
         return Track(gtsam_batch(flight.vehicle, flight.landmarks, flight.noise, flight.noise.sigma_px))
     except (UavVslamError, RuntimeError) as error:  # the latter is GTSAM's own

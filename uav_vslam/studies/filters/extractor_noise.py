@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good an extractor's stereo points are on rendered images, where the truth is known."""
+"""Accuracy of an extractor's stereo points on rendered images, where the truth is known."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,13 @@ import numpy as np
 
 from uav_vslam.config import FrontendConfig, VehicleConfig
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.studies.engine.searched_flights import rendered_flight, shown_at
+from uav_vslam.studies.engine.extracted_flights import rendered_flight, shown_at
 from uav_vslam.vision.matching import match_descriptors
 
 FRAMES = 6
-WRONG_PX = 8.0  # a match farther from its true place is wrong, not imprecise
+WRONG_PX = 8.0  # a match farther from its true position is an outlier
 NORMAL_MAD = 1.4826  # of a normal distribution's standard deviation to its median absolute deviation
-SQRT2 = float(np.sqrt(2.0))  # an error from one image to the next has two images' noise
+SQRT2 = float(np.sqrt(2.0))  # an error between two images has the noise of both
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two vehicles that don't know where each other's map lies."""
+"""Two vehicles with unknown transform between their maps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STUDY = Study(
   uav-vslam study frames                   16 seeds
   uav-vslam study frames --seeds 2         a first look
 
-It also measures what each stage of data association between vehicles is worth: ratio, mutual, gate, consistency.
+It also measures each stage of data association between vehicles: ratio, mutual, gate, consistency.
 """,
     run=run,
     seeds=16,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One seed's flights of two vehicles that don't know where each other's map lies: when they find out, and how well."""
+"""One seed's flights of two vehicles with unknown map transform: when it is found, and how accurately."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -17,14 +17,21 @@ from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.studies.engine.apart import Flown, draw_offset, fly_own_only, identities, mistaken, moved_apart
 from uav_vslam.studies.engine.association_stages import STAGES, UNKNOWN_FRAME, Identities, Score, pairs_by_stage, score
+from uav_vslam.studies.engine.separate_frames import (
+    OwnOnlyTracks,
+    draw_offset,
+    fly_own_only,
+    identities,
+    in_other_frame,
+    mistaken,
+)
 from uav_vslam.studies.frames.map_baselines import alignment_error, map_to_map, weighted_map_to_map
 from uav_vslam.studies.frames.meetings import Meeting, RecordingFusion, meet
 from uav_vslam.types import NS_PER_S, JointInformation
 
 Array = NDArray[np.float64]
-Judge = Callable[[Trajectory, Trajectory], float]
+Metric = Callable[[Trajectory, Trajectory], float]
 ByVehicle = dict[str, dict[str, float]]  # figure by track and vehicle
 
 OWN, PEER = "uav1", "uav2"
@@ -39,7 +46,7 @@ class FirstAlignment:
     Attributes:
         after_s: since the first frame.
         matches: by ratio and mutual test in that packet.
-        used: those of them that the alignment rests on.
+        used: inliers of the alignment among them.
         to_weighted: its distance from `weighted_map_to_map` [m], [deg].
         to_true: its distance from the true frames, both maps' drift included [m], [deg].
         nees: of that distance, over 4.
@@ -62,7 +69,7 @@ class FrameRun:
         first: how the frame was found; None if it was not.
         errors: (P, 2) of each packet's alignment since then [m], [deg].
         ate_m, pose_nees: figures of `evaluation` by vehicle and track.
-        stages: the pairs that each stage of association leaves of uav1's.
+        stages: the pairs of uav1's that each stage of association keeps.
     """
 
     seed: int
@@ -75,50 +82,50 @@ class FrameRun:
 
 
 def run_seed(scenario: Scenario) -> list[FrameRun]:
-    """Fly one seed alone, then bring its vehicles together with each share of mistaken landmarks."""
+    """Fly one seed alone, then fuse its vehicles with each share of mistaken landmarks."""
     flown = fly_own_only(scenario)
     return [run_together(flown, scenario.seed, share) for share in SHARES]
 
 
-def run_together(flown: Flown, seed: int, share: float) -> FrameRun:
-    """Bring two vehicles together, in a common frame and with the peer's map moved anywhere."""
+def run_together(flown: OwnOnlyTracks, seed: int, share: float) -> FrameRun:
+    """Fuse two vehicles, in a common frame and with the peer's map moved at random."""
     T_peer_own, config = draw_offset(seed), FusionConfig()
     own, peer = identities(flown, OWN), identities(flown, PEER)
     shared = [k for k, name in peer.items() if name in set(own.values())]
     together, wrong = mistaken(flown, PEER, share, seed, among=shared)
-    apart = moved_apart(together, PEER, T_peer_own)
+    moved = in_other_frame(together, PEER, T_peer_own)
     truth = Identities(own, peer, wrong)
-    apart_config = dataclasses.replace(config, common_origin=False)
-    framing, common = ({name: RecordingFusion(name, c) for name in flown.tracks} for c in (apart_config, config))
-    unknown, known = meet(apart, framing), meet(together, common)
-    tracks = {"alone": (_alone(apart), apart), "unknown": (unknown, apart), "known": (known, together)}
+    unknown_config = dataclasses.replace(config, common_origin=False)
+    framing, common = ({name: RecordingFusion(name, c) for name in flown.tracks} for c in (unknown_config, config))
+    unknown, known = meet(moved, framing), meet(together, common)
+    tracks = {"alone": (_alone(moved), moved), "unknown": (unknown, moved), "known": (known, together)}
     aligned = [(m, m.alignment) for m in framing[OWN].meetings if m.alignment is not None]
     return FrameRun(
         seed=seed,
         share=share,
-        first=_first(*aligned[0], T_peer_own.inverse(), apart, truth, config) if aligned else None,
-        errors=_errors(aligned, apart, truth),
-        ate_m=_judged(tracks, _ate),
-        pose_nees=_judged(tracks, _pose_nees),
+        first=_first(*aligned[0], T_peer_own.inverse(), moved, truth, config) if aligned else None,
+        errors=_errors(aligned, moved, truth),
+        ate_m=_scored_tracks(tracks, _ate),
+        pose_nees=_scored_tracks(tracks, _pose_nees),
         stages=_stages(common[OWN].meetings, framing[OWN].meetings, truth, config),
     )
 
 
-def _errors(aligned: Sequence[tuple[Meeting, Alignment]], flown: Flown, truth: Identities) -> Array:
+def _errors(aligned: Sequence[tuple[Meeting, Alignment]], flown: OwnOnlyTracks, truth: Identities) -> Array:
     errors = [
         alignment_error(alignment.T_own_peer, *map_to_map(*_whole_maps(m, flown), truth)) for m, alignment in aligned
     ]
     return np.array(errors).reshape(-1, 2)
 
 
-def _whole_maps(meeting: Meeting, flown: Flown) -> tuple[JointInformation, JointInformation]:
-    """Return the own-only beliefs at a meeting: one's own, and the peer's when it made the packet."""
+def _whole_maps(meeting: Meeting, flown: OwnOnlyTracks) -> tuple[JointInformation, JointInformation]:
+    """Return the own-only beliefs at a meeting: the receiver's, and the peer's at the packet's stamp."""
     maps = {o.joint.stamp_ns: o.joint for track in flown.tracks.values() for o in track.outputs if o.joint is not None}
     return maps[meeting.joint.stamp_ns], maps[meeting.packet.stamp_ns]
 
 
 def _first(
-    meeting: Meeting, alignment: Alignment, T_true: Pose, flown: Flown, truth: Identities, config: FusionConfig
+    meeting: Meeting, alignment: Alignment, T_true: Pose, flown: OwnOnlyTracks, truth: Identities, config: FusionConfig
 ) -> FirstAlignment:
     T, maps = alignment.T_own_peer, _whole_maps(meeting, flown)
     error = np.append(T_true.t - T.t, so3_log(T_true.R @ T.R.T)[2])
@@ -147,16 +154,16 @@ def _stages(
     return total
 
 
-def _alone(flown: Flown) -> dict[str, Trajectory]:
+def _alone(flown: OwnOnlyTracks) -> dict[str, Trajectory]:
     return {
         name: Trajectory.from_estimates([output.report.pose for output in track.outputs])
         for name, track in flown.tracks.items()
     }
 
 
-def _judged(tracks: Mapping[str, tuple[Mapping[str, Trajectory], Flown]], judge: Judge) -> ByVehicle:
+def _scored_tracks(tracks: Mapping[str, tuple[Mapping[str, Trajectory], OwnOnlyTracks]], metric: Metric) -> ByVehicle:
     return {
-        name: {key: judge(found[name], flown.truths[name]) for key, (found, flown) in tracks.items()}
+        name: {key: metric(found[name], flown.truths[name]) for key, (found, flown) in tracks.items()}
         for name in (OWN, PEER)
     }
 

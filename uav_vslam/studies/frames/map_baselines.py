@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where two estimated maps lie to each other, by the true identities of their landmarks: what an alignment is held
+"""The transform between two estimated maps, by the true identities of their landmarks: the reference for an
 against.
 """
 
@@ -30,8 +30,8 @@ def common_rows(own: JointInformation, peer: JointInformation, truth: Identities
 def map_to_map(own: JointInformation, peer: JointInformation, truth: Identities) -> tuple[Pose, Array]:
     """Return the T_own_peer that fits two maps best, and the (3,) centre of what they share in the peer's frame [m].
 
-    The sum of squared distances of all landmarks that both hold is least, without weights: so it is the maps as they
-    are, drift and all, and owes nothing to the alignment that it judges.
+    It minimises the unweighted sum of squared distances of all landmarks that both hold. So it includes the maps'
+    drift, and does not depend on the alignment that is tested.
     """
     a, b = common_rows(own, peer, truth).T
     return align_yaw(peer.positions[b], own.positions[a]), peer.positions[b].mean(axis=0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicles that meet: packets go round and are fused, and what each packet found is kept for judging."""
+"""Vehicles that exchange and fuse packets; the matches and alignment of each packet are recorded."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from uav_vslam.cooperation.alignment import Alignment
 from uav_vslam.cooperation.epoch_fusion import EpochFusion
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.studies.engine.apart import Flown
+from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks
 from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
 
 Array = NDArray[np.float64]
@@ -21,13 +21,13 @@ Pairs = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """A packet as it was brought in.
+    """A received packet and its matches.
 
     Attributes:
         joint: the own belief.
         packet: the peer's.
-        pairs: (K, 2) rows of both that were taken for the same.
-        alignment: of the peer's frame; None where it is not known, or not asked for.
+        pairs: (K, 2) matched rows of both.
+        alignment: of the peer's frame; None where it is not known, or not needed.
     """
 
     joint: JointInformation
@@ -37,7 +37,7 @@ class Meeting:
 
 
 class RecordingFusion(Fusion):
-    """A fusion that remembers its meetings."""
+    """A fusion that records its meetings."""
 
     def __init__(self, vehicle: str, config: FusionConfig) -> None:
         super().__init__(vehicle, config)
@@ -50,7 +50,7 @@ class RecordingFusion(Fusion):
         return pairs
 
 
-def meet(flown: Flown, fusions: Mapping[str, Fusion]) -> dict[str, Trajectory]:
+def meet(flown: OwnOnlyTracks, fusions: Mapping[str, Fusion]) -> dict[str, Trajectory]:
     """Exchange packets and fuse, as `fleet.cooperate` does over perfect links; return the fused trajectories."""
     outputs = [(o.report.pose.stamp_ns, name, o) for name, track in flown.tracks.items() for o in track.outputs]
     poses: dict[str, list[PoseEstimate]] = {name: [] for name in fusions}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The study of unknown frames: how soon vehicles find where each other's map lies, how well, and what it is worth."""
+"""The study of unknown frames: time to find the transform between maps, its accuracy, and the gain from it."""
 
 from collections.abc import Callable, Sequence
 
@@ -11,28 +11,28 @@ from uav_vslam.studies.frames.compute import SHARES, TRACKS, FrameRun, run_seed
 
 ALIGNMENT = "frame of the peer"
 LABELS = {"alone": "S-SLAM", "unknown": "C-SLAM, frame unknown", "known": "C-SLAM, frame known"}  # by track
-FOUND_WITHIN_S = 30.0  # of overlap, which begins with the flight
+FOUND_WITHIN_S = 30.0  # of overlap, which starts with the flight
 MAX_ERROR_M, MAX_ERROR_DEG = 1.5, 1.0
 
 NOTES = {
     "Flights": "two vehicles in formation at landmark level; the map frame of the second is turned by up to 180 "
-    "degrees and shifted by 1 to 50 m, and a share of the landmarks that both map look like others of them to the "
+    "degrees and shifted by 1 to 50 m, and a share of the landmarks that both map has descriptors of others for the "
     "second for the whole flight: wrong_share is the wrong ones' share of the matches in the packet that gives the "
-    "frame. Later fewer are wrong, for each vehicle then sends first what has proved to be shared",
+    "frame. Later fewer are wrong, because each vehicle then sends known shared landmarks first",
     "Error": "of T_uav1_uav2 when it is found, against the transform that fits the two own-only maps of that moment "
     "best: least squares, without weights, over all landmarks that both maps hold, identities from the simulation; "
     "metres at those landmarks' centre. Later: root mean square over all packets until the end of the flight. Each "
-    "map's own drift is inside both transforms. Landmarks just mapped count in full, which makes this yardstick "
-    "rough by up to a metre; weighted: against the fit over the same landmarks by the covariances of both maps",
+    "map's own drift is in both transforms. Landmarks just mapped have full weight, which makes this reference "
+    "uncertain by up to a metre; weighted: against the fit over the same landmarks by the covariances of both maps",
     "True": "against the true frames, so with both maps' drift",
     "Good": f"found within {FOUND_WITHIN_S:g} s, within {MAX_ERROR_M} m and {MAX_ERROR_DEG} degree",
     "NEES": "frame: of T_uav1_uav2 against the true frames, over 4, when it is found; others: of both vehicles' "
     "position, over 3, mean over the frames after the 20th",
     "Trajectories": "alone, and together with the peer's frame unknown or known: the same flights and the same "
-    "mistakes in a common frame. ATE is the root mean square over seeds and vehicles, each in its own frame, ratios "
-    "are to standing alone; better: only the vehicle of each seed that is better alone, which it is by luck too",
+    "mismatches in a common frame. ATE is the root mean square over seeds and vehicles, each in its own frame, ratios "
+    "are to S-SLAM; better: only the vehicle of each seed that is better alone, partly by chance",
     "Stages": "pairs that uav1 finds in all packets of the flight, in a common frame but for the last row; recall is "
-    "over the landmarks that both have and that look right",
+    "over the landmarks that both have and whose descriptor is right",
 }
 
 
@@ -46,7 +46,7 @@ def frame_rows(
     by_share = [[run for run in runs if run.share == share] for share in SHARES]
     scores = stage_rows((run.share, run.stages) for run in runs)
     return [
-        *({TABLE: "where the peer's map lies", **_pooled(some)} for some in by_share),
+        *({TABLE: "frame of the peer's map", **_pooled(some)} for some in by_share),
         *({TABLE: "trajectories", **row} for some in by_share for row in _trajectories(some)),
         *({TABLE: "stages of association", **row} for row in scores),
         *({TABLE: "seed by seed", **_single(run)} for run in runs if run.share > 0),
@@ -54,7 +54,7 @@ def frame_rows(
 
 
 def is_good(run: FrameRun) -> bool:
-    """Tell whether the frame was found in time and well."""
+    """Return whether the frame was found in time and accurately."""
     if run.first is None:
         return False
     metres, degrees = run.errors[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points that are tracked, and points that are matched frame by frame."""
+"""Tracked points, and points matched frame by frame."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
-    """Judge each front end's points under every condition, and fly them."""
+    """Measure each front end's points under every condition, and run SLAM on them."""
     from uav_vslam.simulation.scenario import Scenario
     from uav_vslam.studies.engine.flights import kagaru_configs
     from uav_vslam.studies.front_end.compute import NOTES, VARIANTS, methods, run_study
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
 
 STUDY = Study(
-    help="rendered images: front ends' precision, cost, unequal cameras, and what SLAM makes of their points",
+    help="rendered images: front ends' precision and cost, unequal cameras, and the resulting SLAM accuracy",
     takes="an hour",
     examples="""examples:
   uav-vslam study front_end --seeds 4                       two vehicles of 160 frames, 3 conditions

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Front ends over rendered flights: how precise their points are, what they cost, and what SLAM makes of them."""
+"""Front ends over rendered flights: precision of their points, cost, and the resulting SLAM accuracy."""
 
 import dataclasses
 import time
@@ -30,7 +30,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "right gain 1.15, vignette 35 %": {"right_gain": 1.15, "right_vignette": 0.35},
     "motion blur 3 px": {"blur_px": 3.0},
 }
-FLOWN = (EQUAL,)  # the conditions that SLAM flies as well; in the others the points alone are judged
+FLOWN = (EQUAL,)  # the conditions in which SLAM runs as well; the others measure the points alone
 VARIANTS: dict[str, dict[str, object]] = {
     "klt": {"frontend.method": "klt"},
     "sift": {"frontend.method": "sift"},
@@ -49,16 +49,16 @@ NOTES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """What a front end made of one flight.
+class FrontEndRun:
+    """A front end's results on one flight.
 
     Attributes:
         method: name and condition.
         errors: (N, 2) right pixels less the truth, of all features [px].
         frames: number of frames.
-        followed: number of features that an earlier frame had shown.
+        followed: number of features tracked from an earlier frame.
         ms_per_frame: processor time.
-        figures: of the flight by track and vehicle; None if it was not flown, or diverged.
+        figures: of the flight by track and vehicle; None if SLAM was not run, or diverged.
     """
 
     method: Method
@@ -84,8 +84,8 @@ def methods(scenario: Scenario, configs: Mapping[str, VehicleConfig]) -> list[Me
 def run_study(
     compared: Sequence[Method], seeds: Sequence[int], *, workers: int, on_flight: Callable[[], None] = lambda: None
 ) -> list[Row]:
-    """Look at every flight and return the rows of `study.json`."""
-    found = list(in_pool(_look, [(method, seed) for seed in seeds for method in compared], workers, on_flight))
+    """Run every front end on every flight and return the rows of `study.json`."""
+    found = list(in_pool(_run_front_end, [(method, seed) for seed in seeds for method in compared], workers, on_flight))
     return [_row([seen for seen in found if seen.method == method], found) for method in compared]
 
 
@@ -99,7 +99,7 @@ def right_errors(vehicle: SimulatedVehicle, frame: int, features: StereoFeatures
     return np.asarray(features.pixels[:, 2:] - expected)
 
 
-def _look(job: Job) -> Seen:
+def _run_front_end(job: Job) -> FrontEndRun:
     method, seed = job
     scenario = dataclasses.replace(method.scenario, seed=seed)
     vehicles = simulate_fleet(scenario)
@@ -124,10 +124,10 @@ def _look(job: Job) -> Seen:
     outcome = fly_sources(method, scenario, vehicles, sources) if method.condition in FLOWN else None
     frames = scenario.frames * scenario.vehicles
     figures = outcome.figures if outcome else None
-    return Seen(method, np.vstack(errors), frames, followed, 1e3 * busy_s / frames, figures)
+    return FrontEndRun(method, np.vstack(errors), frames, followed, 1e3 * busy_s / frames, figures)
 
 
-def _row(seen: Sequence[Seen], everything: Sequence[Seen]) -> Row:
+def _row(seen: Sequence[FrontEndRun], everything: Sequence[FrontEndRun]) -> Row:
     method = seen[0].method
     plain = [other for other in everything if (other.method.name, other.method.condition) == (method.name, EQUAL)]
     errors = np.vstack([flight.errors for flight in seen])
@@ -145,11 +145,11 @@ def _row(seen: Sequence[Seen], everything: Sequence[Seen]) -> Row:
     return row | (_flight_figures(seen) if method.condition in FLOWN else {})
 
 
-def _points_a_frame(seen: Sequence[Seen]) -> float:
+def _points_a_frame(seen: Sequence[FrontEndRun]) -> float:
     return sum(len(flight.errors) for flight in seen) / sum(flight.frames for flight in seen)
 
 
-def _flight_figures(seen: Sequence[Seen]) -> Row:
+def _flight_figures(seen: Sequence[FrontEndRun]) -> Row:
     flown = [flight.figures for flight in seen if flight.figures]
 
     def values(track: str, key: str) -> list[float]:

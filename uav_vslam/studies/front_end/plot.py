@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from uav_vslam.evaluation.study import Row
 from uav_vslam.report.style import LINE_COLOURS, clean, column, save
 
-PANELS = {  # key of the row, its axis' name, and what is allowed
+PANELS = {  # key of the row, its axis' name, and its limit
     "sigma_px": ("Right pixel's error, one sigma [px]", 0.15),
     "kept_share": ("Points over those with equal cameras", 0.9),
     "ms_per_frame": ("Processor time [ms/frame]", 60.0),
@@ -23,7 +23,7 @@ def draw_front_ends(tree: dict[str, Any], folder: Path) -> list[Path]:
 
 
 def front_end_plot(rows: list[Row]) -> Figure:
-    """Return a panel a figure, with a group of bars for each condition and a dotted line at what is asked for."""
+    """Return a panel a figure, with a group of bars for each condition and a dotted line at the limit."""
     methods = list(dict.fromkeys(row["method"] for row in rows))
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     figure = Figure(figsize=(12.0, 1.6 + 0.7 * len(conditions)), layout="constrained")

@@ -60,7 +60,7 @@ def schemes(frames: int) -> list[Part]:
 
 
 def network() -> list[Part]:
-    """Long flights that part half-way, over bad radios and with restarts of the sender."""
+    """Long flights that separate half-way, over bad radios and with restarts of the sender."""
     losses = [Setting(f"loss {share:.0%}", link=LinkConfig(loss=share)) for share in (0.0, 0.2, 0.5, 0.7, 0.9)]
     settings = (
         *losses,
@@ -72,9 +72,9 @@ def network() -> list[Part]:
             "narrowband, 9.6 kbit/s, loss 20%", {"mode": "narrowband"}, LinkConfig(rate_bytes_per_s=1200, loss=0.2)
         ),
         Setting("5 restarts of the sender", restarts=5),
-        Setting("nothing remembered", {"memory_landmarks": 0}),
+        Setting("no memory", {"memory_landmarks": 0}),
     )
-    return [Part("a long flight that parts half-way", SCENARIOS["parting"], settings)]
+    return [Part("a long flight that separates half-way", SCENARIOS["parting"], settings)]
 
 
 def fleets(frames: int) -> list[Part]:
@@ -82,8 +82,8 @@ def fleets(frames: int) -> list[Part]:
     sizes = [dataclasses.replace(Scenario(frames=frames), vehicles=count) for count in (2, 4, 8)]
     ends = ("uav1", "uav3")
     row = (
-        Setting("all hear all"),
-        Setting("the ends can't hear each other", out_of_range=ends),
+        Setting("all in range"),
+        Setting("ends out of range", out_of_range=ends),
         Setting("the middle returns feedback", {"feedback": True}, out_of_range=ends),
         Setting("the middle relays", {"relay": True}, out_of_range=ends),
     )

@@ -30,7 +30,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
 
 STUDY = Study(
-    help="rendered images through the node graph in real time: frames kept, and what each process needs of a core",
+    help="rendered images through the node graph in real time: frames processed, and each process's share of a core",
     takes="a minute",
     examples="""examples:
   uav-vslam study live                                       two vehicles, 160 frames of 1280x960 at 7.14 Hz

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node graph in real time: how many frames it keeps up with, and what each process needs of a core."""
+"""A node graph in real time: the share of frames processed, and each process's share of a core."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ class Sample:
 
 
 def sample_children(parent: int, time_s: float) -> Sample:
-    """Return what the child processes of a launcher have used so far; those that are ending are left out."""
+    """Return what the child processes of a launcher have used so far; ending processes are left out."""
     found: dict[str, float] = {}
     tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
     for entry in (PROC / str(parent) / "task" / str(parent) / "children").read_text(encoding="ascii").split():

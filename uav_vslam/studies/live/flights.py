@@ -20,7 +20,7 @@ LEADER = "replay"
 
 
 def fly(seed: int, config: VehicleConfig, *, frames: int, scale: float, rate: float, mode: str) -> list[Row]:
-    """Record a flight, replay it through the graph, and return what that kept up with and what it took.
+    """Record a flight, replay it through the graph, and return the frames processed and the processor time.
 
     Raises:
         UavVslamError: a process failed.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A long flight over known ground: does a frame cost the same at the end, and what do retained landmarks give?"""
+"""A long flight over known ground: time of a frame early and late, and the gain from retained landmarks."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -27,15 +27,15 @@ NOTES = {
     "Failures": FAILURE_RULE,
     "Time": f"of this process in the back end: medians of frames {SPAN} to {2 * SPAN} and of the last {SPAN} of a run, "
     "their ratio within each run, and of all these the median over the runs",
-    "Memory": f"growth_mb is what the process holds after the last frame less what it held after frame {SPAN}, median "
+    "Memory": f"growth_mb is the process's memory after the last frame less that after frame {SPAN}, median "
     "over the runs; the study itself keeps a pose of each frame, about 1 kB",
-    "Alignment": "ate_yaw_aligned_rms_m forgives position and yaw of the start, which no landmark observes: what is "
-    "left is the drift that retention can prevent",
+    "Alignment": "ate_yaw_aligned_rms_m aligns position and yaw of the start, which no landmark observes: the rest is "
+    "the drift that retention can prevent",
 }
 
 
 def long_trial(variants: Mapping[str, dict[str, Any]], *, frames: int = FRAMES) -> Trial:
-    """The lawnmower flight, which comes past known ground leg after leg.
+    """The lawnmower flight, which revisits known ground leg after leg.
 
     Args:
         variants: settings to compare, by name.

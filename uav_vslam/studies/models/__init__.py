@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each idea in the estimator is worth, alone and with a peer."""
+"""The effect of each component of the estimator, alone and with a peer."""
 
 from __future__ import annotations
 

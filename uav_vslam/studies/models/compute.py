@@ -7,7 +7,7 @@ from uav_vslam.studies.engine.flights import Method, with_backend
 
 
 def methods(frames: int) -> list[Method]:
-    """Landmark level, 1 px: the default, and what each idea in it is worth."""
+    """Landmark level, 1 px: the default, and variants with one component changed."""
     scenario = Scenario(frames=frames)
     condition = f"landmarks, {frames} frames, 1 px, {scenario.imu}"
     default = VehicleConfig()

@@ -26,7 +26,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
 
 STUDY = Study(
-    help="landmark level: wrong matches, far ones and look-alikes inside the gate, with and without robust updates",
+    help="landmark level: wrong matches, far ones and similar ones inside the gate, with and without robust updates",
     takes="an hour",
     examples="""examples:
   uav-vslam study outliers                              20 seeds of two vehicles, each alone

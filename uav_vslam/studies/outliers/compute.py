@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrong matches: what they do to a vehicle alone, and what each setting of the back end saves."""
+"""Wrong matches: their effect on a vehicle alone, with each setting of the back end."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,8 +17,8 @@ CLEAN = "clean"
 ROBUST: dict[str, dict[str, Any]] = {f"backend.robust={on}": {"backend.robust": on} for on in (True, False)}
 
 NOTES = {
-    "Runs": "one vehicle alone on one seed at landmark level, 1 px, ADIS16480; wrong matches are drawn anew for each "
-    "frame, and all settings see the same",
+    "Runs": "one vehicle alone on one seed at landmark level, 1 px, ADIS16480; wrong matches are drawn for each "
+    "frame, the same for all settings",
     "Kinds": "swapped: features exchange their places in the image; lookalike: a feature is a real point "
     f"{LOOKALIKE_PX[0]:.0f} to {LOOKALIKE_PX[1]:.0f} px beside, in any direction of image and disparity together",
     "Ratio": "end_ratio_to_clean is over the end error of the same setting",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the packet modes cost and bring, measured on the whole node graph over DDS."""
+"""Cost and gain of the packet modes, measured on the whole node graph over DDS."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
-    """Fly each seed in both modes; where the graph fails, say so and go on."""
+    """Fly each seed in both modes; where the graph fails, report it and continue."""
     from uav_vslam.studies.radio.compute import MODES, NOTES, radio_rows
     from uav_vslam.studies.radio.flights import fly_seed
 
@@ -32,7 +32,7 @@ STUDY = Study(
   uav-vslam study radio                    5 flights of 160 frames, each in both modes
   uav-vslam study radio --seeds 1 --frames 30
 
-One process a node, so nothing is run beside it; a flight's images take 170 MB while it lasts.
+One process a node, so run nothing else meanwhile; a flight's images take 170 MB for its duration.
 """,
     run=run,
     seeds=5,

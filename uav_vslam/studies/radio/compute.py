@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the packet modes cost and bring, from flights of the whole node graph: the figures alone, no processes.
+"""Cost and gain of the packet modes, from flights of the whole node graph: the figures alone, no processes.
 
-All modes fly the same recordings, so their own-only tracks are the same, and what differs is what the packets carried.
+All modes replay the same recordings, so their own-only tracks are the same; only the packets' content differs.
 """
 
 from collections import Counter
@@ -56,7 +56,7 @@ def packet_sizes(counters: Iterable[tuple[int, int]]) -> tuple[int, ...]:
 
     Args:
         counters: packets and bytes sent so far, a pair for each epoch. Where one is missing, its packet and the next
-            one's count as one: no packet is ever understated.
+            one's count as one: no packet's size is ever understated.
     """
     sizes, known, total = [], 0, 0
     for packets, size in counters:
@@ -70,8 +70,8 @@ def radio_rows(runs: Sequence[Run], flights: int) -> list[Row]:
     """Return the rows of `study.json`: the modes, whether the targets are met, and each flight.
 
     Args:
-        runs: of all flights that came to their end.
-        flights: that were begun in each mode.
+        runs: of all completed flights.
+        flights: started in each mode.
     """
     ended = {mode: {run.seed for run in runs if run.mode == mode} for mode in MODES}
     counted = [run for run in runs if all(run.seed in seeds for seeds in ended.values())]
@@ -114,7 +114,7 @@ def _gain(row: Row) -> float | None:
 
 
 def _targets(rows: Mapping[str, Row]) -> list[Row]:
-    """Return what the modes were made to reach, and whether they do."""
+    """Return the requirements on the modes, and whether they are met."""
     found = [
         _at_most(mode, "payload [B/s]", rows[mode]["sent_bytes_per_s_max"], MAX_BYTES_PER_S[mode]) for mode in MODES
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flies the node graph in each packet mode and scores what it recorded."""
+"""Flies the node graph in each packet mode and scores its recordings."""
 
 import dataclasses
 import tempfile
@@ -30,7 +30,7 @@ def fly_seed(seed: int, frames: int) -> Iterator[tuple[str, list[Run] | UavVslam
 
 
 def read_runs(estimates: Path, flight: Path, mode: str, seed: int) -> list[Run]:
-    """Score what a graph recorded of a flight.
+    """Score a graph's recording of a flight.
 
     Raises:
         UavVslamError: the recording is damaged.

@@ -32,14 +32,14 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
 
 STUDY = Study(
-    help="landmark level and rendered: back over the start after 2 km, with and without retained landmarks",
+    help="landmark level and rendered: return to the start after 2 km, with and without retained landmarks",
     takes="an hour",
     examples="""examples:
   uav-vslam study revisit                               10 flights at landmark level, 3 rendered
   uav-vslam study revisit --rendered-seeds 0            landmark level alone; minutes
   uav-vslam study revisit --rendered-seeds 0 --variant backend.min_revisited=1 --variant backend.min_revisited=3
 
-A flight with nothing retained is always among them: it is what the others are compared with.
+A flight with nothing retained is always included, as the reference for the others.
 """,
     run=run,
     add_arguments=add_arguments,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights that come back over their start after 2 km: with landmarks retained, drift is undone; without, it stays."""
+"""Flights that return to their start after 2 km: retained landmarks correct the drift; without them it stays."""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ from uav_vslam.simulation.terrain import Relief, relief_of
 from uav_vslam.slam.backend import FrameReport
 from uav_vslam.slam.landmark_map import LONG_FRAMES
 from uav_vslam.studies.engine.flights import true_trajectory
-from uav_vslam.studies.engine.own_only import Flight, Run, reckon, run_backend
+from uav_vslam.studies.engine.own_only import Flight, Run, dead_reckon, run_backend
 from uav_vslam.studies.engine.pool import in_pool
 from uav_vslam.types import StereoFeatures
 from uav_vslam.vision.frontends import make_frontend
@@ -29,7 +29,7 @@ FORGETTING = "nothing retained"
 NOISE = LandmarkNoise(missed_share=0.3, lookalike_share=0.05)
 PER_FRAME = 60.0  # landmarks in view, of which some are missed
 TWIN_SHARE = 0.2
-FALSE_BEYOND_M = 0.3  # seven pixels: what lies farther from where the landmark was first seen is another point
+FALSE_BEYOND_M = 0.3  # seven pixels: a point farther from the landmark's first position is another point
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Loop:
     Attributes:
         level: landmark or rendered.
         run: its track.
-        false: (C,) of the landmarks that were recognised after long, which were another point.
+        false: (C,) which of the landmarks re-observed after a long time were another point.
     """
 
     level: str
@@ -49,22 +49,22 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One flight by all methods, whose configurations go by their names."""
+    """One flight by all methods, with their configurations by name."""
 
     level: str
     scenario: Scenario
     configs: Mapping[str, VehicleConfig]
 
 
-class Witness:
-    """Remembers what each landmark was when it was first seen, and when it was seen last.
+class RevisitChecker:
+    """Records each landmark's true identity at its first observation, and the frame of its last.
 
     Attributes:
-        false: of the landmarks that were recognised after long, which were another point.
+        false: which of the landmarks re-observed after a long time were another point.
     """
 
     def __init__(self, truth: Sequence[Array]) -> None:
-        """Watch a flight.
+        """Prepare for a flight.
 
         Args:
             truth: (N, 4) of each frame's features: identity of the landmark, -1 where there is none, and the point of
@@ -76,7 +76,7 @@ class Witness:
         self.false: list[bool] = []
 
     def add(self, report: FrameReport) -> None:
-        """Take note of the next frame."""
+        """Process the report of the next frame."""
         shown = self._truth[self._frame]
         for landmark, feature in report.sightings.tolist():
             first = self._first.setdefault(landmark, shown[feature])
@@ -87,7 +87,7 @@ class Witness:
 
 
 def _differ(first: Array, now: Array) -> bool:
-    """Tell whether two sightings are of different points: by their identities, or else by their places."""
+    """Return whether two observations are of different points: by identity, or else by position."""
     if min(first[0], now[0]) >= 0:
         return bool(first[0] != now[0])
     return bool(np.linalg.norm(now[1:] - first[1:]) > FALSE_BEYOND_M)
@@ -103,7 +103,7 @@ def revisit_jobs(
     """Return a job for each seed at landmark level, and for each that is rendered.
 
     Args:
-        variants: settings to compare, by name; the defaults where there are none. Those that forget come last.
+        variants: settings to compare, by name; the defaults where there are none. Those without retention come last.
         seeds: at landmark level.
         rendered: seeds with images.
         frames: of each flight, where not the whole one is wanted.
@@ -123,7 +123,7 @@ def revisit_jobs(
 
 
 def revisit_loops(jobs: Sequence[Job], *, workers: int, on_frame: Callable[[], None] = lambda: None) -> list[Loop]:
-    """Fly all jobs; progress is told frame by frame where one process does it all, job by job otherwise."""
+    """Fly all jobs; progress is reported frame by frame in a single process, job by job otherwise."""
     if workers == 1:
         return [loop for job in jobs for loop in fly_loop(job, on_frame)]
     loops: list[Loop] = []
@@ -135,14 +135,14 @@ def revisit_loops(jobs: Sequence[Job], *, workers: int, on_frame: Callable[[], N
 
 
 def fly_loop(job: Job, on_frame: Callable[[], None] = lambda: None) -> list[Loop]:
-    """Fly one scenario: look at each frame once, then give what it shows to the back end of each method."""
-    flight, truth = _look(job, on_frame)
+    """Fly one scenario: extract each frame's features once, then run each method's back end on them."""
+    flight, truth = _prepare(job, on_frame)
     loops = []
     for name, config in job.configs.items():
-        witness = Witness(truth)
-        track = run_backend(flight, config=config, on_report=witness.add)
+        checker = RevisitChecker(truth)
+        track = run_backend(flight, config=config, on_report=checker.add)
         run = Run(name, job.level, job.scenario.seed, flight.vehicle.name, track, flight.truth, flight.ins)
-        loops.append(Loop(job.level, run, np.array(witness.false, bool)))
+        loops.append(Loop(job.level, run, np.array(checker.false, bool)))
     return loops
 
 
@@ -152,8 +152,8 @@ def ground_points(vehicle: SimulatedVehicle, relief: Relief, frame: int, feature
     return intersect(relief, T_world_left.t, vehicle.rig.left.bearings(features.pixels[:, :2]) @ T_world_left.R.T)
 
 
-def _look(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
-    """Return a flight, and what each frame's features truly show, as `Witness` takes it."""
+def _prepare(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
+    """Return a flight, and the truth of each frame's features in the form of `RevisitChecker`."""
     vehicle, relief = simulate_vehicle(job.scenario, 0), relief_of(job.scenario)
     landmarks = scatter_landmarks([vehicle], per_frame=PER_FRAME, twin_share=TWIN_SHARE)
     seen, truth = [], []
@@ -162,7 +162,7 @@ def _look(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
         truth.append(np.column_stack([identities, ground_points(vehicle, relief, frame, features)]))
         on_frame()
     stamps = [features.stamp_ns for features in seen]
-    increments, ins = reckon(vehicle.initial, job.scenario.imu_config, vehicle.imu.samples(), stamps)
+    increments, ins = dead_reckon(vehicle.initial, job.scenario.imu_config, vehicle.imu.samples(), stamps)
     steps = tuple(zip(seen, increments, strict=True))
     return Flight(vehicle, landmarks, NOISE, steps, true_trajectory(vehicle), ins), truth
 
@@ -170,7 +170,7 @@ def _look(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
 def _features(
     job: Job, vehicle: SimulatedVehicle, landmarks: LandmarkField
 ) -> Iterator[tuple[StereoFeatures, NDArray[np.int64]]]:
-    """Yield what each frame shows, and its identities; an image is drawn when its turn has come and then forgotten."""
+    """Yield each frame's features and their identities; images are rendered one by one and not stored."""
     if job.level == LANDMARK:
         yield from observe(vehicle, landmarks, noise=NOISE)
         return

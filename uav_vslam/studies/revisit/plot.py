@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the study of the revisit: error over the distance flown, and each flight's end with and without retention."""
+"""Draws the revisit study: error over the distance flown, and each flight's end error with and without retention."""
 
 from pathlib import Path
 from typing import Any
@@ -44,14 +44,14 @@ def _draw_errors(axes: Axes, curves: list[Curve]) -> None:
 
 
 def _draw_ends(axes: Axes, curves: list[Curve]) -> None:
-    """Draw a dot per flight, and the line below which it shall be."""
-    *others, yardstick = curves
-    without = dict(zip(yardstick["seeds"], yardstick["ends_m"], strict=True))
+    """Draw a dot per flight, and the limit line below which it should be."""
+    *others, reference = curves
+    without = dict(zip(reference["seeds"], reference["ends_m"], strict=True))
     for curve, colour in zip(others, LINE_COLOURS, strict=False):
         ends = {seed: end for seed, end in zip(curve["seeds"], curve["ends_m"], strict=True) if seed in without}
         axes.plot([without[seed] for seed in ends], list(ends.values()), "o", color=colour)
     most = max([*without.values(), *(end for curve in others for end in curve["ends_m"])])
     for slope, dashes in ((1.0, "-"), (ALLOWED_RATIO, "--")):
         axes.plot([0.0, most], [0.0, slope * most], color=LINE, linewidth=0.8, linestyle=dashes)
-    axes.set(xlabel=f"End error, {yardstick['method']} [m]", ylabel="End error [m]", xlim=(0.0, None), ylim=(0.0, None))
+    axes.set(xlabel=f"End error, {reference['method']} [m]", ylabel="End error [m]", xlim=(0.0, None), ylim=(0.0, None))
     clean(axes)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of flights that come back over their start."""
+"""The figures of flights that return to their start."""
 
 from collections.abc import Sequence
 
@@ -16,18 +16,18 @@ from uav_vslam.studies.revisit.compute import FALSE_BEYOND_M, FORGETTING, NOISE,
 
 Array = NDArray[np.float64]
 
-RETURN_M = 50.0  # so near to its start, after half the flight, a vehicle is about to see the same ground again
+RETURN_M = 50.0  # closer to its start than this, after half the flight, a vehicle is about to revisit known ground
 
 NOTES = {
     "Flights": "one vehicle alone, ADIS16480, 2.05 km round and 0.1 km on over known ground; all methods get the same "
-    "features. rendered: images drawn one by one and seen by the front end of config kagaru; landmark: points, 1 px, "
+    "features. rendered: images rendered for the front end of config kagaru; landmark: points, 1 px, "
     f"of which {NOISE.missed_share:.0%} are missed in each frame, {NOISE.lookalike_share:.0%} seen some pixels beside, "
-    f"and {TWIN_SHARE:.0%} look like another one a few metres away",
+    f"and {TWIN_SHARE:.0%} have the descriptor of another one a few metres away",
     "Drift": f"error at the first frame that is within {RETURN_M:.0f} m of the start again, before any loop is closed",
     "Ratio": f"end error over that of the flights with {FORGETTING}; ratio_low and ratio_high: {CONFIDENCE:.0%} of the "
     "bootstrap over seeds, from three seeds on",
-    "Closures": f"landmarks recognised after {LONG_FRAMES} frames or more without them, a flight; false, of all "
-    f"flights: another landmark, or what has no identity more than {FALSE_BEYOND_M} m from where the landmark was "
+    "Closures": f"landmarks re-observed after {LONG_FRAMES} frames or more without them, a flight; false, of all "
+    f"flights: another landmark, or a point without identity more than {FALSE_BEYOND_M} m from where the landmark was "
     "first seen; closed: flights with any that is right",
     "Time": "ms_per_frame is that of the back end alone",
     "Failures": FAILURE_RULE,
@@ -70,14 +70,14 @@ def revisit_series(loops: Sequence[Loop]) -> list[Row]:
 
 def _row(loops: Sequence[Loop], forgetting: Sequence[Loop]) -> Row:
     figures = pooled([loop.run for loop in loops])
-    ends, yardstick = _ends(loops), _ends(forgetting)
-    common = sorted(set(ends) & set(yardstick))
-    squares, squares_without = (np.array([end[seed] ** 2 for seed in common]) for end in (ends, yardstick))
+    ends, reference = _ends(loops), _ends(forgetting)
+    common = sorted(set(ends) & set(reference))
+    squares, squares_without = (np.array([end[seed] ** 2 for seed in common]) for end in (ends, reference))
     return {
         "drift_before_rms_m": rms([_errors(x.run)[back_at(x.run.truth)] for x in loops if is_finished(x.run)]),
         "end_rms_m": figures["end_rms_m"],
         "end_ratio_to_forgetting": ratio(
-            rms([ends[seed] for seed in common]), rms([yardstick[seed] for seed in common])
+            rms([ends[seed] for seed in common]), rms([reference[seed] for seed in common])
         ),
         **(ratio_interval(squares_without, squares) if loops[0].run.name != FORGETTING else {}),
         "ate_rms_m": figures["ate_rms_m"],

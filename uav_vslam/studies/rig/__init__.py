@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig that is not as it was calibrated costs."""
+"""The cost of a rig that deviates from its calibration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
     scenario, configs = Scenario(frames=args.frames, vehicles=1), kagaru_configs(args.variant or VARIANTS)
     advance = progress(len(conditions(scenario)) * len(seeds))
-    return Findings(run_study(scenario, configs, seeds, workers=args.workers, on_look=advance), NOTES, draw=draw_rig)
+    return Findings(run_study(scenario, configs, seeds, workers=args.workers, on_flight=advance), NOTES, draw=draw_rig)
 
 
 STUDY = Study(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rendered flights whose right camera vibrates or is turned, with and without the rig's attitude as a state.
 
-A bias about the axis that changes disparity looks like another depth of everything: nothing in the residuals shows it,
-so the filter that believes the calibration is sure of a wrong scale. The state finds it out from the motion.
+A bias about the axis that changes disparity scales all depths: it does not appear in the residuals,
+so a filter with fixed calibration is over-confident in a wrong scale. As a state it is observable from the motion.
 """
 
 import dataclasses
@@ -17,18 +17,18 @@ from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
 INS, S_SLAM = "ins", "s_slam"  # the tracks of interest
 RIGID = "rigid"
 VARIANTS: dict[str, dict[str, object]] = {
-    "calibration believed": {"rig.flexing": False},
+    "calibration fixed": {"rig.flexing": False},
     "attitude estimated": {"rig.flexing": True},
 }
 VIBRATIONS_DEG = (0.02, 0.05)  # rms about each axis, new in each frame
 BIASES_DEG = (0.02, 0.05)  # constant, about one axis
-# The Kagaru rig's baseline lies along the image's vertical: turning about x changes disparity, about y it moves points
+# The Kagaru rig's baseline is along the image's vertical: turning about x changes disparity, about y it moves points
 # off their epipolar lines.
 AXES = ("x (disparity)", "y (epipolar)", "z (optical)")
 
 NOTES = {
     "Rig": "the right camera's true attitude away from the calibration that the vehicle is given: vibration is drawn "
-    "anew for each frame, rms about each axis; a bias is constant. Axes are the right camera's: about x its points "
+    "for each frame, rms about each axis; a bias is constant. Axes are the right camera's: about x its points "
     "move along the disparity, about y off their epipolar lines, z is the optical axis",
     "Methods": "; ".join(f"{name}: {key} = {value}" for name, keys in VARIANTS.items() for key, value in keys.items()),
     "Errors": "root mean squares over the seeds at the end and over the flight, in the common frame without alignment; "
@@ -57,24 +57,24 @@ def run_study(
     seeds: Sequence[int],
     *,
     workers: int,
-    on_look: Callable[[], None] = lambda: None,
+    on_flight: Callable[[], None] = lambda: None,
 ) -> list[Row]:
     """Fly everything on every seed and return the rows of `study.json`: the INS, then all methods by condition.
 
     Args:
         scenario: the flight with a rigid rig; its seed is replaced.
-        configs: of the vehicle, by method; on the rigid rig the first one is the yardstick of the others.
+        configs: of the vehicle, by method; on the rigid rig the first one is the reference for the others.
         seeds: of the flights.
         workers: processes.
-        on_look: called when one condition of one seed has been rendered and flown.
+        on_flight: called when one condition of one seed has been rendered and flown.
     """
     compared = [
         [Method(name, condition, flight, config, rendered=True) for name, config in configs.items()]
         for condition, flight in conditions(scenario).items()
     ]
     jobs: list[Job] = [(methods, seed) for seed in seeds for methods in compared]
-    outcomes = [outcome for found in in_pool(_fly, jobs, workers, on_look) for outcome in found]
-    outcomes.sort(key=lambda outcome: outcome.seed)  # sums don't depend on which process was first
+    outcomes = [outcome for found in in_pool(_fly, jobs, workers, on_flight) for outcome in found]
+    outcomes.sort(key=lambda outcome: outcome.seed)  # sums don't depend on the order of the processes
     flown = {
         method: [outcome for outcome in outcomes if outcome.method == method] for pair in compared for method in pair
     }
@@ -91,8 +91,8 @@ def _rows(flown: Mapping[Method, Sequence[Outcome]]) -> list[Row]:
     for method, outcomes in flown.items():
         label = f"{LABELS[S_SLAM]}, {method.name}"
         rows.append({"condition": method.condition, "method": label, **_figures(outcomes, S_SLAM)})
-    yardstick = rows[1]["end_rms_m"]
-    return [{**row, "end_ratio_to_rigid": ratio(row["end_rms_m"], yardstick)} for row in rows]
+    reference = rows[1]["end_rms_m"]
+    return [{**row, "end_ratio_to_rigid": ratio(row["end_rms_m"], reference)} for row in rows]
 
 
 def _figures(outcomes: Sequence[Outcome], track: str) -> Row:

@@ -28,16 +28,16 @@ def draw_rig(tree: dict[str, Any], folder: Path) -> list[Path]:
 def rig_plot(rows: list[Row]) -> Figure:
     """Return end error and NEES on logarithmic axes, conditions downwards."""
     ins = STYLES["ins"]
-    reckoned = [row for row in rows if row["method"] == ins.label]
+    ins_rows = [row for row in rows if row["method"] == ins.label]
     flown = [row for row in rows if row["method"] != ins.label]
     places = {condition: k for k, condition in enumerate(dict.fromkeys(row["condition"] for row in flown))}
     figure = Figure(figsize=(11.0, 1.8 + 0.38 * len(places)), layout="constrained")
     errors, nees = figure.subplots(1, 2, sharey=True)
     plain_log(errors, "x")
-    nees.set_xscale("log")  # over more decades than can be written out
+    nees.set_xscale("log")  # over many decades
     for axes, key in ((errors, "end_rms_m"), (nees, "nees_position")):
         _draw(axes, flown, places, key)
-    for row in reckoned:
+    for row in ins_rows:
         errors.axvline(row["end_rms_m"], color=ins.colour, linestyle=ins.dashes, label=ins.label)
     nees.axvline(1.0, color="black", linewidth=0.9, label="consistent")
     errors.set(xlabel="End error, root mean square [m]", yticks=list(places.values()))

@@ -17,7 +17,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
 
 STUDY = Study(
-    help="landmark level: flights that begin without a start state or with a wrong one",
+    help="landmark level: flights without a start state or with a wrong one",
     takes="minutes",
     examples="""examples:
   uav-vslam study start --seeds 20

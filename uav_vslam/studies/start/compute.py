@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights that begin without a start state, and flights that begin with a wrong one, at landmark level."""
+"""Flights without a start state, and flights with a wrong one, at landmark level."""
 
 import dataclasses
 import math
@@ -36,7 +36,7 @@ NOTES = {
     f"the truth; within {SETTLED_WITHIN_S:g} s counts",
     "NEES": "of the position in the vehicle's own frame (first frame: origin, yaw 0), later than "
     f"{SETTLED_WITHIN_S:g} s after the start",
-    "warned": f"the start monitor spoke; a wrong start is {SIGMAS} of its sigmas off in one respect",
+    "warned": f"the start monitor warned; a wrong start is {SIGMAS} of its sigmas off in one respect",
 }
 
 
@@ -115,7 +115,7 @@ def fly_in_flight(scenario: Scenario) -> InFlight | None:
 
 
 def fly_wrong(job: tuple[str, int]) -> bool:
-    """Fly from a start state that is off in one respect, and tell whether the vehicle warned of it."""
+    """Fly from a start state that is wrong in one respect, and return whether the vehicle warned of it."""
     what, seed = job
     scenario = Scenario(seed=seed, frames=WRONG_FRAMES, vehicles=1)
     vehicle = simulate_vehicle(scenario, 0)
@@ -155,7 +155,7 @@ def _fly(vehicle: SimulatedVehicle, initial: NavEstimate | None, config: Vehicle
 
 
 def _errors(vehicle: SimulatedVehicle, state: NavState) -> tuple[float, float]:
-    """Return the errors of the velocity in the body [m/s] and of the tilt [deg], which no choice of a map changes."""
+    """Return the errors of the velocity in the body [m/s] and of the tilt [deg], whatever the map frame."""
     true = vehicle.true_state(state.stamp_ns)
     R, R_true = state.T_map_body.R, true.T_map_body.R
     velocity = np.linalg.norm(R.T @ state.v_map - R_true.T @ true.v_map)

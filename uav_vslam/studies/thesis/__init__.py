@@ -20,7 +20,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
 
 STUDY = Study(
-    help="landmark level: the thesis's cooperative simulation (7.3.2) with its three ways to communicate",
+    help="landmark level: the thesis's cooperative simulation (7.3.2) with its three communication modes",
     takes="half an hour",
     examples="""examples:
   uav-vslam study thesis                   20 seeds, 6 and 10 px

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cooperative simulation of section 7.3.2 of [thesis], with its three ways to communicate (7.4.2).
+"""The cooperative simulation of section 7.3.2 of [thesis], with its three communication modes (7.4.2).
 
 Two vehicles in formation, 360 steps, process noise of sigma_w = 0.5 and pixel noise of 6 and of 10 px. The thesis does
-not tell what sigma_w multiplies, nor how high or fast it flew: half of its noise scale w1, and the height and speed of
-the filter study, are our reading.
+not state what sigma_w multiplies, nor its height and speed: half of its noise scale w1, and the height and speed of
+the filter study, are our interpretation.
 """
 
 import dataclasses
@@ -25,14 +25,14 @@ SIGMA_W = "thesis_half"
 ALTITUDE_M, SPEED, SPACING_M = 20.0, 6.0, 5.0
 
 NOTES = {
-    "Noise": "sigma_w = 0.5 is taken as half of w1 of section 4.7.1; pixel noise is simulated and believed",
+    "Noise": "sigma_w = 0.5 is taken as half of w1 of section 4.7.1; pixel noise is simulated and assumed",
     "Settings": "wideband and narrowband as this software has them, none is S-SLAM; CI per landmark, written back, is "
     "how the thesis fused. In its wideband mode updated information is sent back to peers, in narrowband it is not",
 }
 
 
 def modes(steps: int = STEPS) -> list[Part]:
-    """Return a table for each pixel noise, a line for each way to communicate."""
+    """Return a table for each pixel noise, a line for each communication mode."""
     settings = (
         Setting("wideband", {"feedback": True}),
         Setting("narrowband", {"mode": "narrowband"}),
@@ -65,5 +65,5 @@ def _scenario(steps: int) -> Scenario:
 
 
 def _config(sigma_px: float) -> VehicleConfig:
-    """Nothing is matched wrongly here, so PnP has nothing to find out, and in such noise its pose is a worse one."""
+    """There are no wrong matches here, so PnP is not needed, and with such noise its pose is worse."""
     return with_backend(VehicleConfig(), sigma_px=sigma_px, pnp_px=4.0 * sigma_px, pnp_beyond_px=1e6)

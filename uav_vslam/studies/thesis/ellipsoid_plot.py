@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws what a vehicle doubts about its last position, alone and with peers, as ellipsoids about the truth."""
+"""Draws the covariance of a vehicle's last position, alone and with peers, as ellipsoids about the truth."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ def ellipsoid_plot(result: FlightResult) -> Figure | None:
                 surface = error + ellipsoid(track.covariance[-1][:3, :3])
                 axes.plot_wireframe(*surface.transpose(2, 0, 1), color=STYLES[name].colour, linewidth=0.5, alpha=0.6)
                 reach = max(reach, float(np.abs(surface).max()))
-        axes.computed_zorder = False  # the truth lies inside: it is drawn over the ellipsoids
+        axes.computed_zorder = False  # the truth is inside: draw it over the ellipsoids
         axes.scatter(0, 0, 0, color=STYLES["truth"].colour, s=60, zorder=10)
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
         axes.set(xlabel="East [m]", ylabel="North [m]", zlabel="Up [m]", title=vehicle.name)

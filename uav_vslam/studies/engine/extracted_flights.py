@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights whose images have been searched once, with what each feature truly shows: for judging associations.
+"""Flights whose features have been extracted once, with each feature's true point: for scoring associations.
 
-In rendered images a feature shows the point where its ray, from the true pose, meets the ground. In a recording with
-true poses it shows the point that its stereo pixels give from there. Whether another feature shows the same is judged
-in its own image, where that point must lie within a few pixels.
+In rendered images a feature shows the point where its true ray intersects the ground. In a recording with
+true poses it shows the point triangulated from its stereo pixels. Whether another feature shows the same is decided
+in its own image, where that point must project within a few pixels.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ from uav_vslam.simulation.camera_render import RenderedFlight, intersect
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.terrain import Relief, relief_of
 from uav_vslam.studies.engine.flights import true_trajectory
-from uav_vslam.studies.engine.own_only import Step, reckon
+from uav_vslam.studies.engine.own_only import Step, dead_reckon
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures
 from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
@@ -34,19 +34,19 @@ RECORDED_PX = 8.0  # besides, the depth of a point in a room is known to some 3 
 
 
 @dataclass(frozen=True, slots=True)
-class SearchedFlight:
+class ExtractedFlight:
     """One vehicle's flight.
 
     Attributes:
         condition: label.
         seed: of the simulation; 0 for a recording.
-        rig, initial, config: what the vehicle is given.
-        steps: each frame's features, and the motion that leads to it (None for the first).
+        rig, initial, config: calibration, start state and settings of the vehicle.
+        steps: each frame's features, and the motion to it (None for the first).
         truth, ins: true and dead-reckoned poses at the frames.
         T_world_left: true pose of the left camera at each frame.
         points: of each frame the (N, 3) points in the world that its features truly show [m].
-        tolerance_px: how far from its true place a feature may lie.
-        pairs: what was found in both images of some of the frames, by frame number; of rendered flights alone.
+        tolerance_px: how far from its true position a feature may be.
+        pairs: keypoints of both images of some frames, by frame number; of rendered flights alone.
         relief: the true ground; of rendered flights alone.
     """
 
@@ -65,14 +65,14 @@ class SearchedFlight:
     relief: Relief | None = None
 
 
-def rendered_flight(condition: str, scenario: Scenario, config: VehicleConfig, *, keep: set[int]) -> SearchedFlight:
-    """Draw and search the images of the first vehicle of a scenario.
+def rendered_flight(condition: str, scenario: Scenario, config: VehicleConfig, *, keep: set[int]) -> ExtractedFlight:
+    """Render the images of a scenario's first vehicle and extract their features.
 
     Args:
         condition: label.
         scenario: the flight.
-        config: of the vehicle; `imu` gives way to the scenario's.
-        keep: frames of which all that was found in the images is kept.
+        config: of the vehicle; the scenario's IMU replaces `imu`.
+        keep: frames of which all keypoints are kept.
     """
     vehicle = simulate_vehicle(scenario, 0)
     frontend = StereoFrontend(vehicle.rig, config.frontend, config.rig)
@@ -89,8 +89,8 @@ def rendered_flight(condition: str, scenario: Scenario, config: VehicleConfig, *
         for T, seen in zip(T_world_left, features, strict=True)
     )
     stamps = [seen.stamp_ns for seen in features]
-    increments, ins = reckon(vehicle.initial, scenario.imu_config, vehicle.imu.samples(), stamps)
-    return SearchedFlight(
+    increments, ins = dead_reckon(vehicle.initial, scenario.imu_config, vehicle.imu.samples(), stamps)
+    return ExtractedFlight(
         condition=condition,
         seed=scenario.seed,
         rig=vehicle.rig,
@@ -107,8 +107,8 @@ def rendered_flight(condition: str, scenario: Scenario, config: VehicleConfig, *
     )
 
 
-def recorded_flight(condition: str, flight: RecordedFlight, config: VehicleConfig) -> SearchedFlight:
-    """Return a recording from its recorded start on, as far as there is truth."""
+def recorded_flight(condition: str, flight: RecordedFlight, config: VehicleConfig) -> ExtractedFlight:
+    """Return a recording from its recorded start to the end of the truth."""
     stamps = flight.frame_stamps_ns
     stamps = stamps[stamps >= flight.initial_state.state.stamp_ns]
     truth = interpolate(flight.truth, stamps, max_gap_s=MAX_GAP_S)[0]
@@ -116,12 +116,12 @@ def recorded_flight(condition: str, flight: RecordedFlight, config: VehicleConfi
     features = [e for e in flight.events if isinstance(e, StereoFeatures) and e.stamp_ns in wanted]
     samples = [e for e in flight.events if isinstance(e, ImuSample)]
     stamps_ns = [seen.stamp_ns for seen in features]
-    increments, ins = reckon(flight.initial_state, config.imu, samples, stamps_ns)
+    increments, ins = dead_reckon(flight.initial_state, config.imu, samples, stamps_ns)
     poses = [Pose(R, t) @ flight.rig.T_body_left for R, t in zip(truth.rotations, truth.positions, strict=True)]
     points = [
         T.apply(flight.rig.triangulate(seen.pixels.astype(float))) for T, seen in zip(poses, features, strict=True)
     ]
-    return SearchedFlight(
+    return ExtractedFlight(
         condition=condition,
         seed=0,
         rig=flight.rig,
@@ -142,7 +142,7 @@ def ground_points(relief: Relief, T_world_cam: Pose, camera: PinholeCamera, pixe
 
 
 def shown_at(T_world_cam: Pose, camera: PinholeCamera, points_world: Array) -> Array:
-    """Return the (N, 2) undistorted pixels where points are seen; NaN for what is behind the camera or not known."""
+    """Return the (N, 2) undistorted pixels where points are seen; NaN for points behind the camera or unknown."""
     points = T_world_cam.inverse().apply(points_world)
     ahead = points[:, 2] > 0
     pixels = camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0]))

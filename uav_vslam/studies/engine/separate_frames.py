@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two vehicles whose map frames differ, and whose landmarks are mistaken for one another, made from flights that share
-a frame: a start elsewhere only moves a vehicle's own map.
+"""Two vehicles whose map frames differ and whose landmarks look alike, made from flights that share
+a frame: another start pose only moves a vehicle's own map.
 """
 
 import dataclasses
@@ -31,12 +31,12 @@ SHIFT_M = (1.0, 50.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
-    """Own-only tracks of a fleet, which know nothing of each other.
+class OwnOnlyTracks:
+    """Own-only tracks of a fleet, without exchange.
 
     Attributes:
         tracks, truths: by vehicle, each in its vehicle's map frame.
-        landmarks: what there was to see.
+        landmarks: the simulated landmarks.
     """
 
     tracks: dict[str, VehicleTrack]
@@ -44,13 +44,15 @@ class Flown:
     landmarks: LandmarkField
 
 
-def fly_own_only(scenario: Scenario, config: VehicleConfig | None = None, noise: LandmarkNoise | None = None) -> Flown:
-    """Fly every vehicle alone, at landmark level, all in one frame; `config.imu` gives way to the scenario's."""
+def fly_own_only(
+    scenario: Scenario, config: VehicleConfig | None = None, noise: LandmarkNoise | None = None
+) -> OwnOnlyTracks:
+    """Fly every vehicle alone, at landmark level, all in one frame; the scenario's IMU replaces `config.imu`."""
     vehicles = simulate_fleet(scenario)
     landmarks = scatter_landmarks(vehicles)
     config = dataclasses.replace(config or VehicleConfig(), imu=scenario.imu_config)
     tracks = {v.name: track_vehicle(SimulatedSource(v, landmarks, noise), config) for v in vehicles}
-    return Flown(tracks, {v.name: true_trajectory(v) for v in vehicles}, landmarks)
+    return OwnOnlyTracks(tracks, {v.name: true_trajectory(v) for v in vehicles}, landmarks)
 
 
 def draw_offset(seed: int) -> Pose:
@@ -61,7 +63,7 @@ def draw_offset(seed: int) -> Pose:
     return Pose(rotation_from_rpy(0.0, 0.0, rng.uniform(-np.pi, np.pi)), t)
 
 
-def moved_apart(flown: Flown, vehicle: str, T_new_old: Pose) -> Flown:
+def in_other_frame(flown: OwnOnlyTracks, vehicle: str, T_new_old: Pose) -> OwnOnlyTracks:
     """Return the flights with one vehicle's map in another frame: its poses, landmarks and information."""
     track, truth = flown.tracks[vehicle], flown.truths[vehicle]
     outputs = []
@@ -78,19 +80,21 @@ def moved_apart(flown: Flown, vehicle: str, T_new_old: Pose) -> Flown:
     )
 
 
-def mistaken(flown: Flown, vehicle: str, share: float, seed: int, *, among: Collection[int]) -> tuple[Flown, set[int]]:
-    """Let a share of one vehicle's landmarks look like another one of them, all flight long.
+def mistaken(
+    flown: OwnOnlyTracks, vehicle: str, share: float, seed: int, *, among: Collection[int]
+) -> tuple[OwnOnlyTracks, set[int]]:
+    """Give a share of one vehicle's landmarks the descriptor of another one of them for the whole flight.
 
     Args:
         flown: the flights.
         vehicle: whose landmarks.
         share: of those.
         seed: draws them.
-        among: identifiers of those that may be mistaken. Where another vehicle knows them all, it will mistake them:
-            what looks like something unknown is just not matched.
+        among: identifiers of those that may be mistaken. Where another vehicle has all of them, it will confuse them:
+            a landmark that resembles an unknown one is just not matched.
 
     Returns:
-        The flights, and the identifiers of the landmarks that look wrong.
+        The flights, and the identifiers of the landmarks with a wrong descriptor.
     """
     track, ids = flown.tracks[vehicle], sorted(among)
     drawn = np.random.default_rng([seed, FLEET, STREAM + 1]).uniform(size=len(ids)) < share
@@ -104,12 +108,12 @@ def mistaken(flown: Flown, vehicle: str, share: float, seed: int, *, among: Coll
             descriptors[rows] = descriptors[np.roll(rows, 1)]
             joint = dataclasses.replace(joint, descriptors=descriptors)
         outputs.append(dataclasses.replace(output, joint=joint))
-    spoilt = {**flown.tracks, vehicle: dataclasses.replace(track, outputs=outputs)}
-    return dataclasses.replace(flown, tracks=spoilt), wrong
+    modified = {**flown.tracks, vehicle: dataclasses.replace(track, outputs=outputs)}
+    return dataclasses.replace(flown, tracks=modified), wrong
 
 
-def identities(flown: Flown, vehicle: str) -> dict[int, int]:
-    """Return which landmark of the field each identifier of a vehicle is: the one that looks most like it."""
+def identities(flown: OwnOnlyTracks, vehicle: str) -> dict[int, int]:
+    """Return which landmark of the field each identifier of a vehicle is: the one with the nearest descriptor."""
     found: dict[int, int] = {}
     for output in flown.tracks[vehicle].outputs:
         if output.joint is not None:
@@ -123,7 +127,7 @@ def _pose(estimate: PoseEstimate, T_new_old: Pose) -> PoseEstimate:
 
 
 def _joint(joint: JointInformation, T_new_old: Pose) -> JointInformation:
-    """Position, rotation and landmarks are all vectors of the map frame, so information turns block by block."""
+    """Position, rotation and landmarks are all vectors in the map frame, so information is rotated block by block."""
     return dataclasses.replace(
         joint,
         T_map_body=T_new_old @ joint.T_map_body,

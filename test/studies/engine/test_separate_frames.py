@@ -7,21 +7,29 @@ import pytest
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.studies.engine.apart import SHIFT_M, Flown, draw_offset, fly_own_only, identities, mistaken, moved_apart
+from uav_vslam.studies.engine.separate_frames import (
+    SHIFT_M,
+    OwnOnlyTracks,
+    draw_offset,
+    fly_own_only,
+    identities,
+    in_other_frame,
+    mistaken,
+)
 
 FRAMES = 24
 
 
 @pytest.fixture(scope="module")
-def flown() -> Flown:
+def flown() -> OwnOnlyTracks:
     return fly_own_only(Scenario(seed=3, frames=FRAMES))
 
 
-def joints(flown: Flown, vehicle: str):
+def joints(flown: OwnOnlyTracks, vehicle: str):
     return [output.joint for output in flown.tracks[vehicle].outputs if output.joint is not None]
 
 
-def ate(flown: Flown, vehicle: str) -> float:
+def ate(flown: OwnOnlyTracks, vehicle: str) -> float:
     estimate = Trajectory.from_estimates([output.report.pose for output in flown.tracks[vehicle].outputs])
     error = absolute_error(estimate, flown.truths[vehicle])
     assert error is not None
@@ -40,9 +48,9 @@ def test_offsets_are_level_and_as_far_as_they_should_be() -> None:
     np.testing.assert_array_equal(draw_offset(7).matrix, offsets[7].matrix)
 
 
-def test_a_map_moved_apart_knows_the_same(flown: Flown) -> None:
+def test_a_map_moved_apart_knows_the_same(flown: OwnOnlyTracks) -> None:
     T = draw_offset(1)
-    apart = moved_apart(flown, "uav2", T)
+    apart = in_other_frame(flown, "uav2", T)
     assert apart.tracks["uav1"] is flown.tracks["uav1"]
     for before, after in zip(joints(flown, "uav2"), joints(apart, "uav2"), strict=True):
         in_body = before.T_map_body.inverse().apply(before.positions)
@@ -57,7 +65,7 @@ def test_a_map_moved_apart_knows_the_same(flown: Flown) -> None:
     np.testing.assert_allclose(moved.covariance[3:, 3:], T.R @ pose.covariance[3:, 3:] @ T.R.T, atol=1e-12)
 
 
-def test_identities_are_where_the_landmarks_are(flown: Flown) -> None:
+def test_identities_are_where_the_landmarks_are(flown: OwnOnlyTracks) -> None:
     """They are found by looks; that their places agree shows that they are right."""
     names = identities(flown, "uav1")
     last = joints(flown, "uav1")[-1]
@@ -67,13 +75,13 @@ def test_identities_are_where_the_landmarks_are(flown: Flown) -> None:
     assert np.linalg.norm((last.positions - true)[:, :2], axis=1).max() < 15.0
 
 
-def test_mistaken_landmarks_look_like_others_and_stay_where_they_are(flown: Flown) -> None:
+def test_mistaken_landmarks_look_like_others_and_stay_where_they_are(flown: OwnOnlyTracks) -> None:
     names = identities(flown, "uav2")
     among = sorted(names)[::2]
-    spoilt, wrong = mistaken(flown, "uav2", 0.5, 4, among=among)
+    modified, wrong = mistaken(flown, "uav2", 0.5, 4, among=among)
     assert wrong < set(among)
     assert 0.3 * len(among) < len(wrong) < 0.7 * len(among)
-    for before, after in zip(joints(flown, "uav2"), joints(spoilt, "uav2"), strict=True):
+    for before, after in zip(joints(flown, "uav2"), joints(modified, "uav2"), strict=True):
         np.testing.assert_array_equal(after.positions, before.positions)
         changed = (after.descriptors != before.descriptors).any(axis=1)
         expected = np.array([k in wrong for k in before.ids.tolist()])
@@ -81,10 +89,10 @@ def test_mistaken_landmarks_look_like_others_and_stay_where_they_are(flown: Flow
         assert sorted(map(bytes, after.descriptors)) == sorted(map(bytes, before.descriptors))
     again, same = mistaken(flown, "uav2", 0.5, 4, among=among)
     assert same == wrong
-    np.testing.assert_array_equal(joints(again, "uav2")[-1].descriptors, joints(spoilt, "uav2")[-1].descriptors)
+    np.testing.assert_array_equal(joints(again, "uav2")[-1].descriptors, joints(modified, "uav2")[-1].descriptors)
 
 
-def test_no_share_mistakes_nothing(flown: Flown) -> None:
-    spoilt, wrong = mistaken(flown, "uav2", 0.0, 4, among=identities(flown, "uav2"))
+def test_no_share_mistakes_nothing(flown: OwnOnlyTracks) -> None:
+    modified, wrong = mistaken(flown, "uav2", 0.0, 4, among=identities(flown, "uav2"))
     assert wrong == set()
-    np.testing.assert_array_equal(joints(spoilt, "uav2")[-1].descriptors, joints(flown, "uav2")[-1].descriptors)
+    np.testing.assert_array_equal(joints(modified, "uav2")[-1].descriptors, joints(flown, "uav2")[-1].descriptors)
