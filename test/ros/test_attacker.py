@@ -47,7 +47,7 @@ from waiting import wait_for  # noqa: E402
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
-FUZZ = runpy.run_path(str(Path(__file__).with_name("test_packet_fuzz.py")))  # its ways to corrupt a packet
+FUZZ = runpy.run_path(str(Path(__file__).with_name("test_packet_fuzz.py")))  # its packet corruptions
 
 FRAMES = 17  # 2.2 s: epochs at 1 and 2 s, so that what comes in the first can do its harm in the second
 SHARE = 150  # hostile packets at each frame
@@ -55,7 +55,7 @@ BURST = 8  # two a topic at once
 PAUSE_S = 0.004
 HONEST, MIRROR = "uav2", "uav4"
 PEERS = (HONEST, "uav3", MIRROR)
-TOPICS = (*map(packets_of, PEERS), feedback_to("uav1"))  # all that the vehicle hears of others
+TOPICS = (*map(packets_of, PEERS), feedback_to("uav1"))  # all that the vehicle receives from others
 KEY = b"k" * 32
 SETTLE_S = 1.5  # wall time until what was counted last is in the diagnostics
 
@@ -265,7 +265,7 @@ def sent_by_peer(honest: list[LandmarkPacket]) -> list[bytes]:
 
 @pytest.fixture(scope="module")
 def hostile(sent_by_peer: list[bytes]) -> list[list[bytes]]:
-    """What the attacker sends at each frame, made from what it has heard by then."""
+    """What the attacker sends at each frame, made from what it has received by then."""
     rng = np.random.default_rng(1)
     return [
         [FUZZ["corrupted"](sent_by_peer[rng.integers(k + 1)], rng) for _ in range(SHARE)]
@@ -293,7 +293,7 @@ def assert_unharmed(attacked: Outcome, undisturbed: Outcome, hostile: list[list[
 
 
 def reason_of(data: bytes) -> str:
-    """Return why a vehicle that has heard nothing before refuses a packet; "" if it does not."""
+    """Return why a vehicle that has received nothing before refuses a packet; "" if it does not."""
     return str(FUZZ["receive"](Inbox("uav1"), data)[0])
 
 

@@ -72,7 +72,7 @@ class Flight:
             self.turn()
 
     def listen(self, mode: str, node: Any = None) -> Any:
-        """Hear uav1 as a peer in that mode does; return the subscription once it is matched."""
+        """Subscribe to uav1 as a peer in that mode does; return the subscription once it is matched."""
         node = node or self.others
         made = node.create_subscription(LandmarkInformation, PACKETS, self.received.append, RADIO[mode])
         return made
@@ -94,7 +94,7 @@ class Flight:
         self._odometry.publish(odometry_to_msg(pose, frame_id="uav1/map", child_frame_id="uav1/base_link"))
 
     def peer(self, mode: str) -> Any:
-        """Return uav2's publisher in that mode, once uav1 hears it."""
+        """Return uav2's publisher in that mode, once uav1 is matched."""
         publisher = self.others.create_publisher(LandmarkInformation, "/uav2/landmark_information", RADIO[mode])
         assert self.spin(lambda: publisher.get_subscription_count() > 0)
         return publisher

@@ -111,7 +111,7 @@ def test_code_and_definition_are_of_one_version() -> None:
 
 
 def refusal(message: LandmarkInformation, *, reseal: bool = False) -> str:
-    """Return the reason why a message is refused; the receiver computes the checksum anew if `reseal`."""
+    """Return the reason why a message is refused; the receiver recomputes the checksum if `reseal`."""
 
     def read() -> None:
         packet = packet_from_msg(travelled(message))

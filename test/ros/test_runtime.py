@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node leaves cleanly, whenever it is told to, and a real error is still seen."""
+"""A node shuts down cleanly at any time, and a real error is still reported."""
 
 import os
 import subprocess

@@ -116,7 +116,7 @@ def test_in_flight_buffered_or_dropped_frames_count_as_before_the_start(flown) -
 
 @pytest.mark.parametrize("first", [0, 3])
 def test_in_flight_a_frame_from_before_the_first_motion_is_dropped(flown, first: int) -> None:
-    """An INS that started late: its first increment begins after the first image."""
+    """An INS that started late: its first increment starts after the first image."""
     flight = flown(1)
     stage = make(flight, start=IN_FLIGHT)
     for features, _ in flight.frames[: first + 1]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `uav-vslam` command: imports the verb's module, and turns its exceptions into one line and an exit code.
 
-A verb is a module of this package with HELP, `add_arguments(parser)` and `run(args) -> int`. Only what is asked for is
+A verb is a module of this package with HELP, `add_arguments(parser)` and `run(args) -> int`. Only the requested one is
 imported, and the verbs themselves import late, so that `--help` is quick.
 """
 

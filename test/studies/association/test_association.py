@@ -77,7 +77,7 @@ def test_a_landmark_shows_for_ever_what_it_began_as(flight: ExtractedFlight) -> 
     assert np.isnan(truth.of(np.array([11, 12], np.uint32))).all()
 
 
-def test_a_recording_is_judged_by_its_true_poses_and_its_stereo_points(flight: ExtractedFlight) -> None:
+def test_a_recording_is_scored_by_its_true_poses_and_its_stereo_points(flight: ExtractedFlight) -> None:
     """The same flight as a recording, whose first frame is older than its start."""
     vehicle = simulate_vehicle(dataclasses.replace(SCENARIOS["sample"], frames=FRAMES, vehicles=1), 0)
     features = [seen for seen, _ in flight.steps]
@@ -115,7 +115,7 @@ def test_a_row_tells_precision_and_recall_of_each_associator_and_errors_of_the_i
     assert set(ASSOCIATORS) >= set(Job("clear", 1, 5, ("gated",)).names)
 
 
-def test_every_matcher_is_judged_on_pairs_and_in_time(flight: ExtractedFlight) -> None:
+def test_every_matcher_is_scored_on_pairs_and_in_time(flight: ExtractedFlight) -> None:
     rows = image_rows(score_matchers(flight, ratio=0.8))
     assert {(row["condition"], row["method"]) for row in rows} == {
         (f"{flight.condition}, {kind}", name) for kind in ("left and right", "in time") for name in MATCHERS

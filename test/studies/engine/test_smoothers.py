@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The references are consistent, agree with each other, and hold what they should."""
+"""The reference smoothers are consistent, agree with each other, and hold the right landmarks."""
 
 import dataclasses
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two vehicles find each other's maps, or they don't, and are judged in every respect."""
+"""Two vehicles with unknown map transform: when it is found, and how the result is scored."""
 
 import pytest
 

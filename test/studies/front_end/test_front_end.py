@@ -21,7 +21,7 @@ KLT = "frontend.method=klt,frontend.search_scale=1.0,frontend.max_tracks=100"
 
 @pytest.fixture(scope="module", autouse=True)
 def one_ground() -> Iterator[None]:
-    """All flights are over the same ground, whose texture need not be made for each anew."""
+    """All flights are over the same ground, whose texture need not be generated for each."""
     ground = ground_of(Scenario(seed=1))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(camera_render, "ground_of", lambda scenario: ground)

@@ -49,7 +49,7 @@ STUDY = Study(
   uav-vslam study association --recording V1_01_easy/mav0            and EuRoC's
   uav-vslam study association --seeds 1 --methods gated nn hgtm      a first look
 
-A flight's images are drawn and searched once for all associators. The truth says what each feature shows.
+A flight's images are rendered and their features extracted once for all associators. Each feature's truth is known.
 """,
     run=run,
     add_arguments=add_arguments,

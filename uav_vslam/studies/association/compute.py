@@ -43,7 +43,7 @@ IN_MAP = "Association with the map"
 NOTES = {
     "Flights": "one vehicle over rendered ground, ADIS16480; low contrast: a fifth of it, at the same noise, and "
     "4 px of motion blur. All associators have the same features, by SIFT at half resolution",
-    "Pairs": "the associator's output before any other check. Right: the feature lies within 4 px of where "
+    "Pairs": "the associator's output before any other check. Right: the feature is within 4 px of where "
     "the true point of the landmark's first feature is (8 px in a recording, where only stereo gives the points). "
     "Recall: of the landmarks in view that some feature shows",
     "Errors": "of the whole back end, which first uses the associator's matches, and what PnP, consensus or a search "

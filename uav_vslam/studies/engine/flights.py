@@ -136,10 +136,10 @@ def _sources(
     if not method.rendered:
         landmarks = scatter_landmarks(vehicles)
         return [SimulatedSource(vehicle, landmarks) for vehicle in vehicles]
-    look = dataclasses.replace(scenario, imu="adis16480")  # the images don't depend on the inertial unit
+    images = dataclasses.replace(scenario, imu="adis16480")  # the images don't depend on the inertial unit
     if method.config.frontend.method != "sift":
-        return [_followed(vehicle, look, method.config, cache) for vehicle in vehicles]
-    key = (look, method.config.frontend)
+        return [_followed(vehicle, images, method.config, cache) for vehicle in vehicles]
+    key = (images, method.config.frontend)
     if key not in cache.searched:
         cache.searched[key] = [_searched(SimulatedSource(vehicle), method.config) for vehicle in vehicles]
     return [
@@ -148,9 +148,11 @@ def _sources(
     ]
 
 
-def _followed(vehicle: SimulatedVehicle, look: Scenario, config: VehicleConfig, cache: FeatureCache) -> SimulatedSource:
+def _followed(
+    vehicle: SimulatedVehicle, images: Scenario, config: VehicleConfig, cache: FeatureCache
+) -> SimulatedSource:
     """Track points through a flight; later detections depend on which points the rig's gates accepted before."""
-    key = (vehicle.name, look, config.frontend, config.rig)
+    key = (vehicle.name, images, config.frontend, config.rig)
     if key not in cache.followed:
         frontend = make_frontend(vehicle.rig, config.frontend, config.rig)
         frames = SimulatedSource(vehicle).frames()

@@ -28,7 +28,7 @@ def gain_plot(heading: str, rows: list[Row]) -> Figure:
     gain, nees = figure.subplots(1, 2, sharey=True)
     for line, row in enumerate(rows):
         if row["ratio_to_s_slam"] is None:
-            gain.text(1.0, line, f" {row['failures']} of {row['runs']} runs broke down", va="center", color="#a02020")
+            gain.text(1.0, line, f" {row['failures']} of {row['runs']} runs failed", va="center", color="#a02020")
             continue
         low, high = (row.get(f"ratio_{end}") or row["ratio_to_s_slam"] for end in ("low", "high"))
         gain.plot([low, high], [line, line], color=LINE_COLOURS[0], linewidth=2.2)
@@ -40,7 +40,7 @@ def gain_plot(heading: str, rows: list[Row]) -> Figure:
             nees.plot(row["nees_position"], line, "o", color=colour)
             nees.plot(row["nees_position_worst_quarter"], line, "|", color=colour)
         if row["failures"]:
-            gain.text(high, line, f"  {row['failures']} of {row['runs']} broke down", va="center", color="#a02020")
+            gain.text(high, line, f"  {row['failures']} of {row['runs']} failed", va="center", color="#a02020")
     gain.axvline(1.0, color="#888888", linewidth=0.8, linestyle=":")
     nees.axvline(1.0, color="#888888", linewidth=0.8, linestyle=":")
     gain.set_yticks(range(len(rows)), [row["method"] for row in rows])

@@ -153,10 +153,10 @@ def prepare(scenario: Scenario, noise: LandmarkNoise, *, per_frame: float = PER_
 
 def _flight(vehicle: SimulatedVehicle, landmarks: LandmarkField, noise: LandmarkNoise) -> Flight:
     stamps = [int(stamp_ns) for stamp_ns in vehicle.frame_stamps_ns]
-    increments, reckoned = dead_reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)
+    increments, ins = dead_reckon(vehicle.initial, vehicle.scenario.imu_config, vehicle.imu.samples(), stamps)
     features = [seen for seen, _ in observe(vehicle, landmarks, noise=noise)]
     steps = tuple(zip(features, increments, strict=True))
-    return Flight(vehicle, landmarks, noise, steps, true_trajectory(vehicle), reckoned)
+    return Flight(vehicle, landmarks, noise, steps, true_trajectory(vehicle), ins)
 
 
 def dead_reckon(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two vehicles whose map frames differ and whose landmarks look alike, made from flights that share
-a frame: another start pose only moves a vehicle's own map.
+"""Two vehicles whose map frames differ and whose landmarks look alike, made from flights in a common frame.
+
+Another start pose only moves a vehicle's own map.
 """
 
 import dataclasses

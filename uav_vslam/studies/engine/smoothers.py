@@ -104,7 +104,7 @@ def whole_flight(
 
 
 class FixedLagSmoother:
-    """GTSAM's incremental fixed-lag smoother (iSAM2), frame by frame, as fast as it goes from Python.
+    """GTSAM's incremental fixed-lag smoother (iSAM2), frame by frame, as fast as possible from Python.
 
     Processor time of a frame [ms] at 200 landmarks in view and lags of 0.2 s and 2 s, over 60 frames of one flight.
     With the same lag all end within 4 mm of each other:

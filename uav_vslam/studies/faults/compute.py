@@ -26,7 +26,7 @@ VARIANTS: dict[str, dict[str, object]] = {
 }
 
 NOTES = {
-    "Faults": f"begin after {100 * BEGIN_SHARE:.0f} % of the flight, the same on every seed; one vehicle alone",
+    "Faults": f"from {100 * BEGIN_SHARE:.0f} % of the flight on, the same on every seed; one vehicle alone",
     "Errors": "root mean squares over the seeds; NEES of the position over 3: mean over the frames after the 20th, and "
     "the worst seed's mean",
     "Reports": "alarms: what the diagnostics reported and for how many frames, summed over the seeds; "

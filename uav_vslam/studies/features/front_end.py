@@ -35,7 +35,7 @@ def accepted_rows(sets: Sequence[ImageSet], seeds: Sequence[int]) -> list[Row]:
 
 
 def _between_frames(images: ImageSet, config: FrontendConfig) -> list[Row]:
-    """Match the first image of each band with those at all distances, as the front end sees points and ratio."""
+    """Match the first image of each band with those at all distances, with the front end's points and ratio."""
     extractor = make_extractor(config)
     errors: dict[tuple[str, str], list[Errors]] = {}
     for pair in spaced_pairs(images):

@@ -25,7 +25,7 @@ LEAST = 0.5  # stands for zero matches on the logarithmic axis
 def draw_with_matches(
     sets: Sequence[ImageSet], lab: FeatureLab, methods: Sequence[str]
 ) -> Callable[[dict[str, Any], Path], list[Path]]:
-    """Return what draws the study and the matches of each set's bands and between them, and returns the paths."""
+    """Return a function that draws the study and the matches of each set within and between bands."""
 
     def draw(tree: dict[str, Any], folder: Path) -> list[Path]:
         pairs = [pair for images in sets for pair in [*usual_pairs(images), *cross_pairs(images)]]

@@ -45,7 +45,7 @@ STUDY = Study(
     takes="two hours",
     examples="""examples:
   uav-vslam study filters                              20 seeds, 10 runs a noise scale
-  uav-vslam study filters --seeds 4 --runs 2           a first look; minutes
+  uav-vslam study filters --seeds 4 --runs 2           a quick check; minutes
   uav-vslam study filters --altitude 70 --speed 20     the noise scales on the flight of the first table
 
 Landmark level: points on the ground in place of images. The first table flies the default scenario (1 px, ADIS16480);

@@ -13,7 +13,7 @@ from uav_vslam.report.style import BAND, clean, column, plain_log, save
 
 Tree = dict[str, Any]
 
-FILTER_STYLES = {  # colour, marker, width: equal filters lie under one another, so the first are drawn broad
+FILTER_STYLES = {  # colour, marker, width: equal filters overlap, so the first are drawn broad
     "eif": ("#0072b2", "o", 5.0),
     "ekf": ("#56b4e9", "s", 1.6),
     "uhf": ("#d55e00", "^", 5.0),

@@ -21,7 +21,7 @@ STUDY = Study(
     takes="minutes",
     examples="""examples:
   uav-vslam study frames                   16 seeds
-  uav-vslam study frames --seeds 2         a first look
+  uav-vslam study frames --seeds 2         a quick check
 
 It also measures each stage of data association between vehicles: ratio, mutual, gate, consistency.
 """,

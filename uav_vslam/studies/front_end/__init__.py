@@ -30,7 +30,7 @@ STUDY = Study(
     takes="an hour",
     examples="""examples:
   uav-vslam study front_end --seeds 4                       two vehicles of 160 frames, 3 conditions
-  uav-vslam study front_end --seeds 1 --frames 40           a first look; minutes
+  uav-vslam study front_end --seeds 1 --frames 40           a quick check; minutes
   uav-vslam study front_end --seeds 1 --variant frontend.method=klt,frontend.search_scale=0.5
 """,
     run=run,

@@ -25,7 +25,7 @@ STUDY = Study(
     takes="an hour",
     examples="""examples:
   uav-vslam study rig                                  5 seeds, 9 rigs, 160 rendered pairs each
-  uav-vslam study rig --seeds 1 --workers 1            a first look; about ten minutes
+  uav-vslam study rig --seeds 1 --workers 1            a quick check; about ten minutes
   uav-vslam study rig --seeds 1 --variant rig.flexing=true --variant rig.flexing=true,rig.attitude_sigma_deg=0.1
 
 One vehicle alone, config kagaru. The extrinsic attitude is a state where `rig.flexing` is true.

@@ -24,7 +24,7 @@ STUDY = Study(
     takes="half an hour",
     examples="""examples:
   uav-vslam study thesis                   20 seeds, 6 and 10 px
-  uav-vslam study thesis --seeds 2         a first look; minutes
+  uav-vslam study thesis --seeds 2         a quick check; minutes
 """,
     run=run,
     frames=360,

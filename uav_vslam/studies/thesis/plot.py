@@ -15,7 +15,7 @@ from uav_vslam.studies.thesis.ellipsoid_plot import ellipsoid_plot
 
 
 def draw_thesis(parts: Sequence[Part], seed: int) -> Callable[[dict[str, Any], Path], list[Path]]:
-    """Return what draws the study into its folder and returns the paths; a seed is flown again for the figures."""
+    """Return a function that draws the study and returns the paths; it re-runs a seed for the figures."""
 
     def draw(tree: dict[str, Any], folder: Path) -> list[Path]:
         drawn = draw_fusion(tree, folder)
