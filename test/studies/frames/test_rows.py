@@ -59,12 +59,12 @@ def test_the_study_has_its_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = study.frame_rows([1, 2], frames=9, workers=1, on_seed=lambda: done.append(None))
     tables = [row[TABLE] for row in rows]
     assert list(dict.fromkeys(tables)) == [
-        "where the peer's map lies",
+        "frame of the peer's map",
         "trajectories",
         "stages of association",
         "seed by seed",
     ]
-    assert tables.count("where the peer's map lies") == len(study.SHARES)
+    assert tables.count("frame of the peer's map") == len(study.SHARES)
     singles = [row for row in rows if row[TABLE] == "seed by seed"]
     assert [(row["condition"], row["seed"], row["good"]) for row in singles] == [
         ("30% mistaken", 1, True),
