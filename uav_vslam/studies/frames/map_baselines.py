@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The transform between two estimated maps, by the true identities of their landmarks: the reference for an
-against.
+alignment.
 """
 
 import numpy as np
