@@ -27,11 +27,11 @@ def takes(monkeypatch: pytest.MonkeyPatch) -> Takes:
     return work
 
 
-def test_the_median_of_the_works_is_told_and_its_ratio_to_the_yardstick(takes: Takes) -> None:
+def test_it_returns_the_median_of_the_works_and_its_ratio_to_the_reference(takes: Takes) -> None:
     assert take_turns([takes(4.0), takes(40.0), takes(6.0)], takes(2.0)) == (6.0, 3.0)
 
 
-def test_the_yardstick_may_be_slow_at_its_first_call(takes: Takes) -> None:
+def test_the_reference_may_be_slow_at_its_first_call(takes: Takes) -> None:
     calls = iter([takes(1000.0), takes(1.0), takes(1.0)])
     assert take_turns([takes(5.0), takes(5.0)], lambda: next(calls)()) == (5.0, 5.0)
 

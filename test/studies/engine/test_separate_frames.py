@@ -48,7 +48,7 @@ def test_offsets_are_level_and_as_far_as_they_should_be() -> None:
     np.testing.assert_array_equal(draw_offset(7).matrix, offsets[7].matrix)
 
 
-def test_a_map_moved_apart_knows_the_same(flown: OwnOnlyTracks) -> None:
+def test_a_map_in_another_frame_has_the_same_information(flown: OwnOnlyTracks) -> None:
     T = draw_offset(1)
     apart = in_other_frame(flown, "uav2", T)
     assert apart.tracks["uav1"] is flown.tracks["uav1"]

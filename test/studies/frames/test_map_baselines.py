@@ -10,7 +10,7 @@ from uav_vslam.studies.engine.association_stages import Identities
 from uav_vslam.studies.frames.map_baselines import alignment_error, common_rows, map_to_map, weighted_map_to_map
 
 
-def test_the_yardstick_is_the_transform_between_equal_shapes(make_joint) -> None:
+def test_the_reference_is_the_transform_between_equal_shapes(make_joint) -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform(-30, 30, (6, 3))
     T = Pose(rotation_from_rpy(0.0, 0.0, -2.0), np.array([9.0, -40.0, 3.0]))
