@@ -75,7 +75,7 @@ def cooperate(
             air.deliver(stamp_ns)
             member.fusion.fuse(output.joint)
             member.exchange.send()
-        member.poses.append(member.fusion.carry(output.report.pose))
+        member.poses.append(member.fusion.propagate(output.report.pose))
     if frames:
         air.deliver(max(stamp_ns for stamp_ns, _, _ in frames))
     return fleet

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.fused_pose import FusedEpoch, carried, move
+from uav_vslam.cooperation.fused_pose import FusedEpoch, move, propagated
 from uav_vslam.cooperation.fusion import MIN_DELAY_S, Fusion
 from uav_vslam.geometry.coded_points import DensePoints, pack_lower
 from uav_vslam.geometry.pose import Pose
@@ -293,7 +293,7 @@ def test_a_belief_without_landmarks_stays_its_own(make_joint, peer_packet) -> No
     assert epoch.positions.shape == (0, 3)
 
 
-# Between epochs the fused pose is carried by the own-only motion.
+# Between epochs the fused pose is propagated by the own-only motion.
 
 
 def pose_estimate(xi, t, covariance: Array, stamp_ns: int = NOW_NS) -> PoseEstimate:
@@ -309,10 +309,10 @@ COVARIANCES = st.builds(lambda seed, log: 10.0**log * spd_covariance(seed), st.i
 
 
 @given(COVARIANCES, COVARIANCES)
-def test_carrying_without_motion_changes_nothing(own_P: Array, fused_P: Array) -> None:
+def test_propagation_without_motion_changes_nothing(own_P: Array, fused_P: Array) -> None:
     own = pose_estimate([0.1, 0.2, 0.3], [1, 2, 70], own_P)
     fused = pose_estimate([0.1, 0.2, 0.35], [1.5, 2, 70], fused_P)
-    there = carried(own, fused, own)
+    there = propagated(own, fused, own)
     np.testing.assert_allclose(there.T_map_body.matrix, fused.T_map_body.matrix, rtol=0, atol=1e-13)
     np.testing.assert_allclose(
         there.covariance, fused_P, rtol=0, atol=1e-12 * np.abs(own_P).max() + 1e-12 * np.abs(fused_P).max()
@@ -321,28 +321,28 @@ def test_carrying_without_motion_changes_nothing(own_P: Array, fused_P: Array) -
 
 @settings(max_examples=50)
 @given(COVARIANCES, COVARIANCES, COVARIANCES, st.lists(st.floats(-50, 50), min_size=3, max_size=3))
-def test_a_carried_covariance_stays_positive_and_never_shrinks(own_P, fused_P, later_P, moved) -> None:
+def test_a_propagated_covariance_stays_positive_and_never_shrinks(own_P, fused_P, later_P, moved) -> None:
     own = pose_estimate([0.1, 0.2, 0.3], [1, 2, 70], own_P)
     fused = pose_estimate([0.1, 0.2, 0.35], [1.5, 2, 70], fused_P)
     later = pose_estimate([0.15, 0.2, 0.5], np.array([1, 2, 70]) + moved, later_P, NOW_NS + 1)
-    there = carried(own, fused, later)
+    there = propagated(own, fused, later)
     assert there.stamp_ns == NOW_NS + 1
     np.testing.assert_array_equal(there.covariance, there.covariance.T)
     assert np.linalg.eigvalsh(there.covariance)[0] > -1e-12 * np.abs(there.covariance).max()
     assert np.linalg.eigvalsh(there.covariance[3:, 3:] - fused_P[3:, 3:])[0] > -1e-9 * np.abs(there.covariance).max()
 
 
-def test_a_carried_pose_keeps_the_own_motion_between_stamps() -> None:
+def test_a_propagated_pose_keeps_the_own_motion_between_stamps() -> None:
     own = pose_estimate([0, 0, 0.3], [1, 2, 70], 0.1 * np.eye(6))
     fused = pose_estimate([0, 0, 0.4], [4, 2, 69], 0.05 * np.eye(6))
     later = pose_estimate([0.05, 0.1, 0.8], [11, 5, 71], 0.2 * np.eye(6), NOW_NS + 1)
-    there = carried(own, fused, later)
+    there = propagated(own, fused, later)
     seen = fused.T_map_body.inverse() @ there.T_map_body
     expected = own.T_map_body.inverse() @ later.T_map_body
     np.testing.assert_allclose(seen.matrix, expected.matrix, rtol=0, atol=1e-12)
 
 
-def test_a_carried_covariance_follows_the_numerical_derivative_of_the_motion() -> None:
+def test_a_propagated_covariance_follows_the_numerical_derivative_of_the_motion() -> None:
     """The correction's error moves with the rigid motion; what the own covariance grew by beyond that is added."""
     own = pose_estimate([0.3, -0.2, 0.9], [1, 2, 70], spd_covariance(1))
     fused = pose_estimate([0.25, -0.1, 1.4], [4, 2, 69], 0.3 * spd_covariance(2))
@@ -352,7 +352,7 @@ def test_a_carried_covariance_follows_the_numerical_derivative_of_the_motion() -
     J_own, J_fused = (derivative_of_motion(pose.T_map_body, motion) for pose in (own, fused))
     later = dataclasses.replace(there, covariance=J_own @ own.covariance @ J_own.T + growth)
     expected = J_fused @ fused.covariance @ J_fused.T + growth
-    found = carried(own, fused, later).covariance
+    found = propagated(own, fused, later).covariance
     np.testing.assert_allclose(found, expected, rtol=0, atol=DIFFERENCE * np.abs(expected).max())
 
 
@@ -367,9 +367,9 @@ def derivative_of_motion(T_map_body: Pose, motion: Pose) -> Array:
     return np.column_stack([(moved_by(step) - moved_by(-step)) / (2 * STEP) for step in STEP * np.eye(6)])
 
 
-def test_a_vehicle_that_never_fused_carries_its_own_pose() -> None:
+def test_a_vehicle_that_never_fused_keeps_its_own_pose() -> None:
     own = pose_estimate([0, 0, 0.3], [1, 2, 70], 0.1 * np.eye(6))
-    assert Fusion("uav1", EXACT).carry(own) is own
+    assert Fusion("uav1", EXACT).propagate(own) is own
 
 
 def test_moving_is_the_exponential_without_velocity() -> None:

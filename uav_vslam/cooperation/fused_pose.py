@@ -52,10 +52,10 @@ def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]
     return Pose(R_xi @ T_map_body.R, T_map_body.t + J @ delta[:3]), T_map_body.t + arm @ R_xi.T + shift @ J.T
 
 
-def carried(own: PoseEstimate, fused: PoseEstimate, now: PoseEstimate) -> PoseEstimate:
-    """Carry a fused pose along the own-only motion since its epoch.
+def propagated(own: PoseEstimate, fused: PoseEstimate, now: PoseEstimate) -> PoseEstimate:
+    """Propagate a fused pose by the own-only motion since its epoch.
 
-    The covariance is carried likewise and grows by what the own covariance grew by over the same motion.
+    The covariance moves with it and grows by as much as the own covariance grew over the same motion.
 
     Args:
         own, fused: both poses at the epoch.

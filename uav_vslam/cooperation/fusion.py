@@ -3,7 +3,7 @@
 
 At each epoch the own joint belief is taken afresh and every peer's newest packet is fused into it by split covariance
 intersection. A packet whose sources and prior are disjoint from everything fused so far is independent and simply
-adds; any overlap makes its share dependent. In between, the fused pose is carried by the own-only motion.
+adds; any overlap makes its share dependent. In between, the own-only motion propagates the fused pose.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.authentication import authentication_for
 from uav_vslam.cooperation.common_landmarks import comparable
 from uav_vslam.cooperation.epoch_fusion import EpochFusion
-from uav_vslam.cooperation.fused_pose import FusedEpoch, carried
+from uav_vslam.cooperation.fused_pose import FusedEpoch, propagated
 from uav_vslam.cooperation.inbox import Inbox
 from uav_vslam.cooperation.memory import LandmarkMemory
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
@@ -142,11 +142,11 @@ class Fusion:
             self._frames[peer] = (CommonFrame if self._config.common_origin else UnknownFrame)(self._config)
         return self._frames[peer]
 
-    def carry(self, own: PoseEstimate) -> PoseEstimate:
-        """Return the fused pose at a later own-only estimate: the last fused pose moved by the own motion since."""
+    def propagate(self, own: PoseEstimate) -> PoseEstimate:
+        """Return the last fused pose, propagated by the own-only motion since its epoch."""
         if self.epoch is None:
             return own
-        return carried(self.epoch.own, self.epoch.pose, own)
+        return propagated(self.epoch.own, self.epoch.pose, own)
 
     def _newest(self, inbox: Inbox) -> Iterator[tuple[str, LandmarkPacket]]:
         """Yield each peer's newest packet that this epoch may use."""

@@ -108,10 +108,10 @@ class FusionNode(VehicleNode):
             self._previous_ns = own.stamp_ns
             self._joints = {stamp_ns: later for stamp_ns, later in self._joints.items() if stamp_ns > own.stamp_ns}
             if joint is not None:
-                self.guarded("joint_information", self._run_epoch)(joint)  # one that fails leaves the pose carried
+                self.guarded("joint_information", self._run_epoch)(joint)  # if it fails, propagation goes on
             elif is_epoch:
                 self.drop("joint_lost", f"no joint information came for the epoch at {own.stamp_ns} ns")
-            self._publish_pose(own, self._fusion.carry(own))
+            self._publish_pose(own, self._fusion.propagate(own))
 
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)

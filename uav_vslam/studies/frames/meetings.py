@@ -61,5 +61,5 @@ def meet(flown: OwnOnlyTracks, fusions: Mapping[str, Fusion]) -> dict[str, Traje
             for other in fusions:
                 if other != name:
                     fusions[other].inbox.add(packet)
-        poses[name].append(fusions[name].carry(output.report.pose))
+        poses[name].append(fusions[name].propagate(output.report.pose))
     return {name: Trajectory.from_estimates(estimates) for name, estimates in poses.items()}
