@@ -21,7 +21,7 @@ def test_packets_as_large_as_the_budget_on_average_all_leave_although_epochs_are
     stamps = epochs(100)
     assert not outbox.try_reserve(stamps[0], MODE_BUDGETS["wideband"] + 1)
     sent = [outbox.try_reserve(stamp_ns, MODE_BUDGETS["wideband"]) for stamp_ns in stamps]
-    assert sent.count(True) >= 98  # the budget begins with one epoch's share, and two are saved at most
+    assert sent.count(True) >= 98  # the budget starts with one share and saves two at most
     assert outbox.sent_bytes_per_s == pytest.approx(MODE_BUDGETS["wideband"], rel=0.02)
 
 

@@ -88,7 +88,7 @@ class Fusion:
         return self._authentication.sign(packet)
 
     def feedback(self, peer: str) -> LandmarkPacket | None:
-        """Return what the last fusion made of the landmarks that a peer told of, by the peer's own identifiers.
+        """Return the last fused estimates of the landmarks that a peer reported, by the peer's identifiers.
 
         The peer's measurements are inside, so that its fusion intersects with it; what others told may be inside too.
         """
@@ -114,7 +114,7 @@ class Fusion:
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
         """Start from the own belief and bring in each peer's newest packet, and feedback, that is old enough."""
-        if self.belief is not None and joint.session != self.belief.session:  # its landmarks are numbered anew
+        if self.belief is not None and joint.session != self.belief.session:  # its landmark numbers are new
             self._shared, self._offered, self._times_sent = set(), set(), Counter()
         self.belief = self._memory.extended(joint, self._shared, self._offered)
         config = self._config
