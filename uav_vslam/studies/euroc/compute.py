@@ -26,7 +26,7 @@ from uav_vslam.types import NS_PER_S
 
 NOTES = {
     "Starts": "recorded: the start state in the recording. drawn N: with an error drawn from its covariance by seed N. "
-    "frame K: the true pose and velocity at that frame, without added error, with the biases of the recorded start and the "
+    "frame K: the true pose and velocity at that frame, unperturbed, with the biases of the recorded start and the "
     "variance of their walk since.",
     "ATE": "root mean square of the position errors, in the truth's frame, without alignment.",
     "frames_coasted": "frames after the first with no associated landmark, predicted by the INS alone.",
