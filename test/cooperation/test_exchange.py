@@ -17,14 +17,14 @@ RELAY = FusionConfig(relay=True, feedback=True)
 VEHICLES = ("uav1", "uav2", "uav3", "uav4")
 
 
-class Ear:
+class Listener:
     """A peer that only listens."""
 
     def __init__(self) -> None:
-        self.heard: list[tuple[str, LandmarkPacket]] = []
+        self.received: list[tuple[str, LandmarkPacket]] = []
 
     def on_packet(self, sender: str, packet: LandmarkPacket, _: int) -> None:
-        self.heard.append((sender, packet))
+        self.received.append((sender, packet))
 
     def on_feedback(self, packet: LandmarkPacket, size_bytes: int) -> None:
         raise AssertionError("no feedback was to be sent")
@@ -38,8 +38,8 @@ class Exchanging:
         self.fusion = Fusion("uav1", settings)
         self.exchange = Exchange(self.fusion, vehicles[1:], LinkTransport(self.air, "uav1"), settings)
         self.exchange.configure(settings)
-        self.ears = {name: Ear() for name in vehicles[1:]}
-        self.air.receivers |= self.ears
+        self.listeners = {name: Listener() for name in vehicles[1:]}
+        self.air.receivers |= self.listeners
 
     def epoch(self, joint: JointInformation) -> None:
         self.fusion.fuse(joint)
@@ -47,12 +47,12 @@ class Exchanging:
         self.air.deliver(self.air.now_ns)
 
     def comes(self, sender: str, packet: LandmarkPacket, *, feedback: bool = False) -> set[str]:
-        """Let something come from a peer; return who hears of it afterwards."""
-        before = {name: len(ear.heard) for name, ear in self.ears.items()}
+        """Deliver something from a peer; return who receives a packet afterwards."""
+        before = {name: len(listener.received) for name, listener in self.listeners.items()}
         self.air.send(sender, "uav1", Sent(packet, feedback))
         for _ in ("to uav1", "from uav1"):
             self.air.deliver(self.air.now_ns)
-        return {name for name, ear in self.ears.items() if len(ear.heard) > before[name]}
+        return {name for name, listener in self.listeners.items() if len(listener.received) > before[name]}
 
 
 def garbled(packet: LandmarkPacket) -> LandmarkPacket:
@@ -62,21 +62,21 @@ def garbled(packet: LandmarkPacket) -> LandmarkPacket:
 Maker = Callable[..., LandmarkPacket]
 
 
-def test_a_relay_sends_to_all_but_the_sender_and_the_origin_as_it_came(make_small_packet: Maker) -> None:
+def test_a_relay_sends_unchanged_to_all_but_the_sender_and_the_origin(make_small_packet: Maker) -> None:
     vehicle, packet = Exchanging(RELAY), make_small_packet(1)
     assert vehicle.comes("uav2", packet) == {"uav3", "uav4"}
-    assert vehicle.ears["uav4"].heard == [("uav1", packet)]
+    assert vehicle.listeners["uav4"].received == [("uav1", packet)]
     assert vehicle.comes("uav3", packet) == set()  # no news
     assert vehicle.comes("uav3", make_small_packet(2)) == {"uav4"}
 
 
-def test_a_relay_with_nobody_left_to_tell_spends_nothing(make_small_packet: Maker) -> None:
+def test_a_relay_without_further_receivers_spends_nothing(make_small_packet: Maker) -> None:
     vehicle = Exchanging(RELAY, VEHICLES[:2])
     assert vehicle.comes("uav2", make_small_packet(1)) == set()
     assert vehicle.exchange.outbox.bytes_sent == 0
 
 
-def test_what_a_relay_may_well_repeat_is_no_drop_but_what_it_garbles_is(make_small_packet: Maker) -> None:
+def test_a_relayed_duplicate_is_no_drop_but_a_damaged_packet_is(make_small_packet: Maker) -> None:
     vehicle = Exchanging(FusionConfig())
     for packet in (make_small_packet(1), make_small_packet(1), make_small_packet(1, vehicle="uav1")):
         vehicle.comes("uav3", packet)
@@ -99,7 +99,7 @@ def test_strangers_and_feedback_among_packets_are_refused_and_not_relayed(make_s
 
 
 @pytest.mark.parametrize("mode", ["none", "narrowband", "wideband"])
-def test_a_mode_takes_in_what_it_listens_to(make_small_packet: Maker, mode: str) -> None:
+def test_each_mode_receives_only_its_own_channels(make_small_packet: Maker, mode: str) -> None:
     vehicle = Exchanging(FusionConfig(mode=mode, feedback=True))
     vehicle.comes("uav2", make_small_packet(1))
     vehicle.comes("uav3", make_small_packet(1, vehicle="uav3"), feedback=True)
@@ -118,21 +118,21 @@ def test_a_relay_that_the_budget_has_no_room_for_is_held_back(make_small_packet:
 def test_a_packet_shrinks_to_what_the_budget_has_room_for(make_joint: Callable[..., JointInformation]) -> None:
     vehicle = Exchanging(FusionConfig(budget_bytes_per_s=1000))
     vehicle.epoch(make_joint(np.arange(18.0).reshape(6, 3), np.eye(24)))
-    (_, packet), *more = vehicle.ears["uav2"].heard
+    (_, packet), *more = vehicle.listeners["uav2"].received
     assert 0 < len(packet) < 6
     assert not more
     assert not vehicle.exchange.dropped
 
 
-def test_who_hears_a_peer_leaves_no_epoch_to_discovery(
+def test_a_vehicle_that_receives_a_peer_leaves_no_epoch_to_discovery(
     make_joint: Callable[..., JointInformation], make_small_packet: Maker
 ) -> None:
     sent = {}
-    for heard in (True, False):
+    for received in (True, False):
         vehicle = Exchanging(FusionConfig(mode="narrowband", budget_bytes_per_s=5000))
         for second in range(100, 115):
-            if heard:
+            if received:
                 vehicle.comes("uav2", make_small_packet(second))
             vehicle.epoch(make_joint([[1.0, 2.0, 0.0]], np.eye(9), stamp_ns=second * NS_PER_S))
-        sent[heard] = len(vehicle.ears["uav2"].heard)
+        sent[received] = len(vehicle.listeners["uav2"].received)
     assert sent[True] == 15 > sent[False]

@@ -140,7 +140,7 @@ def test_the_floor_is_added_to_each_landmark(own, peer_packet) -> None:
     assert_belief(epoch, own, own.information + widened, widened @ innovation)
 
 
-def test_a_peers_help_reduces_the_doubt_of_the_pose(own, peer_packet) -> None:
+def test_a_peers_packet_reduces_the_uncertainty_of_the_pose(own, peer_packet) -> None:
     epoch = fuse(own, peer_packet())
     assert np.trace(epoch.pose.covariance[:3, :3]) < 0.7 * np.trace(epoch.own.covariance[:3, :3])
     assert np.linalg.norm(epoch.pose.T_map_body.t - own.T_map_body.t) > 0.1
@@ -157,7 +157,7 @@ def test_the_same_source_in_two_packets_is_not_counted_twice(own, peer_packet) -
     assert np.trace(unmarked.pose.covariance[:3, :3]) < 0.9 * np.trace(once.pose.covariance[:3, :3])
 
 
-def test_own_measurements_that_come_back_do_not_sharpen_the_own_estimate(own) -> None:
+def test_own_measurements_that_come_back_do_not_shrink_the_own_covariance(own) -> None:
     joint = dataclasses.replace(own, vehicle="uav2", stamp_ns=NOW_NS - 1_000_000_000)
     echo = from_sources(make_packet(joint, sequence=1, policy=PacketPolicy(max_landmarks=COUNT)), "uav2/1", "uav1/1")
     epoch = fuse(own, echo)
@@ -343,7 +343,7 @@ def test_a_propagated_pose_keeps_the_own_motion_between_stamps() -> None:
 
 
 def test_a_propagated_covariance_follows_the_numerical_derivative_of_the_motion() -> None:
-    """The correction's error moves with the rigid motion; what the own covariance grew by beyond that is added."""
+    """The correction's error moves with the rigid motion; further growth of the own covariance is added."""
     own = pose_estimate([0.3, -0.2, 0.9], [1, 2, 70], spd_covariance(1))
     fused = pose_estimate([0.25, -0.1, 1.4], [4, 2, 69], 0.3 * spd_covariance(2))
     there = pose_estimate([0.5, 0.1, 2.0], [31, -15, 82], np.zeros((6, 6)), NOW_NS + 1)
@@ -383,7 +383,7 @@ def test_moving_is_the_exponential_without_velocity() -> None:
     np.testing.assert_allclose(so3_log(moved_pose.R @ pose.R.T), xi, rtol=0, atol=1e-12)
 
 
-def test_feedback_names_the_peers_landmarks_and_says_whose_measurements_are_inside(own, peer_packet) -> None:
+def test_feedback_has_the_peers_identifiers_and_lists_all_sources(own, peer_packet) -> None:
     fusion = Fusion("uav1", EXACT)
     assert fusion.feedback("uav2") is None
     fusion.inbox.add(packet := peer_packet())
@@ -400,7 +400,7 @@ def test_feedback_names_the_peers_landmarks_and_says_whose_measurements_are_insi
 
 
 def test_feedback_is_intersected_with_and_never_counts_the_own_measurements_twice(own, peer_packet, make_joint) -> None:
-    """What comes back rests on the own packet: at best it says what the peer's packet would have."""
+    """Feedback depends on the own packet: at best it has the information of the peer's packet."""
     there = Fusion("uav2", EXACT)
     peer = make_joint(TRUTH + 0.1, belief_covariance(0.8), vehicle="uav2", stamp_ns=NOW_NS - 10**9)
     there.inbox.add(make_packet_for(own, stamp_ns=NOW_NS - 2 * 10**9))
@@ -408,10 +408,10 @@ def test_feedback_is_intersected_with_and_never_counts_the_own_measurements_twic
     here = Fusion("uav1", EXACT)
     here.returned.add(there.feedback("uav1"))
     helped, direct = here.fuse(own), fuse(own, make_packet_for(peer))
-    alone, returned, told = (
+    alone, returned, sent = (
         np.trace(P[:3, :3]) for P in (helped.own.covariance, helped.pose.covariance, direct.pose.covariance)
     )
-    assert told < returned < alone
+    assert sent < returned < alone
     assert helped.weight < 1.0
 
 
@@ -431,13 +431,13 @@ def test_feedback_to_an_earlier_session_is_not_used(own, peer_packet) -> None:
     np.testing.assert_array_equal(epoch.pose.covariance, epoch.own.covariance)
 
 
-@pytest.mark.parametrize("wrong", ["lie", "for another", "of an ended session"])
-def test_feedback_that_can_not_be_believed_changes_nothing(own, peer_packet, wrong: str) -> None:
+@pytest.mark.parametrize("wrong", ["displaced", "for another", "of an ended session"])
+def test_invalid_feedback_changes_nothing(own, peer_packet, wrong: str) -> None:
     there, here = Fusion("uav2", EXACT), Fusion("uav1", EXACT)
     there.inbox.add(make_packet_for(own, stamp_ns=NOW_NS - 2 * 10**9))
     there.fuse(dataclasses.replace(own, vehicle="uav2", stamp_ns=NOW_NS - 10**9))
     feedback = there.feedback("uav1")
-    if wrong == "lie":
+    if wrong == "displaced":
         feedback = dataclasses.replace(feedback, origin=feedback.origin + np.int32(50))
     elif wrong == "for another":
         feedback = dataclasses.replace(feedback, sources=("uav2/1", "uav3/1", "uav1/1"))
@@ -481,7 +481,7 @@ def test_the_packet_of_last_time_is_not_used_where_it_shares_less_than_the_newes
 
 
 def test_only_landmarks_of_the_estimate_are_counted_as_sent(own) -> None:
-    """A flight leaves ever more landmarks behind; their counts must not fill the memory."""
+    """A flight leaves ever more landmarks behind; their counts must not grow with it."""
     fusion = Fusion("uav1", EXACT)
     for first in (0, 100, 200):
         joint = dataclasses.replace(own, ids=np.arange(first, first + COUNT, dtype=np.uint32))

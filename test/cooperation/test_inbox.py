@@ -46,7 +46,7 @@ def test_an_epoch_gets_the_newest_packet_that_is_old_enough(make_small_packet) -
     assert inbox.newest("uav9", END_NS) is None
 
 
-def test_a_restarted_peer_withdraws_what_it_said_before(make_small_packet) -> None:
+def test_a_restarted_peer_withdraws_its_earlier_packets(make_small_packet) -> None:
     inbox = Inbox("uav1")
     inbox.add(make_small_packet(7))
     inbox.add(make_small_packet(1, session=2, stamp_ns=9_000_000_000))
@@ -84,7 +84,7 @@ def test_peers_do_not_disturb_each_other(make_small_packet) -> None:
     assert keys(inbox, "uav3") == [(9, 1)]
 
 
-def test_a_packet_without_landmarks_takes_nothing_back(make_small_packet, make_joint) -> None:
+def test_a_packet_without_landmarks_withdraws_nothing(make_small_packet, make_joint) -> None:
     def empty(sequence: int, session: int = 1) -> LandmarkPacket:
         joint = make_joint(np.zeros((0, 3)), np.eye(6), vehicle="uav2", session=session, stamp_ns=10**9 * sequence)
         return make_packet(joint, sequence=sequence, policy=PacketPolicy())
@@ -99,7 +99,7 @@ def test_a_packet_without_landmarks_takes_nothing_back(make_small_packet, make_j
     assert inbox.peers["uav2"].arrived[-1].session == 2
 
 
-def test_a_fusion_node_that_counts_from_the_beginning_again_is_heard(make_small_packet) -> None:
+def test_a_restarted_fusion_node_that_counts_from_the_beginning_is_received(make_small_packet) -> None:
     inbox = Inbox("uav1")
     for sequence in range(1, 9):
         inbox.add(make_small_packet(sequence))
@@ -124,7 +124,7 @@ def test_strangers_whose_packets_are_bad_get_no_record(make_small_packet) -> Non
     assert dict(inbox.refused) == {"checksum": 2}
 
 
-def test_made_up_names_do_not_fill_the_memory(make_small_packet) -> None:
+def test_forged_names_do_not_fill_the_memory(make_small_packet) -> None:
     inbox = Inbox("uav0")
     reasons = [offer(inbox, make_small_packet(1, vehicle=f"uav{k + 1}")) for k in range(MAX_PEERS + 3)]
     assert reasons == [""] * MAX_PEERS + ["too_many_peers"] * 3

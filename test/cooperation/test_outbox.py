@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the budget has no room for isn't sent, whatever the mode, and all is counted."""
+"""Packets that exceed the budget are not sent, whatever the mode, and all are counted."""
 
 import pytest
 
@@ -89,7 +89,7 @@ def turns(outbox: Outbox, seconds: range) -> list[bool]:
     return [outbox.should_send(second * NS_PER_S) for second in seconds]
 
 
-def test_while_nobody_is_heard_a_narrow_radio_is_left_to_discovery() -> None:
+def test_narrowband_without_peers_leaves_the_radio_to_discovery() -> None:
     outbox = Outbox(FusionConfig(mode="narrowband", silent_after_s=2.0))
     assert turns(outbox, range(100, 101)) == [False]  # nothing saved yet
     assert turns(outbox, range(101, 108)) == [True] * 4 + [False] * 3
@@ -103,7 +103,7 @@ def test_other_modes_send_at_every_epoch_or_at_none(mode: str, expected: bool) -
     assert turns(Outbox(FusionConfig(mode=mode)), range(5)) == [expected] * 5
 
 
-def test_a_stamp_from_the_future_does_not_pass_for_a_peer_that_is_heard_for_ever() -> None:
+def test_a_stamp_from_the_future_does_not_keep_a_peer_from_being_silent() -> None:
     outbox = Outbox(FusionConfig(mode="narrowband"))
     turns(outbox, range(100, 101))
     outbox.on_packet(10**18)

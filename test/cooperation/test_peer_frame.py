@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A peer without a common origin helps with its map's shape alone, and its frame is found along."""
+"""Without a common origin only the shape of a peer's map gives information, and its frame is estimated too."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ def joints(make_joint):
     return own, make_joint(T_PEER_OWN.apply(seen), covariance(), vehicle="uav2", stamp_ns=9_000_000_000)
 
 
-def test_the_frame_is_found_and_the_position_learns_nothing_from_it(joints) -> None:
+def test_the_frame_is_found_and_the_position_gains_no_information(joints) -> None:
     own, peer = joints
     fusion = Fusion("uav1", FusionConfig(common_origin=False))
     assert fusion.frame("uav2").reason != ""
@@ -55,7 +55,7 @@ def test_with_a_common_origin_no_frame_is_sought(joints) -> None:
     assert np.trace(epoch.pose.covariance[:3, :3]) < 0.6 * np.trace(epoch.own.covariance[:3, :3])
 
 
-def test_feedback_from_a_peer_whose_frame_is_not_known_is_left_alone(joints) -> None:
+def test_feedback_from_a_peer_in_an_unknown_frame_is_ignored(joints) -> None:
     own, peer = joints
     there, here = (Fusion(name, FusionConfig(common_origin=False)) for name in ("uav2", "uav1"))
     there.inbox.add(make_packet(dataclasses.replace(own, stamp_ns=8_000_000_000), sequence=1, policy=PacketPolicy()))

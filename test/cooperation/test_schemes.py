@@ -50,14 +50,14 @@ def test_what_is_independent_adds_whatever_the_name_of_the_sum() -> None:
 
 
 def test_what_is_dependent_is_intersected_by_all_but_the_sum() -> None:
-    told = evidence(dependent=True)
-    split, full, added = (SCHEMES[s](own(), told, "trace") for s in ("split_ci", "full_ci", "overlay"))
+    measured = evidence(dependent=True)
+    split, full, added = (SCHEMES[s](own(), measured, "trace") for s in ("split_ci", "full_ci", "overlay"))
     np.testing.assert_array_equal(split.P.total, full.P.total)
     assert split.weight < 1.0
     assert np.trace(added.P.total) < np.trace(split.P.total)
 
 
-def test_the_own_estimate_told_back_teaches_nothing_but_to_the_sum() -> None:
+def test_only_the_sum_gains_from_the_own_estimate_sent_back() -> None:
     P = spd(3, K)
     echo = Evidence(np.eye(K), np.zeros(K), P, np.zeros((K, K)), dependent=True)
     mine = Split(P, np.zeros_like(P))
@@ -68,21 +68,21 @@ def test_the_own_estimate_told_back_teaches_nothing_but_to_the_sum() -> None:
 
 @pytest.mark.parametrize("scheme", ["split_ci", "full_ci"])
 def test_an_intersection_is_the_kalman_update_of_the_inflated_shares(scheme: str) -> None:
-    """The floor is nobody else's error: it adds to the peer's share after that was divided by its weight."""
-    told = evidence(dependent=True)
-    fused = SCHEMES[scheme](own(), told, "trace")
+    """The floor is an independent error: it adds to the peer's share after that was divided by its weight."""
+    measured = evidence(dependent=True)
+    fused = SCHEMES[scheme](own(), measured, "trace")
     assert 0.0 < fused.weight < 1.0
     P1 = own().total / fused.weight
-    S = E @ P1 @ E.T + told.R / (1.0 - fused.weight) + told.floor
+    S = E @ P1 @ E.T + measured.R / (1.0 - fused.weight) + measured.floor
     K = P1 @ E.T @ np.linalg.inv(S)
     np.testing.assert_allclose(fused.P.total, P1 - K @ S @ K.T, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(fused.delta, K @ told.innovation, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(fused.delta, K @ measured.innovation, rtol=1e-8, atol=1e-10)
 
 
 @pytest.mark.parametrize(("scheme", "dependent"), [("overlay", True), ("inverse_ci", True), ("split_ci", False)])
 def test_where_nothing_is_split_the_floor_is_a_part_of_the_covariance(scheme: str, dependent: bool) -> None:
-    told = evidence(dependent=dependent)
-    whole = Evidence(E, told.innovation, told.R + told.floor, np.zeros((K, K)), dependent)
-    found, expected = (SCHEMES[scheme](own(), one, "trace") for one in (told, whole))
+    measured = evidence(dependent=dependent)
+    whole = Evidence(E, measured.innovation, measured.R + measured.floor, np.zeros((K, K)), dependent)
+    found, expected = (SCHEMES[scheme](own(), one, "trace") for one in (measured, whole))
     np.testing.assert_allclose(found.P.total, expected.P.total, rtol=1e-12)
     np.testing.assert_allclose(found.delta, expected.delta, rtol=1e-12)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fusion of one epoch: the own belief while peers' packets enter it; what entered decides how the next may."""
+"""The fusion of one epoch: packets enter one by one; a packet is dependent if its sources are already inside."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +17,19 @@ Pairs = NDArray[np.intp]
 
 
 class EpochFusion:
-    """Starts with the own belief alone; every scheme fuses in it.
+    """Starts with the own belief alone; the configured scheme fuses packets into it.
 
     Attributes:
         joint: the own belief.
         positions: (N, 3) landmarks as fused so far [m].
-        sources: whose measurements are inside, "vehicle/session".
+        sources: "vehicle/session" whose measurements are fused so far.
         common: landmarks shared with each peer.
-        matched: own identifiers that some peer shares.
+        matched: identifiers of own landmarks that some peer shares.
     """
 
     def __init__(self, joint: JointInformation, *, scheme: str, weighing: str, prior_id: str) -> None:
         P = joint.covariance
-        self._bring_in, self._weighing = SCHEMES[scheme], weighing
+        self._scheme, self._weighing = SCHEMES[scheme], weighing
         self._belief = Split(P, np.zeros_like(P))
         self._own_covariance, self._T_map_body = P[:POSE_DIM, :POSE_DIM], joint.T_map_body
         self._weight, self._priors = 1.0, {prior_id} - {""}
@@ -46,16 +46,16 @@ class EpochFusion:
         return self._belief.total[POSE_DIM:, POSE_DIM:]
 
     def add(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
-        """Bring in what a packet says of (K, 2) pairs of own landmarks and its own.
+        """Fuse a packet through (K, 2) pairs of own landmarks and its own.
 
-        A packet whose sources or prior are inside already is dependent; any other is independent.
+        A packet whose sources or prior are fused already is dependent; any other is independent.
         """
         self.matched |= set(self.joint.ids[pairs[:, 0]].tolist())
         if len(pairs) == 0:
             return
         dependent = bool(self.sources & set(packet.sources)) or packet.prior_id in self._priors
         framed = frame.framed(self.positions, packet, pairs, dependent=dependent)
-        fused = self._bring_in(self._belief, framed.evidence, self._weighing)
+        fused = self._scheme(self._belief, framed.evidence, self._weighing)
         estimate = framed.frame(fused)
         if estimate is not None:
             self._frames[packet.vehicle] = estimate

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A vehicle's part in the exchange of packets: what it sends, takes in, relays and drops, over any transport.
+"""The exchange policy of one vehicle: which packets it sends, accepts, relays and drops, over any transport.
 
 The ROS node's radio and the offline twin's links are transports: they carry packets and decide nothing.
 """
@@ -15,49 +15,49 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.slam.packet import payload_bytes
 from uav_vslam.types import LandmarkPacket
 
-# A relayed packet often arrives twice, late, or at the vehicle that made it: the inbox counts that, nobody need know.
+# A relayed packet often arrives twice, late, or at the vehicle that made it: the inbox counts that; it is no drop.
 EXPECTED_OF_RELAYS = ("own", "duplicate", "late", "stale_session")
 
 
 class Receiver(Protocol):
-    """What a transport hands arriving packets to."""
+    """Where a transport delivers packets."""
 
     def on_packet(self, sender: str, packet: LandmarkPacket, size_bytes: int) -> None:
-        """Take in a packet that a peer sent; its size is as it crossed the radio."""
+        """Receive a packet that a peer sent; its size is that on the radio."""
 
     def on_feedback(self, packet: LandmarkPacket, size_bytes: int) -> None:
-        """Take in what the fusion of the packet's vehicle made of own landmarks."""
+        """Receive another vehicle's fused estimate of own landmarks."""
 
 
 class Transport(Protocol):
-    """What carries one vehicle's packets to its peers, and theirs to it."""
+    """Carries one vehicle's packets to its peers, and theirs to it."""
 
     @property
     def copies(self) -> int:
-        """How often a packet to all peers crosses the radio now."""
+        """Transmissions that a packet to all peers takes now."""
 
     @property
     def expected_copies(self) -> int:
         """The same once all peers listen."""
 
     def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
-        """Change to the communication mode of the settings; what arrives from now on goes to the receiver."""
+        """Change to the communication mode of the settings; later packets go to the receiver."""
 
     def send(self, packet: LandmarkPacket, to: Collection[str]) -> None:
-        """Send a packet to some peers; where all share one channel, the others hear it as well."""
+        """Send a packet to some peers; on a shared channel the others receive it too."""
 
     def send_feedback(self, packet: LandmarkPacket, peer: str) -> None:
         """Send feedback to one peer alone."""
 
 
 class Exchange:
-    """The policy of one vehicle, in one communication mode at a time.
+    """The policy, in one communication mode at a time.
 
     Attributes:
-        settings: at present.
+        settings: the current ones.
         outbox: what was sent.
-        received_bytes: size of the packets that came, by the peer that sent them.
-        dropped: packets refused or held back, by reason; of relayed ones only what is not `EXPECTED_OF_RELAYS`.
+        received_bytes: size of all packets received, by sender.
+        dropped: packets refused or held back, by reason; of relayed ones only for reasons not in `EXPECTED_OF_RELAYS`.
     """
 
     def __init__(
@@ -72,10 +72,10 @@ class Exchange:
         """Prepare; nothing is sent or received before `configure`.
 
         Args:
-            fusion: makes packets and takes those of the peers.
+            fusion: makes own packets and receives the peers'.
             peers: names of the other vehicles of the fleet.
             transport: carries the packets.
-            settings: as configured.
+            settings: initial ones.
             on_drop: called with reason and detail of each drop.
         """
         self._fusion, self._peers, self._transport, self._on_drop = fusion, tuple(peers), transport, on_drop
@@ -96,7 +96,7 @@ class Exchange:
             self._transport.tune(settings, self)
 
     def send(self) -> None:
-        """Send the packet of the epoch that was fused last, and feedback, as far as the budget goes."""
+        """Send the packet of the last fused epoch, and feedback, within the budget."""
         assert self._fusion.belief is not None  # an epoch has been fused
         stamp_ns, copies = self._fusion.belief.stamp_ns, self._transport.copies
         if not self.outbox.should_send(stamp_ns, copies=copies):
@@ -111,7 +111,7 @@ class Exchange:
                     self._transport.send_feedback(feedback, peer)
 
     def on_packet(self, sender: str, packet: LandmarkPacket, size_bytes: int) -> None:
-        """Take in a packet of the sender's own, or one that it relays as it came."""
+        """Receive a packet that the sender made, or relays unchanged."""
         if self.settings.mode == "none":
             return
         self.received_bytes[sender] += size_bytes
@@ -127,7 +127,7 @@ class Exchange:
             self._relay(packet, [peer for peer in self._peers if peer not in (sender, packet.vehicle)])
 
     def on_feedback(self, packet: LandmarkPacket, size_bytes: int) -> None:
-        """Take in what a peer's fusion made of own landmarks."""
+        """Receive a peer's fused estimate of own landmarks."""
         if not self.settings.returns_feedback:
             return
         try:
@@ -141,7 +141,7 @@ class Exchange:
         self.outbox.on_packet(packet.stamp_ns)
 
     def _check_packet(self, sender: str, packet: LandmarkPacket) -> None:
-        """Refuse what is not of this fleet, and feedback where packets are expected."""
+        """Refuse packets of vehicles outside the fleet, and feedback where packets are expected."""
         if packet.vehicle not in (*self._peers, self._fusion.vehicle):
             raise InvalidMessage("sender", f"{sender} sends a packet of {packet.vehicle!r}, which is not of the fleet")
         if packet.other_sources:
@@ -152,7 +152,7 @@ class Exchange:
             self._transport.send(packet, to)
 
     def _reserve(self, packet: LandmarkPacket, copies: int = 1) -> bool:
-        """Take what a packet costs from the budget, or count it as held back: the next epoch's replaces it.
+        """Charge a packet to the budget, or count it as held back: the next epoch's replaces it.
 
         The time is that of the last own epoch: the stamp of a peer's packet may be wrong.
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a fused correction moves a pose and its landmarks, and how the fused pose follows the own motion afterwards."""
+"""Apply a fused correction to a pose and its landmarks, and propagate the fused pose by the own motion afterwards."""
 
 from dataclasses import dataclass
 
@@ -17,18 +17,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class FusedEpoch:
-    """The own belief improved by peers.
+    """The own belief after fusion with the peers' packets.
 
     Attributes:
         own: own-only pose at the epoch.
         pose: fused pose.
         ids, positions: (N,) and (N, 3) fused landmarks [m].
         covariance: (6+3N, 6+3N) of position, rotation and landmarks.
-        weight: smallest weight that the own information got; 1 where all was independent.
+        weight: smallest weight of the own information; 1 if all packets were independent.
         common: number of common landmarks used, by peer.
         matched_ids: own landmarks that some peer shares.
-        sources: "vehicle/session" of whose measurements are inside.
-        frames: where the frames of peers lie that have no common origin with ours.
+        sources: "vehicle/session" whose measurements are fused.
+        frames: estimated frames of peers without a common origin.
     """
 
     own: PoseEstimate

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fusing peers' packets into a copy of the own belief, at fixed epochs; nothing is ever written back.
+"""Fusion of peers' packets into a copy of the own belief, at fixed epochs; nothing is ever written back.
 
-At each epoch the own joint belief is taken afresh and every peer's newest packet is fused into it by split covariance
+Each epoch starts from the current own joint belief and fuses every peer's newest packet into it by split covariance
 intersection. A packet whose sources and prior are disjoint from everything fused so far is independent and simply
-adds; any overlap makes its share dependent. In between, the own-only motion propagates the fused pose.
+adds; any overlap makes it dependent. In between, the own-only motion propagates the fused pose.
 """
 
 import dataclasses
@@ -28,20 +28,20 @@ from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEsti
 
 Pairs = NDArray[np.intp]
 
-MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that a replay repeats exactly
-ENOUGH_SHARED = 5  # landmarks in common that make a newer packet worth more than an older one with more of them
-FEEDBACK = PacketPolicy(form=ANCHOR, max_landmarks=20)  # a few say it all, and bounding many by one error takes long
+MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that replays are deterministic
+ENOUGH_SHARED = 5  # common landmarks; with fewer, an older packet that shares more is preferred
+FEEDBACK = PacketPolicy(form=ANCHOR, max_landmarks=20)  # a few suffice, and one bound over many takes long
 
 
 class Fusion:
     """The fusion node's core.
 
     Attributes:
-        vehicle: whose it is.
-        inbox: what peers sent.
-        returned: what peers' fusions made of the own landmarks: their feedback.
-        belief: own belief of the last epoch, with the landmarks that are remembered.
-        epoch: what the last fusion made of it.
+        vehicle: its name.
+        inbox: packets of peers.
+        returned: feedback of peers: their fused estimates of own landmarks.
+        belief: own belief of the last epoch, with remembered landmarks.
+        epoch: result of the last fusion.
     """
 
     def __init__(self, vehicle: str, config: FusionConfig) -> None:
@@ -54,22 +54,22 @@ class Fusion:
         self._frames: dict[str, PeerFrame] = {}
         self._used: dict[str, LandmarkPacket] = {}
         self._shared: set[int] = set()
-        self._offered: set[int] = set()  # landmarks of the last packet, where no feedback tells what became of them
+        self._offered: set[int] = set()  # landmarks of the last packet, if no feedback reports on them
         self._times_sent: Counter[int] = Counter()  # how often each landmark of the estimate was sent
         self._sequence = 0
-        self._told: dict[str, tuple[str, NDArray[np.intp], NDArray[np.uint32]]] = {}  # its source, own rows, its ids
+        self._used_rows: dict[str, tuple[str, NDArray[np.intp], NDArray[np.uint32]]] = {}  # source, own rows, its ids
         self.belief: JointInformation | None = None
         self.epoch: FusedEpoch | None = None
 
     def configure(self, config: FusionConfig) -> None:
-        """Go on with other settings, as another communication mode has them."""
+        """Change the settings, as with the communication mode."""
         self._config = config
 
     def packet(self, *, byte_limit: int | None = None) -> LandmarkPacket:
-        """Make the next packet from the own belief of the last epoch; fused numbers are never sent as own.
+        """Make the next packet from the own belief of the last epoch; fused values are never sent as own.
 
         Args:
-            byte_limit: what the link has room for now.
+            byte_limit: largest payload that the link accepts now.
         """
         assert self.belief is not None  # an epoch has been fused
         self._sequence += 1
@@ -88,14 +88,14 @@ class Fusion:
         return self._authentication.sign(packet)
 
     def feedback(self, peer: str) -> LandmarkPacket | None:
-        """Return the last fused estimates of the landmarks that a peer reported, by the peer's identifiers.
+        """Return the fused estimate of the landmarks that a peer sent, under the peer's identifiers.
 
-        The peer's measurements are inside, so that its fusion intersects with it; what others told may be inside too.
+        It contains the peer's measurements, so the peer intersects with it; it may contain other peers' too.
         """
-        told = self._told.get(peer)
-        if self.belief is None or self.epoch is None or told is None:
+        used = self._used_rows.get(peer)
+        if self.belief is None or self.epoch is None or used is None:
             return None
-        addressee, rows, ids = told
+        addressee, rows, ids = used
         columns = state_rows(POSE_DIM, rows)
         fused = JointInformation(
             stamp_ns=self.belief.stamp_ns,
@@ -113,31 +113,31 @@ class Fusion:
         return self._authentication.sign(dataclasses.replace(packet, checksum=checksum(packet)))
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
-        """Start from the own belief and bring in each peer's newest packet, and feedback, that is old enough."""
-        if self.belief is not None and joint.session != self.belief.session:  # its landmark numbers are new
+        """Fuse each peer's newest packet, and feedback, that is old enough into the own belief."""
+        if self.belief is not None and joint.session != self.belief.session:  # a restart renumbers the landmarks
             self._shared, self._offered, self._times_sent = set(), set(), Counter()
         self.belief = self._memory.extended(joint, self._shared, self._offered)
         config = self._config
         fusing = EpochFusion(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
-        self._told.clear()
+        self._used_rows.clear()
         for peer, newest in self._newest(self.inbox):
             if not comparable(joint.descriptors, newest):
                 self.inbox.peers[peer].dropped["descriptor_size"] += 1
                 continue
-            packet, pairs = self._chosen(fusing, newest)
-            self._note(peer, packet, len(pairs))
+            packet, pairs = self._select(fusing, newest)
+            self._record_use(peer, packet, len(pairs))
             fusing.common[peer] = len(pairs)
             fusing.add(packet, pairs, self.frame(peer))
             if len(pairs):
-                self._told[peer] = packet.source, pairs[:, 0], packet.ids[pairs[:, 1]]
+                self._used_rows[peer] = packet.source, pairs[:, 0], packet.ids[pairs[:, 1]]
         for peer, packet in self._newest(self.returned):
-            fusing.add(packet, self._named(fusing, packet), self.frame(peer))
+            fusing.add(packet, self._matched_by_id(fusing, packet), self.frame(peer))
         self._shared = self._shared & set(self.belief.ids.tolist()) | fusing.matched
         self.epoch = fusing.epoch()
         return self.epoch
 
     def frame(self, peer: str) -> PeerFrame:
-        """Return how a peer's map lies to ours."""
+        """Return the relation of a peer's map frame to ours."""
         if peer not in self._frames:
             self._frames[peer] = (CommonFrame if self._config.common_origin else UnknownFrame)(self._config)
         return self._frames[peer]
@@ -157,10 +157,10 @@ class Fusion:
             if packet is not None:
                 yield peer, packet
 
-    def _chosen(self, fusing: EpochFusion, newest: LandmarkPacket) -> tuple[LandmarkPacket, Pairs]:
-        """Return the one packet of a peer that is used: the newest, or the one of last time if only that shares enough.
+    def _select(self, fusing: EpochFusion, newest: LandmarkPacket) -> tuple[LandmarkPacket, Pairs]:
+        """Return the packet of a peer to fuse: the newest, or the last one used if only that shares enough landmarks.
 
-        Not while a frame has to be found: that takes every packet once, in order.
+        Without a common origin always the newest: frame estimation uses every packet once, in order.
         """
         pairs, last = self._common(fusing, newest), self._used.get(newest.vehicle)
         another = last is not None and last is not newest and last.session == newest.session
@@ -172,14 +172,14 @@ class Fusion:
         return newest, pairs
 
     def _common(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
-        """Return (K, 2) rows of own landmarks and of the packet that show the same."""
+        """Return (K, 2) rows of common landmarks: own, and the packet's."""
         covariance, descriptors = fusing.landmark_covariance, fusing.joint.descriptors
         return self.frame(packet.vehicle).find_common(fusing.positions, covariance, descriptors, packet)
 
-    def _named(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
-        """Return (K, 2) rows of own landmarks and of feedback, which names them in the peer's frame.
+    def _matched_by_id(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
+        """Return (K, 2) rows of own landmarks and of feedback with equal identifiers, checked in the peer's frame.
 
-        None where it is for another vehicle, for an earlier start of this one, or of an earlier start of the peer.
+        Empty if it is for another vehicle, for an earlier session of this one, or of an earlier session of the peer.
         """
         nothing, addressee = np.zeros((0, 2), np.intp), fusing.joint.source
         record = self.inbox.peers.get(packet.vehicle)
@@ -190,7 +190,7 @@ class Fusion:
         pairs = np.column_stack([own, theirs])
         return self.frame(packet.vehicle).agreeing(fusing.positions, fusing.landmark_covariance, packet, pairs)
 
-    def _note(self, peer: str, packet: LandmarkPacket, common: int) -> None:
+    def _record_use(self, peer: str, packet: LandmarkPacket, common: int) -> None:
         record = self.inbox.peers[peer]
         record.common_landmarks = common
         if common:

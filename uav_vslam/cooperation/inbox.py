@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The packets that peers sent: validated, counted, and at most one per vehicle ever used at a time.
+"""The packets of peers: validated, counted, and at most one per vehicle used at a time.
 
 A packet is a self-contained marginal, and a newer one (session, then stamp) replaces an older one whole. So loss,
-duplication and reordering are harmless, and nothing is counted twice. For the same reason a packet that somebody
-recorded and sends again does no harm: an older session, or a packet that was seen or overtaken, is refused as far back
-as this vehicle has listened. (What it replays before the peer's first new packet looks new; that then withdraws it.)
+duplication and reordering are harmless, and nothing is counted twice. Replayed packets are harmless too: an older
+session, or a packet received or superseded before, is refused, as far back as this vehicle has listened. (A replay
+before the peer's first new packet is accepted as new; that packet then replaces it.)
 """
 
 from collections import Counter
@@ -15,13 +15,13 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.slam.packet import check_contents, check_form
 from uav_vslam.types import LandmarkPacket
 
-KEPT_PER_PEER = 4  # recent packets, so that an epoch can be served with one old enough
-MAX_PEERS = 64  # made-up names must not fill the memory
+KEPT_PER_PEER = 4  # recent packets, so that an epoch finds one that is old enough
+MAX_PEERS = 64  # forged names must not fill the memory
 
 
 @dataclass(slots=True)
 class PeerRecord:
-    """What one peer sent."""
+    """The packets and counts of one peer."""
 
     packets: list[LandmarkPacket] = field(default_factory=list)  # of the newest session, those with landmarks, by order
     arrived: list[LandmarkPacket] = field(default_factory=list)  # the same and those without
@@ -32,11 +32,11 @@ class PeerRecord:
 
 
 class Inbox:
-    """One record a peer.
+    """One record per peer.
 
     Attributes:
-        peers: by name, of vehicles that sent a packet which could be believed.
-        refused: packets of all others, by reason.
+        peers: records by name, of vehicles that sent a valid packet.
+        refused: counts of packets of all others, by reason.
     """
 
     def __init__(self, vehicle: str, *, authentication: Authentication | None = None) -> None:
@@ -46,7 +46,7 @@ class Inbox:
         self.refused: Counter[str] = Counter()
 
     def add(self, packet: LandmarkPacket) -> None:
-        """Take a packet in, or count why not.
+        """Store a packet, or count why it was refused.
 
         Raises:
             InvalidMessage: it is damaged, malformed, forged, stale, repeated, or this vehicle's own.
@@ -66,9 +66,9 @@ class Inbox:
         record.received += 1
         if record.arrived and packet.session > record.arrived[-1].session:
             record.arrived.clear()
-            record.packets.clear()  # a restart withdraws what the earlier session said
+            record.packets.clear()  # a restart withdraws the packets of the earlier session
         _keep(packet, record.arrived)
-        if len(packet):  # or else its link had no room, or it sees nothing: what it said before still holds
+        if len(packet):  # an empty one, from a full link or an empty view, does not replace the one before
             _keep(packet, record.packets)
 
     def newest(self, peer: str, not_after_ns: int) -> LandmarkPacket | None:
@@ -97,12 +97,12 @@ def _keep(packet: LandmarkPacket, among: list[LandmarkPacket]) -> None:
 
 
 def _check_order(packet: LandmarkPacket, kept: list[LandmarkPacket]) -> None:
-    """Refuse what was replaced, withdrawn or taken in before."""
+    """Refuse a packet that was received before, superseded or withdrawn."""
     if not kept or packet.session > kept[-1].session:
         return
     if packet.session < kept[-1].session:
         raise InvalidMessage("stale_session", f"session {packet.session} of {packet.vehicle} has ended")
     if any(p.order == packet.order for p in kept):
-        raise InvalidMessage("duplicate", f"packet {packet.sequence} of {packet.source} came twice")
+        raise InvalidMessage("duplicate", f"packet {packet.sequence} of {packet.source} was received twice")
     if len(kept) == KEPT_PER_PEER and packet.order < kept[0].order:
-        raise InvalidMessage("late", f"packet {packet.sequence} of {packet.source} is older than the last kept")
+        raise InvalidMessage("late", f"packet {packet.sequence} of {packet.source} is older than the oldest one kept")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a peer's map lies to ours: in a common frame, or in one that has to be found; one of them for each peer."""
+"""The frame of a peer's map, one object for each peer: common with ours, or unknown and estimated."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -24,15 +24,15 @@ Pairs = NDArray[np.intp]
 
 
 class PeerFrame(Protocol):
-    """What turns a packet of one peer into evidence about the own state."""
+    """Turns the packets of one peer into evidence about the own state."""
 
     @property
     def reason(self) -> str:
-        """Why the peer's frame is not known; empty if it is."""
+        """Why the peer's frame is unknown; empty if it is known."""
 
     @property
     def alignment(self) -> Alignment | None:
-        """The newest one; None while there is none, and where none is needed."""
+        """The newest alignment; None if not found yet, or not needed."""
 
     def find_common(
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
@@ -40,10 +40,10 @@ class PeerFrame(Protocol):
         """Return (K, 2) rows of own landmarks and of the packet; the arguments are `common_landmarks.find_common`'s."""
 
     def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
-        """Return those of (K, 2) pairs, which identifiers have told, that can be believed; none in an unknown frame."""
+        """Return those of (K, 2) pairs, matched by identifier, that pass the gate; none in an unknown frame."""
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> "FramedPacket":
-        """Return what the packet says of the own state, position, xi and (N, 3) landmarks, and of the peer's frame."""
+        """Return a packet as a measurement of the own state, position, xi and (N, 3) landmarks, in the own frame."""
 
 
 class FramedPacket(Protocol):
@@ -51,15 +51,15 @@ class FramedPacket(Protocol):
 
     @property
     def evidence(self) -> Evidence:
-        """What it says of the own state."""
+        """The measurement of the own state."""
 
     def frame(self, fused: Fused) -> FrameEstimate | None:
-        """Return where the peer's frame is once `evidence` was fused; None where it is ours."""
+        """Return the estimate of the peer's frame after `evidence` was fused; None for a common frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class InOwnFrame:
-    """A packet whose frame is ours already."""
+    """A packet that is already in the own frame."""
 
     evidence: Evidence
 
@@ -68,19 +68,19 @@ class InOwnFrame:
 
 
 class CommonFrame:
-    """Both maps began at a known common origin."""
+    """Both maps have a known common origin."""
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
 
     @property
     def reason(self) -> str:
-        """Never unknown."""
+        """Always empty."""
         return ""
 
     @property
     def alignment(self) -> None:
-        """Never needed."""
+        """Always None."""
 
     def find_common(
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
@@ -109,7 +109,7 @@ class CommonFrame:
 
 
 class UnknownFrame:
-    """The peer's map is turned about the vertical and shifted by amounts that nobody knows."""
+    """The peer's map has an unknown yaw and translation against ours."""
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
@@ -117,7 +117,7 @@ class UnknownFrame:
 
     @property
     def reason(self) -> str:
-        """Why the frame is not known; empty if it is."""
+        """See `PeerFrame`."""
         return self._link.reason if self._link.alignment is None else ""
 
     @property
@@ -128,16 +128,16 @@ class UnknownFrame:
     def find_common(
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
     ) -> Pairs:
-        """See `PeerFrame`; renews the alignment."""
+        """See `PeerFrame`; updates the alignment."""
         return self._link.find_common(positions, covariance, descriptors, packet, config=self._config)
 
     def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
-        """See `PeerFrame`; two at least, for one alone says nothing of a frame."""
+        """See `PeerFrame`; at least two, because one pair alone cannot confirm a frame."""
         points = PointPairs.of(positions, covariance, packet, pairs, self._config.floor_sigma_m)
         return pairs[self._link.agreeing(points)]
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Framed:
-        """See `PeerFrame`; the evidence does not depend on where the frame is."""
+        """See `PeerFrame`; the evidence does not depend on the frame's estimate."""
         assert self._link.alignment is not None  # there are pairs
         T_own_peer, floor_m = self._link.alignment.T_own_peer, self._config.floor_sigma_m
         return framed(positions, packet, pairs, T_own_peer, floor_sigma_m=floor_m, dependent=dependent)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ways to bring a peer's packet into the own belief; all read it only, nothing is written back into the filter.
+"""Schemes that fuse a peer's packet with the own belief; none writes back into the filter.
 
-The thesis's forms, which do write back, are in `write_back`.
+The thesis's forms, which do write back, are in `studies.engine.write_back`.
 """
 
 from collections.abc import Callable
@@ -23,13 +23,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What a packet says of the own state x.
+    """A packet as a measurement of the own state x.
 
     Attributes:
-        E: (k, n) what it speaks of.
+        E: (k, n) measurement matrix.
         innovation: (k,) its estimate minus E x [m].
         R: (k, k) its covariance [m^2].
-        floor: (k, k) that two descriptors do not meet on the very same point; nobody else's error [m^2].
+        floor: (k, k) independent error: two matched descriptors rarely show exactly the same point [m^2].
         dependent: some of its measurements, or a prior, are in the own belief already.
     """
 
@@ -41,7 +41,7 @@ class Evidence:
 
 
 def split_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:
-    """Add what is independent and intersect what is not: always consistent, and as good as a sum where a sum may be."""
+    """Add independent evidence, intersect dependent: always consistent, and as good as a sum where a sum is valid."""
     if not evidence.dependent:
         return _add(own, evidence)
     return _intersect(own, evidence, weigh)
