@@ -101,14 +101,14 @@ def test_feedback_is_paid_for_as_packets_are(tracks: dict[str, VehicleTrack], ra
         assert (held_back > 0) == (rate > 0)
 
 
-def test_a_relay_hands_on_what_the_ends_cannot_hear(tracks: dict[str, VehicleTrack]) -> None:
+def test_a_relay_forwards_packets_between_vehicles_out_of_range(tracks: dict[str, VehicleTrack]) -> None:
     def ends_apart(sender: str, receiver: str) -> PacketLink:
         return Link(LinkConfig(loss=float({sender, receiver} == {"uav1", "uav3"})))
 
     alone, relayed = (cooperate(tracks, configs(relay=relay), ends_apart) for relay in (False, True))
     assert set(received(alone["uav1"])) == {"uav2"}
     assert set(received(relayed["uav1"])) == {"uav2", "uav3"}
-    heard, sent = relayed["uav1"].fusion.inbox.peers["uav3"], relayed["uav3"].exchange.outbox.packets_sent
-    assert 0 < heard.received <= sent
-    assert heard.used
-    assert heard.packets[-1].sources == ("uav3/1",)
+    record, sent = relayed["uav1"].fusion.inbox.peers["uav3"], relayed["uav3"].exchange.outbox.packets_sent
+    assert 0 < record.received <= sent
+    assert record.used
+    assert record.packets[-1].sources == ("uav3/1",)

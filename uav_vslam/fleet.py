@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The offline twin of the node graph: several vehicles, their packets and their fusion in one process.
 
-Own-only tracks know nothing of the network, so they can be computed first, one process a vehicle; the exchange of
+Own-only tracks do not depend on the network, so they can be computed first, one process a vehicle; the exchange of
 packets and the fusion follow in stamp order, exactly as in lock-step replay.
 """
 
@@ -20,7 +20,7 @@ from uav_vslam.types import LandmarkPacket, PoseEstimate
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A packet on its way; `feedback` if it says what became of the receiver's landmarks."""
+    """A packet in transit; `feedback` if it estimates the receiver's landmarks."""
 
     packet: LandmarkPacket
     feedback: bool = False
@@ -31,11 +31,11 @@ PacketLink = Link[Sent]
 
 @dataclass(slots=True)
 class CooperativeTrack:
-    """A whole flight of one vehicle with its peers' help.
+    """The cooperative flight of one vehicle.
 
     Attributes:
-        fusion: the fusion core; it knows what was received, used and dropped.
-        exchange: it knows what was sent, and what was refused or held back.
+        fusion: the fusion core, which counts packets received, used and dropped.
+        exchange: counts packets sent, refused and held back.
         poses: fused pose at every own-only frame.
     """
 
@@ -54,9 +54,9 @@ def cooperate(
 
     Args:
         tracks: own-only tracks by vehicle.
-        configs: their configurations; a vehicle whose `fusion.mode` is none neither sends nor listens.
-        links: makes the radio link from a sender to a receiver; without it all arrives at once.
-        on_packet: shown every packet that is sent, who made it, and its size [byte]; not those that are relayed.
+        configs: their configurations; a vehicle whose `fusion.mode` is none neither sends nor receives.
+        links: makes the radio link from a sender to a receiver; without it packets arrive at once.
+        on_packet: called with the maker of each packet sent, the packet and its size [byte]; not for relayed ones.
 
     Returns:
         A cooperative track for each vehicle.
@@ -82,11 +82,11 @@ def cooperate(
 
 
 class Air:
-    """The links between the vehicles, each direction its own.
+    """The links between the vehicles, one per direction.
 
     Attributes:
-        receivers: where each vehicle takes in what arrives.
-        now_ns: up to when all was delivered.
+        receivers: of arriving packets, by vehicle.
+        now_ns: time of the last delivery.
     """
 
     def __init__(
@@ -99,8 +99,8 @@ class Air:
 
         Args:
             vehicles: their names.
-            links: makes the link from a sender to a receiver; without it all arrives at once.
-            on_sent: shown each vehicle's own packets.
+            links: makes the link from a sender to a receiver; without it packets arrive at once.
+            on_sent: called with each vehicle's own packets.
         """
         self.receivers: dict[str, Receiver] = {}
         self.now_ns = 0
@@ -114,7 +114,7 @@ class Air:
         self._links[sender, receiver].send(self.now_ns, payload_bytes(sent.packet), sent)
 
     def deliver(self, now_ns: int) -> None:
-        """Hand over what has arrived."""
+        """Deliver the packets that have arrived."""
         self.now_ns = now_ns
         for (sender, name), link in self._links.items():
             for sent in link.receive(now_ns):
@@ -128,7 +128,7 @@ class Air:
 class LinkTransport:
     """A vehicle's end of the links: the `cooperation.exchange.Transport` of the offline twin.
 
-    Together the links are one broadcast radio: a packet costs its size once, however many peers hear it.
+    Together the links are one broadcast radio: a packet costs its size once, however many peers receive it.
     """
 
     copies = expected_copies = 1
@@ -137,7 +137,7 @@ class LinkTransport:
         self._air, self._vehicle = air, vehicle
 
     def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
-        """Give what arrives to a receiver, which ignores it in the mode none."""
+        """Deliver arriving packets to a receiver, which ignores them in the mode none."""
         self._air.receivers[self._vehicle] = receiver
 
     def send(self, packet: LandmarkPacket, to: Collection[str]) -> None:

@@ -175,14 +175,14 @@ class OverDds(Vehicle):
         self._publish("feedback", sender, packet)
 
     def _publish(self, kind: str, sender: str, packet: LandmarkPacket) -> None:
-        """Send as a peer, and wait until uav1 has taken it in."""
-        publisher, before = self._publishers.get((kind, sender)), self._heard
+        """Send as a peer, and wait until uav1 has received it."""
+        publisher, before = self._publishers.get((kind, sender)), self._received
         if publisher is not None:  # or else the mode has no such channel
             publisher.publish(packet_to_msg(packet))
-            self.wait(lambda: self._heard == before + 1)
+            self.wait(lambda: self._received == before + 1)
 
     @property
-    def _heard(self) -> int:
+    def _received(self) -> int:
         return sum(one.received for one in self.radio._inputs)
 
     def _open(self, kind: str, senders: tuple[str, ...], topics: list[str], mode: str) -> None:
@@ -268,7 +268,7 @@ def script(write: Writer) -> list[Event]:
 
     first, second, third = (write.packet("uav2", k) for k in (1, 2, 3))
     of_uav3 = write.packet("uav3", 2)
-    told = write.feedback("uav3", 4)
+    returned = write.feedback("uav3", 4)
     return [
         mode("wideband"),
         epoch(1),
@@ -276,7 +276,7 @@ def script(write: Writer) -> list[Event]:
         packet("uav2", second),  # relayed to uav3 and uav4
         packet("uav2", first),  # reordered
         packet("uav2", second),  # repeated
-        packet("uav3", second),  # comes by another way too: no news
+        packet("uav3", second),  # comes by another route too: a duplicate
         packet("uav2", of_uav3),  # relayed to uav4 alone
         packet("uav3", of_uav3),  # now from uav3 itself
         epoch(3),
@@ -284,11 +284,11 @@ def script(write: Writer) -> list[Event]:
         packet("uav2", garbled(third)),
         packet("uav3", garbled(third)),  # garbled by who relayed it
         packet("uav2", third),
-        packet("uav2", write.packet("uav1", 2)),  # an own packet comes home
-        packet("uav3", told),  # feedback where packets are expected
+        packet("uav2", write.packet("uav1", 2)),  # an own packet comes back
+        packet("uav3", returned),  # feedback where packets are expected
         epoch(4),
-        feedback("uav3", told),
-        feedback("uav3", told),
+        feedback("uav3", returned),
+        feedback("uav3", returned),
         feedback("uav2", write.feedback("stranger", 4)),
         feedback("uav2", garbled(write.feedback("uav2", 4))),
         epoch(5),
@@ -303,7 +303,7 @@ def script(write: Writer) -> list[Event]:
         epoch(10),
         packet("uav4", write.packet("uav4", 9, mode="narrowband")),
         feedback("uav3", write.feedback("uav3", 10)),  # nobody listens
-        *(epoch(second) for second in range(11, 22)),  # nobody is heard: most epochs are left to discovery
+        *(epoch(second) for second in range(11, 22)),  # no peer is received: most epochs are left to discovery
         mode("none"),
         packet("uav2", write.packet("uav2", 21)),
         epoch(22),

@@ -35,7 +35,7 @@ def test_fusion_subscribes_to_every_vehicle_but_its_own() -> None:
     assert peers == {"a": ["b", "c"], "b": ["a", "c"], "c": ["a", "b"]}
 
 
-def test_a_start_state_that_a_vehicle_finds_itself_is_not_replayed() -> None:
+def test_a_start_state_that_a_vehicle_estimates_itself_is_not_replayed() -> None:
     found = fleet("a", "b", "c")
     methods = {"a": "given", "b": "static", "c": "in_flight"}
     vehicles = {name: VehicleConfig(start=StartConfig(method=method)) for name, method in methods.items()}
@@ -70,7 +70,7 @@ def test_arguments_name_the_node_and_keep_the_types_of_parameters() -> None:
     assert {key: json.loads(value) for key, value in values.items()} == fusion.parameters
 
 
-def test_with_an_emulated_link_the_vehicles_hear_each_other_through_it_alone() -> None:
+def test_with_an_emulated_link_the_vehicles_receive_each_other_through_it_alone() -> None:
     specs = node_specs(fleet("a", "b", "c"), link=LinkConfig(loss=0.2))
     assert [(spec.namespace, spec.executable) for spec in specs[-2:]] == [("/", "link_emulator"), ("/", "replay")]
     assert specs[-2].parameters == {"vehicles": ["a", "b", "c"], "use_sim_time": True, "link.loss": 0.2}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fusion node on its radio: modes that change in flight, a hard budget, peers that come late or fall silent."""
+"""The fusion node on its radio: modes that change in flight, a hard budget, peers that come late or become silent."""
 
 import os
 import socket
@@ -214,7 +214,7 @@ def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., 
     assert len(flight.received[0].ids) == 6
 
 
-def test_while_nobody_is_heard_a_narrow_radio_is_left_to_discovery(fly: Callable[..., Flight]) -> None:
+def test_narrowband_without_peers_leaves_the_radio_to_discovery(fly: Callable[..., Flight]) -> None:
     flight = fly("fusion.mode:=narrowband", "fusion.silent_after_s:=2.0")
     publisher = flight.peer("narrowband")
     sent = [flight.epoch(second).packets_sent for second in range(101, 108)]
@@ -237,7 +237,7 @@ def test_what_the_budget_has_no_room_for_is_counted_and_never_sent(fly: Callable
     assert flight.received == []
 
 
-def test_the_bytes_that_the_status_gives_are_those_that_were_sent_and_heard(fly: Callable[..., Flight]) -> None:
+def test_the_status_counts_the_bytes_that_were_sent_and_received(fly: Callable[..., Flight]) -> None:
     flight = fly("radio_interface:=lo", "fusion.feedback:=false")
     subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
     assert flight.spin(lambda: subscription.get_publisher_count() > 0)
@@ -259,7 +259,7 @@ def test_the_bytes_that_the_status_gives_are_those_that_were_sent_and_heard(fly:
     assert status.wire_received_bytes > 3 * 1000
 
 
-def test_a_peer_that_falls_silent_is_told_and_welcomed_back(fly: Callable[..., Flight]) -> None:
+def test_a_silent_peer_is_reported_until_it_is_received_again(fly: Callable[..., Flight]) -> None:
     flight = fly("fusion.silent_after_s:=3.0")
     publisher = flight.peer("wideband")
     for second, expected in ((1, False), (3, False), (5, True), (6, False)):
@@ -272,12 +272,12 @@ def test_a_peer_that_falls_silent_is_told_and_welcomed_back(fly: Callable[..., F
         assert ("uav2" in flight.node.alarms) is expected
 
 
-def test_in_wideband_a_peer_is_told_what_became_of_its_landmarks(fly: Callable[..., Flight]) -> None:
+def test_in_wideband_a_peer_gets_the_fused_estimate_of_its_landmarks(fly: Callable[..., Flight]) -> None:
     flight = fly("fusion.feedback:=true")
     feedback: list[LandmarkInformation] = []
-    ear = flight.others.create_subscription(LandmarkInformation, "/uav2/fusion/feedback", feedback.append, STATE)
+    listener = flight.others.create_subscription(LandmarkInformation, "/uav2/fusion/feedback", feedback.append, STATE)
     publisher = flight.peer("wideband")
-    assert flight.spin(lambda: ear.get_publisher_count() > 0)
+    assert flight.spin(lambda: listener.get_publisher_count() > 0)
     publisher.publish(flight.packet(1))
     assert flight.spin(lambda: flight.newest_ns() == NS_PER_S)
     flight.epoch(2)
@@ -289,7 +289,7 @@ def test_in_wideband_a_peer_is_told_what_became_of_its_landmarks(fly: Callable[.
     returned.publish(flight.packet(2))
     assert flight.spin(lambda: "uav2" in flight.node._fusion.returned.peers)
     flight.set("fusion.mode", "narrowband")
-    assert flight.spin(lambda: ear.get_publisher_count() == 0)
+    assert flight.spin(lambda: listener.get_publisher_count() == 0)
 
 
 def test_the_exchange_follows_its_parameters(fly: Callable[..., Flight]) -> None:
@@ -339,7 +339,7 @@ def test_a_setting_that_leaves_the_budget_alone_does_not_refill_it(fly: Callable
 
 
 @pytest.mark.parametrize("relay", [True, False])
-def test_a_relay_sends_on_what_is_new_to_it_as_it_came(fly: Callable[..., Flight], relay: bool) -> None:
+def test_a_relay_forwards_new_packets_unchanged(fly: Callable[..., Flight], relay: bool) -> None:
     flight = fly(f"fusion.relay:={str(relay).lower()}", peers="[uav2, uav3, uav4]")
     subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
     assert flight.spin(lambda: subscription.get_publisher_count() > 0)
@@ -363,7 +363,7 @@ def test_a_packet_of_a_vehicle_that_is_not_of_the_fleet_is_refused(fly: Callable
 
 
 @pytest.mark.parametrize(("own", "theirs"), [("wideband", "narrowband"), ("narrowband", "wideband")])
-def test_vehicles_in_different_modes_hear_each_other(fly: Callable[..., Flight], own: str, theirs: str) -> None:
+def test_vehicles_in_different_modes_receive_each_other(fly: Callable[..., Flight], own: str, theirs: str) -> None:
     flight = fly(f"fusion.mode:={own}")
     publisher = flight.peer(theirs)
     publisher.publish(flight.packet(1))
@@ -418,7 +418,7 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         context.try_shutdown()
 
 
-def test_where_the_map_of_a_peer_without_a_common_origin_lies_is_said(fly: Callable[..., Flight]) -> None:
+def test_the_frame_of_a_peer_without_a_common_origin_is_published(fly: Callable[..., Flight]) -> None:
     flight = fly("fusion.common_origin:=false")
     rng = np.random.default_rng(5)
     points, shift = np.column_stack([rng.uniform(-40, 40, (20, 2)), rng.uniform(-3, 3, 20)]), [30.0, -8.0, 2.0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A packet comes back from its message as it was, in exactly as many bytes as were counted on."""
+"""A packet comes back from its message as it was, in exactly the predicted number of bytes."""
 
 import dataclasses
 from collections.abc import Callable
@@ -83,7 +83,7 @@ def test_feedback_comes_back_though_it_has_no_descriptors(make_joint) -> None:
     Fusion("uav1", FusionConfig()).returned.add(got)
 
 
-def test_sources_of_others_travel_and_the_senders_own_goes_without_saying(packet_of: Maker) -> None:
+def test_only_the_sources_of_others_are_sent(packet_of: Maker) -> None:
     sent = dataclasses.replace(packet_of(DENSE, 1), sources=("uav1/1", "uav2/8"))
     message = packet_to_msg(sent)
     assert message.sources == ["uav2/8"]
@@ -167,7 +167,7 @@ def test_a_packet_that_is_refused(packet_of: Maker, policy, field: str, value: A
     assert refusal(message) == reason
 
 
-def test_numbers_that_are_none_are_refused_even_under_a_good_checksum(packet_of: Maker) -> None:
+def test_numbers_that_are_not_finite_are_refused_even_with_a_valid_checksum(packet_of: Maker) -> None:
     for policy, count in ((DENSE, 45), (COMPACT, 21)):
         message = packet_to_msg(packet_of(policy, 3))
         message.covariance_factor = [NAN] * count

@@ -20,7 +20,7 @@ def flight() -> tuple[SimulatedVehicle, LandmarkField]:
 
 
 @pytest.mark.parametrize("association", ASSOCIATIONS)
-def test_every_associator_carries_a_flight(flight: tuple[SimulatedVehicle, LandmarkField], association: str) -> None:
+def test_every_associator_sustains_a_flight(flight: tuple[SimulatedVehicle, LandmarkField], association: str) -> None:
     """A landmark is new or leaves the image in some frames: of 44 in view some 30 are known."""
     config = load_vehicle(None, overrides={"backend.association": association})
     vehicle, field = flight

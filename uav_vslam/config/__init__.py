@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every parameter of a vehicle, a fleet and a node: the one home of defaults, units, ranges and texts.
 
-settings    what a setting is, and the checks made from it
+settings    the metadata of a setting, and the checks made from it
 imu, vehicle, fleet, nodes    the settings
 files       YAML files
 reference   the reference page docs/reference/parameters.md

@@ -30,7 +30,7 @@ ALL_NODES, PARAMETERS = "/**", "ros__parameters"
 
 
 def find_config(name: str) -> Path:
-    """Return the file that a name stands for: a path, or the name of a file in this project's `config` folder.
+    """Return the file of a configuration: a path, or the name of a file in this project's `config` folder.
 
     Raises:
         ConfigError: there is neither.
@@ -108,7 +108,7 @@ def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Fle
 
 
 def parameter_file(configs: Mapping[str, VehicleConfig]) -> dict[str, Any]:
-    """Return whole configurations, by the nodes that they are for ("/**", "/uav1/**"), as a ROS parameter file."""
+    """Return complete configurations, by node pattern ("/**", "/uav1/**"), as a ROS parameter file."""
     return {nodes: {PARAMETERS: _tree(config)} for nodes, config in configs.items()}
 
 
@@ -167,7 +167,7 @@ def _read_parameters(path: Path) -> dict[str, Any]:
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML silently lets a later key win; a vehicle named twice must not vanish like that."""
+    """Refuses repeated keys, of which YAML silently keeps the last: a vehicle named twice must not be lost."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()

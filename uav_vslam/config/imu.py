@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of inertial units; defaults and grades."""
+"""Noise of inertial measurement units; defaults and grades."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from uav_vslam.config.settings import Settings, setting
 
 @dataclass(frozen=True, slots=True)
 class ImuConfig(Settings):
-    """Noise of the inertial unit (continuous-time densities) and how it is known at the start; defaults ADIS16480."""
+    """Noise densities (continuous-time) and initial bias uncertainty of the inertial unit; defaults ADIS16480."""
 
     gyro_noise: float = setting(1.2e-4, "gyroscope white noise", unit="rad/s/sqrt(Hz)", above=0)
     accel_noise: float = setting(1.1e-3, "accelerometer white noise", unit="m/s^2/sqrt(Hz)", above=0)
@@ -20,7 +20,7 @@ class ImuConfig(Settings):
     gravity: float = setting(9.80665, "local gravity, along -z of the map frame", unit="m/s^2", above=0)
 
 
-THESIS_STEP_S = 0.14  # its control noise is drawn once a step; ours is white at the reading's rate, of the same effect
+THESIS_STEP_S = 0.14  # its control noise is drawn once per step; ours is white at the IMU rate, with the same effect
 THESIS_NOISE = ((1.0, 1.8), (2.0, 3.6), (2.0, 5.6), (4.0, 11.2))  # w1 to w4 of section 4.7.1 [deg/s], [m/s^2]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of each ROS node: its own ones, and which of a vehicle's settings it uses."""
+"""The parameters of each ROS node: its own, and those of the vehicle's settings that it uses."""
 
 from dataclasses import dataclass, field
 
@@ -10,21 +10,21 @@ from uav_vslam.config.vehicle import VehicleConfig
 
 @dataclass(frozen=True, slots=True)
 class VehicleNodeConfig(Settings):
-    """What each node of a vehicle has."""
+    """Parameters of every node of a vehicle."""
 
     vehicle: str = setting("", "name of the vehicle; empty: the node's namespace")
 
 
 @dataclass(frozen=True, slots=True)
 class BackendNodeConfig(VehicleNodeConfig):
-    """Of slam_backend."""
+    """Parameters of slam_backend."""
 
-    session: int = setting(0, "number of this start of the vehicle; 0: a later one than the last", at_least=0)
+    session: int = setting(0, "number of this start of the vehicle; 0: above all earlier ones", at_least=0)
 
 
 @dataclass(frozen=True, slots=True)
 class FusionNodeConfig(VehicleNodeConfig):
-    """Of fusion."""
+    """Parameters of fusion."""
 
     peers: tuple[str, ...] = setting((), "names of the other vehicles")
     radio_domain_id: int = setting(-1, "ROS domain of the radio; -1: the vehicle's own", at_least=-1, at_most=232)
@@ -34,18 +34,18 @@ class FusionNodeConfig(VehicleNodeConfig):
 
 @dataclass(frozen=True, slots=True)
 class ReplayNodeConfig(ReplayConfig):
-    """Of replay."""
+    """Parameters of replay."""
 
     vehicles: tuple[str, ...] = setting((), "names of the vehicles; empty: all in the recordings")
     wait_for: tuple[str, ...] = setting(
-        ("odometry", "fused/odometry"), "topics of each vehicle that answer a frame; they pace lock-step"
+        ("odometry", "fused/odometry"), "outputs of each vehicle to wait for after each frame; they pace lock-step"
     )
-    finding_start: tuple[str, ...] = setting((), "vehicles that find their start state themselves")
+    finding_start: tuple[str, ...] = setting((), "vehicles that estimate their start state themselves")
 
 
 @dataclass(frozen=True, slots=True)
 class LinkNodeConfig(Settings):
-    """Of link_emulator."""
+    """Parameters of link_emulator."""
 
     vehicles: tuple[str, ...] = setting((), "names of the vehicles, two or more")
     link: LinkConfig = field(default_factory=LinkConfig)
@@ -53,9 +53,9 @@ class LinkNodeConfig(Settings):
 
 @dataclass(frozen=True, slots=True)
 class RecorderNodeConfig(Settings):
-    """Of recorder."""
+    """Parameters of recorder."""
 
-    output: str = setting("", "folder to make")
+    output: str = setting("", "folder to create")
     vehicles: tuple[str, ...] = setting((), "names of the vehicles")
 
 

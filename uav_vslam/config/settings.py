@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a setting is: a dataclass field that carries its text, unit and range, and the checks made from them.
+"""A setting is a dataclass field with its text, unit and range as metadata, from which it is checked.
 
     sigma_px: float = setting(1.0, "standard deviation of each pixel coordinate", unit="px", above=0, live=True)
 
@@ -23,13 +23,13 @@ Value = typing.TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What is known of a setting besides its name.
+    """The metadata of a setting.
 
     Attributes:
-        text: what it means, one line.
+        text: its meaning, one line.
         unit: of a number; empty for none.
         above, at_least, below, at_most: range of a number, open or closed; None for no bound.
-        choices: what a text may be; empty for any.
+        choices: allowed texts; empty for any.
         live: it can change while the node runs.
         kind: declared type.
         default: value unless set.
@@ -53,7 +53,7 @@ class Setting:
 
     @property
     def range(self) -> str:
-        """What may be set, without the unit."""
+        """The allowed values, without the unit."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         words = {"above": self.above, "of at least": self.at_least, "below": self.below, "at most": self.at_most}
@@ -62,7 +62,7 @@ class Setting:
 
     @property
     def allowed(self) -> str:
-        """What may be set, with the unit."""
+        """The allowed values, with the unit."""
         return f"{self.range} [{self.unit}]" if self.unit else self.range
 
     def accepted(self, value: Any) -> Any:
@@ -114,7 +114,7 @@ def setting(
 
 
 class Settings:
-    """Base of the configuration classes: every value is checked, and brought to its declared type, when one is made."""
+    """Base of the configuration classes: on creation every value is checked and converted to its declared type."""
 
     __slots__ = ()
 
@@ -129,7 +129,7 @@ class Settings:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Refuse values that do not go with each other."""
+        """Refuse inconsistent combinations of values."""
 
 
 def refuse(name: str, value: Any, allowed: str) -> typing.NoReturn:
@@ -239,7 +239,7 @@ def flattened(tree: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 
 def _converted(value: Any, kind: Any) -> Any:
-    """Return a value as a type; ValueError where it can't stand for one."""
+    """Return a value as a type; ValueError if it can't be converted."""
     if typing.get_origin(kind) is tuple:
         if not isinstance(value, list | tuple):
             raise ValueError

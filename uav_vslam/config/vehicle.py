@@ -26,18 +26,18 @@ class StartConfig(Settings):
 
 @dataclass(frozen=True, slots=True)
 class RigConfig(Settings):
-    """How far the calibration may be trusted: the attitude of the right camera, and the cameras' clock."""
+    """Uncertainty of the calibration: attitude of the right camera, and the cameras' clock."""
 
     flexing: bool = setting(False, "the cameras' relative attitude drifts and vibrates, so it is estimated")
     attitude_sigma_deg: float = setting(
-        0.05, "flexing: slow part at the start, per axis; best twice what is expected", unit="deg", at_least=0
+        0.05, "flexing: initial slow part, per axis; best set to twice the expected", unit="deg", at_least=0
     )
     attitude_walk_deg: float = setting(0.001, "flexing: random walk of the slow part", unit="deg/sqrt(s)", at_least=0)
     vibration_sigma_deg: float = setting(
-        0.05, "flexing: part that is independent in each frame, rms per axis", unit="deg", at_least=0
+        0.05, "flexing: part independent in each frame, rms per axis", unit="deg", at_least=0
     )
     rigid_sigma_deg: float = setting(
-        5.0e-4, "not flexing: what calibration left; small, but data can contradict it", unit="deg", at_least=0
+        5.0e-4, "not flexing: residual after calibration; small, but data can contradict it", unit="deg", at_least=0
     )
     time_offset_sigma_s: float = setting(
         0.0, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
@@ -52,7 +52,7 @@ FRONTEND_METHODS = ("klt", "sift")  # the names in vision.frontends.FRONTENDS
 
 @dataclass(frozen=True, slots=True)
 class FrontendConfig(Settings):
-    """Stereo features."""
+    """Stereo features from image pairs."""
 
     method: str = setting(
         "klt",
@@ -162,7 +162,7 @@ FUSION_SCHEMES = ("split_ci", "full_ci", "overlay", "inverse_ci")
 FUSION_WEIGHTS = ("position_trace", "trace", "determinant", "niehsen", "franken_hupper")
 # Communication modes, and what a vehicle may send in each: payload, before DDS, UDP and IP [B/s].
 MODE_BUDGETS = {"wideband": 100_000, "narrowband": 900, "none": 0}
-MAX_PACKET_LANDMARKS = 400  # a packet that claims more is rejected: checking it costs the cube
+MAX_PACKET_LANDMARKS = 400  # a packet with more is rejected: the cost of checking is cubic
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,15 +170,13 @@ class FusionConfig(Settings):
     """Cooperation with peers."""
 
     mode: str = setting("wideband", "communication mode", choices=MODE_BUDGETS, live=True)
-    budget_bytes_per_s: int = setting(
-        0, "payload that is sent at most; 0: as much as the mode allows", unit="B/s", at_least=0, live=True
-    )
+    budget_bytes_per_s: int = setting(0, "largest payload rate; 0: that of the mode", unit="B/s", at_least=0, live=True)
     silent_after_s: float = setting(
         5.0, "a peer whose newest packet is older is reported as silent", unit="s", above=0, live=True
     )
     epoch_s: float = setting(
         1.0,
-        "whenever a stamp passes a multiple: a fusion, and a packet (narrowband: two of three)",
+        "period of fusions and packets, at frames that pass a multiple (narrowband: two packets in three)",
         unit="s",
         above=0,
     )
@@ -186,14 +184,14 @@ class FusionConfig(Settings):
     weighing: str = setting(
         "position_trace", "what the own weight of a covariance intersection minimises", choices=FUSION_WEIGHTS
     )
-    prior_id: str = setting("", "hash of a loaded map or shared survey that the start state rests on; empty for none")
+    prior_id: str = setting("", "hash of a loaded map or shared survey that the start state depends on; empty for none")
     common_origin: bool = setting(
-        True, "all maps began at one known point and heading; otherwise each peer's frame is estimated"
+        True, "all maps start at one known point and heading; otherwise each peer's frame is estimated"
     )
     feedback: bool = setting(
         False,
         "wideband: send each peer the fused estimate of its landmarks; pays where some vehicles are out of each "
-        "other's range (row of three: ATE 0.44 instead of 0.54 of that alone); gains a pair nothing and takes time",
+        "other's range (row of three: ATE 0.44 instead of 0.54 of own-only); no gain for a pair, and costs time",
         live=True,
     )
     relay: bool = setting(False, "forward peers' packets unchanged to those out of their range", live=True)
@@ -208,12 +206,12 @@ class FusionConfig(Settings):
     min_common: int = setting(2, "pairs that must agree with each other before any is used", at_least=1)
     floor_sigma_m: float = setting(
         0.3,
-        "added to each packet landmark: two descriptors rarely show exactly the same point",
+        "standard deviation added to each packet landmark: two descriptors rarely show exactly the same point",
         unit="m",
         at_least=0,
     )
     fleet_key_file: str = setting(
-        "", "secret of 16 bytes or more that the fleet shares: packets without its tag are dropped"
+        "", "shared secret of the fleet, 16 bytes or more: packets without its tag are dropped"
     )
     signing_key_file: str = setting("", "instead: this vehicle's own Ed25519 key (PEM)")
     peer_keys_folder: str = setting("", "with it: <vehicle>.pem, the public key of every vehicle")
@@ -226,7 +224,7 @@ class FusionConfig(Settings):
 
     @property
     def returns_feedback(self) -> bool:
-        """Whether peers receive the fused estimate of their landmarks: not where each byte counts."""
+        """Whether peers receive the fused estimate of their landmarks: only in wideband."""
         return self.feedback and self.mode == "wideband"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fusion of one epoch: packets enter one by one; a packet is dependent if its sources are already inside."""
+"""The fusion of one epoch: packets enter one by one; a packet is dependent if its sources are already fused."""
 
 import numpy as np
 from numpy.typing import NDArray

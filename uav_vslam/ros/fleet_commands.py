@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which processes a fleet consists of: the one description behind `uav-vslam launch` and launch/fleet.launch.py.
+"""The processes of a fleet: the one description behind `uav-vslam launch` and launch/fleet.launch.py.
 
 It imports no ROS, because launch files are read by the system's Python, which need not have our libraries.
 """
@@ -21,9 +21,9 @@ class NodeSpec:
     Attributes:
         executable: name in lib/uav_vslam, as `ros2 run uav_vslam` takes it.
         name: node name.
-        namespace: of the vehicle, with its slash ("/uav1"); "/" for what serves the whole fleet.
+        namespace: of the vehicle, with its slash ("/uav1"); "/" for nodes of the whole fleet.
         parameters: ROS parameters by dotted name; absent ones keep their defaults.
-        remappings: topics that are taken from elsewhere, by the name that the node itself uses.
+        remappings: other topics to use, by the name that the node itself uses.
     """
 
     executable: str
@@ -43,11 +43,11 @@ class NodeSpec:
 
 
 def node_specs(fleet: FleetConfig, *, link: LinkConfig | None = None) -> list[NodeSpec]:
-    """List every node of the fleet: four a vehicle, then what serves all of them.
+    """List every node of the fleet: four per vehicle, then those of the whole fleet.
 
     Args:
         fleet: with recordings, a replay of them comes last.
-        link: emulated radio link; the vehicles then hear each other through it alone.
+        link: emulated radio link; the vehicles then receive each other through it alone.
     """
     replayed = bool(fleet.replay.bags)
     specs = []
@@ -77,10 +77,10 @@ def packets_of(vehicle: str) -> str:
 
 
 def feedback_to(vehicle: str) -> str:
-    """Return the topic on which peers tell a vehicle what became of its landmarks."""
+    """Return the topic on which peers send a vehicle their feedback."""
     return f"/{vehicle}/fusion/feedback"
 
 
 def link_output(receiver: str, sender: str) -> str:
-    """Return the topic on which what a link let through of a sender reaches a receiver."""
+    """Return the topic on which an emulated link delivers a sender's packets to a receiver."""
     return f"/{receiver}/received/{sender}"

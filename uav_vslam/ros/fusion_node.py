@@ -4,14 +4,14 @@
 in   joint_information                     uav_vslam_msgs/JointInformation, own host only
      odometry                              nav_msgs/Odometry, own-only
      /<peer>/landmark_information          uav_vslam_msgs/LandmarkInformation, every peer's, over the radio
-     fusion/feedback                       the same, what became of own landmarks (wideband, with fusion.feedback)
+     fusion/feedback                       the same type, peers' estimates of own landmarks (fusion.feedback)
 out  landmark_information                  uav_vslam_msgs/LandmarkInformation at epochs: all that leaves the vehicle
-     /<peer>/fusion/feedback               ... but for this (wideband, with fusion.feedback)
+     /<peer>/fusion/feedback               ... except this (wideband, with fusion.feedback)
      fused/odometry                        nav_msgs/Odometry per frame, world frame
      fused/path, fused/landmarks           nav_msgs/Path, sensor_msgs/PointCloud2 at epochs, world frame
      fusion/status                         uav_vslam_msgs/FusionStatus at epochs
      /tf                                   world to <vehicle>/map; without a common origin (fusion.common_origin)
-                                           world is the own map's, and world to <peer>/map is found and said too
+                                           world is the own map, and world to <peer>/map is estimated
 """
 
 from collections import deque
@@ -46,7 +46,7 @@ from uav_vslam_msgs.msg import FusionStatus
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
 
 WORLD = "world"
-MAX_WAITING = 20  # odometry held for an epoch's joint information; then the epoch is given up
+MAX_WAITING = 20  # odometry held for an epoch's joint information; then the epoch is skipped
 MAX_PATH = 2000  # poses in a published path
 
 
@@ -79,7 +79,7 @@ class FusionNode(VehicleNode):
         self._exchange.configure(self.config.fusion)
 
     def configure(self, config: VehicleConfig) -> None:
-        """Go on with live settings that have changed."""
+        """Apply changed live settings."""
         self._exchange.configure(config.fusion)
 
     def destroy_node(self) -> None:
@@ -110,7 +110,7 @@ class FusionNode(VehicleNode):
             if joint is not None:
                 self.guarded("joint_information", self._run_epoch)(joint)  # if it fails, propagation goes on
             elif is_epoch:
-                self.drop("joint_lost", f"no joint information came for the epoch at {own.stamp_ns} ns")
+                self.drop("joint_lost", f"no joint information arrived for the epoch at {own.stamp_ns} ns")
             self._publish_pose(own, self._fusion.propagate(own))
 
     def _run_epoch(self, joint: JointInformation) -> None:
@@ -130,7 +130,7 @@ class FusionNode(VehicleNode):
         self._odometry.publish(odometry_to_msg(fused, frame_id=WORLD, child_frame_id=self.base_frame))
 
     def _publish_frames(self, stamp_ns: int, epoch: FusedEpoch) -> None:
-        """Say where the maps of peers without a common origin lie; why one is not known is in the diagnostics."""
+        """Publish the frames of peers without a common origin; the diagnostics say why one is unknown."""
         edges = [
             transform_to_msg(frame.T_own_peer, stamp_ns=stamp_ns, parent=WORLD, child=f"{peer}/map")
             for peer, frame in epoch.frames.items()
@@ -146,9 +146,9 @@ class FusionNode(VehicleNode):
         self._status.publish(status)
         self.alarms = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
         for peer in before - set(self._reporter.silent):
-            self.get_logger().info(f"{peer} is heard again")
+            self.get_logger().info(f"{peer} is received again")
         for peer in set(self._reporter.silent) - before:
-            self.get_logger().warning(f"{peer} has fallen silent")
+            self.get_logger().warning(f"{peer} is silent")
         self.notes["peers"] = str(len(status.peers))
         self.notes["sent_bytes_per_s"] = f"{status.recent_bytes_per_s:.0f}"
         if status.radio_interface:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How cooperation goes, in numbers: what was sent and held back, what each peer's packets brought, who fell silent."""
+"""Statistics of the cooperation: packets sent and held back, packets of each peer, silent peers."""
 
 import time
 from collections import defaultdict
@@ -27,7 +27,7 @@ class StatusReporter:
         self.silent: dict[str, float] = {}
 
     def report(self, stamp_ns: int, frame_id: str, *, own_weight: float) -> FusionStatus:
-        """Return the message at an epoch, in which the own information had a weight in the fusion."""
+        """Return the message of an epoch; `own_weight` is the weight of the own information in its fusion."""
         mode, outbox = self._exchange.settings.mode, self._exchange.outbox
         peers = [self._peer(name, stamp_ns) for name in sorted(self._fusion.inbox.peers)]
         self.silent = {peer.peer: peer.age_s for peer in peers if peer.silent and mode != "none"}
@@ -50,7 +50,7 @@ class StatusReporter:
         )
 
     def _wire(self) -> tuple[int, int]:
-        """Return what the interface has sent and received since the start."""
+        """Return the bytes that the interface has sent and received since the start."""
         if self._interface is None:
             return 0, 0
         sent, received = self._wire_start

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landmark packets to the message that crosses the radio, and back."""
+"""Conversion of landmark packets to the radio's message, and back."""
 
 from typing import Any
 
@@ -52,7 +52,7 @@ def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
     """Return a packet; its contents are checked later by `slam.packet.validate`.
 
     Raises:
-        InvalidMessage: its version or form is not known, or its arrays don't make rows.
+        InvalidMessage: its version or form is unknown, or its arrays don't form rows.
     """
     if message.version != VERSION:
         raise InvalidMessage("version", f"packet version {message.version}; this one reads {VERSION}")
@@ -76,7 +76,7 @@ def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:
 
 
 def _descriptors(message: LandmarkInformation) -> NDArray[np.uint8]:
-    """Return (N, D); feedback has none, and each of its landmarks an empty one."""
+    """Return (N, D); in feedback D is 0."""
     if message.descriptor_size == 0 and len(message.descriptors) == 0:
         return np.zeros((len(message.ids), 0), np.uint8)
     return rows_of(message.descriptors, np.uint8, message.descriptor_size, "descriptors")
@@ -95,11 +95,11 @@ def _points(message: LandmarkInformation) -> CodedPoints:
             own_factors=rows_of(message.own_factors, np.int8, OWN_NUMBERS, "own_factors"),
             own_sizes=np.array(message.own_sizes, dtype=np.uint16),
         )
-    raise InvalidMessage("form", f"packet form {message.form} is not known")
+    raise InvalidMessage("form", f"packet form {message.form} is unknown")
 
 
 def _require_empty(message: LandmarkInformation, *fields: str) -> None:
-    """Refuse what belongs to the other form: the checksum does not cover it."""
+    """Refuse fields of the other form: the checksum does not cover them."""
     for field in fields:
         if len(getattr(message, field)):
             raise InvalidMessage("shape", f"a packet of form {message.form} has no {field}")

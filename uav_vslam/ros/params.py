@@ -16,7 +16,7 @@ from uav_vslam.errors import ConfigError
 
 Config = typing.TypeVar("Config", bound=Settings)
 
-OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # beginnings of names that are not ours
+OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes of names that are not ours
 LARGEST_INTEGER = 2**63 - 1
 
 
@@ -52,7 +52,7 @@ class VehicleParameters:
     """The settings of a vehicle that one of its nodes uses; live ones follow `ros2 param set`.
 
     Attributes:
-        config: at present. Settings of sections that the node does not use are as given at the start.
+        config: the current one. Settings of sections that the node does not use keep their initial values.
     """
 
     def __init__(self, node: Node, names: typing.Iterable[str], on_change: Callable[[VehicleConfig], None]) -> None:
@@ -60,7 +60,7 @@ class VehicleParameters:
 
         Args:
             node: reads them from its command line and parameter files.
-            names: those that it uses.
+            names: settings that it uses.
             on_change: called with the configuration after live settings have changed.
 
         Raises:

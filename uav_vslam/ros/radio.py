@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What crosses the radio: one publisher and one subscription a peer, in wideband the same for feedback, nothing else.
+"""All topics on the radio: one publisher, a subscription for each peer, and in wideband the same for feedback.
 
-It is on a domain of its own (`radio_participant`) or shares the vehicle's.
+They are on a domain of its own (`radio_participant`) or on the vehicle's.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -29,27 +29,27 @@ OnPacket = Callable[[LandmarkPacket, int], None]  # (packet, serialised size)
 
 @dataclass(slots=True, kw_only=True)
 class PeerInput(Input):
-    """A subscription on the radio: it asks for what its mode wants, and for less where a peer offers less.
+    """A subscription on the radio: it requests its mode's QoS, and less where a peer offers less.
 
     Attributes:
-        host: the node that it belongs to.
-        wanted: as the mode has it.
-        events: what the middleware reports.
+        host: its node.
+        wanted: QoS of the mode.
+        events: callbacks for events of the middleware.
     """
 
     host: Node
     wanted: QoSProfile
     events: SubscriptionEventCallbacks
-    may_pause: bool = True  # peers come and go: the fusion's status has them
+    may_pause: bool = True  # peers come and go; the fusion's status reports them
 
     def subscribe(self, node: Node) -> None:
-        """Create the subscription, to take bytes: their number is what the radio carried."""
+        """Create the subscription; it receives serialised bytes, whose number is the size on the radio."""
         self.subscription = self.host.create_subscription(
             self.message_type, self.topic, self._on_message, self.qos, raw=True, event_callbacks=self.events
         )
 
     def follow(self, node: Node) -> bool:
-        """Subscribe again where the publishers' offers ask for it; tell whether that was so."""
+        """Subscribe again if the publishers' offers require it; return whether they did."""
         offers = [info.qos_profile for info in self.host.get_publishers_info_by_topic(self.subscription.topic_name)]
         asked = compatible_qos(self.wanted, offers)
         if not offers or asked == self.qos:
@@ -68,7 +68,7 @@ class Radio:
     """The `cooperation.exchange.Transport` over DDS."""
 
     def __init__(self, node: VehicleNode, peers: Sequence[str], *, host: Node | None) -> None:
-        """Prepare; nothing is opened before `tune`.
+        """Prepare; topics are opened by `tune`.
 
         Args:
             node: counts what cannot be decoded and what the middleware reports, and watches the inputs.
@@ -100,21 +100,21 @@ class Radio:
 
     @property
     def copies(self) -> int:
-        """How often a packet crosses the radio: DDS sends each peer its own. A shared domain counts as one."""
+        """Transmissions of a packet: DDS sends one to each peer. A shared domain counts as one."""
         own_domain = self._host is not self._node
         return max(self._publisher.get_subscription_count(), 1) if own_domain and self._publisher else 1
 
     @property
     def expected_copies(self) -> int:
-        """The same once all peers listen, and nobody else does."""
+        """The same once all peers subscribe, and nobody else."""
         return max(len(self._peers), 1) if self._host is not self._node else 1
 
     def send(self, packet: LandmarkPacket, to: Collection[str]) -> None:
-        """Publish a packet on the one topic that all peers hear; those that it is not for know it and drop it."""
+        """Publish a packet on the one topic that all peers receive; those that have it already drop it."""
         self._publisher.publish(serialize_message(packet_to_msg(packet)))
 
     def send_feedback(self, packet: LandmarkPacket, peer: str) -> None:
-        """Publish feedback on the topic that only that peer hears."""
+        """Publish feedback on the topic that only that peer receives."""
         self._returns[peer].publish(serialize_message(packet_to_msg(packet)))
 
     def _close(self) -> None:
@@ -134,7 +134,7 @@ class Radio:
     def _listen(self, peer: str, name: str, callback: OnPacket, wanted: QoSProfile) -> PeerInput:
         topic = self._node.resolve_topic_name(name)  # remapped if a link is emulated
 
-        def take(data: bytes) -> None:
+        def on_bytes(data: bytes) -> None:
             try:
                 message = deserialize_message(data, LandmarkInformation)
             except Exception as error:  # rclpy names no class for it
@@ -145,7 +145,7 @@ class Radio:
         one = PeerInput(
             message_type=LandmarkInformation,
             topic=topic,
-            callback=self._node.guarded(topic, take),
+            callback=self._node.guarded(topic, on_bytes),
             qos=wanted,
             stands_for=topic,
             host=self._host,
@@ -160,7 +160,7 @@ class Radio:
 
         def count(event: str) -> Callable[[Any], None]:
             def note(status: Any) -> None:
-                if event == "matched":  # a peer comes, or its lease has run out
+                if event == "matched":  # a peer joins, or its lease has expired
                     self._node.notes[f"radio/{of}/matched"] = str(status.current_count)
                 else:
                     self._node.counts[f"radio/{of}/{event}"] += max(getattr(status, "total_count_change", 1), 1)

@@ -17,15 +17,15 @@ from rclpy.parameter import Parameter
 from uav_vslam.config.nodes import FusionNodeConfig
 from uav_vslam.ros.params import read
 
-POLL_S = 0.05  # how often the second context is looked after: packets come once a second
+POLL_S = 0.05  # period of serving the second context: packets come once a second
 CALLBACKS_A_TURN = 4
 
 
 def open_participant(name: str) -> "Participant | None":
-    """Open the radio as the parameters of the node of that name tell, before the node itself opens its domain.
+    """Open the radio by the parameters of the node of that name, before the node itself opens its domain.
 
-    The first participant of a process has the port that peers look for, so the parameters are read by a node that is
-    gone before it. They are `radio_domain_id` (-1: the radio shares the vehicle's domain) and `radio_peers`.
+    The first participant of a process has the port that peers look for, so a temporary node reads the
+    parameters first. They are `radio_domain_id` (-1: the radio shares the vehicle's domain) and `radio_peers`.
     """
     reader = Node(name, enable_rosout=False, start_parameter_services=False)
     try:
@@ -44,7 +44,7 @@ class Participant:
         Args:
             namespace: of the vehicle.
             domain_id: of the radio.
-            addresses: of the other vehicles on the radio; whether multicast finds more is for the DDS profile to say.
+            addresses: of the other vehicles on the radio; the DDS profile decides whether multicast finds more.
         """
         self._context = Context()
         with _environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", ROS_STATIC_PEERS=";".join(addresses)):
@@ -63,7 +63,7 @@ class Participant:
         self._executor.add_node(self.node)
 
     def serve(self, owner: Node) -> None:
-        """Let a node's executor look after this one too."""
+        """Let a node's executor serve this one too."""
         owner.create_timer(POLL_S, self._spin, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
@@ -79,7 +79,7 @@ class Participant:
 
 @contextmanager
 def _environment(**variables: str) -> Iterator[None]:
-    """Set variables for a while."""
+    """Set environment variables temporarily."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

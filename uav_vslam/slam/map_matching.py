@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data association of a frame with the map: sets of matches to try, the cheapest first.
 
-1. all that the configured associator finds; the default one searches the gates of the prediction,
-2. those of them that agree on one pose by PnP,
-3. those that agree with one another,
-4. those found in the whole map without a gate, and confirmed by PnP.
+1. all matches of the configured associator; the default one searches the gates of the prediction,
+2. those of them that are PnP inliers,
+3. those of them that are jointly consistent,
+4. matches in the whole map without a gate, confirmed by PnP.
 
-Steps 2 and 3 work on the matches of step 1 and need the frame's features no more.
+Steps 2 and 3 use the matches of step 1, not the frame's features.
 """
 
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ from uav_vslam.types import StereoFeatures
 
 Rows = NDArray[np.intp]
 
-MIN_INLIERS = 6  # of PnP; fewer, and the frame is tried without gates against the whole map
+MIN_INLIERS = 6  # of PnP; with fewer the frame is matched with the whole map, without gates
 VIEW_MARGIN_PX = 50.0  # a landmark predicted so far outside the image may still be seen
 
 
@@ -37,18 +37,18 @@ class MapMatcher:
     """Matches one frame after another against a filter's map."""
 
     def __init__(self, config: BackendConfig, associate: Associator | None = None) -> None:
-        """Match as configured, or with an associator that is given in the configured one's place."""
+        """Match with the configured associator, or with the given one instead."""
         self._config = config
         self._associate = associate or ASSOCIATORS[config.association]
 
     def configure(self, config: BackendConfig) -> None:
-        """Go on with live settings that have changed."""
+        """Apply changed live settings."""
         self._config = config
 
     def candidates(
         self, slam_filter: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
     ) -> Iterator[Matches]:
-        """Yield sets of matches to try one after the other.
+        """Yield sets of matches to try in turn.
 
         Args:
             slam_filter: predicted to the frame.
@@ -66,7 +66,7 @@ class MapMatcher:
             lambda: self._agreeing(slam_filter, self._capped(slam_filter, landmark_map, gated)),
             lambda: relocalise(slam_filter, landmark_map.descriptors, features, self._config),
         )
-        for attempt in attempts:  # each only once the one before was refused
+        for attempt in attempts:  # each runs only after the previous one was rejected
             found = attempt()
             if found is not None:
                 yield self._capped(slam_filter, landmark_map, found)
@@ -74,10 +74,10 @@ class MapMatcher:
     def _gated(
         self, slam_filter: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
     ) -> tuple[Matches, bool]:
-        """Return the gated matches, and whether the prediction was too uncertain for the gate to be trusted alone.
+        """Return the gated matches, and whether the prediction was too uncertain to rely on the gate alone.
 
-        Landmarks that come back with a wide gate choose first, and together: what looks like one of them has often
-        become another landmark before they were believed.
+        Landmarks revisited with a wide gate are matched first, and jointly: a similar feature has often been added
+        as another landmark before the revisit was accepted.
         """
         rows = np.flatnonzero(projectable(slam_filter.rig, slam_filter.points_left(), margin_px=VIEW_MARGIN_PX))
         if len(rows) == 0:
@@ -100,7 +100,7 @@ class MapMatcher:
         return Matches.of(pairs, features), uncertain
 
     def _agreeing(self, slam_filter: Filter, matches: Matches) -> Matches | None:
-        """Keep the largest set of matches that agree with one another; None where it is too small."""
+        """Return the largest jointly consistent set of matches; None if it is too small."""
         nu, S = slam_filter.joint_innovation(matches.landmarks, matches.pixels)
         rows = consensus(nu, S, probability=self._config.gate_probability)
         return matches.chosen(rows) if len(rows) >= MIN_INLIERS else None
