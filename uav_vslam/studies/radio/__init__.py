@@ -9,6 +9,11 @@ import sys
 from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the size of the images."""
+    parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
+
+
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Fly each seed in both modes; where the graph fails, report it and continue."""
     from uav_vslam.studies.radio.compute import MODES, NOTES, radio_rows
@@ -16,7 +21,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
     advance, runs = progress(len(seeds) * len(MODES)), []
     for seed in seeds:
-        for mode, found in fly_seed(seed, args.frames):
+        for mode, found in fly_seed(seed, args.frames, args.scale):
             if isinstance(found, Exception):
                 print(f"uav-vslam: seed {seed}, {mode}: {found}", file=sys.stderr)
             else:
@@ -34,6 +39,7 @@ STUDY = Study(
 
 One process a node, so run nothing else meanwhile; a flight's images take 170 MB for its duration.
 """,
+    add_arguments=add_arguments,
     run=run,
     seeds=5,
     workers=0,

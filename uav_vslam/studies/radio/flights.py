@@ -17,9 +17,9 @@ from uav_vslam.studies.engine.node_graph import fly_graph, record_fleet
 from uav_vslam.studies.radio.compute import MODES, Run, packet_sizes
 
 
-def fly_seed(seed: int, frames: int) -> Iterator[tuple[str, list[Run] | UavVslamError]]:
+def fly_seed(seed: int, frames: int, scale: float) -> Iterator[tuple[str, list[Run] | UavVslamError]]:
     """Record a flight and yield each mode's runs, or why the graph failed. The recording is not kept."""
-    scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames)
+    scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, scale=scale)
     with tempfile.TemporaryDirectory(prefix="uav_vslam_radio_") as name:
         fleet = record_fleet(Path(name), scenario, find_config("kagaru"), coding="jpeg", rate=0.0)
         for mode in MODES:
