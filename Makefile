@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Each target works from a fresh clone: it sets up what is missing first.
 SHELL := /bin/bash
-ACTIVATE := . ./env.sh &&
+# Every node is a process: without bytecode caches, which some images turn off, each compiles for seconds at its start.
+ACTIVATE := unset PYTHONDONTWRITEBYTECODE; . ./env.sh &&
 PYTEST := pytest --numprocesses auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder # a file's tests share fixtures
 
 .PHONY: help setup demo test test-quick check bench clean

@@ -166,7 +166,8 @@ def flights() -> list[Flight]:
     return prepare(Scenario(frames=FRAMES), LandmarkNoise())
 
 
-def test_without_a_word_between_them_each_flies_as_if_alone(flights: list[Flight]) -> None:
+def test_without_a_word_between_them_each_flies_as_if_alone() -> None:
+    flights = prepare(Scenario(frames=30), LandmarkNoise())
     tracks = fly_with_write_back(flights, VehicleConfig(), WriteBack(lambda *_: None, "nothing"))
     for flight in flights:
         alone = run_backend(flight, config=VehicleConfig()).estimate
