@@ -87,9 +87,9 @@ def run_seed(scenario: Scenario) -> list[FrameRun]:
     return [run_together(flown, scenario.seed, share) for share in SHARES]
 
 
-def run_together(flown: OwnOnlyTracks, seed: int, share: float) -> FrameRun:
+def run_together(flown: OwnOnlyTracks, seed: int, share: float, *, feedback: bool = False) -> FrameRun:
     """Fuse two vehicles, in a common frame and with the peer's map moved at random."""
-    T_peer_own, config = draw_offset(seed), FusionConfig()
+    T_peer_own, config = draw_offset(seed), FusionConfig(feedback=feedback)
     own, peer = identities(flown, OWN), identities(flown, PEER)
     shared = [k for k, name in peer.items() if name in set(own.values())]
     together, wrong = mistaken(flown, PEER, share, seed, among=shared)
