@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
 
 from uav_vslam.cli import import_euroc
 from uav_vslam.cli.main import main
@@ -66,7 +67,7 @@ def write_fleet(folder: Path, bag: Path, config: str, *, vehicles: tuple[str, ..
 
 def fly_twin(path: Path) -> Case:
     fleet = load_fleet(path)
-    sources = [open_flight(fleet.replay.bags, name) for name in fleet.vehicles]
+    sources = [open_flight(fleet.replay.bags, name, config.input) for name, config in fleet.vehicles.items()]
     return Case(path, *fly(sources, fleet.vehicles))
 
 
@@ -160,6 +161,41 @@ def test_a_start_found_in_flight_is_the_same_in_the_graph(rendered: Case, launch
     outputs = run_graph(launched, twin, tmp_path)
     assert_parity(outputs, twin)
     assert len(outputs["uav1"].own_only) == FRAMES
+
+
+FOREIGN_INPUT = """
+    input:
+      calibration: [camchain-imucam.yaml]
+      topics: {left: /camera/infra1/image_rect_raw, right: /camera/infra2/image_rect_raw, imu: /imu,
+               initial_state: /start}
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_foreign_topics_and_calibration_give_the_same_in_the_graph_and_in_its_twin(
+    rendered: Case, launched: Launched, tmp_path: Path
+) -> None:
+    """One vehicle has other topics, a clock offset and Kalibr's file for all else; the other an IMU upside down."""
+    (bag,) = load_fleet(rendered.fleet).replay.bags
+    images = [f"/uav1/{side}/image_raw/compressed" for side in ("left", "right")]
+    changes = [edited(topic, lambda image: shifted(image, 5_000_000)) for topic in images]
+    changes += [without("/uav1/left/camera_info", "/uav1/right/camera_info"), renamed]
+    changes += [edited("/uav2/imu/data_raw", turned), edited("/tf_static", lambda m: with_imu_edge(m, "uav2"))]
+    rewritten(bag, tmp_path / "foreign", *changes)
+    kalibr_of(bag, tmp_path, timeshift_s=-0.005)
+    sample = (ROOT / "config" / "sample.yaml").read_text()
+    (tmp_path / "sample.yaml").write_text(sample)
+    (tmp_path / "foreign.yaml").write_text(sample + FOREIGN_INPUT)
+    (tmp_path / "fleet.yaml").write_text(
+        "vehicles: {uav1: {config: foreign.yaml}, uav2: {config: sample.yaml}}\n"
+        "replay: {bags: [foreign], rate: 0}\nmode: wideband\n"
+    )
+    twin = fly_twin(tmp_path / "fleet.yaml")
+    for name, track in rendered.tracks.items():  # the same flight to the rounding of two rotations by half a turn
+        own = [output.report.pose.T_map_body.t for output in twin.tracks[name].outputs]
+        np.testing.assert_allclose(own, [output.report.pose.T_map_body.t for output in track.outputs], atol=1e-6)
+    assert_parity(run_graph(launched, twin, tmp_path), twin)
 
 
 @pytest.mark.slow

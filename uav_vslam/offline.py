@@ -43,6 +43,13 @@ class FlightSource(Protocol):
     def initial_state(self) -> NavEstimate | None:
         """Start state, or None."""
 
+    @property
+    def frame_count(self) -> int:
+        """Number of left images, paired or not."""
+
+    def unpaired_reason(self) -> str:
+        """Return why images found no partner."""
+
     def iter_events(self) -> Iterable[ImuSample | StereoFrame | StereoFeatures]:
         """Yield sensor data in stamp order."""
 
@@ -68,7 +75,25 @@ def track_vehicle(
             f"{source.vehicle}: none of {pipeline.track.frames_in} frames allowed a start in flight; "
             f"the last: {pipeline.missing_start}"
         )
+    _count_unpaired(source, pipeline.track)
     return pipeline.track
+
+
+def _count_unpaired(source: FlightSource, track: VehicleTrack) -> None:
+    """Count frames by the images recorded, not by the pairs found.
+
+    Raises:
+        UavVslamError: no frame was processed.
+    """
+    alone = source.frame_count - track.frames_in
+    if alone > 0:
+        track.dropped["unread" if track.broken else "unpaired"] = alone
+        track.frames_in = source.frame_count
+    if track.outputs or track.broken or source.frame_count == 0:
+        return
+    reasons = ", ".join(f"{reason} {count}" for reason, count in track.dropped.items()) or "the IMU does not cover any"
+    detail = f"; {source.unpaired_reason()}" if alone > 0 else ""
+    raise UavVslamError(f"{source.vehicle}: none of {source.frame_count} frames was processed: {reasons}{detail}")
 
 
 def fly(

@@ -83,21 +83,21 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
 
 
 BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {
-    "no readings": (without("/uav1/imu/data_raw"), ["lacks /uav1/imu/data_raw", "record or remap"]),
-    "no right images": (without("/uav1/right/image_raw"), ["lacks /uav1/right/image_raw", "record or remap"]),
-    "no camera info": (without("/uav1/right/camera_info"), ["lacks /uav1/right/camera_info", "record or remap"]),
-    "no extrinsics": (without("/tf_static"), ["lacks /tf_static", "record or remap"]),
+    "no readings": (without("/uav1/imu/data_raw"), ["lacks /uav1/imu/data_raw", "input.topics"]),
+    "no right images": (without("/uav1/right/image_raw"), ["lacks /uav1/right/image_raw", "input.topics"]),
+    "no camera info": (without("/uav1/right/camera_info"), ["lacks /uav1/right/camera_info", "input.topics"]),
+    "no extrinsics": (without("/tf_static"), ["lacks /tf_static", "input.calibration"]),
     "extrinsics of another frame": (
         changed("/uav1/left/camera_info", header=None),
-        ["/tf_static does not connect uav1/base_link and nowhere", "publish the camera's extrinsics"],
+        ["/tf_static does not connect uav1/base_link and nowhere", "Publish that transform"],
     ),
     "uncalibrated camera": (
         changed("/uav1/left/camera_info", k=np.zeros(9)),
         ["/uav1/left/camera_info", "focal length", "K filled in"],
     ),
     "distortion model we don't know": (
-        changed("/uav1/right/camera_info", distortion_model="equidistant"),
-        ["/uav1/right/camera_info", "'equidistant'", "plumb_bob"],
+        changed("/uav1/right/camera_info", distortion_model="omni"),
+        ["/uav1/right/camera_info", "'omni'", "plumb_bob"],
     ),
     "cameras of two sizes": (
         changed("/uav1/right/camera_info", width=320),

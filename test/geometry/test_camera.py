@@ -85,9 +85,59 @@ def test_no_points_give_no_points(camera: PinholeCamera, method: str) -> None:
         ((640, 480, 400.0, -1.0, 300.0, 200.0), "focal length"),
         ((640, 480, 400.0, float("nan"), 300.0, 200.0), "focal length"),
         ((640, 480, 400.0, float("inf"), 300.0, 200.0), "focal length"),
-        ((640, 480, 400.0, 400.0, 300.0, 200.0, np.zeros(4)), "distortion needs 5 values"),
+        ((640, 480, 400.0, 400.0, 300.0, 200.0, np.zeros(4)), "plumb_bob needs 5 values"),
     ],
 )
 def test_an_invalid_calibration_is_rejected(values, text: str) -> None:
     with pytest.raises(CalibrationError, match=text):
         PinholeCamera(*values)
+
+
+# Lenses of the other models: a phone's wide angle, and the 190 degree fisheye of TUM-VI's kind.
+RATIONAL = PinholeCamera(
+    1280,
+    960,
+    800.0,
+    801.0,
+    640.0,
+    480.0,
+    np.array([0.3, 0.1, 1e-3, -5e-4, 0.02, 0.6, 0.2, 0.03]),
+    "rational_polynomial",
+)
+FISHEYE = PinholeCamera(
+    512, 512, 190.9, 190.9, 254.9, 256.8, np.array([3.4e-3, 7.1e-4, -2.0e-3, 2.0e-4]), "equidistant"
+)
+
+
+def test_a_rational_lens_is_opencvs() -> None:
+    rays = np.random.default_rng(2).uniform([-0.7, -0.5], [0.7, 0.5], (50, 2))
+    points = np.column_stack([rays, np.ones(50)])
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), RATIONAL.K, RATIONAL.distortion)
+    np.testing.assert_allclose(RATIONAL.distort(RATIONAL.project(points)), expected[:, 0], rtol=0, atol=ROUNDING_PX)
+
+
+def test_a_fisheye_is_opencvs() -> None:
+    rays = np.random.default_rng(2).uniform(-3.0, 3.0, (50, 2))
+    points = np.column_stack([rays, np.ones(50)])
+    expected, _ = cv2.fisheye.projectPoints(
+        points[:, None], np.zeros(3), np.zeros(3), FISHEYE.K, np.asarray(FISHEYE.distortion)
+    )
+    np.testing.assert_allclose(FISHEYE.distort(FISHEYE.project(points)), expected[:, 0], rtol=0, atol=1e-6)
+    axis = FISHEYE.distort([FISHEYE.cx, FISHEYE.cy])
+    np.testing.assert_allclose(axis, [FISHEYE.cx, FISHEYE.cy], rtol=0, atol=ROUNDING_PX)
+
+
+@pytest.mark.parametrize("camera", [RATIONAL, FISHEYE], ids=["rational_polynomial", "equidistant"])
+def test_opencv_inverts_the_lens_wherever_a_pinhole_can_stand_for_it(camera: PinholeCamera) -> None:
+    grid = np.stack(np.meshgrid(np.arange(0.0, camera.width, 16), np.arange(0.0, camera.height, 16)), axis=-1)
+    ideal = camera.undistort(grid)
+    found = np.isfinite(ideal).all(axis=-1)
+    np.testing.assert_allclose(camera.distort(ideal[found]), grid[found], rtol=0, atol=1e-3)
+    angle = np.linalg.norm((grid - [camera.cx, camera.cy]) / camera.fx, axis=-1)  # about, in both models
+    assert found[angle < 1.3].all()
+    assert not found[angle > 1.5].any()
+
+
+def test_a_model_that_nobody_knows_is_refused_with_those_we_do() -> None:
+    with pytest.raises(CalibrationError, match="'omni' is not supported; use plumb_bob, rational_polynomial, equidist"):
+        dataclasses.replace(FISHEYE, model="omni")

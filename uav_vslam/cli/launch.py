@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from uav_vslam.config import FleetConfig, LinkConfig
+    from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
 
 HELP = "start a fleet's node graph, one process a node"
 EXAMPLES = """examples:
@@ -73,7 +73,7 @@ def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, m
     return dataclasses.replace(fleet, vehicles=vehicles, replay=replay)
 
 
-def _check_recordings(bags: Sequence[Path], vehicles: Iterable[str]) -> None:
+def _check_recordings(bags: Sequence[Path], vehicles: Mapping[str, VehicleConfig]) -> None:
     """Refuse unusable recordings before anything is started: nodes would only drop their messages."""
     from uav_vslam.datasets.bag import open_flight
     from uav_vslam.errors import BagError
@@ -81,8 +81,8 @@ def _check_recordings(bags: Sequence[Path], vehicles: Iterable[str]) -> None:
     for bag in bags:
         if not bag.exists():
             raise BagError(f"{bag}: no such recording; give an existing one in the fleet file or with --bag")
-    for vehicle in vehicles:
-        open_flight(bags, vehicle).check_images()
+    for vehicle, config in vehicles.items():
+        open_flight(bags, vehicle, config.input).check_images()
 
 
 def launch(

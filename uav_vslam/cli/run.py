@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from uav_vslam.evaluation.trajectory import Trajectory
     from uav_vslam.offline import FlightSource
 
+DEFAULT_NAME = "uav1"  # of the vehicle, where topics do not begin with it
 HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
   uav-vslam run config/fleet_demo.yaml                a fleet file: vehicles, configurations, recordings
@@ -50,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.config import load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.bag import open_flight
+    from uav_vslam.datasets.sensor_setup import with_noise_of_files
     from uav_vslam.datasets.truth import truth_trajectory
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
@@ -59,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
 
     bags, configs = _inputs(args)
     links = partial(link_between, load_link(args.link)) if args.link else None
-    flights = {name: open_flight(bags, name) for name in configs}
+    flights = {name: open_flight(bags, name, config.input) for name, config in configs.items()}
+    configs = {name: with_noise_of_files(config) for name, config in configs.items()}
     for flight in flights.values():
         flight.check_images()
     truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
@@ -102,10 +105,15 @@ def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, Vehic
             raise ConfigError(f"{args.inputs[0]}: replay.bags is empty; name the recordings to run")
         return fleet.replay.bags, fleet.vehicles
     bags = tuple(args.inputs)
-    names = args.vehicles or vehicles(bags)
+    file = find_config(args.config) if args.config else None
+    config = load_vehicle(file, overrides=overrides)
+    named = [DEFAULT_NAME] if config.input.topics.left.startswith("/") else vehicles(bags)
+    names = args.vehicles or named
     if not names:
-        raise BagError(f"bag {', '.join(map(str, bags))} holds no <vehicle>/left/image_raw; record or remap the images")
+        raise BagError(
+            f"bag {', '.join(map(str, bags))} holds no <vehicle>/left/image_raw; set input.topics, see "
+            f"`uav-vslam check {bags[0]}`"
+        )
     if len(set(names)) < len(names):
         raise ConfigError(f"--vehicles {' '.join(names)} names one twice; each vehicle has one namespace")
-    file = find_config(args.config) if args.config else None
-    return bags, {name: load_vehicle(file, overrides=overrides) for name in names}
+    return bags, dict.fromkeys(names, config)

@@ -2,7 +2,7 @@
 """Every parameter of a vehicle, a fleet and a node: the one home of defaults, units, ranges and texts.
 
 settings    the metadata of a setting, and the checks made from it
-imu, vehicle, fleet, nodes    the settings
+imu, input, vehicle, fleet, nodes    the settings
 files       YAML files
 reference   the reference page docs/reference/parameters.md
 """
@@ -10,7 +10,8 @@ reference   the reference page docs/reference/parameters.md
 from uav_vslam.config.files import find_config, load_fleet, load_link, load_vehicle, parameter_file
 from uav_vslam.config.fleet import FleetConfig, LinkConfig, ReplayConfig
 from uav_vslam.config.imu import IMU_GRADES, ImuConfig
-from uav_vslam.config.settings import differences
+from uav_vslam.config.input import InputConfig
+from uav_vslam.config.settings import differences, replaced
 from uav_vslam.config.vehicle import (
     ASSOCIATIONS,
     EXTRACTORS,
@@ -45,6 +46,7 @@ __all__ = [
     "FrontendConfig",
     "FusionConfig",
     "ImuConfig",
+    "InputConfig",
     "LinkConfig",
     "ReplayConfig",
     "RigConfig",
@@ -56,4 +58,5 @@ __all__ = [
     "load_link",
     "load_vehicle",
     "parameter_file",
+    "replaced",
 ]

@@ -27,6 +27,7 @@ from uav_vslam.config.vehicle import VehicleConfig
 from uav_vslam.errors import ConfigError
 
 ALL_NODES, PARAMETERS = "/**", "ros__parameters"
+CALIBRATION = "input.calibration"
 
 
 def find_config(name: str) -> Path:
@@ -71,7 +72,7 @@ def load_vehicle(path: Path | None, *, overrides: Mapping[str, Any] | None = Non
     Raises:
         ConfigError: the file can't be read, or a key or value is wrong.
     """
-    values = {} if path is None else _read_parameters(path)
+    values = {} if path is None else _beside(_read_parameters(path), path)
     return build(VehicleConfig, values | dict(overrides or {}), where=str(path or "overrides"))
 
 
@@ -112,12 +113,23 @@ def parameter_file(configs: Mapping[str, VehicleConfig]) -> dict[str, Any]:
     return {nodes: {PARAMETERS: _tree(config)} for nodes, config in configs.items()}
 
 
-def _tree(config: VehicleConfig) -> dict[str, dict[str, Any]]:
-    tree: dict[str, dict[str, Any]] = {}
+def _tree(config: VehicleConfig) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
     for name, value in flatten(config).items():
-        section, _, key = name.partition(".")
-        tree.setdefault(section, {})[key] = plain(value)
+        *path, key = name.split(".")
+        section = tree
+        for part in path:
+            section = section.setdefault(part, {})
+        section[key] = plain(value)
     return tree
+
+
+def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return a file's values with the paths in it, which are relative to it, as paths from here."""
+    paths = values.get(CALIBRATION)
+    if not isinstance(paths, list) or not all(isinstance(one, str) for one in paths):
+        return values  # absent, or refused later
+    return values | {CALIBRATION: [str(path.parent / one) for one in paths if one]}
 
 
 def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:

@@ -41,6 +41,12 @@ class ReplayNodeConfig(ReplayConfig):
         ("odometry", "fused/odometry"), "outputs of each vehicle to wait for after each frame; they pace lock-step"
     )
     finding_start: tuple[str, ...] = setting((), "vehicles that estimate their start state themselves")
+    topics: tuple[str, ...] = setting(
+        (), "topics that are not the conventional ones, as VEHICLE:ROLE:=TOPIC; roles are the keys of input.topics"
+    )
+    time_offsets_ns: tuple[str, ...] = setting(
+        (), "IMU time minus image stamp of vehicles with a clock offset, as VEHICLE:=NANOSECONDS"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +80,20 @@ class NodeParameters:
     @property
     def used_names(self) -> list[str]:
         """Dotted names of the vehicle's settings that the node uses."""
-        return [name for name in all_settings(VehicleConfig) if {name, name.partition(".")[0]} & set(self.uses)]
+        return [name for name in all_settings(VehicleConfig) if {name, *_parts(name)} & set(self.uses)]
+
+
+def _parts(name: str) -> list[str]:
+    """Return the sections that a setting is in: "input" and "input.topics" of "input.topics.left"."""
+    words = name.split(".")
+    return [".".join(words[:k]) for k in range(1, len(words))]
 
 
 NODES: dict[str, NodeParameters] = {
-    "stereo_frontend": NodeParameters(VehicleNodeConfig, ("rig", "frontend")),
-    "ins_propagator": NodeParameters(VehicleNodeConfig, ("start", "imu")),
+    "stereo_frontend": NodeParameters(VehicleNodeConfig, ("input", "rig", "frontend")),
+    "ins_propagator": NodeParameters(VehicleNodeConfig, ("input", "start", "imu")),
     "slam_backend": NodeParameters(
-        BackendNodeConfig, ("start", "imu", "rig", "backend", "frontend.ratio", "fusion.epoch_s")
+        BackendNodeConfig, ("input", "start", "imu", "rig", "backend", "frontend.ratio", "fusion.epoch_s")
     ),
     "fusion": NodeParameters(FusionNodeConfig, ("fusion", "frontend.extractor")),
     "replay": NodeParameters(ReplayNodeConfig),

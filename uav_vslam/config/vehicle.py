@@ -4,6 +4,7 @@
 from dataclasses import dataclass, field
 
 from uav_vslam.config.imu import ImuConfig
+from uav_vslam.config.input import InputConfig
 from uav_vslam.config.settings import Settings, refuse, setting
 
 START_METHODS = ("given", "static", "in_flight")
@@ -232,6 +233,7 @@ class FusionConfig(Settings):
 class VehicleConfig(Settings):
     """Everything that one vehicle's nodes, or its offline twin, need besides calibration and start state."""
 
+    input: InputConfig = field(default_factory=InputConfig)
     start: StartConfig = field(default_factory=StartConfig)
     imu: ImuConfig = field(default_factory=ImuConfig)
     rig: RigConfig = field(default_factory=RigConfig)

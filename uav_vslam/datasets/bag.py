@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.config import InputConfig
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.messages import (
     TruthSample,
     camera_of,
+    header_stamp_ns,
     image_of,
     imu_of,
     navigation_state_of,
@@ -22,18 +24,20 @@ from uav_vslam.datasets.messages import (
     truth_of,
 )
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, TopicInfo, decode, iter_raw, topics_of
+from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
 from uav_vslam.datasets.stereo_sync import StereoPairer
 from uav_vslam.errors import BagError, CalibrationError
-from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.types import ImuSample, NavEstimate, StereoFrame
+from uav_vslam.ins.mounting import ImuMounting
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
 
 __all__ = ["BagFlight", "RawMessage", "RawRecorder", "TruthTrack", "iter_raw", "open_flight", "topics_of", "vehicles"]
 
 Array = NDArray[np.float64]
 
 IMAGE_TOPICS = ("image_raw", "image_raw/compressed")
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 REORDER_NS = 500_000_000  # a message may be recorded this much later than its stamp
 
 
@@ -64,36 +68,39 @@ class BagFlight:
     Attributes:
         paths: the bags.
         vehicle: ROS namespace, without slashes at its ends.
+        input: where its data come from.
         rig: calibration.
         initial_state: start state, or None if none was recorded.
         frame_count: left images recorded.
         left_topic, right_topic: of the images.
+        T_body_imu: pose of the IMU.
+        time_offset_ns: IMU time minus image stamp [ns].
     """
 
     paths: tuple[Path, ...]
     vehicle: str
+    input: InputConfig
     rig: StereoRig
     initial_state: NavEstimate | None
     frame_count: int
     left_topic: str
     right_topic: str
+    T_body_imu: Pose
+    time_offset_ns: int = 0
 
     @property
     def image_size(self) -> tuple[int, int]:
         """Width and height of both images [px]."""
         return self.rig.left.width, self.rig.left.height
 
-    def iter_events(self, *, tolerance_ns: int = 2_000_000) -> Iterator[ImuSample | StereoFrame]:
-        """Yield IMU samples and image pairs in stamp order; at equal stamps the sample comes first.
-
-        Args:
-            tolerance_ns: largest stamp difference of a pair [ns].
+    def iter_events(self) -> Iterator[ImuSample | StereoFrame]:
+        """Yield IMU samples, moved to the body, and image pairs in stamp order; at equal stamps the sample comes first.
 
         Raises:
             BagError: the recording is damaged (raised after all readable events), or a message can't be decoded. An
                 undecodable image becomes an empty one: its frame has no points.
         """
-        return _in_stamp_order(self._recorded_events(tolerance_ns))
+        return _in_stamp_order(self._recorded_events())
 
     def truth(self) -> TruthTrack | None:
         """Return the true motion, or None if none was recorded.
@@ -101,25 +108,42 @@ class BagFlight:
         Raises:
             BagError: a message can't be decoded, or its quaternion is invalid.
         """
-        topic = f"/{self.vehicle}/ground_truth/odometry"
+        topic = self.input.topic(self.vehicle, "truth")
         try:
             samples = [truth_of(decode(raw)) for raw in _readable(iter_raw(self.paths, [topic]))]
         except ValueError as error:
             raise BagError(f"bag {_names(self.paths)}, {topic}: {error}") from None
         return _track(samples) if samples else None
 
-    def _recorded_events(self, tolerance_ns: int) -> Iterator[ImuSample | StereoFrame]:
-        imu_topic = f"/{self.vehicle}/imu/data_raw"
-        pairer: StereoPairer[Any] = StereoPairer(tolerance_ns=tolerance_ns)
+    def unpaired_reason(self) -> str:
+        """Return why images found no partner, from the stamps of both cameras; empty if they agree."""
+        left, right = (
+            np.array([header_stamp_ns(raw.data) for raw in _readable(iter_raw(self.paths, [topic]))], np.int64)
+            for topic in (self.left_topic, self.right_topic)
+        )
+        if len(right) == 0:
+            return f"{self.right_topic} holds no image"
+        after = np.searchsorted(right, left).clip(1, len(right) - 1) if len(right) > 1 else np.zeros(len(left), int)
+        apart = np.minimum(abs(right[after] - left), abs(left - right[after - 1]))
+        return (
+            f"the nearest stamps of {self.left_topic} and {self.right_topic} are {np.median(apart) / 1e6:.3g} ms apart "
+            "(median); see input.pair_tolerance_s"
+        )
+
+    def _recorded_events(self) -> Iterator[ImuSample | StereoFrame]:
+        imu_topic = self.input.topic(self.vehicle, "imu")
+        mounting = ImuMounting(self.T_body_imu)
+        pairer: StereoPairer[Any] = StereoPairer(tolerance_ns=round(self.input.pair_tolerance_s * NS_PER_S))
         for raw in iter_raw(self.paths, [imu_topic, self.left_topic, self.right_topic]):
             built = decode(raw)
             if raw.topic == imu_topic:
-                yield imu_of(built)
+                yield mounting.to_body(imu_of(built))
                 continue
             add = pairer.add_left if raw.topic == self.left_topic else pairer.add_right
             pair = add(stamp_ns_of(built), built)
             if pair is not None:
-                yield StereoFrame(pair.stamp_ns, _pixels_or_empty(pair.left), _pixels_or_empty(pair.right))
+                stamp_ns = pair.stamp_ns + self.time_offset_ns
+                yield StereoFrame(stamp_ns, _pixels_or_empty(pair.left), _pixels_or_empty(pair.right))
 
     def check_images(self) -> None:
         """Decode the first image of each side, to fail early where `iter_events` would fail.
@@ -135,7 +159,7 @@ class BagFlight:
             height, width = image_of(decode(first)).shape[:2]
             if (width, height) != self.image_size:
                 raise CalibrationError(
-                    f"bag {_names(self.paths)}: images on {topic} are {width}x{height} px but camera_info says "
+                    f"bag {_names(self.paths)}: images on {topic} are {width}x{height} px but the calibration says "
                     f"{self.image_size[0]}x{self.image_size[1]}; calibrate at the recorded size"
                 )
 
@@ -154,105 +178,94 @@ def vehicles(paths: Sequence[Path]) -> list[str]:
     return sorted({topic.removesuffix(end).strip("/") for topic in topics for end in endings if topic.endswith(end)})
 
 
-def open_flight(paths: Path | Sequence[Path], vehicle: str) -> BagFlight:
+def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig | None = None) -> BagFlight:
     """Read what is constant during a flight: calibration, start state and topic names.
 
     Args:
         paths: bags that together hold the vehicle's topics.
         vehicle: its ROS namespace.
+        config: its topics, frames and calibration files; the conventional ones by default.
 
     Raises:
-        BagError: a path is missing or not a bag, or a topic or the extrinsics are missing.
-        CalibrationError: the cameras' calibrations contradict each other.
+        BagError: a path is missing or not a bag, or a topic is missing.
+        CalibrationError: a sensor's place in the body is unknown, or the calibrations contradict each other.
     """
     bags = (paths,) if isinstance(paths, Path) else tuple(paths)
-    topics = topics_of(bags)
-    name = vehicle.strip("/")
-    left_topic, right_topic = (_image_topic(bags, topics, name, side) for side in ("left", "right"))
-    for topic in (f"/{name}/left/camera_info", f"/{name}/right/camera_info", f"/{name}/imu/data_raw", TF_STATIC):
+    name, config = vehicle.strip("/"), config or InputConfig()
+    topics, setup = topics_of(bags), SensorSetup.of(name, config)
+    left_topic, right_topic = (_image_topic(bags, topics, config.topic(name, side)) for side in SIDES)
+    infos = [config.topic(name, f"{side}_info") for side in SIDES] if setup.needs_infos else []
+    for topic in (*infos, config.topic(name, "imu")):
         if topic not in topics:
-            raise _missing_topic(bags, topics, name, topic)
-    rig, initial = _calibration(bags, name, has_initial=f"/{name}/initial_state" in topics)
-    return BagFlight(bags, name, rig, initial, topics[left_topic].count, left_topic, right_topic)
-
-
-def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str, side: str) -> str:
-    for ending in IMAGE_TOPICS:
-        if f"/{name}/{side}/{ending}" in topics:
-            return f"/{name}/{side}/{ending}"
-    raise _missing_topic(bags, topics, name, f"/{name}/{side}/image_raw (or .../compressed)")
-
-
-def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str, topic: str) -> BagError:
-    own = sorted(t for t in topics if t.startswith(f"/{name}/"))
-    there = ", ".join(own or sorted(topics)) or "nothing"
-    return BagError(f"bag {_names(bags)} lacks {topic}; it holds {there}; record or remap that topic")
-
-
-def _calibration(bags: Sequence[Path], name: str, *, has_initial: bool) -> tuple[StereoRig, NavEstimate | None]:
-    """Read the first camera infos, the static transforms and the start state; stop as soon as all are found."""
-    left_topic, right_topic = f"/{name}/left/camera_info", f"/{name}/right/camera_info"
-    initial_topic = f"/{name}/initial_state"
-    found: dict[str, Any] = {}
-    edges: dict[str, tuple[str, Pose]] = {}
-    wanted = [left_topic, right_topic, TF_STATIC, *([initial_topic] if has_initial else [])]
-    for raw in _readable(iter_raw(bags, wanted)):
-        built = decode(raw)
-        found.setdefault(raw.topic, built)
-        if raw.topic == TF_STATIC:
-            edges.update({child: (parent, pose) for parent, child, pose in transforms_of(built)})
-        if len(found) == len(wanted) and _has_extrinsics(edges, found, name, (left_topic, right_topic)):
-            break
-    for topic in (left_topic, right_topic):
-        if topic not in found:
-            raise BagError(f"bag {_names(bags)} holds no message on {topic}; record it with the images")
-    poses = [_extrinsics(edges, found[t].header.frame_id, name) for t in (left_topic, right_topic)]
-    cameras = [_camera(bags, topic, found[topic]) for topic in (left_topic, right_topic)]
+            raise _missing_topic(bags, topics, topic)
+    setup.imu_frame = _frame_id(bags, config.topic(name, "imu"))
+    if setup.needs_frames and TF_STATIC not in topics:
+        raise _missing_topic(bags, topics, TF_STATIC)
     try:
-        rig = StereoRig(cameras[0], cameras[1], poses[0], poses[1])
+        _collect(bags, topics, setup)
+        rig, T_body_imu = setup.rig(), setup.T_body_imu()
     except CalibrationError as error:
         raise CalibrationError(f"bag {_names(bags)}, vehicle {name}: {error}") from None
-    initial = navigation_state_of(found[initial_topic]) if initial_topic in found else None
-    return rig, initial
+    start = next(_readable(iter_raw(bags, [config.topic(name, "initial_state")])), None)
+    return BagFlight(
+        paths=bags,
+        vehicle=name,
+        input=config,
+        rig=rig,
+        initial_state=navigation_state_of(decode(start)) if start else None,
+        frame_count=topics[left_topic].count,
+        left_topic=left_topic,
+        right_topic=right_topic,
+        T_body_imu=T_body_imu,
+        time_offset_ns=setup.time_offset_ns,
+    )
 
 
-def _camera(bags: Sequence[Path], topic: str, info: Any) -> PinholeCamera:
-    try:
-        return camera_of(info)
-    except (BagError, CalibrationError) as error:
-        raise type(error)(f"bag {_names(bags)}, {topic}: {error}") from None
+def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str) -> str:
+    found = [topic for topic in (name, f"{name}/compressed") if topic in topics]
+    for topic in found:
+        if topics[topic].msgtype in IMAGE_TYPES:
+            return topic
+    if found:
+        raise BagError(f"bag {_names(bags)}: {found[0]} holds {topics[found[0]].msgtype}, not {IMAGE_TYPES[0]}")
+    raise _missing_topic(bags, topics, f"{name} (or {name}/compressed)")
+
+
+def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], topic: str) -> BagError:
+    own = sorted(t for t in topics if t.startswith(f"/{topic.split('/')[1]}/"))
+    there = ", ".join(own or sorted(topics)) or "nothing"
+    remedy = "set input.calibration" if topic == TF_STATIC else "set input.topics"
+    return BagError(f"bag {_names(bags)} lacks {topic}; it holds {there}; record that topic, or {remedy}")
+
+
+def _collect(bags: Sequence[Path], topics: dict[str, TopicInfo], setup: SensorSetup) -> None:
+    """Read camera infos and static transforms until all that is needed is known, or the recording ends."""
+    sides = {setup.config.topic(setup.vehicle, f"{side}_info"): side for side in SIDES}
+    wanted = [topic for topic in (*sides, TF_STATIC) if topic in topics]
+    for raw in _readable(iter_raw(bags, wanted)):
+        built = decode(raw)
+        if raw.topic == TF_STATIC:
+            setup.frames.add(transforms_of(built))
+        elif sides[raw.topic] not in setup.cameras:
+            try:
+                setup.cameras[sides[raw.topic]] = (camera_of(built), built.header.frame_id)
+            except CalibrationError as error:
+                raise CalibrationError(f"{raw.topic}: {error}") from None
+        if not setup.missing_infos and not setup.missing_transforms():
+            return
+    for side in setup.missing_infos:
+        topic = setup.config.topic(setup.vehicle, f"{side}_info")
+        raise BagError(f"bag {_names(bags)} holds no message on {topic}; record it with the images")
+
+
+def _frame_id(bags: Sequence[Path], topic: str) -> str:
+    """Return the frame of a topic's first message, empty if there is none."""
+    first = next(_readable(iter_raw(bags, [topic])), None)
+    return decode(first).header.frame_id if first else ""
 
 
 def _names(bags: Sequence[Path]) -> str:
     return ", ".join(map(str, bags))
-
-
-def _has_extrinsics(edges: dict[str, tuple[str, Pose]], found: dict[str, Any], name: str, infos: Sequence[str]) -> bool:
-    return all(walk(edges, found[t].header.frame_id, f"{name}/base_link") is not None for t in infos)
-
-
-def _extrinsics(edges: dict[str, tuple[str, Pose]], frame_id: str, name: str) -> Pose:
-    pose = walk(edges, frame_id, f"{name}/base_link")
-    if pose is None:
-        there = ", ".join(f"{parent} -> {child}" for child, (parent, _) in sorted(edges.items())) or "nothing"
-        raise BagError(
-            f"/tf_static does not connect {name}/base_link and {frame_id}; it holds {there}; "
-            "publish the camera's extrinsics"
-        )
-    return pose
-
-
-def walk(edges: dict[str, tuple[str, Pose]], frame_id: str, base: str) -> Pose | None:
-    """Return T_base_frame along a tree of child -> (parent, T_parent_child), or None if they are not connected."""
-    frame, pose = frame_id.lstrip("/"), Pose.identity()
-    for _ in range(len(edges) + 1):
-        if frame == base:
-            return pose
-        if frame not in edges:
-            return None
-        parent, T_parent_child = edges[frame]
-        frame, pose = parent, T_parent_child @ pose
-    return None
 
 
 def _readable(messages: Iterator[RawMessage]) -> Iterator[RawMessage]:

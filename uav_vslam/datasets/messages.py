@@ -18,7 +18,30 @@ from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
 
 Array = NDArray[np.float64]
 
-CHANNELS = {"mono8": (np.uint8, 1), "mono16": (np.uint16, 1), "bgr8": (np.uint8, 3), "rgb8": (np.uint8, 3)}
+# Type and channels of each image encoding, and the OpenCV conversion to grey or BGR pixels; None: they are.
+ENCODINGS: dict[str, tuple[Any, int, int | None]] = {
+    "mono8": (np.uint8, 1, None),
+    "8UC1": (np.uint8, 1, None),
+    "mono16": (np.uint16, 1, None),
+    "16UC1": (np.uint16, 1, None),
+    "bgr8": (np.uint8, 3, None),
+    "8UC3": (np.uint8, 3, None),
+    "rgb8": (np.uint8, 3, cv2.COLOR_RGB2BGR),
+    "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2BGR),
+    "8UC4": (np.uint8, 4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2BGR),
+} | {
+    f"bayer_{pattern}{bits}": (kind, 1, conversion)
+    for bits, kind in ((8, np.uint8), (16, np.uint16))
+    for pattern, conversion in (
+        ("rggb", cv2.COLOR_BayerRGGB2BGR),
+        ("bggr", cv2.COLOR_BayerBGGR2BGR),
+        ("gbrg", cv2.COLOR_BayerGBRG2BGR),
+        ("grbg", cv2.COLOR_BayerGRBG2BGR),
+    )
+}
+# What other tools call the models of `PinholeCamera`.
+LENS_MODELS = {"": "plumb_bob", "fisheye": "equidistant", "kannala_brandt4": "equidistant"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,19 +120,18 @@ def image_of(built: Any) -> NDArray[Any]:
         if decoded is None:
             raise BagError(f"compressed image at {stamp_ns_of(built)} ns can't be decoded; is it {built.format!r}?")
         return np.asarray(decoded)
-    if built.encoding not in CHANNELS:
-        raise BagError(f"image encoding {built.encoding!r} can't be used; record {', '.join(CHANNELS)} or compressed")
-    dtype, channels = CHANNELS[built.encoding]
+    if built.encoding not in ENCODINGS:
+        raise BagError(f"image encoding {built.encoding!r} can't be used; record {', '.join(ENCODINGS)} or compressed")
+    dtype, channels, conversion = ENCODINGS[built.encoding]
     kind = np.dtype(dtype).newbyteorder(">" if built.is_bigendian else "<")
     line = built.width * channels * kind.itemsize
     if built.step < line or len(built.data) < built.step * built.height:
         raise BagError(f"image of {built.width}x{built.height} px holds only {len(built.data)} bytes; record it again")
     rows = np.asarray(built.data)[: built.step * built.height].reshape(built.height, built.step)[:, :line]
     pixels = np.ascontiguousarray(rows).view(kind).astype(dtype, copy=False)
-    if channels == 1:
-        return pixels
-    colour = pixels.reshape(built.height, built.width, channels)
-    return colour[:, :, ::-1] if built.encoding == "rgb8" else colour
+    if channels > 1:
+        pixels = pixels.reshape(built.height, built.width, channels)
+    return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion))
 
 
 def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
@@ -127,7 +149,7 @@ def camera_info_message(stamp_ns: int, frame_id: str, camera: PinholeCamera) -> 
         header=_header(stamp_ns, frame_id),
         height=camera.height,
         width=camera.width,
-        distortion_model="plumb_bob",
+        distortion_model=camera.model,
         d=np.asarray(camera.distortion, dtype=float),
         k=camera.K.ravel(),
         r=np.eye(3).ravel(),
@@ -142,15 +164,14 @@ def camera_of(info: Any) -> PinholeCamera:
     """Return the intrinsics of a CameraInfo.
 
     Raises:
-        BagError: the distortion model is not plumb_bob.
-        CalibrationError: K or the size is not filled in.
+        CalibrationError: the distortion model is not supported, or K, D or the size is not filled in.
     """
-    if info.distortion_model not in {"", "plumb_bob"}:
-        raise BagError(f"{info.header.frame_id}: distortion model {info.distortion_model!r}; calibrate as plumb_bob")
-    distortion = np.zeros(5)
-    distortion[: min(5, len(info.d))] = info.d[:5]
+    model = LENS_MODELS.get(info.distortion_model, info.distortion_model)
+    coefficients = np.asarray(info.d, dtype=float)
+    if model == "plumb_bob" and len(coefficients) in (0, 4):  # a rectified image; k3 left out
+        coefficients = np.concatenate([coefficients, np.zeros(5 - len(coefficients))])
     k = np.asarray(info.k).tolist()
-    return PinholeCamera(info.width, info.height, k[0], k[4], k[2], k[5], distortion)
+    return PinholeCamera(info.width, info.height, k[0], k[4], k[2], k[5], coefficients, model)
 
 
 def imu_message(sample: ImuSample, frame_id: str) -> Any:

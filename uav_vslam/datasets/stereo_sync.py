@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairs left and right images by stamp, for the bag reader and the ROS node."""
 
+import statistics
 from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -9,6 +10,9 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.stamps import IMAGE_TIME_JUMP_S, TimeJumpGuard
 
 T = TypeVar("T")
+
+LARGEST_TOLERANCE_NS = 20_000_000  # of the default: cameras farther apart than this are not synchronised
+PERIODS = 3, 20  # how many tell the frame period: at least, and of the last so many
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,22 +36,35 @@ class StereoPairer(Generic[T]):
 
     Attributes:
         dropped: images without a partner.
+        offset_ns: right stamp minus left stamp of the newest pair [ns].
     """
 
-    def __init__(self, *, tolerance_ns: int = 2_000_000, waiting: int = 10) -> None:
+    def __init__(self, *, tolerance_ns: int = 0, waiting: int = 10) -> None:
         """Set up.
 
         Args:
-            tolerance_ns: largest difference between the stamps of a pair [ns].
+            tolerance_ns: largest difference between the stamps of a pair [ns]; 0 for half of the median frame period,
+                at most `LARGEST_TOLERANCE_NS`.
             waiting: images of one camera that may wait; then the oldest is dropped.
         """
         self._tolerance_ns = tolerance_ns
+        self._periods_ns: deque[int] = deque(maxlen=PERIODS[1])
+        self.offset_ns = 0
         self._capacity = waiting
         self._left: deque[tuple[int, T]] = deque()
         self._right: deque[tuple[int, T]] = deque()
         self._newest = {"left": -1, "right": -1}
         self._guards = {side: TimeJumpGuard(f"{side} image", IMAGE_TIME_JUMP_S) for side in self._newest}
         self.dropped = 0
+
+    @property
+    def tolerance_ns(self) -> int:
+        """Largest difference between the stamps of a pair [ns]; see `__init__`."""
+        if self._tolerance_ns:
+            return self._tolerance_ns
+        if len(self._periods_ns) < PERIODS[0]:
+            return LARGEST_TOLERANCE_NS
+        return min(LARGEST_TOLERANCE_NS, round(statistics.median(self._periods_ns) / 2))
 
     def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
         """Add a left image; return the completed pair, if any."""
@@ -58,6 +75,7 @@ class StereoPairer(Generic[T]):
             self._wait(self._left, stamp_ns, item)
             return None
         self._drop_older(self._left, stamp_ns)
+        self.offset_ns = partner[0] - stamp_ns
         return StereoPair(stamp_ns, item, partner[1])
 
     def add_right(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
@@ -69,6 +87,7 @@ class StereoPairer(Generic[T]):
             self._wait(self._right, stamp_ns, item)
             return None
         self._drop_older(self._right, stamp_ns)
+        self.offset_ns = stamp_ns - partner[0]
         return StereoPair(partner[0], partner[1], item)
 
     def _is_next(self, side: str, stamp_ns: int) -> bool:
@@ -80,12 +99,14 @@ class StereoPairer(Generic[T]):
         if stamp_ns <= self._newest[side]:
             self.dropped += 1
             return False
+        if side == "left" and self._newest[side] >= 0:
+            self._periods_ns.append(stamp_ns - self._newest[side])
         self._newest[side] = stamp_ns
         return True
 
     def _take_partner(self, waiting: deque[tuple[int, T]], stamp_ns: int) -> tuple[int, T] | None:
         """Remove and return the nearest waiting image within the tolerance; older ones are dropped."""
-        near = [entry for entry in waiting if abs(entry[0] - stamp_ns) <= self._tolerance_ns]
+        near = [entry for entry in waiting if abs(entry[0] - stamp_ns) <= self.tolerance_ns]
         if not near:
             return None
         best = min(near, key=lambda entry: abs(entry[0] - stamp_ns))

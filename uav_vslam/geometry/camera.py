@@ -1,8 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pinhole camera with optical axes (x right, y down, z forward) and radial-tangential distortion."""
+"""Pinhole camera with optical axes (x right, y down, z forward), behind a lens of one of three distortion models.
+
+`plumb_bob`             radial and tangential: k1, k2, p1, p2, k3 ("radtan" of Kalibr, "radial-tangential" of EuRoC)
+`rational_polynomial`   the same, its radial part over a second polynomial: k1, k2, p1, p2, k3, k4, k5, k6
+`equidistant`           fisheye [kannala06]: k1 to k4 of the angle from the axis
+"""
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -10,17 +16,21 @@ from uav_vslam.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
+COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}  # of each model, named as in CameraInfo
 UNDISTORTED_PX = 1e-3  # largest reprojection error of a converged solution
+MAX_RAY = 10.0  # tangent of the largest angle from the axis that a pinhole can stand for, 84 degrees
+OPENCV_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
 class PinholeCamera:
-    """Intrinsics of one camera, as `sensor_msgs/CameraInfo` holds them in K and D (plumb_bob).
+    """Intrinsics of one camera, as `sensor_msgs/CameraInfo` holds them in K, D and distortion_model.
 
     Attributes:
         width, height: image size [px].
         fx, fy, cx, cy: focal lengths and principal point [px].
-        distortion: (5,) k1, k2, p1, p2, k3; zeros for an undistorted image.
+        distortion: (k,) coefficients of the model; all zero for an undistorted image, but not in `equidistant`.
+        model: name of the distortion model.
     """
 
     width: int
@@ -30,6 +40,7 @@ class PinholeCamera:
     cx: float
     cy: float
     distortion: Array = field(default_factory=lambda: np.zeros(5))
+    model: str = "plumb_bob"
 
     def __post_init__(self) -> None:
         if not (self.width > 0 and self.height > 0):
@@ -38,8 +49,13 @@ class PinholeCamera:
             raise CalibrationError(
                 f"focal length ({self.fx}, {self.fy}) px must be positive; is CameraInfo.K filled in?"
             )
-        if np.shape(self.distortion) != (5,):
-            raise CalibrationError(f"distortion needs 5 values (k1 k2 p1 p2 k3), not {np.shape(self.distortion)}")
+        if self.model not in COEFFICIENTS:
+            raise CalibrationError(f"distortion model {self.model!r} is not supported; use {', '.join(COEFFICIENTS)}")
+        count = COEFFICIENTS[self.model]
+        if np.shape(self.distortion) != (count,) or not np.isfinite(self.distortion).all():
+            raise CalibrationError(
+                f"distortion {np.asarray(self.distortion).tolist()}: {self.model} needs {count} values"
+            )
 
     @property
     def K(self) -> Array:
@@ -75,9 +91,15 @@ class PinholeCamera:
         """Map (..., 2) undistorted pixels to where the lens images them."""
         rays = self.bearings(pixels)
         x, y = rays[..., 0], rays[..., 1]
-        k1, k2, p1, p2, k3 = self.distortion
         r2 = x * x + y * y
+        if self.model == "equidistant":
+            scale = self._equidistant_scale(np.sqrt(r2))
+            return np.stack([self.fx * x * scale + self.cx, self.fy * y * scale + self.cy], axis=-1)
+        k1, k2, p1, p2, k3 = self.distortion[:5]
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        if self.model == "rational_polynomial":
+            k4, k5, k6 = self.distortion[5:]
+            radial = radial / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
         yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         return np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], axis=-1)
@@ -85,11 +107,14 @@ class PinholeCamera:
     def undistort(self, pixels: ArrayLike, iterations: int = 20) -> Array:
         """Map (..., 2) raw pixels to the ideal pinhole's; a row is NaN where nothing is imaged there.
 
-        Fixed-point iteration of `distort`; Newton's method where that diverges, in the corners of wide lenses.
+        `plumb_bob` by fixed-point iteration of `distort`, and Newton's method where that diverges, in the corners of
+        wide lenses; the other models by OpenCV.
         """
         raw = np.asarray(pixels, dtype=float)
-        if not np.any(self.distortion):
+        if not np.any(self.distortion) and self.model != "equidistant":
             return raw.copy()
+        if self.model != "plumb_bob":
+            return self._undistort_by_opencv(raw)
         ideal = raw.copy()
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(iterations):
@@ -97,6 +122,27 @@ class PinholeCamera:
             lost = ~(np.abs(raw - self.distort(ideal)).max(axis=-1) <= UNDISTORTED_PX)
             if lost.any():
                 ideal[lost] = self._undistort_by_newton(raw[lost], iterations)
+        return ideal
+
+    def _equidistant_scale(self, radius: Array) -> Array:
+        """Return by how much the lens shrinks rays (x, y, 1) at a radius = tan(theta)."""
+        theta = np.arctan(radius)
+        powers = theta[..., None] ** [2, 4, 6, 8]
+        return np.asarray(theta * (1.0 + powers @ self.distortion) / np.maximum(radius, 1e-12) + (radius < 1e-12))
+
+    def _undistort_by_opencv(self, raw: Array) -> Array:
+        flat = np.ascontiguousarray(raw.reshape(-1, 1, 2))
+        if len(flat) == 0:
+            return raw.copy()
+        if self.model == "equidistant":
+            ideal = cv2.fisheye.undistortPoints(flat, self.K, self.distortion, P=self.K, criteria=OPENCV_CRITERIA)
+        else:
+            ideal = cv2.undistortPointsIter(flat, self.K, self.distortion, np.eye(3), self.K, OPENCV_CRITERIA)
+        ideal = ideal.reshape(raw.shape)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            found = np.abs(raw - self.distort(ideal)).max(axis=-1) <= UNDISTORTED_PX
+            found &= np.linalg.norm(self.bearings(ideal)[..., :2], axis=-1) <= MAX_RAY
+        ideal[~found] = np.nan
         return ideal
 
     def _undistort_by_newton(self, raw: Array, iterations: int) -> Array:

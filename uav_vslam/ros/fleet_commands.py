@@ -6,10 +6,11 @@ It imports no ROS, because launch files are read by the system's Python, which n
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from uav_vslam.config import FleetConfig, LinkConfig, differences
+from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig, differences
 
 VEHICLE_NODES = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
 
@@ -67,8 +68,30 @@ def node_specs(fleet: FleetConfig, *, link: LinkConfig | None = None) -> list[No
         parameters = {"vehicles": list(fleet.vehicles), **differences(fleet.replay)}
         finding = [name for name, config in fleet.vehicles.items() if config.start.method != "given"]
         parameters |= {"finding_start": finding} if finding else {}
+        parameters |= _replay_inputs(fleet.vehicles)
         specs.append(NodeSpec("replay", "replay", "/", parameters))
     return specs
+
+
+def _replay_inputs(vehicles: Mapping[str, VehicleConfig]) -> dict[str, list[str]]:
+    """Return the replay's parameters about topics and clocks that are not the conventional ones."""
+    topics = [
+        f"{vehicle}:{role}:={config.input.topic(vehicle, role)}"
+        for vehicle, config in vehicles.items()
+        for role in differences(config.input.topics)
+    ]
+    offsets = [
+        f"{vehicle}:={offset_ns}"
+        for vehicle, config in vehicles.items()
+        if config.input.calibration and (offset_ns := _time_offset_ns(vehicle, config))
+    ]
+    return {key: entries for key, entries in (("topics", topics), ("time_offsets_ns", offsets)) if entries}
+
+
+def _time_offset_ns(vehicle: str, config: VehicleConfig) -> int:
+    from uav_vslam.datasets.sensor_setup import SensorSetup  # needs libraries that launch files' Python may lack
+
+    return SensorSetup.of(vehicle, config.input).time_offset_ns
 
 
 def packets_of(vehicle: str) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import CompressedImage, Image
 
 STREAM = 10  # messages after which more are expected
 PAUSE_S = 5.0  # of a stream before it has stopped,
@@ -27,6 +28,7 @@ class Input:
     Attributes:
         message_type, topic, callback, qos: as given to create_subscription.
         stands_for: topic that it can replace; usually its own.
+        raw: the callback gets serialised messages.
         subscription: the current one.
         received: number of messages.
         may_pause: a pause is not reported.
@@ -38,6 +40,7 @@ class Input:
     callback: Callable[[Any], None]
     qos: QoSProfile
     stands_for: str
+    raw: bool = False
     subscription: Any = None
     received: int = 0
     may_pause: bool = False
@@ -48,7 +51,7 @@ class Input:
         """Create the subscription; its policies can be overridden by parameters qos_overrides.<topic>.subscription."""
         overrides = QoSOverridingOptions.with_default_policies()
         self.subscription = node.create_subscription(
-            self.message_type, self.topic, self._on_message, self.qos, qos_overriding_options=overrides
+            self.message_type, self.topic, self._on_message, self.qos, qos_overriding_options=overrides, raw=self.raw
         )
 
     def follow(self, node: Node) -> bool:
@@ -60,7 +63,9 @@ class Input:
             return False
         node.destroy_subscription(self.subscription)
         self.qos = QoSProfile(depth=self.qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.subscription = node.create_subscription(self.message_type, self.topic, self._on_message, self.qos)
+        self.subscription = node.create_subscription(
+            self.message_type, self.topic, self._on_message, self.qos, raw=self.raw
+        )
         return True
 
     def _on_message(self, message: Any) -> None:
@@ -68,6 +73,13 @@ class Input:
         self.first_s = self.first_s if self.received else self.last_s
         self.received += 1
         self.callback(message)
+
+
+def image_topics(topic: str) -> dict[type, str]:
+    """Return the types and names under which a camera's images may come: raw, and compressed by convention."""
+    if topic.endswith("/compressed"):
+        return {CompressedImage: topic}
+    return {Image: topic, CompressedImage: f"{topic}/compressed"}
 
 
 def unmatched(inputs: Iterable[Input]) -> list[str]:

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """ins_propagator: preintegrates IMU samples between images, and propagates inertial odometry.
 
-in   imu/data_raw         sensor_msgs/Imu, body frame
-     left/camera_info     sensor_msgs/CameraInfo; its stamps are those of the images
+in   imu/data_raw         sensor_msgs/Imu
+     left/camera_info     sensor_msgs/CameraInfo; its stamps are those of the images. With input.calibration the left
+                          image instead
+     /tf_static           <vehicle>/base_link to the IMU's frame, if that is another one
      initial_state        uav_vslam_msgs/NavigationState, latched; an output instead with start.method static,
                           and from the back end with in_flight
      slam/correction      uav_vslam_msgs/NavigationState, from the back end
@@ -16,11 +18,13 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
-from uav_vslam.datasets.messages import stamp_ns_of
+from uav_vslam.datasets.messages import header_stamp_ns, stamp_ns_of
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator, InsOdometry
 from uav_vslam.ins.startup_buffer import MAX_APART_S, StartupBuffer
+from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
     imu_from_msg,
     increment_to_msg,
@@ -29,7 +33,8 @@ from uav_vslam.ros.convert import (
     odometry_to_msg,
     transform_to_msg,
 )
-from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
+from uav_vslam.ros.inputs import image_topics
+from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
@@ -41,25 +46,45 @@ class InsPropagatorNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("ins_propagator")
-        method = self.config.start.method
+        method, topics = self.config.start.method, self.config.input.topics
         self._preintegrator = ImuPreintegrator(self.config.imu) if method == "in_flight" else None
         self._reckoner = DeadReckoning(self.config.imu)
         self._live: InsOdometry | None = None
         self._startup_buffer = StartupBuffer(self.config.start.rest_s if method == "static" else MAX_APART_S)
         self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
-        imu_stamps, image_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S), TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
+        self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
+        self._image_stamps = TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
+        self._sensors = ImuListener(self)
+        self._mounting: ImuMounting | None = None
+        self._image_ns = -1
         self._increments = self.advertise(InsIncrement, "ins/increment", SENSOR)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
         self._aligns = method == "static"
         if self._aligns:
-            self._initial_state = self.advertise(NavigationState, "initial_state", LATCHED)
+            self._initial_state = self.advertise(NavigationState, topics.initial_state, LATCHED)
         else:
-            self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
-        self.listen(Imu, "imu/data_raw", lambda m: self._feed(imu_from_msg(m), imu_stamps), SENSOR)
-        self.listen(CameraInfo, "left/camera_info", lambda m: self._feed(stamp_ns_of(m), image_stamps), STATE)
+            self.listen(NavigationState, topics.initial_state, self._on_initial_state, LATCHED)
+        self.listen(Imu, topics.imu, self._on_imu, SENSOR)
+        if self._sensors.has_infos:
+            self.listen(CameraInfo, topics.left_info, lambda m: self._on_image(stamp_ns_of(m)), STATE)
+        else:
+            for kind, name in image_topics(topics.left).items():  # serialised: only the stamps are read
+                on_image = lambda data: self._on_image(header_stamp_ns(data))  # noqa: E731
+                self.listen(kind, name, on_image, IMAGE, instead_of=topics.left, raw=True)
         self.listen(NavigationState, "slam/correction", self._on_correction, STATE)
+
+    def _on_imu(self, message: Imu) -> None:
+        if self._mounting is None:
+            self._mounting = ImuMounting(self._sensors.locate(message.header.frame_id))
+        self._feed(self._mounting.to_body(imu_from_msg(message)), self._imu_stamps)
+
+    def _on_image(self, stamp_ns: int) -> None:
+        stamp_ns += self._sensors.time_offset_ns
+        if stamp_ns != self._image_ns:  # the same image raw and compressed
+            self._image_ns = stamp_ns
+            self._feed(stamp_ns, self._image_stamps)
 
     def _on_initial_state(self, message: NavigationState) -> None:
         if self._live is not None:

@@ -10,7 +10,7 @@ Start states come from `starts_ns`, which may grow: while a vehicle's is unknown
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -19,7 +19,6 @@ from uav_vslam.types import NS_PER_S
 
 OVERLAP_NS = NS_PER_S // 10
 EARLY_ANSWER = "stereo_features"
-PAIR_NS = 2_000_000  # left and right of one frame differ by no more than this
 IMU_AHEAD = 250  # unanswered IMU samples: half of the subscription's queue
 IMU_GAP_NS = 3 * NS_PER_S  # limit of the look-ahead for an IMU sample, during which images are buffered
 
@@ -35,6 +34,21 @@ class Kind(Enum):
 
 
 FRAME_PARTS = frozenset({Kind.LEFT, Kind.RIGHT, Kind.INFO})
+
+
+@dataclass(frozen=True, slots=True)
+class FrameShape:
+    """What makes a frame of one vehicle.
+
+    Attributes:
+        parts: its messages.
+        spread_ns: their stamps differ by no more than this [ns].
+        offset_ns: stamp of the answer minus that of the left image [ns].
+    """
+
+    parts: frozenset[Kind] = FRAME_PARTS
+    spread_ns: int = 2_000_000
+    offset_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,9 +78,16 @@ class Answers:
         frames: complete frames published, by vehicle.
     """
 
-    def __init__(self, vehicles: Iterable[str], starts_ns: dict[str, int], topics: Iterable[str]) -> None:
+    def __init__(
+        self,
+        vehicles: Iterable[str],
+        starts_ns: dict[str, int],
+        topics: Iterable[str],
+        shapes: Mapping[str, FrameShape] | None = None,
+    ) -> None:
         """Await answers on `topics` to each frame from its vehicle's start on; the back end drops earlier ones."""
         names, self._topics = tuple(vehicles), tuple(topics)
+        self._shapes = {name: FrameShape() for name in names} | dict(shapes or {})
         self._starts_ns = starts_ns
         self._parts: dict[str, dict[Kind, int]] = {name: {} for name in names}  # stamps of the newest frame
         self._newest_ns = dict.fromkeys(names, -1)
@@ -80,13 +101,15 @@ class Answers:
         parts = self._parts[message.vehicle]
         if message.kind not in parts:
             parts[message.kind] = message.stamp_ns
-            if parts.keys() == FRAME_PARTS:
-                self._complete(message.vehicle, parts[Kind.LEFT])
+            shape = self._shapes[message.vehicle]
+            if parts.keys() >= shape.parts:
+                self._complete(message.vehicle, parts[Kind.LEFT] + shape.offset_ns)
 
     def begins_frame(self, message: Recorded) -> bool:
         """Return whether this is the first part of a frame."""
         stamps = self._parts[message.vehicle].values()
-        return not stamps or any(abs(message.stamp_ns - stamp_ns) > PAIR_NS for stamp_ns in stamps)
+        spread_ns = self._shapes[message.vehicle].spread_ns
+        return not stamps or any(abs(message.stamp_ns - stamp_ns) > spread_ns for stamp_ns in stamps)
 
     def answered(self, vehicle: str, topic: str, stamp_ns: int) -> None:
         """Register an answer; an unexpected one is ignored."""

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 from uav_vslam.config import VehicleConfig
 from uav_vslam.config.nodes import NODES
 from uav_vslam.config.settings import Setting, Settings, all_settings, build, check_names, flatten, plain, replaced
+from uav_vslam.datasets.sensor_setup import with_noise_of_files
 from uav_vslam.errors import ConfigError
 
 Config = typing.TypeVar("Config", bound=Settings)
@@ -66,7 +67,7 @@ class VehicleParameters:
         Raises:
             ConfigError: an unknown name, or a value that is not allowed.
         """
-        self.config = read(node, VehicleConfig)
+        self.config = with_noise_of_files(read(node, VehicleConfig))
         self._node, self._on_change = node, on_change
         settings = all_settings(VehicleConfig)
         self._settings: Mapping[str, Setting] = {name: settings[name] for name in names}

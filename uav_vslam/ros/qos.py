@@ -19,6 +19,7 @@ IMAGE = _reliable(5)  # reliable with the shared-memory profile; best effort los
 SENSOR = _reliable(500)  # IMU samples and increments: none may be lost, 2.5 s at 200 Hz
 STATE = _reliable(10)
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)  # published once, for late joiners
+LATCHED_BY_MANY = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)  # /tf_static: each publisher's message is another
 
 LIFESPAN = Duration(seconds=2)  # an older packet is superseded and need not be sent
 DEADLINE = Duration(seconds=3)  # longer gaps between packets are counted

@@ -2,9 +2,13 @@
 """The messages of a fleet's bags that are replayed, as serialised bytes."""
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+import itertools
+import statistics
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from uav_vslam.config import InputConfig
+from uav_vslam.datasets.bag import IMAGE_TOPICS
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawMessage, iter_raw, topics_of
 from uav_vslam.errors import BagError
@@ -12,13 +16,9 @@ from uav_vslam.ros.pacing import Kind, Recorded
 
 TF_STATIC = "/tf_static"
 INITIAL_STATE = "initial_state"
-IMAGES = ("image_raw", "image_raw/compressed")
-KINDS = {
-    **{f"left/{image}": Kind.LEFT for image in IMAGES},
-    **{f"right/{image}": Kind.RIGHT for image in IMAGES},
-    "left/camera_info": Kind.INFO,
-    "imu/data_raw": Kind.IMU,
-}
+KINDS = {"left": Kind.LEFT, "right": Kind.RIGHT, "left_info": Kind.INFO, "imu": Kind.IMU}  # by role
+COMPRESSED = "/compressed"
+FIRST_FRAMES = 20  # that tell the frame period
 # Outputs of the nodes: not replayed from the recording of a whole run.
 OUTPUTS = ("odometry", "path", "landmarks", "stereo_features", "joint_information", "landmark_information")
 OUTPUT_FOLDERS = ("ins/", "slam/", "fused/", "fusion/")
@@ -35,7 +35,12 @@ class Recording:
     """
 
     def __init__(
-        self, paths: Sequence[Path], vehicles: Sequence[str] = (), *, finding_start: Sequence[str] = ()
+        self,
+        paths: Sequence[Path],
+        vehicles: Sequence[str] = (),
+        *,
+        finding_start: Sequence[str] = (),
+        inputs: Mapping[str, InputConfig] | None = None,
     ) -> None:
         """Index the bags; replay `vehicles`, or all that have images.
 
@@ -43,6 +48,7 @@ class Recording:
             paths: the bags.
             vehicles: names.
             finding_start: those that estimate their start state: a recorded one would contradict it.
+            inputs: topics by vehicle; the conventional ones of those that are absent.
 
         Raises:
             BagError: a bag is missing, unreadable, or lacks a topic that a vehicle needs.
@@ -51,7 +57,9 @@ class Recording:
             raise BagError("no recording to replay; set the parameter bags, or give --bag")
         self._paths, known = tuple(paths), topics_of(paths)
         self._finding_start = frozenset(finding_start)
-        self.vehicles = tuple(vehicles) or _with_images(known)
+        self._inputs = dict(inputs or {})
+        self.vehicles = tuple(vehicles) or tuple(self._inputs) or _with_images(known)
+        self._roles = {topic: (vehicle, role) for vehicle in self.vehicles for role, topic in self._named(vehicle)}
         self.topics = {topic: info for topic, info in known.items() if self._is_input(topic)}
         self.damage: list[str] = []
         for vehicle in self.vehicles:
@@ -61,7 +69,7 @@ class Recording:
             vehicle: header_stamp_ns(raw.data)
             for vehicle in self.vehicles
             for raw in self.latched
-            if raw.topic == f"/{vehicle}/{INITIAL_STATE}"
+            if raw.topic == self.topic(vehicle, INITIAL_STATE)
         }
 
     def frames(self, vehicle: str) -> int:
@@ -70,15 +78,31 @@ class Recording:
 
     def classify(self, topic: str) -> tuple[str, Kind]:
         """Return the vehicle ("" for the fleet's own topics) and the topic's role in the pacing."""
-        for vehicle in self.vehicles:
-            if topic.startswith(f"/{vehicle}/"):
-                return vehicle, KINDS.get(topic.removeprefix(f"/{vehicle}/"), Kind.OTHER)
-        return "", Kind.OTHER
+        if topic in self._roles:
+            vehicle, role = self._roles[topic]
+            return vehicle, KINDS.get(role, Kind.OTHER)
+        owner = next((vehicle for vehicle in self.vehicles if topic.startswith(f"/{vehicle}/")), "")
+        return owner, Kind.OTHER
 
     def consumed(self, vehicle: str) -> list[str]:
         """Return the topics that need a subscriber before a vehicle can run."""
-        named = (*KINDS, "right/camera_info")
-        return [f"/{vehicle}/{name}" for name in named if f"/{vehicle}/{name}" in self.topics]
+        roles = (*KINDS, "right_info")
+        return [
+            t for t, (owner, role) in self._roles.items() if owner == vehicle and role in roles and t in self.topics
+        ]
+
+    def has_infos(self, vehicle: str) -> bool:
+        """Return whether the left images come with a camera_info; else calibration files replace it."""
+        return self._count(vehicle, Kind.INFO) > 0
+
+    def frame_period_ns(self, vehicle: str) -> int:
+        """Return the median time between the first left images [ns]; 0 for a single one."""
+        topics = [topic for topic in self.topics if self.classify(topic) == (vehicle, Kind.LEFT)]
+        streams = itertools.chain.from_iterable(self._until_broken(path, topics) for path in self._paths)
+        stamps = [header_stamp_ns(raw.data) for raw in itertools.islice(streams, FIRST_FRAMES)]
+        self.damage.clear()  # the replay detects it again
+        periods = [later - earlier for earlier, later in itertools.pairwise(stamps)]
+        return round(statistics.median(periods)) if periods else 0
 
     def messages(self) -> Iterator[Recorded]:
         """Yield all but the latched messages in recorded order; a damaged bag ends early."""
@@ -106,29 +130,41 @@ class Recording:
         self.damage.clear()  # the replay detects it again
         return list(newest.values())
 
+    def topic(self, vehicle: str, role: str) -> str:
+        """Return the name of a vehicle's input; `role` is a key of `input.topics`."""
+        return self._inputs.get(vehicle, InputConfig()).topic(vehicle, role)
+
+    def _named(self, vehicle: str) -> Iterator[tuple[str, str]]:
+        """Yield role and topic of a vehicle's inputs; images under both names."""
+        for role in (*KINDS, "right_info", INITIAL_STATE):
+            yield role, self.topic(vehicle, role)
+        for role in ("left", "right"):
+            yield role, self.topic(vehicle, role) + COMPRESSED
+
     def _is_input(self, topic: str) -> bool:
         vehicle, _ = self.classify(topic)
+        if topic in self._roles:
+            return self._roles[topic][1] != INITIAL_STATE or vehicle not in self._finding_start
         name = topic.removeprefix(f"/{vehicle}/")
-        if name == INITIAL_STATE and vehicle in self._finding_start:
-            return False
         return topic == TF_STATIC or (vehicle != "" and name not in OUTPUTS and not name.startswith(OUTPUT_FOLDERS))
 
     def _count(self, vehicle: str, kind: Kind) -> int:
-        return max(info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, kind))
+        counts = [info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, kind)]
+        return max(counts, default=0)
 
     def _require(self, vehicle: str) -> None:
         bags = ", ".join(map(str, self._paths))
         recorded = {self.classify(topic) for topic in self.topics}
-        for kind in (Kind.LEFT, Kind.RIGHT, Kind.INFO, Kind.IMU):
+        for kind in (Kind.LEFT, Kind.RIGHT, Kind.IMU):
             if (vehicle, kind) not in recorded:
-                names = " or ".join(f"/{vehicle}/{name}" for name, known in KINDS.items() if known is kind)
+                names = " or ".join(t for t in self._roles if self.classify(t) == (vehicle, kind))
                 held = ", ".join(_with_images(topics_of(self._paths))) or "none"
                 raise BagError(f"{bags}: no {names} for vehicle {vehicle}; vehicles recorded: {held}")
         infos, images = self._count(vehicle, Kind.INFO), self.frames(vehicle)
-        if 2 * infos < images:
+        if infos and 2 * infos < images:
             raise BagError(
-                f"{bags}: {infos} messages on /{vehicle}/left/camera_info for {images} left images; the nodes need one "
-                "with each image, of the same stamp (uav-vslam run does not)"
+                f"{bags}: {infos} messages on {self.topic(vehicle, 'left_info')} for {images} left images; the nodes "
+                "need one with each image, of the same stamp (uav-vslam run does not), or none and input.calibration"
             )
 
 
@@ -137,6 +173,6 @@ def _is_latched(topic: str) -> bool:
 
 
 def _with_images(topics: Iterable[str]) -> tuple[str, ...]:
-    endings = [f"/left/{image}" for image in IMAGES]
+    endings = [f"/left/{image}" for image in IMAGE_TOPICS]
     names = {topic.removesuffix(end).strip("/") for topic in topics for end in endings if topic.endswith(end)}
     return tuple(sorted(names))

@@ -13,7 +13,7 @@ Exit code 0 at the end; 1 if a consumer or an answer is missing; 2 if a bag can'
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -25,11 +25,26 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock as ClockMsg
 from tf2_msgs.msg import TFMessage
 
+from uav_vslam.config import InputConfig
 from uav_vslam.config.nodes import ReplayNodeConfig
+from uav_vslam.config.settings import build
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.errors import BagError
+from uav_vslam.datasets.stereo_sync import LARGEST_TOLERANCE_NS
+from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.convert import stamp_from_ns
-from uav_vslam.ros.pacing import EARLY_ANSWER, IMU_AHEAD, Answers, Kind, LockStep, Pacer, Readings, RealTime, Recorded
+from uav_vslam.ros.pacing import (
+    EARLY_ANSWER,
+    FRAME_PARTS,
+    IMU_AHEAD,
+    Answers,
+    FrameShape,
+    Kind,
+    LockStep,
+    Pacer,
+    Readings,
+    RealTime,
+    Recorded,
+)
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
@@ -56,9 +71,16 @@ class ReplayNode(Node):
         self._config = read(self, ReplayNodeConfig)
         declare(self, self._config)
         self._wait_for = self._config.wait_for
-        self._recording = Recording(self._config.bags, self._config.vehicles, finding_start=self._config.finding_start)
+        self._recording = Recording(
+            self._config.bags,
+            self._config.vehicles,
+            finding_start=self._config.finding_start,
+            inputs=_inputs(self._config.topics),
+        )
         self._vehicles, self._starts_ns = self._recording.vehicles, dict(self._recording.starts_ns)
-        self._answers = Answers(self._vehicles, self._starts_ns, self._wait_for)
+        offsets_ns = dict(_split(entry) for entry in self._config.time_offsets_ns)
+        shapes = {name: self._shape(name, int(offsets_ns.get(name, 0))) for name in self._vehicles}
+        self._answers = Answers(self._vehicles, self._starts_ns, self._wait_for, shapes)
         self._readings = Readings(self._vehicles, self._starts_ns, IMU_AHEAD if self._wait_for else None)
         self._progress_s = self._begin_s = time.monotonic()
         self._clock_ns = -CLOCK_NS
@@ -73,6 +95,12 @@ class ReplayNode(Node):
     @property
     def _lockstep(self) -> bool:
         return self._config.rate == 0
+
+    def _shape(self, vehicle: str, offset_ns: int) -> FrameShape:
+        """Return what makes a frame: images that the front end pairs, and a camera_info unless a file replaces it."""
+        parts = FRAME_PARTS if self._recording.has_infos(vehicle) else FRAME_PARTS - {Kind.INFO}
+        half_ns = self._recording.frame_period_ns(vehicle) // 2 or LARGEST_TOLERANCE_NS
+        return FrameShape(parts, min(half_ns, LARGEST_TOLERANCE_NS), offset_ns)
 
     def _advertise(self, topic: str):
         package, _, name = self._recording.topics[topic].msgtype.split("/")
@@ -89,7 +117,11 @@ class ReplayNode(Node):
         if vehicle not in self._starts_ns:  # the vehicle estimates its start state
             topics[EARLY_ANSWER] = StereoFeatures
             self.create_subscription(
-                NavigationState, f"/{vehicle}/{INITIAL_STATE}", partial(self._on_start, vehicle), LATCHED, raw=True
+                NavigationState,
+                self._recording.topic(vehicle, INITIAL_STATE),
+                partial(self._on_start, vehicle),
+                LATCHED,
+                raw=True,
             )
         for topic, kind in topics.items():
             answer = partial(self._on_answer, vehicle, topic)
@@ -205,6 +237,28 @@ class ReplayNode(Node):
     def _fail(self, text: str) -> None:
         self.get_logger().error(text)
         raise SystemExit(1)
+
+
+def _split(entry: str) -> tuple[str, str]:
+    """Return both sides of an entry LEFT:=RIGHT.
+
+    Raises:
+        ConfigError: it has another form.
+    """
+    left, found, right = entry.partition(":=")
+    if not (left and found and right):
+        raise ConfigError(f"{entry!r} is not of the form NAME:=VALUE")
+    return left, right
+
+
+def _inputs(entries: Iterable[str]) -> dict[str, InputConfig]:
+    """Return the topics of each vehicle from entries VEHICLE:ROLE:=TOPIC."""
+    values: dict[str, dict[str, str]] = {}
+    for entry in entries:
+        key, topic = _split(entry)
+        vehicle, _, role = key.partition(":")
+        values.setdefault(vehicle, {})[f"topics.{role}"] = topic
+    return {vehicle: build(InputConfig, topics, where=f"topics of {vehicle}") for vehicle, topics in values.items()}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -83,10 +83,17 @@ class VehicleNode(Node):
     @property
     def base_frame(self) -> str:
         """Name of the body frame."""
-        return f"{self.vehicle}/base_link"
+        return self.config.input.base_frame(self.vehicle)
 
     def listen(
-        self, message_type: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile, *, instead_of: str = ""
+        self,
+        message_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile,
+        *,
+        instead_of: str = "",
+        raw: bool = False,
     ) -> Input:
         """Subscribe; a message that the callback rejects is dropped and counted by reason.
 
@@ -94,9 +101,10 @@ class VehicleNode(Node):
             message_type, topic, qos: as for create_subscription.
             callback: may raise ValueError or an error of ours.
             instead_of: another topic that this one can replace: the node needs only one of them.
+            raw: the callback gets serialised messages.
         """
 
-        one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic)
+        one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic, raw)
         one.subscribe(self)
         self.watch(one)
         return one

@@ -66,9 +66,9 @@ class SlamBackendNode(VehicleNode):
         self._rig = RigListener(self, self._work)
         self._finds_start = self.config.start.method == "in_flight"
         if self._finds_start:
-            self._initial_state = self.advertise(NavigationState, "initial_state", LATCHED)
+            self._initial_state = self.advertise(NavigationState, self.config.input.topics.initial_state, LATCHED)
         else:
-            self.listen(NavigationState, "initial_state", self._on_initial_state, LATCHED)
+            self.listen(NavigationState, self.config.input.topics.initial_state, self._on_initial_state, LATCHED)
         self.listen(InsIncrement, "ins/increment", self._on_increment, SENSOR)
         self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, STATE)
 

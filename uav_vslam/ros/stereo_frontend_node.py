@@ -23,11 +23,11 @@ from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import features_to_msg, image_from_msg
-from uav_vslam.ros.inputs import Input
+from uav_vslam.ros.inputs import Input, image_topics
 from uav_vslam.ros.qos import IMAGE, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.types import NS_PER_S, StereoFrame
 from uav_vslam.types import StereoFeatures as Features
-from uav_vslam.types import StereoFrame
 from uav_vslam.vision.features import make_extractor
 from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.frontends import make_frontend
@@ -50,16 +50,16 @@ class StereoFrontendNode(VehicleNode):
         self._rig = RigListener(self, self._work)
         self._frontend: Frontend | None = None
         self._alone = 0  # images since the last pair
-        self._pairer: StereoPairer[Pixels] = StereoPairer()
+        given = self.config.input
+        self._pairer: StereoPairer[Pixels] = StereoPairer(tolerance_ns=round(given.pair_tolerance_s * NS_PER_S))
         self._waiting: deque[StereoFrame] = deque()
         self._publisher = self.advertise(StereoFeatures, "stereo_features", STATE)
         self._choices: dict[str, dict[type, Input]] = {}  # by camera: its candidate topics, until one is selected
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
-            raw = f"{side}/image_raw"
-            on_image = partial(self._on_image, side, add)
+            topic, on_image = getattr(given.topics, side), partial(self._on_image, side, add)
             self._choices[side] = {
-                Image: self.listen(Image, raw, on_image, IMAGE),
-                CompressedImage: self.listen(CompressedImage, f"{raw}/compressed", on_image, IMAGE, instead_of=raw),
+                kind: self.listen(kind, name, on_image, IMAGE, instead_of=topic)
+                for kind, name in image_topics(topic).items()
             }
 
     def configure(self, config: VehicleConfig) -> None:
@@ -75,11 +75,18 @@ class StereoFrontendNode(VehicleNode):
         if pair is None:
             self._alone += 1
             if self._alone == MAX_ALONE:
-                self._alarm({"pairs": "images arrive, but no pairs: one camera is silent, or their stamps differ"})
+                tolerance_ms = self._pairer.tolerance_ns / 1e6
+                self._alarm(
+                    {
+                        "pairs": "images arrive, but no pairs: one camera is silent, or their stamps differ by more "
+                        f"than {tolerance_ms:.1f} ms (input.pair_tolerance_s)"
+                    }
+                )
             return
         self._alone = 0
         self.counts["pairs"] += 1
-        self._waiting.append(StereoFrame(pair.stamp_ns, pair.left, pair.right))
+        self.notes["pairs"] = f"offset {self._pairer.offset_ns / 1e6:.1f} of {self._pairer.tolerance_ns / 1e6:.1f} ms"
+        self._waiting.append(StereoFrame(pair.stamp_ns + self._rig.time_offset_ns, pair.left, pair.right))
         if len(self._waiting) > MAX_WAITING:
             self._waiting.popleft()
             self.drop("no_calibration", "image pairs arrive, but no valid camera_info or /tf_static")

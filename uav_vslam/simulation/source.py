@@ -43,6 +43,15 @@ class SimulatedSource:
         """Start state with its errors."""
         return self.simulated.initial
 
+    @property
+    def frame_count(self) -> int:
+        """Number of frames."""
+        return len(self.simulated.frame_stamps_ns) if self.features is None else len(self.features)
+
+    def unpaired_reason(self) -> str:
+        """Return nothing: all images are pairs."""
+        return ""
+
     def frames(self) -> Iterable[StereoFrame | StereoFeatures]:
         """Yield stereo frames or features."""
         if self.features is not None:

@@ -51,6 +51,15 @@ class RecordedFlight:
         return self.events
 
     @property
+    def frame_count(self) -> int:
+        """Number of frames."""
+        return len(self.frame_stamps_ns)
+
+    def unpaired_reason(self) -> str:
+        """Return nothing: all images are pairs."""
+        return ""
+
+    @property
     def frame_stamps_ns(self) -> NDArray[np.int64]:
         """(F,) stamps of the frames [ns]."""
         return np.array([event.stamp_ns for event in self.events if isinstance(event, StereoFeatures)], np.int64)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrations of other tools: the same rig from Kalibr's, ROS's and EuRoC's files."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from uav_vslam.config import InputConfig, load_vehicle
+from uav_vslam.datasets.calibration_files import read_calibration
+from uav_vslam.datasets.sensor_setup import SensorSetup, with_noise_of_files
+from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.geometry.stereo import StereoRig
+
+LEFT = PinholeCamera(640, 480, 400.0, 401.0, 320.0, 240.0, np.array([-0.1, 0.02, 1e-3, -1e-3, 0.0]))
+RIGHT = PinholeCamera(640, 480, 405.0, 406.0, 318.0, 242.0, np.array([-0.1, 0.03, 1e-3, 1e-3, 0.0]))
+T_BODY_LEFT = Pose(so3_exp([0.1, -2.0, 0.5]), np.array([0.2, -0.1, 0.05]))
+T_LEFT_RIGHT = Pose(so3_exp([0.01, -0.02, 0.005]), np.array([0.11, 0.002, -0.003]))
+RIG = StereoRig(LEFT, RIGHT, T_BODY_LEFT, T_BODY_LEFT @ T_LEFT_RIGHT)
+NOISE = {
+    "accelerometer_noise_density": 2e-3,
+    "accelerometer_random_walk": 3e-3,
+    "gyroscope_noise_density": 1.6e-4,
+    "gyroscope_random_walk": 2.2e-5,
+}
+
+
+def written(path: Path, tree: dict[str, Any]) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    return path
+
+
+def intrinsics(camera: PinholeCamera) -> list[float]:
+    return [camera.fx, camera.fy, camera.cx, camera.cy]
+
+
+def kalibr_camera(camera: PinholeCamera, **more: Any) -> dict[str, Any]:
+    return {
+        "camera_model": "pinhole",
+        "intrinsics": intrinsics(camera),
+        "distortion_model": "radtan",
+        "distortion_coeffs": camera.distortion[:4].tolist(),
+        "resolution": [camera.width, camera.height],
+        **more,
+    }
+
+
+def kalibr(folder: Path, *, with_imu: bool = True) -> Path:
+    at_imu = {"T_cam_imu": T_BODY_LEFT.inverse().matrix.tolist(), "timeshift_cam_imu": -0.004} if with_imu else {}
+    chain = T_LEFT_RIGHT.inverse().matrix.tolist()
+    tree = {"cam0": kalibr_camera(LEFT, **at_imu), "cam1": kalibr_camera(RIGHT, T_cn_cnm1=chain)}
+    return written(folder / "camchain.yaml", tree)
+
+
+def ros(folder: Path) -> list[Path]:
+    """Both files as a stereo calibration of image_pipeline writes them, rectified by OpenCV."""
+    T_right_left = T_LEFT_RIGHT.inverse()
+    rectified = cv2.stereoRectify(
+        LEFT.K, LEFT.distortion, RIGHT.K, RIGHT.distortion, (640, 480), T_right_left.R, T_right_left.t
+    )
+    paths = []
+    for name, camera, R, P in zip(("left", "right"), (LEFT, RIGHT), rectified[:2], rectified[2:4], strict=True):
+        tree = {
+            "image_width": camera.width,
+            "image_height": camera.height,
+            "camera_name": name,
+            "camera_matrix": {"rows": 3, "cols": 3, "data": camera.K.ravel().tolist()},
+            "distortion_model": "plumb_bob",
+            "distortion_coefficients": {"rows": 1, "cols": 5, "data": camera.distortion.tolist()},
+            "rectification_matrix": {"rows": 3, "cols": 3, "data": R.ravel().tolist()},
+            "projection_matrix": {"rows": 3, "cols": 4, "data": P.ravel().tolist()},
+        }
+        paths.append(written(folder / f"{name}.yaml", tree))
+    return paths
+
+
+def euroc(folder: Path) -> Path:
+    for name, camera, pose in (("cam0", LEFT, RIG.T_body_left), ("cam1", RIGHT, RIG.T_body_right)):
+        tree = {
+            "T_BS": {"rows": 4, "cols": 4, "data": pose.matrix.ravel().tolist()},
+            "resolution": [camera.width, camera.height],
+            "intrinsics": intrinsics(camera),
+            "distortion_model": "radial-tangential",
+            "distortion_coefficients": camera.distortion[:4].tolist(),
+        }
+        written(folder / name / "sensor.yaml", tree)
+    written(folder / "imu0" / "sensor.yaml", {"rate_hz": 200, **NOISE})
+    return folder
+
+
+def assert_rig(rig: StereoRig) -> None:
+    for ours, true in ((rig.left, LEFT), (rig.right, RIGHT)):
+        np.testing.assert_allclose(ours.K, true.K)
+        np.testing.assert_allclose(ours.distortion, true.distortion)
+    np.testing.assert_allclose(rig.T_body_left.matrix, RIG.T_body_left.matrix, atol=1e-9)
+    np.testing.assert_allclose(rig.T_body_right.matrix, RIG.T_body_right.matrix, atol=1e-9)
+
+
+def setup_of(*paths: Path) -> SensorSetup:
+    return SensorSetup.of("uav1", InputConfig(calibration=paths))
+
+
+def test_kalibrs_file_tells_all_of_the_rig_and_the_clock(tmp_path: Path) -> None:
+    setup = setup_of(kalibr(tmp_path))
+    assert not setup.needs_infos
+    assert not setup.needs_frames
+    assert setup.time_offset_ns == -4_000_000
+    assert_rig(setup.rig())
+
+
+def test_eurocs_folder_tells_all_of_the_rig(tmp_path: Path) -> None:
+    assert_rig(setup_of(euroc(tmp_path)).rig())
+
+
+@pytest.mark.parametrize("kind", ["kalibr without IMU", "ros"])
+def test_files_of_the_cameras_alone_leave_their_place_to_the_static_frames(kind: str, tmp_path: Path) -> None:
+    setup = setup_of(*(ros(tmp_path) if kind == "ros" else [kalibr(tmp_path, with_imu=False)]))
+    setup.imu_frame = "uav1/base_link"
+    assert setup.missing_infos == ["left"]  # which names the camera's frame
+    setup.cameras["left"] = (LEFT, "eye")
+    assert setup.missing_transforms() == ["uav1/base_link -> eye"]
+    setup.frames.add([("uav1/base_link", "eye", T_BODY_LEFT)])
+    assert setup.missing_transforms() == []
+    assert_rig(setup.rig())
+
+
+def test_the_noise_of_a_file_counts_where_the_configuration_sets_none(tmp_path: Path) -> None:
+    files = [str(kalibr(tmp_path)), str(written(tmp_path / "imu.yaml", {"imu0": NOISE}))]
+    config = load_vehicle(None, overrides={"input.calibration": files, "imu.gyro_noise": 5e-4})
+    found = with_noise_of_files(config).imu
+    assert (found.gyro_noise, found.accel_noise) == (5e-4, 2e-3)
+    assert (found.gyro_bias_walk, found.accel_bias_walk) == (2.2e-5, 3e-3)
+
+
+def test_paths_in_a_configuration_are_relative_to_it(tmp_path: Path) -> None:
+    kalibr(tmp_path / "deep")
+    tree = {"/**": {"ros__parameters": {"input": {"calibration": ["camchain.yaml"]}}}}
+    config = load_vehicle(written(tmp_path / "deep" / "mine.yaml", tree))
+    assert config.input.calibration == (tmp_path / "deep" / "camchain.yaml",)
+
+
+WRONG: dict[str, tuple[Any, str]] = {
+    "no calibration": ({"speed": 3}, "no calibration of Kalibr, ROS or EuRoC"),
+    "omnidirectional": ({"cam0": kalibr_camera(LEFT) | {"camera_model": "omni"}}, "camera_model 'omni'"),
+    "unknown lens": ({"cam0": kalibr_camera(LEFT) | {"distortion_model": "fov"}}, "'fov' is not supported"),
+    "no intrinsics": ({"cam0": {"camera_model": "pinhole"}}, "resolution is missing"),
+    "words for numbers": ({"cam0": kalibr_camera(LEFT) | {"intrinsics": ["a", 1, 2, 3]}}, "malformed"),
+    "three cameras": ({f"cam{k}": kalibr_camera(LEFT) for k in range(3)}, "3 cameras"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_file_is_named_with_what_is_wrong(case: str, tmp_path: Path) -> None:
+    tree, text = WRONG[case]
+    path = written(tmp_path / "given.yaml", tree)
+    with pytest.raises(CalibrationError, match=text) as refused:
+        read_calibration([path])
+    assert str(path) in str(refused.value)
+
+
+def test_a_missing_file_and_a_folder_of_something_else_are_named(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match=r"none\.yaml: can't be read"):
+        read_calibration([tmp_path / "none.yaml"])
+    with pytest.raises(CalibrationError, match=r"a folder without cam0/sensor\.yaml"):
+        read_calibration([tmp_path])

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording with foreign topics, frames, clocks and calibration gives the same events as the conventional one."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
+
+from uav_vslam.config import InputConfig
+from uav_vslam.config.input import FramesConfig, TopicsConfig
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.errors import CalibrationError
+from uav_vslam.types import ImuSample, StereoFrame
+
+FOREIGN = TopicsConfig(
+    left="/camera/infra1/image_rect_raw",
+    right="/camera/infra2/image_rect_raw",
+    left_info="/camera/infra1/camera_info",
+    right_info="/camera/infra2/camera_info",
+    imu="/imu",
+    initial_state="/start",
+)
+
+
+def events(bag: Path, config: InputConfig | None = None) -> list[ImuSample | StereoFrame]:
+    return list(open_flight(bag, "uav1", config).iter_events())
+
+
+def assert_same(found: Sequence[Any], expected: Sequence[Any], *, atol: float = 0.0) -> None:
+    assert [event.stamp_ns for event in found] == [event.stamp_ns for event in expected]
+    for ours, true in zip(found, expected, strict=True):
+        if isinstance(true, ImuSample):
+            np.testing.assert_allclose(ours.gyro, true.gyro, rtol=0, atol=atol)
+            np.testing.assert_allclose(ours.accel, true.accel, rtol=0, atol=atol)
+        else:
+            np.testing.assert_array_equal(ours.left, true.left)
+            np.testing.assert_array_equal(ours.right, true.right)
+
+
+def test_topics_of_any_name(tiny_bag: Path, tmp_path: Path) -> None:
+    bag = rewritten(tiny_bag, tmp_path / "bag", renamed)
+    flight = open_flight(bag, "uav1", InputConfig(topics=FOREIGN))
+    assert flight.frame_count == 6
+    assert flight.initial_state is not None
+    assert_same(list(flight.iter_events()), events(tiny_bag))
+
+
+def test_stereo_stamps_three_milliseconds_apart(tiny_bag: Path, tmp_path: Path) -> None:
+    bag = rewritten(
+        tiny_bag, tmp_path / "bag", edited("/uav1/right/image_raw", lambda image: shifted(image, 3_000_000))
+    )
+    assert_same(events(bag), events(tiny_bag))
+    config = InputConfig(pair_tolerance_s=0.002)
+    flight = open_flight(bag, "uav1", config)
+    assert not [event for event in flight.iter_events() if isinstance(event, StereoFrame)]
+    assert "3 ms apart" in flight.unpaired_reason()
+
+
+def test_a_kalibr_file_replaces_camera_info_and_static_frames(tiny_bag: Path, tmp_path: Path) -> None:
+    infos = ("/uav1/left/camera_info", "/uav1/right/camera_info")
+    bag = rewritten(tiny_bag, tmp_path / "bag", without("/tf_static", *infos))
+    flight = open_flight(bag, "uav1", InputConfig(calibration=(kalibr_of(tiny_bag, tmp_path),)))
+    assert_same(list(flight.iter_events()), events(tiny_bag))
+    expected = open_flight(tiny_bag, "uav1").rig
+    np.testing.assert_allclose(flight.rig.T_body_right.matrix, expected.T_body_right.matrix, atol=1e-12)
+
+
+def test_a_camera_clock_that_lags_is_moved_to_the_imus(tiny_bag: Path, tmp_path: Path) -> None:
+    changes = [edited(f"/uav1/{side}/image_raw", lambda image: shifted(image, 5_000_000)) for side in ("left", "right")]
+    bag = rewritten(tiny_bag, tmp_path / "bag", *changes)
+    calibration = kalibr_of(tiny_bag, tmp_path, timeshift_s=-0.005)
+    assert_same(events(bag, InputConfig(calibration=(calibration,))), events(tiny_bag))
+
+
+def test_an_imu_in_its_own_frame_is_turned_to_the_body(tiny_bag: Path, tmp_path: Path) -> None:
+    changes = [edited("/uav1/imu/data_raw", turned), edited("/tf_static", with_imu_edge)]
+    bag = rewritten(tiny_bag, tmp_path / "bag", *changes)
+    assert_same(events(bag), events(tiny_bag), atol=1e-12)
+
+
+def test_an_imu_frame_that_nothing_connects_is_refused_with_the_remedy(tiny_bag: Path, tmp_path: Path) -> None:
+    bag = rewritten(tiny_bag, tmp_path / "bag", edited("/uav1/imu/data_raw", turned))
+    with pytest.raises(CalibrationError, match=r"does not connect uav1/base_link and imu_link.*input\.frames"):
+        open_flight(bag, "uav1")
+    named = InputConfig(frames=FramesConfig(imu="uav1/base_link"))
+    open_flight(bag, "uav1", named)

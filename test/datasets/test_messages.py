@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images of every encoding decode to the picture that was recorded."""
+
+import dataclasses
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from uav_vslam.datasets.messages import ENCODINGS, camera_info_message, camera_of, image_message, image_of
+from uav_vslam.geometry.camera import PinholeCamera
+
+BGR = np.zeros((8, 12, 3), np.uint8)
+BGR[..., 0], BGR[..., 1], BGR[..., 2] = 40, 90, 200  # one colour: Bayer interpolation leaves it as it is
+
+
+def mosaic(pattern: str) -> np.ndarray[Any, Any]:
+    """Return the colour's Bayer mosaic; `pattern` names the first two pixels of the first two rows."""
+    value = {"b": 40, "g": 90, "r": 200}
+    tile = np.array([value[letter] for letter in pattern], np.uint8).reshape(2, 2)
+    return np.tile(tile, (4, 6))
+
+
+def recorded(encoding: str) -> Any:
+    kind, channels, _ = ENCODINGS[encoding]
+    if encoding.startswith("bayer"):
+        pixels = mosaic(encoding.removeprefix("bayer_")[:4]).astype(kind)
+    elif channels == 1:
+        pixels = np.arange(96, dtype=kind).reshape(8, 12)
+    else:
+        order = {"rgb": [2, 1, 0], "bgr": [0, 1, 2]}["rgb" if encoding.startswith("rgb") else "bgr"]
+        pixels = np.concatenate([BGR[..., order], np.full((8, 12, channels - 3), 255, np.uint8)], axis=-1)
+    data = np.ascontiguousarray(pixels).view(np.uint8).reshape(-1)
+    blank = image_message(0, "camera", np.zeros((8, 12), np.uint8))
+    return dataclasses.replace(blank, encoding=encoding, step=12 * channels * np.dtype(kind).itemsize, data=data)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_encoding_gives_the_recorded_picture(encoding: str) -> None:
+    kind, channels, conversion = ENCODINGS[encoding]
+    image = image_of(recorded(encoding))
+    assert image.dtype == kind
+    if channels == 1 and conversion is None:
+        np.testing.assert_array_equal(image, np.arange(96).reshape(8, 12))
+    else:
+        np.testing.assert_array_equal(image, BGR)
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "equidistant"])
+def test_a_camera_info_carries_each_lens(model: str) -> None:
+    count = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}[model]
+    camera = PinholeCamera(640, 480, 400.0, 401.0, 320.0, 240.0, np.linspace(0.01, 0.02, count), model)
+    back = camera_of(camera_info_message(0, "camera", camera))
+    assert back.model == model
+    np.testing.assert_array_equal(back.distortion, camera.distortion)
+
+
+def test_a_camera_info_of_a_rectified_image_needs_no_coefficients() -> None:
+    info = camera_info_message(0, "camera", PinholeCamera(640, 480, 400.0, 401.0, 320.0, 240.0))
+    info.d = np.zeros(0)
+    np.testing.assert_array_equal(camera_of(info).distortion, np.zeros(5))
+
+
+def test_a_16_bit_bayer_picture_keeps_its_bits() -> None:
+    message = recorded("bayer_rggb16")
+    assert image_of(message).max() == 200
+    assert cv2.cvtColor(image_of(message), cv2.COLOR_BGR2GRAY).dtype == np.uint16

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a vehicle's sensor data and calibration come from."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from uav_vslam.config.settings import Settings, setting
+
+
+@dataclass(frozen=True, slots=True)
+class TopicsConfig(Settings):
+    """Topics of a vehicle; relative names are below its namespace, absolute ones begin with a slash."""
+
+    left: str = setting(
+        "left/image_raw", "left image; with /compressed appended, sensor_msgs/CompressedImage is read as well"
+    )
+    right: str = setting("right/image_raw", "right image, likewise")
+    left_info: str = setting("left/camera_info", "calibration of the left camera")
+    right_info: str = setting("right/camera_info", "calibration of the right camera")
+    imu: str = setting("imu/data_raw", "IMU readings")
+    initial_state: str = setting("initial_state", "start state")
+    truth: str = setting("ground_truth/odometry", "ground truth, offline only: Odometry, PoseStamped, TransformStamped")
+
+
+@dataclass(frozen=True, slots=True)
+class FramesConfig(Settings):
+    """Names of frames in /tf_static; those of sensors replace what their messages have in header.frame_id."""
+
+    base: str = setting("", "body frame of the vehicle; empty: VEHICLE/base_link")
+    imu: str = setting("", "frame of the IMU; empty: as in its messages")
+    left: str = setting("", "optical frame of the left camera; empty: as in its camera_info")
+    right: str = setting("", "optical frame of the right camera; empty: as in its camera_info")
+
+
+@dataclass(frozen=True, slots=True)
+class InputConfig(Settings):
+    """Where a vehicle's sensor data and calibration come from."""
+
+    calibration: tuple[Path, ...] = setting(
+        (),
+        "calibration files of Kalibr, ROS or EuRoC, relative to the configuration file; what they tell is not taken "
+        "from camera_info and /tf_static, and their IMU's frame is the body frame",
+    )
+    pair_tolerance_s: float = setting(
+        0.0,
+        "largest difference between the stamps of an image pair; 0: half of the median frame period, at most 0.02",
+        unit="s",
+        at_least=0,
+    )
+    topics: TopicsConfig = field(default_factory=TopicsConfig)
+    frames: FramesConfig = field(default_factory=FramesConfig)
+
+    def topic(self, vehicle: str, role: str) -> str:
+        """Return the absolute name of a vehicle's topic; `role` is a field of `TopicsConfig`."""
+        name: str = getattr(self.topics, role)
+        return name if name.startswith("/") else f"/{vehicle}/{name}"
+
+    def base_frame(self, vehicle: str) -> str:
+        """Return the name of the vehicle's body frame."""
+        return self.frames.base or f"{vehicle}/base_link"

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The static frames of a vehicle, as /tf_static holds them."""
+
+from collections.abc import Iterable
+
+from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.pose import Pose
+
+
+class FrameTree:
+    """Frames by name, each with its parent; names without a leading slash."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, Pose]] = {}  # child -> (parent, T_parent_child)
+
+    def add(self, edges: Iterable[tuple[str, str, Pose]]) -> None:
+        """Add edges (parent frame, child frame, T_parent_child); a later one replaces an earlier one."""
+        self._parents |= {child: (parent, pose) for parent, child, pose in edges}
+
+    def connected(self, base: str, frame: str) -> bool:
+        """Return whether `find` would succeed."""
+        return self._root(base)[0] == self._root(frame)[0]
+
+    def find(self, base: str, frame: str) -> Pose:
+        """Return T_base_frame.
+
+        Raises:
+            CalibrationError: the frames are not connected.
+        """
+        base, frame = base.lstrip("/"), frame.lstrip("/")
+        base_root, T_root_base = self._root(base)
+        root, T_root_frame = self._root(frame)
+        if root == base_root:
+            return T_root_base.inverse() @ T_root_frame
+        held = ", ".join(f"{parent} -> {child}" for child, (parent, _) in sorted(self._parents.items())) or "nothing"
+        raise CalibrationError(
+            f"/tf_static does not connect {base} and {frame or 'a frame without a name'}; it holds {held}. Publish "
+            f"that transform, name the frames by input.frames, or give a file with input.calibration"
+        )
+
+    def _root(self, frame: str) -> tuple[str, Pose]:
+        """Return the frame's topmost ancestor, and the frame's pose there."""
+        frame, pose, seen = frame.lstrip("/"), Pose.identity(), set[str]()
+        while frame in self._parents and frame not in seen:  # a loop has no root: its frames stay apart
+            seen.add(frame)
+            parent, T_parent_child = self._parents[frame]
+            frame, pose = parent, T_parent_child @ pose
+        return frame, pose

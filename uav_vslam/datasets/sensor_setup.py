@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A vehicle's sensors in its body: from calibration files, and for what these do not tell from messages.
+
+The bag reader and the nodes collect messages in their own way; what follows from them is decided here.
+"""
+
+from dataclasses import dataclass, field
+
+from uav_vslam.config import InputConfig, VehicleConfig, differences, replaced
+from uav_vslam.datasets.calibration_files import Calibration, read_calibration
+from uav_vslam.datasets.frame_tree import FrameTree
+from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.types import NS_PER_S
+
+SIDES = ("left", "right")
+
+
+@dataclass(slots=True)
+class SensorSetup:
+    """What is known of a vehicle's sensors so far.
+
+    Attributes:
+        vehicle: name.
+        config: of its input.
+        files: content of the calibration files.
+        frames: static frames received.
+        cameras: calibration and frame of each side received, by side.
+        imu_frame: header.frame_id of the IMU's messages; None before the first.
+    """
+
+    vehicle: str
+    config: InputConfig
+    files: Calibration
+    frames: FrameTree = field(default_factory=FrameTree)
+    cameras: dict[str, tuple[PinholeCamera, str]] = field(default_factory=dict)
+    imu_frame: str | None = None
+
+    @classmethod
+    def of(cls, vehicle: str, config: InputConfig) -> "SensorSetup":
+        """Read the calibration files.
+
+        Raises:
+            CalibrationError: one can't be read.
+        """
+        return cls(vehicle, config, read_calibration(config.calibration))
+
+    @property
+    def time_offset_ns(self) -> int:
+        """IMU time minus image stamp [ns]."""
+        return round(self.files.time_offset_s * NS_PER_S)
+
+    @property
+    def missing_infos(self) -> list[str]:
+        """Sides whose camera_info is still needed, for the intrinsics or for the name of the frame."""
+        return [side for side in SIDES if self._needs_info(side) and side not in self.cameras]
+
+    @property
+    def needs_infos(self) -> bool:
+        """Whether the calibration files and settings leave anything to camera_info."""
+        return any(self._needs_info(side) for side in SIDES)
+
+    @property
+    def needs_frames(self) -> bool:
+        """Whether the calibration files leave the place of a sensor to /tf_static."""
+        return bool(self._unplaced_frames())
+
+    def camera_frame(self, side: str) -> str:
+        """Return the name of a camera's frame; empty while unknown."""
+        override: str = getattr(self.config.frames, side)
+        return override or (self.cameras[side][1] if side in self.cameras else "")
+
+    def missing_transforms(self) -> list[str]:
+        """Return what /tf_static still has to connect, in words."""
+        base = self.config.base_frame(self.vehicle)
+        unknown = [frame for frame in self._unplaced_frames() if not self.frames.connected(base, frame)]
+        return [f"{base} -> {frame or 'a camera without camera_info'}" for frame in unknown]
+
+    def rig(self) -> StereoRig:
+        """Return the stereo rig.
+
+        Raises:
+            CalibrationError: a camera is unknown or not connected to the body, or the cameras contradict each other.
+        """
+        left, right = (self._camera(k) for k in range(len(SIDES)))
+        T_body_left, T_body_right = (self._T_body_cam(k) for k in range(len(SIDES)))
+        return StereoRig(left, right, T_body_left, T_body_right)
+
+    def T_body_imu(self) -> Pose:
+        """Return the pose of the IMU; its frame is the body's if it has no name, or if a file has the cameras there.
+
+        Raises:
+            CalibrationError: the frame is not connected to the body.
+        """
+        if self._imu_is_body:
+            return Pose.identity()
+        return self.frames.find(self.config.base_frame(self.vehicle), self._imu_frame)
+
+    def missing_imu_transform(self) -> str:
+        """Return the transform to the IMU that /tf_static lacks, in words; empty for none."""
+        base = self.config.base_frame(self.vehicle)
+        if self._imu_is_body or self.frames.connected(base, self._imu_frame):
+            return ""
+        return f"{base} -> {self._imu_frame}"
+
+    @property
+    def _imu_frame(self) -> str:
+        return (self.config.frames.imu or self.imu_frame or "").lstrip("/")
+
+    @property
+    def _imu_is_body(self) -> bool:
+        base = self.config.base_frame(self.vehicle)
+        return self.files.T_body_cam(0) is not None or self._imu_frame in ("", base)
+
+    def _unplaced_frames(self) -> list[str]:
+        """Return the frames of the sensors that the files do not place."""
+        frames = [self.camera_frame(side) for k, side in enumerate(SIDES) if not self._in_files(k)]
+        return frames if self._imu_is_body else [*frames, self._imu_frame]
+
+    def _needs_info(self, side: str) -> bool:
+        index = SIDES.index(side)
+        frame_unknown = not self._in_files(index) and not getattr(self.config.frames, side)
+        return index >= len(self.files.cameras) or frame_unknown
+
+    def _in_files(self, index: int) -> bool:
+        """Return whether the files tell where a camera is, in the body or relative to the left one."""
+        return self.files.T_body_cam(index) is not None or (index > 0 and self._T_left_right() is not None)
+
+    def _T_left_right(self) -> Pose | None:
+        return self.files.cameras[1].T_left_cam if len(self.files.cameras) > 1 else None
+
+    def _camera(self, index: int) -> PinholeCamera:
+        if index < len(self.files.cameras):
+            return self.files.cameras[index].camera
+        if SIDES[index] not in self.cameras:
+            raise CalibrationError(f"no camera_info of the {SIDES[index]} camera, and no file has its calibration")
+        return self.cameras[SIDES[index]][0]
+
+    def _T_body_cam(self, index: int) -> Pose:
+        known, T_left_right = self.files.T_body_cam(index), self._T_left_right()
+        if known is not None:
+            return known
+        if index > 0 and T_left_right is not None:
+            return self._T_body_cam(0) @ T_left_right
+        return self.frames.find(self.config.base_frame(self.vehicle), self.camera_frame(SIDES[index]))
+
+
+def with_noise_of_files(config: VehicleConfig) -> VehicleConfig:
+    """Return the configuration with the IMU noise of its calibration files, where it does not set its own.
+
+    Raises:
+        CalibrationError: a file can't be read.
+    """
+    noise = read_calibration(config.input.calibration).noise
+    own = differences(config)
+    return replaced(config, {k: v for k, v in noise.items() if k not in own}, where="input.calibration")
