@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags as files: topics, raw messages and message types. The only module that imports `rosbags`.
+"""Bags as files: topics, raw messages and message types. Only this module and `ros1_bag` import `rosbags`.
 
 A damaged recording (its writer was killed, or the file is truncated) is read up to the damage; then `BagError` follows.
 """
@@ -30,12 +30,13 @@ from rosbags.rosbag2.errors import WriterError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
 from uav_vslam.errors import BagError
 
 MESSAGE_PACKAGE = "uav_vslam_msgs"
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
-STORAGE_FILES = (".mcap", ".db3")
+STORAGE_FILES = (".mcap", ".db3", ros1_bag.SUFFIX)
 UNLIMITED = QosTime(9223372036, 854775807)  # how ROS writes "no deadline"
 
 
@@ -56,7 +57,7 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A message as it was recorded.
+    """A message as it was recorded; one of ROS 1 as ROS 2 has it.
 
     Attributes:
         topic, msgtype: name and type.
@@ -127,7 +128,7 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
     """Yield the recorded messages of one or more bags in the order of their recording stamps.
 
     Args:
-        paths: bag folders or storage files (mcap, sqlite3).
+        paths: bag folders or storage files (mcap, sqlite3, ROS 1's .bag).
         topics: only these; None for all.
 
     Raises:
@@ -244,10 +245,10 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in map(Path, paths):
         if not path.exists():
-            raise BagError(f"bag {path} does not exist; give a bag folder or an .mcap or .db3 file")
+            raise BagError(f"bag {path} does not exist; give a bag folder or an .mcap, .db3 or .bag file")
         files_inside = sorted(p for p in path.iterdir() if p.suffix in STORAGE_FILES) if path.is_dir() else [path]
         if not files_inside or (path.is_file() and path.suffix not in STORAGE_FILES):
-            raise BagError(f"{path} is not a bag: no .mcap or .db3 file; give a bag folder or such a file")
+            raise BagError(f"{path} is not a bag: no .mcap, .db3 or .bag file; give a bag folder or such a file")
         whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(is_truncated, files_inside))
         files += [path] if whole else files_inside
     return files
@@ -256,6 +257,8 @@ def _files(paths: Sequence[Path]) -> list[Path]:
 def _topics_of_file(file: Path) -> dict[str, TopicInfo]:
     if is_truncated(file):
         return _topics_of_truncated_file(file)
+    if file.suffix == ros1_bag.SUFFIX:
+        return _topics_of_ros1_file(file)
     with ExitStack() as stack:
         reader = _open(file, stack)
         topics: dict[str, TopicInfo] = {}
@@ -270,6 +273,7 @@ def _topics_of_file(file: Path) -> dict[str, TopicInfo]:
 def _messages_of_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
     last_ns: int | None = None
     read = _messages_of_truncated_file if is_truncated(file) else _messages_of_whole_file
+    read = _messages_of_ros1_file if file.suffix == ros1_bag.SUFFIX else read
     try:
         for raw in read(file, topics):
             last_ns = raw.stamp_ns
@@ -293,6 +297,22 @@ def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterat
         if wanted:  # an empty list would mean all
             for connection, stamp_ns, data in reader.messages(wanted):
                 yield RawMessage(connection.topic, connection.msgtype, stamp_ns, bytes(data))
+
+
+def _messages_of_ros1_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:
+    for topic, msgtype, stamp_ns, data in ros1_bag.messages(file, topics, encode, typestore()):
+        yield RawMessage(topic, msgtype, stamp_ns, data)
+
+
+def _topics_of_ros1_file(file: Path) -> dict[str, TopicInfo]:
+    topics: dict[str, TopicInfo] = {}
+    try:
+        for topic, msgtype, count, latched in ros1_bag.topics(file):
+            known = topics.get(topic, TopicInfo(msgtype, 0, latched))
+            topics[topic] = TopicInfo(msgtype, known.count + count, latched or topic.endswith("tf_static"))
+    except Exception as error:  # struct and format errors, depending on the damage
+        raise _damage(file, None, error) from None
+    return topics
 
 
 def _open(file: Path, stack: ExitStack) -> Reader:
