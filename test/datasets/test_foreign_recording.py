@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording with foreign topics, frames, clocks and calibration gives the same events as the conventional one."""
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import FramesConfig, TopicsConfig
 from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.rosbag import RawMessage, decode, encode, message
 from uav_vslam.errors import CalibrationError
 from uav_vslam.types import ImuSample, StereoFrame
 
@@ -87,3 +89,29 @@ def test_an_imu_frame_that_nothing_connects_is_refused_with_the_remedy(tiny_bag:
         open_flight(bag, "uav1")
     named = InputConfig(frames=FramesConfig(imu="uav1/base_link"))
     open_flight(bag, "uav1", named)
+
+
+@pytest.mark.parametrize("kind", ["PoseStamped", "TransformStamped"])
+def test_truth_of_poses_alone_gets_its_velocity_by_differences(kind: str, tiny_bag: Path, tmp_path: Path) -> None:
+    def posed(raw: RawMessage) -> RawMessage:
+        if raw.topic != "/uav1/ground_truth/odometry":
+            return raw
+        full = decode(raw)
+        pose, msgtype = full.pose.pose, f"geometry_msgs/msg/{kind}"
+        if kind == "PoseStamped":
+            built = message(msgtype, header=full.header, pose=pose)
+        else:
+            p = pose.position
+            translation = message("geometry_msgs/msg/Vector3", x=p.x, y=p.y, z=p.z)
+            transform = message("geometry_msgs/msg/Transform", translation=translation, rotation=pose.orientation)
+            built = message(msgtype, header=full.header, child_frame_id="uav1/base_link", transform=transform)
+        return dataclasses.replace(raw, topic="/vicon", msgtype=msgtype, data=encode(built))
+
+    bag = rewritten(tiny_bag, tmp_path / "bag", posed)
+    found = open_flight(bag, "uav1", InputConfig(topics=TopicsConfig(truth="/vicon"))).truth()
+    expected = open_flight(tiny_bag, "uav1").truth()
+    assert found is not None
+    assert expected is not None
+    np.testing.assert_array_equal(found.positions_world, expected.positions_world)
+    inner = slice(1, -1)  # central differences; the ends are one-sided
+    np.testing.assert_allclose(found.velocities_world[inner], expected.velocities_world[inner], atol=0.01)

@@ -9,10 +9,11 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from geometry_msgs.msg import Vector3  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.startup_buffer import MAX_APART_S  # noqa: E402
-from uav_vslam.ros.convert import header, navigation_to_msg  # noqa: E402
+from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
@@ -114,3 +115,27 @@ def test_one_sample_from_the_future_costs_one_sample(make: Make, method: str) ->
     assert node._live is not None
     assert node._live.state.stamp_ns == NOW_NS + 1_205_000_000
     assert node.counts["imu_gaps"] == 0
+
+
+def test_readings_in_a_frame_that_nothing_connects_are_dropped_until_its_transform_arrives(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    upside_down = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    gravity = node.config.imu.gravity
+
+    def feed(first: int, last: int) -> None:
+        for k in range(first, last):
+            stamp_ns = NOW_NS + k * STEP_NS
+            reading = Imu(header=header(stamp_ns, "imu_link"), linear_acceleration=Vector3(z=-gravity))
+            deliver(node, "imu/data_raw", reading)
+
+    feed(0, 3)
+    assert node.counts["dropped/imu_frame"] == 3
+    assert node.notes["transform"] == "/tf_static has no uav1/base_link -> imu_link"
+    edge = transform_to_msg(upside_down, stamp_ns=0, parent="uav1/base_link", child="imu_link")
+    deliver(node, "/tf_static", TFMessage(transforms=[edge]))
+    feed(3, 100)
+    assert node.counts["dropped/imu_frame"] == 3
+    assert "transform" not in node.notes
+    assert node._live is not None
+    np.testing.assert_allclose(node._live.pose.T_map_body.t, np.zeros(3), atol=1e-9)  # it hovers, and knows it

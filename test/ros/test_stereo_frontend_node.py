@@ -3,6 +3,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -175,3 +176,29 @@ def test_an_invalid_extractor_ends_the_node(extractor, text):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert text in done.stderr
+
+
+def test_static_transforms_of_one_publisher_per_camera_all_arrive(domain_id):
+    """Each has latched its own message before the node starts, as static_transform_publisher does."""
+    rclpy.init(domain_id=domain_id)
+    publishers = [rclpy.create_node(f"static_{k}") for k in range(5)]
+    edges = extrinsics(SimpleNamespace(base_frame="uav1/base_link")).transforms
+    other = [
+        transform_to_msg(Pose.identity(), stamp_ns=0, parent="uav1/base_link", child=f"extra_{k}") for k in range(3)
+    ]
+    for node, edge in zip(publishers, [*edges, *other], strict=True):
+        node.create_publisher(TFMessage, "/tf_static", LATCHED).publish(TFMessage(transforms=[edge]))
+    front, tester = StereoFrontendNode(), rclpy.create_node("tester")
+    executor = SingleThreadedExecutor()
+    for node in (*publishers, front, tester):
+        executor.add_node(node)
+    infos = {side: tester.create_publisher(CameraInfo, f"{side}/camera_info", STATE) for side in ("left", "right")}
+    try:
+        for side, publisher in infos.items():
+            assert wait_for(publisher.get_subscription_count, lambda: executor.spin_once(timeout_sec=0.02))
+            publisher.publish(calibration(side))
+        assert wait_for(lambda: front._rig.rig is not None, lambda: executor.spin_once(timeout_sec=0.02))
+    finally:
+        for node in (*publishers, front, tester):
+            node.destroy_node()
+        rclpy.shutdown()

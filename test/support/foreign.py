@@ -40,7 +40,7 @@ def rewritten(source: Path, out: Path, *changes: Change) -> Path:
             for change in changes:
                 changed = change(changed) if changed is not None else None
             if changed is not None:
-                kept = latched[raw.topic]
+                kept = latched.get(raw.topic, False)
                 recorder.write(changed.topic, changed.msgtype, changed.data, changed.stamp_ns, latched=kept)
     return out
 

@@ -111,8 +111,8 @@ def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, Vehic
     names = args.vehicles or named
     if not names:
         raise BagError(
-            f"bag {', '.join(map(str, bags))} holds no <vehicle>/left/image_raw; set input.topics, see "
-            f"`uav-vslam check {bags[0]}`"
+            f"bag {', '.join(map(str, bags))} holds no <vehicle>/left/image_raw; name its topics by input.topics, or "
+            "record or remap the images"
         )
     if len(set(names)) < len(names):
         raise ConfigError(f"--vehicles {' '.join(names)} names one twice; each vehicle has one namespace")

@@ -297,9 +297,9 @@ def _in_stamp_order(events: Iterator[ImuSample | StereoFrame]) -> Iterator[ImuSa
 
 def _track(samples: list[TruthSample]) -> TruthTrack:
     samples = sorted({sample.stamp_ns: sample for sample in samples}.values(), key=lambda s: s.stamp_ns)
-    return TruthTrack(
-        np.array([s.stamp_ns for s in samples], dtype=np.int64),
-        np.array([s.T_world_body.t for s in samples]),
-        np.array([s.T_world_body.R for s in samples]),
-        np.array([s.v_world for s in samples]),
-    )
+    stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
+    positions = np.array([s.T_world_body.t for s in samples])
+    velocities = np.array([s.v_world for s in samples])
+    if np.isnan(velocities).any() and len(samples) > 1:  # poses alone were recorded
+        velocities = np.gradient(positions, (stamps - stamps[0]) / NS_PER_S, axis=0)
+    return TruthTrack(stamps, positions, np.array([s.T_world_body.R for s in samples]), velocities)

@@ -212,7 +212,12 @@ def truth_message(sample: TruthSample, *, frame_id: str, child_frame_id: str) ->
 
 
 def truth_of(built: Any) -> TruthSample:
-    """Return the motion of an Odometry message."""
+    """Return the motion of an Odometry; of a PoseStamped or TransformStamped the pose, and NaN for the rest."""
+    unknown = np.full(3, np.nan)
+    if hasattr(built, "transform"):
+        return TruthSample(stamp_ns_of(built), _pose_of_transform(built.transform), unknown, unknown)
+    if not hasattr(built, "twist"):
+        return TruthSample(stamp_ns_of(built), _pose_of(built.pose), unknown, unknown)
     T_world_body = _pose_of(built.pose.pose)
     twist = built.twist.twist
     return TruthSample(stamp_ns_of(built), T_world_body, T_world_body.R @ _array(twist.linear), _array(twist.angular))
@@ -267,8 +272,7 @@ def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
     """Return the edges (parent frame, child frame, T_parent_child) of a TFMessage."""
     edges = []
     for stamped in built.transforms:
-        q, t = stamped.transform.rotation, stamped.transform.translation
-        pose = Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _array(t))
+        pose = _pose_of_transform(stamped.transform)
         edges.append((stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/"), pose))
     return edges
 
@@ -298,6 +302,11 @@ def _pose(pose: Pose) -> Any:
 def _pose_of(built: Any) -> Pose:
     q = built.orientation
     return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _array(built.position))
+
+
+def _pose_of_transform(built: Any) -> Pose:
+    q = built.rotation
+    return Pose.from_quaternion_wxyz([q.w, q.x, q.y, q.z], _array(built.translation))
 
 
 def _array(vector: Any) -> Array:
