@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foreign import shifted
 
 from uav_vslam.cli.main import main
 from uav_vslam.datasets.outputs import read_outputs
@@ -270,3 +271,20 @@ def test_a_truncated_bag_is_replayed_up_to_the_damage(
     outputs, _ = read_outputs([tmp_path / "estimates"])
     poses = (tmp_path / "twin" / LATEST / "uav1_s_slam.tum").read_text().splitlines()
     assert len(outputs["uav1"].own_only) == len(outputs["uav1"].fused) == len(poses) > 1
+
+
+def three_milliseconds_late(topic: str, message: Any) -> Any:
+    return shifted(message, 3_000_000) if topic == "/uav1/right/image_raw" else message
+
+
+def test_stereo_stamps_apart_are_reported_and_beyond_the_tolerance_no_run_succeeds(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag, results = edited(good, tmp_path / "bag", three_milliseconds_late), tmp_path / "out"
+    assert main(["run", str(bag), "--no-plots", "--results", str(results)]) == 0
+    said = capsys.readouterr()
+    assert "stamped 3.0 ms apart" in said.err
+    assert f"{FRAMES} of {FRAMES} frames" in said.out
+    line = refused(capsys, "run", bag, "--set", "input.pair_tolerance_s=0.002", "--results", tmp_path / "none")
+    for text in (f"none of {FRAMES} frames was processed", f"unpaired {FRAMES}", "3 ms apart", "pair_tolerance_s"):
+        assert text in line

@@ -115,3 +115,13 @@ def test_truth_of_poses_alone_gets_its_velocity_by_differences(kind: str, tiny_b
     np.testing.assert_array_equal(found.positions_world, expected.positions_world)
     inner = slice(1, -1)  # central differences; the ends are one-sided
     np.testing.assert_allclose(found.velocities_world[inner], expected.velocities_world[inner], atol=0.01)
+
+
+def test_the_distance_of_the_stamps_is_that_to_the_nearest_partner(tiny_bag: Path, tmp_path: Path) -> None:
+    later = edited("/uav1/right/image_raw", lambda image: shifted(image, 3_000_000))
+    earlier = edited("/uav1/right/image_raw", lambda image: shifted(image, -4_000_000))
+    for change, apart in ((later, 3_000_000), (earlier, 4_000_000)):
+        flight = open_flight(rewritten(tiny_bag, tmp_path / str(apart), change), "uav1")
+        np.testing.assert_array_equal(flight.stamps_apart_ns(), np.full(6, apart))
+    empty = open_flight(rewritten(tiny_bag, tmp_path / "same"), "uav1")
+    np.testing.assert_array_equal(empty.stamps_apart_ns(2), np.zeros(2))

@@ -12,9 +12,12 @@ from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
+    from uav_vslam.datasets.bag import BagFlight
     from uav_vslam.evaluation.trajectory import Trajectory
     from uav_vslam.offline import FlightSource
 
+FIRST_FRAMES = 20  # that show how far apart the stamps of a pair are
+NOTABLE_OFFSET_NS = 500_000  # at 20 m/s over farmland, a pair so far apart is moved by 10 mm against its baseline
 DEFAULT_NAME = "uav1"  # of the vehicle, where topics do not begin with it
 HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
@@ -65,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}
     for flight in flights.values():
         flight.check_images()
+        _report_offset(flight)
     truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
@@ -82,6 +86,25 @@ def run(args: argparse.Namespace) -> int:
     for reason in broken:
         print(f"uav-vslam: warning: {reason}", file=sys.stderr)
     return 2 if broken else 0
+
+
+def _report_offset(flight: BagFlight) -> None:
+    """Print how far apart the stamps of image pairs are, if they are not the same but still make pairs."""
+    import sys
+
+    import numpy as np
+
+    from uav_vslam.datasets.stereo_sync import LARGEST_TOLERANCE_NS
+    from uav_vslam.types import NS_PER_S
+
+    apart = flight.stamps_apart_ns(FIRST_FRAMES)
+    largest_ns = flight.input.pair_tolerance_s * NS_PER_S or LARGEST_TOLERANCE_NS
+    if len(apart) and NOTABLE_OFFSET_NS < np.median(apart) <= largest_ns:
+        print(
+            f"uav-vslam: {flight.vehicle}: left and right images are stamped {np.median(apart) / 1e6:.1f} ms apart and "
+            "count as simultaneous (input.pair_tolerance_s)",
+            file=sys.stderr,
+        )
 
 
 def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:

@@ -2,6 +2,7 @@
 """Reads one vehicle's flight from bags: calibration, start state, ground truth, sensor events in stamp order."""
 
 import heapq
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,20 +116,34 @@ class BagFlight:
             raise BagError(f"bag {_names(self.paths)}, {topic}: {error}") from None
         return _track(samples) if samples else None
 
-    def unpaired_reason(self) -> str:
-        """Return why images found no partner, from the stamps of both cameras; empty if they agree."""
+    def stamps_apart_ns(self, first: int | None = None) -> NDArray[np.int64]:
+        """Return the distance of each left image's stamp to the nearest right one's [ns].
+
+        Args:
+            first: only of so many images; None for all.
+        """
         left, right = (
-            np.array([header_stamp_ns(raw.data) for raw in _readable(iter_raw(self.paths, [topic]))], np.int64)
+            np.array([header_stamp_ns(raw.data) for raw in itertools.islice(self._images(topic), first)], np.int64)
             for topic in (self.left_topic, self.right_topic)
         )
         if len(right) == 0:
-            return f"{self.right_topic} holds no image"
-        after = np.searchsorted(right, left).clip(1, len(right) - 1) if len(right) > 1 else np.zeros(len(left), int)
-        apart = np.minimum(abs(right[after] - left), abs(left - right[after - 1]))
+            return np.zeros(0, np.int64)
+        after = np.searchsorted(right, left).clip(0, len(right) - 1)
+        before = (after - 1).clip(0)
+        return np.asarray(np.minimum(abs(right[after] - left), abs(left - right[before])))
+
+    def unpaired_reason(self) -> str:
+        """Return why images found no partner, from the stamps of both cameras."""
+        apart = self.stamps_apart_ns()
+        if len(apart) == 0:
+            return f"{self.left_topic} or {self.right_topic} holds no image"
         return (
             f"the nearest stamps of {self.left_topic} and {self.right_topic} are {np.median(apart) / 1e6:.3g} ms apart "
             "(median); see input.pair_tolerance_s"
         )
+
+    def _images(self, topic: str) -> Iterator[RawMessage]:
+        return _readable(iter_raw(self.paths, [topic]))
 
     def _recorded_events(self) -> Iterator[ImuSample | StereoFrame]:
         imu_topic = self.input.topic(self.vehicle, "imu")
@@ -153,7 +168,7 @@ class BagFlight:
             CalibrationError: it is not of the size that camera_info states.
         """
         for topic in (self.left_topic, self.right_topic):
-            first = next(_readable(iter_raw(self.paths, [topic])), None)
+            first = next(self._images(topic), None)
             if first is None:
                 raise BagError(f"bag {_names(self.paths)} holds no message on {topic}; record the images")
             height, width = image_of(decode(first)).shape[:2]
