@@ -6,6 +6,13 @@ from pathlib import Path
 
 from uav_vslam.config.settings import Settings, setting
 
+COMPRESSED = "/compressed"
+
+
+def image_names(topic: str) -> tuple[str, ...]:
+    """Return the names under which a camera's images may come: raw, and compressed by convention."""
+    return (topic,) if topic.endswith(COMPRESSED) else (topic, topic + COMPRESSED)
+
 
 @dataclass(frozen=True, slots=True)
 class TopicsConfig(Settings):

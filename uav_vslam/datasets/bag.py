@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import InputConfig
+from uav_vslam.config.input import image_names
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.messages import (
     TruthSample,
@@ -237,13 +238,13 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
 
 
 def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str) -> str:
-    found = [topic for topic in (name, f"{name}/compressed") if topic in topics]
+    found = [topic for topic in image_names(name) if topic in topics]
     for topic in found:
         if topics[topic].msgtype in IMAGE_TYPES:
             return topic
     if found:
         raise BagError(f"bag {_names(bags)}: {found[0]} holds {topics[found[0]].msgtype}, not {IMAGE_TYPES[0]}")
-    raise _missing_topic(bags, topics, f"{name} (or {name}/compressed)")
+    raise _missing_topic(bags, topics, " or ".join(image_names(name)))
 
 
 def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], topic: str) -> BagError:

@@ -97,8 +97,7 @@ def read_calibration(paths: Sequence[Path]) -> Calibration:
     cameras: list[CameraCalibration] = []
     noise: dict[str, float] = {}
     for path in [file for given in paths for file in _files(given)]:
-        tree = read_yaml(path)
-        found = _parsed(tree, path)
+        found = parse_calibration(yaml_tree(_text(path), path), path)
         cameras += found.cameras
         noise |= found.noise
     if len(cameras) > 2:
@@ -107,24 +106,35 @@ def read_calibration(paths: Sequence[Path]) -> Calibration:
     return Calibration(tuple(_related(cameras)), noise)
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def yaml_tree(text: str, path: Path) -> dict[str, Any]:
     """Return the content of a YAML file, also with OpenCV's header.
 
+    Args:
+        text: of the file.
+        path: named in errors.
+
     Raises:
-        CalibrationError: it can't be read or holds no keys and values.
+        CalibrationError: it holds no keys and values.
     """
+    lines = text.splitlines()
+    if lines and lines[0].startswith("%YAML"):  # OpenCV's "%YAML:1.0" is not valid YAML
+        lines = lines[1:]
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        if lines and lines[0].startswith("%YAML"):  # OpenCV's "%YAML:1.0" is not valid YAML
-            lines = lines[1:]
         tree = yaml.safe_load("\n".join(lines))
-    except OSError as error:
-        raise CalibrationError(f"{path}: can't be read ({error.strerror})") from None
     except (yaml.YAMLError, ValueError) as error:
         raise CalibrationError(f"{path}: not valid YAML ({error})") from None
     if not isinstance(tree, dict):
         raise CalibrationError(f"{path}: holds no keys and values; give a calibration of Kalibr, ROS or EuRoC")
     return tree
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: can't be read ({error.strerror})") from None
+    except ValueError as error:
+        raise CalibrationError(f"{path}: not valid YAML ({error})") from None
 
 
 def camera(size: Sequence[Any], intrinsics: Sequence[Any], model: str, coefficients: Sequence[Any]) -> PinholeCamera:
@@ -157,8 +167,16 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
-def _parsed(tree: Tree, path: Path) -> Calibration:
-    """Return what one file tells."""
+def parse_calibration(tree: Tree, path: Path) -> Calibration:
+    """Return what one file tells.
+
+    Args:
+        tree: content of the file.
+        path: named in errors.
+
+    Raises:
+        CalibrationError: it is none of the known kinds, or malformed.
+    """
     kinds: dict[str, Callable[[Tree], Calibration]] = {
         "cam0": _of_kalibr,
         "imu0": lambda file: Calibration(noise=_noise(file["imu0"])),

@@ -8,12 +8,11 @@ byte for byte, lens distortion included. The world's z is up; gravity there is 9
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.calibration_files import parse_calibration, yaml_tree
 from uav_vslam.datasets.flight_writer import EncodedStereoFrame, FlightRecording
 from uav_vslam.datasets.messages import TruthSample
 from uav_vslam.errors import BagError, CalibrationError
@@ -26,6 +25,7 @@ from uav_vslam.types import ImuSample, NavEstimate, NavState
 Array = NDArray[np.float64]
 
 TRUTH_FOLDER = "state_groundtruth_estimate0"
+MODEL = "radial-tangential"  # the distortion model of the sequences
 FORMATS = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 TRUTH_GAP_NS = 50_000_000  # largest gap between truth rows across which the start state is interpolated
 
@@ -145,30 +145,15 @@ def _image_names(camera: Path) -> dict[int, Path]:
 
 def _camera(folder: Path) -> tuple[PinholeCamera, Pose]:
     """Return the intrinsics and T_body_cam of a sensor.yaml."""
-    sensor = _sensor(folder / "sensor.yaml")
-    try:
-        width, height = sensor["resolution"]
-        distortion = np.zeros(5)
-        given = sensor["distortion_coefficients"]
-        distortion[: len(given)] = given
-        fx, fy, cx, cy = map(float, sensor["intrinsics"])
-        camera = PinholeCamera(width, height, fx, fy, cx, cy, distortion)
-        T_body_cam = Pose.from_matrix(np.array(sensor["T_BS"]["data"], dtype=float).reshape(4, 4))
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(f"{folder / 'sensor.yaml'}: {error} is missing or malformed") from None
-    if sensor.get("distortion_model", "radial-tangential") != "radial-tangential":
-        raise CalibrationError(f"{folder}: distortion model {sensor['distortion_model']!r}; use radial-tangential")
-    return camera, T_body_cam
-
-
-def _sensor(path: Path) -> dict[str, Any]:
-    lines = _text(path).splitlines()
-    if lines and lines[0].startswith("%YAML"):  # OpenCV's header, which is not valid YAML
-        lines = lines[1:]
-    try:
-        return dict(yaml.safe_load("\n".join(lines)) or {})
-    except (yaml.YAMLError, ValueError) as error:
-        raise CalibrationError(f"{path}: not valid YAML ({error})") from None
+    path = folder / "sensor.yaml"
+    sensor = yaml_tree(_text(path), path)
+    if sensor.get("distortion_model", MODEL) != MODEL:
+        raise CalibrationError(f"{folder}: distortion model {sensor['distortion_model']!r}; use {MODEL}")
+    calibration = parse_calibration(sensor, path)
+    T_body_cam = calibration.T_body_cam(0)
+    if T_body_cam is None:
+        raise CalibrationError(f"{path}: no camera with T_BS; is it an ASL folder (mav0)?")
+    return calibration.cameras[0].camera, T_body_cam
 
 
 def _table(folder: Path, columns: int) -> _Table:

@@ -4,6 +4,7 @@
 The bag reader and the nodes collect messages in their own way; what follows from them is decided here.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from uav_vslam.config import InputConfig, VehicleConfig, differences, replaced
@@ -74,9 +75,7 @@ class SensorSetup:
 
     def missing_transforms(self) -> list[str]:
         """Return what /tf_static still has to connect, in words."""
-        base = self.config.base_frame(self.vehicle)
-        unknown = [frame for frame in self._unplaced_frames() if not self.frames.connected(base, frame)]
-        return [f"{base} -> {frame or 'a camera without camera_info'}" for frame in unknown]
+        return self._unconnected(self._unplaced_frames())
 
     def rig(self) -> StereoRig:
         """Return the stereo rig.
@@ -98,12 +97,9 @@ class SensorSetup:
             return Pose.identity()
         return self.frames.find(self.config.base_frame(self.vehicle), self._imu_frame)
 
-    def missing_imu_transform(self) -> str:
-        """Return the transform to the IMU that /tf_static lacks, in words; empty for none."""
-        base = self.config.base_frame(self.vehicle)
-        if self._imu_is_body or self.frames.connected(base, self._imu_frame):
-            return ""
-        return f"{base} -> {self._imu_frame}"
+    def missing_imu_transforms(self) -> list[str]:
+        """Return the same for the IMU alone."""
+        return self._unconnected(self._imu_frames())
 
     @property
     def _imu_frame(self) -> str:
@@ -117,7 +113,15 @@ class SensorSetup:
     def _unplaced_frames(self) -> list[str]:
         """Return the frames of the sensors that the files do not place."""
         frames = [self.camera_frame(side) for k, side in enumerate(SIDES) if not self._in_files(k)]
-        return frames if self._imu_is_body else [*frames, self._imu_frame]
+        return frames + self._imu_frames()
+
+    def _imu_frames(self) -> list[str]:
+        return [] if self._imu_is_body else [self._imu_frame]
+
+    def _unconnected(self, frames: Iterable[str]) -> list[str]:
+        base = self.config.base_frame(self.vehicle)
+        unknown = [frame for frame in frames if not self.frames.connected(base, frame)]
+        return [f"{base} -> {frame or 'a camera without camera_info'}" for frame in unknown]
 
     def _needs_info(self, side: str) -> bool:
         index = SIDES.index(side)

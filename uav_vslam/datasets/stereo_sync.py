@@ -3,6 +3,7 @@
 
 import statistics
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -27,6 +28,13 @@ class StereoPair(Generic[T]):
     stamp_ns: int
     left: T
     right: T
+
+
+def default_tolerance_ns(periods_ns: Collection[int]) -> int:
+    """Return the largest difference between the stamps of a pair [ns], from the latest frame periods [ns]."""
+    if len(periods_ns) < PERIODS[0]:
+        return LARGEST_TOLERANCE_NS
+    return min(LARGEST_TOLERANCE_NS, round(statistics.median(periods_ns) / 2))
 
 
 class StereoPairer(Generic[T]):
@@ -62,9 +70,7 @@ class StereoPairer(Generic[T]):
         """Largest difference between the stamps of a pair [ns]; see `__init__`."""
         if self._tolerance_ns:
             return self._tolerance_ns
-        if len(self._periods_ns) < PERIODS[0]:
-            return LARGEST_TOLERANCE_NS
-        return min(LARGEST_TOLERANCE_NS, round(statistics.median(self._periods_ns) / 2))
+        return default_tolerance_ns(self._periods_ns)
 
     def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
         """Add a left image; return the completed pair, if any."""

@@ -16,7 +16,7 @@ from uav_vslam.ros.convert import camera_from_msg
 from uav_vslam.ros.qos import LATCHED_BY_MANY, STATE
 from uav_vslam.ros.runtime import VehicleNode
 
-MISSING = "transform"  # alarm of a transform that is still missing
+MISSING = "transform"  # key in diagnostics of transforms that are still missing
 
 
 class RigListener:
@@ -76,17 +76,12 @@ class RigListener:
 
 
 class ImuListener:
-    """Finds out where the IMU is; readings are of no use before.
-
-    Attributes:
-        T_body_imu: None until known.
-    """
+    """Finds out where the IMU is; readings are of no use before."""
 
     def __init__(self, node: VehicleNode) -> None:
         self._node = node
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
         self._listens = False
-        self.T_body_imu: Pose | None = None
 
     @property
     def time_offset_ns(self) -> int:
@@ -104,10 +99,8 @@ class ImuListener:
         Raises:
             InvalidMessage: the frame is not connected to the body, so far.
         """
-        if self.T_body_imu is not None:
-            return self.T_body_imu
         self._setup.imu_frame = frame_id
-        missing = self._setup.missing_imu_transform()
+        missing = ", ".join(self._setup.missing_imu_transforms())
         if missing and not self._listens:
             self._listens = True
             self._node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED_BY_MANY)
@@ -115,8 +108,7 @@ class ImuListener:
             self._node.notes[MISSING] = text = f"/tf_static has no {missing}"
             raise InvalidMessage("imu_frame", f"{text}, the IMU's frame; publish it, or set input.frames")
         self._node.notes.pop(MISSING, None)
-        self.T_body_imu = self._setup.T_body_imu()
-        return self.T_body_imu
+        return self._setup.T_body_imu()
 
     def _on_transforms(self, message: TFMessage) -> None:
         self._setup.frames.add(transforms_of(message))

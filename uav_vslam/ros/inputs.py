@@ -16,6 +16,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image
 
+from uav_vslam.config.input import COMPRESSED, image_names
+
 STREAM = 10  # messages after which more are expected
 PAUSE_S = 5.0  # of a stream before it has stopped,
 PAUSE_PERIODS = 10.0  # or so many of its mean periods, whichever is longer
@@ -76,10 +78,8 @@ class Input:
 
 
 def image_topics(topic: str) -> dict[type, str]:
-    """Return the types and names under which a camera's images may come: raw, and compressed by convention."""
-    if topic.endswith("/compressed"):
-        return {CompressedImage: topic}
-    return {Image: topic, CompressedImage: f"{topic}/compressed"}
+    """Return the types and names under which a camera's images may come."""
+    return {CompressedImage if name.endswith(COMPRESSED) else Image: name for name in image_names(topic)}
 
 
 def unmatched(inputs: Iterable[Input]) -> list[str]:

@@ -3,21 +3,22 @@
 
 import heapq
 import itertools
-import statistics
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from uav_vslam.config import InputConfig
+from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import IMAGE_TOPICS
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawMessage, iter_raw, topics_of
+from uav_vslam.datasets.sensor_setup import SIDES
+from uav_vslam.datasets.stereo_sync import default_tolerance_ns
 from uav_vslam.errors import BagError
 from uav_vslam.ros.pacing import Kind, Recorded
 
 TF_STATIC = "/tf_static"
 INITIAL_STATE = "initial_state"
 KINDS = {"left": Kind.LEFT, "right": Kind.RIGHT, "left_info": Kind.INFO, "imu": Kind.IMU}  # by role
-COMPRESSED = "/compressed"
 FIRST_FRAMES = 20  # that tell the frame period
 # Outputs of the nodes: not replayed from the recording of a whole run.
 OUTPUTS = ("odometry", "path", "landmarks", "stereo_features", "joint_information", "landmark_information")
@@ -95,14 +96,13 @@ class Recording:
         """Return whether the left images come with a camera_info; else calibration files replace it."""
         return self._count(vehicle, Kind.INFO) > 0
 
-    def frame_period_ns(self, vehicle: str) -> int:
-        """Return the median time between the first left images [ns]; 0 for a single one."""
+    def pair_tolerance_ns(self, vehicle: str) -> int:
+        """Return the front end's default tolerance after the first images [ns]."""
         topics = [topic for topic in self.topics if self.classify(topic) == (vehicle, Kind.LEFT)]
         streams = itertools.chain.from_iterable(self._until_broken(path, topics) for path in self._paths)
         stamps = [header_stamp_ns(raw.data) for raw in itertools.islice(streams, FIRST_FRAMES)]
         self.damage.clear()  # the replay detects it again
-        periods = [later - earlier for earlier, later in itertools.pairwise(stamps)]
-        return round(statistics.median(periods)) if periods else 0
+        return default_tolerance_ns([later - earlier for earlier, later in itertools.pairwise(stamps)])
 
     def messages(self) -> Iterator[Recorded]:
         """Yield all but the latched messages in recorded order; a damaged bag ends early."""
@@ -137,9 +137,8 @@ class Recording:
     def _named(self, vehicle: str) -> Iterator[tuple[str, str]]:
         """Yield role and topic of a vehicle's inputs; images under both names."""
         for role in (*KINDS, "right_info", INITIAL_STATE):
-            yield role, self.topic(vehicle, role)
-        for role in ("left", "right"):
-            yield role, self.topic(vehicle, role) + COMPRESSED
+            topic = self.topic(vehicle, role)
+            yield from ((role, name) for name in (image_names(topic) if role in SIDES else (topic,)))
 
     def _is_input(self, topic: str) -> bool:
         vehicle, _ = self.classify(topic)

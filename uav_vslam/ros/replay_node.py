@@ -29,7 +29,6 @@ from uav_vslam.config import InputConfig
 from uav_vslam.config.nodes import ReplayNodeConfig
 from uav_vslam.config.settings import build
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.datasets.stereo_sync import LARGEST_TOLERANCE_NS
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.convert import stamp_from_ns
 from uav_vslam.ros.pacing import (
@@ -99,8 +98,7 @@ class ReplayNode(Node):
     def _shape(self, vehicle: str, offset_ns: int) -> FrameShape:
         """Return what makes a frame: images that the front end pairs, and a camera_info unless a file replaces it."""
         parts = FRAME_PARTS if self._recording.has_infos(vehicle) else FRAME_PARTS - {Kind.INFO}
-        half_ns = self._recording.frame_period_ns(vehicle) // 2 or LARGEST_TOLERANCE_NS
-        return FrameShape(parts, min(half_ns, LARGEST_TOLERANCE_NS), offset_ns)
+        return FrameShape(parts, self._recording.pair_tolerance_ns(vehicle), offset_ns)
 
     def _advertise(self, topic: str):
         package, _, name = self._recording.topics[topic].msgtype.split("/")
