@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node graph and its offline twin give the same numbers, and the twin gives the same bytes each time."""
 
-import argparse
 import dataclasses
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 from foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
 
-from uav_vslam.cli import import_euroc
 from uav_vslam.cli.main import main
 from uav_vslam.config import load_fleet
 from uav_vslam.datasets.bag import open_flight
@@ -81,10 +79,8 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Case:
 @pytest.fixture(scope="module")
 def euroc(tmp_path_factory: pytest.TempPathFactory, data_root: Path) -> Case:
     folder = tmp_path_factory.mktemp("euroc")
-    parser = argparse.ArgumentParser()
-    import_euroc.add_arguments(parser)
     mav0 = data_root / "euroc_v101_keyframes" / "mav0"
-    assert import_euroc.run(parser.parse_args([str(mav0), str(folder / "v101")])) == 0
+    assert main(["import", "euroc", str(mav0), str(folder / "v101")]) == 0
     return fly_twin(write_fleet(folder, folder / "v101", "euroc.yaml", vehicles=("uav1",), mode="none"))
 
 

@@ -98,7 +98,7 @@ def test_help_imports_neither_numpy_nor_ros() -> None:
 
 @pytest.mark.parametrize("verb", command.VERBS)
 def test_every_verb_says_what_it_does(verb: str) -> None:
-    module = pytest.importorskip(f"uav_vslam.cli.{verb.replace('-', '_')}", reason="verb not installed")
+    module = pytest.importorskip(f"uav_vslam.cli.{command.module_name(verb)}", reason="verb not installed")
     assert module.HELP[0].islower()
     assert not module.HELP.endswith(".")
     parser = command.build_parser([verb])

@@ -7,6 +7,7 @@ imported, and the verbs themselves import late, so that `--help` is quick.
 
 import argparse
 import importlib
+import keyword
 import os
 import sys
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from types import ModuleType
 from uav_vslam import __version__
 from uav_vslam.errors import UavVslamError
 
-VERBS = ("simulate", "import-euroc", "run", "launch", "evaluate", "demo", "study", "bench", "topic")
+VERBS = ("simulate", "import", "run", "launch", "evaluate", "demo", "study", "bench", "topic")
 EXAMPLES = """examples:
   uav-vslam demo                                     replay two vehicles' sample recordings and report
   uav-vslam launch config/fleet_demo.yaml            the same node graph, nothing evaluated
@@ -57,8 +58,13 @@ def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     chosen = [arguments[0]] if arguments and arguments[0] in VERBS else VERBS
     subparsers = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
     for verb in chosen:
-        _add_verb(subparsers, verb, importlib.import_module(f"uav_vslam.cli.{verb.replace('-', '_')}"))
+        _add_verb(subparsers, verb, importlib.import_module(f"uav_vslam.cli.{module_name(verb)}"))
     return parser
+
+
+def module_name(verb: str) -> str:
+    """Return the name of a verb's module; a keyword of Python, which no module can be called, gets an underscore."""
+    return f"{verb}_" if keyword.iskeyword(verb) else verb
 
 
 def _add_verb(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]", verb: str, module: ModuleType) -> None:

@@ -7,7 +7,14 @@ files       YAML files
 reference   the reference page docs/reference/parameters.md
 """
 
-from uav_vslam.config.files import find_config, load_fleet, load_link, load_vehicle, parameter_file
+from uav_vslam.config.files import (
+    difference_file,
+    find_config,
+    load_fleet,
+    load_link,
+    load_vehicle,
+    parameter_file,
+)
 from uav_vslam.config.fleet import FleetConfig, LinkConfig, ReplayConfig
 from uav_vslam.config.imu import IMU_GRADES, ImuConfig
 from uav_vslam.config.input import InputConfig
@@ -52,6 +59,7 @@ __all__ = [
     "RigConfig",
     "StartConfig",
     "VehicleConfig",
+    "difference_file",
     "differences",
     "find_config",
     "load_fleet",

@@ -22,7 +22,7 @@ import yaml
 
 from uav_vslam.config.fleet import FleetConfig, LinkConfig, ReplayConfig
 from uav_vslam.config.nodes import LinkNodeConfig
-from uav_vslam.config.settings import build, flatten, flattened, plain
+from uav_vslam.config.settings import build, differences, flatten, flattened, plain
 from uav_vslam.config.vehicle import VehicleConfig
 from uav_vslam.errors import ConfigError
 
@@ -110,12 +110,17 @@ def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Fle
 
 def parameter_file(configs: Mapping[str, VehicleConfig]) -> dict[str, Any]:
     """Return complete configurations, by node pattern ("/**", "/uav1/**"), as a ROS parameter file."""
-    return {nodes: {PARAMETERS: _tree(config)} for nodes, config in configs.items()}
+    return {nodes: {PARAMETERS: _tree(flatten(config))} for nodes, config in configs.items()}
 
 
-def _tree(config: VehicleConfig) -> dict[str, Any]:
+def difference_file(config: VehicleConfig) -> dict[str, Any]:
+    """Return what differs from the defaults as a ROS parameter file for all nodes."""
+    return {ALL_NODES: {PARAMETERS: _tree(differences(config))}}
+
+
+def _tree(values: Mapping[str, Any]) -> dict[str, Any]:
     tree: dict[str, Any] = {}
-    for name, value in flatten(config).items():
+    for name, value in values.items():
         *path, key = name.split(".")
         section = tree
         for part in path:

@@ -37,19 +37,33 @@ Event = tuple[int, int, Callable[[], Iterator[tuple[str, Any]]]]  # stamp, rank,
 
 
 @dataclass(frozen=True, slots=True)
-class EncodedStereoFrame:
-    """An already compressed image pair, recorded byte for byte.
+class SourceImage:
+    """An image as its file has it, recorded without another encoding.
 
     Attributes:
         stamp_ns: exposure time [ns].
-        left, right: bytes of the files.
-        fmt: "jpeg" or "png".
+        content: bytes of a jpeg or png file, or (H, W) grey or (H, W, 3) BGR pixels.
+        fmt: of bytes, "jpeg" or "png".
+        encoding: of a Bayer mosaic, "bayer_rggb8"; empty if the pixels are grey or colour.
     """
 
     stamp_ns: int
-    left: bytes
-    right: bytes
-    fmt: str
+    content: bytes | NDArray[np.generic]
+    fmt: str = ""
+    encoding: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceFrame:
+    """An image pair as its files have it."""
+
+    left: SourceImage
+    right: SourceImage
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the left image [ns]."""
+        return self.left.stamp_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +98,7 @@ class FlightRecording:
     rig: StereoRig
     imu: Iterable[ImuSample]
     truth: Iterable[TruthSample]
-    frames: Iterable[StereoFrame | EncodedStereoFrame]
+    frames: Iterable[StereoFrame | SourceFrame]
     initial: NavEstimate | None
 
 
@@ -102,7 +116,7 @@ def write_flights(
     Args:
         path: bag folder to make.
         flights: the vehicles.
-        coding: how images are stored; already encoded frames are kept.
+        coding: how images are stored; images of files are kept as they are.
         storage: "mcap" or "sqlite3".
         zstd: compress the chunks of an mcap file.
         on_frame: called after each image pair, for a progress bar.
@@ -166,24 +180,31 @@ def _imu(flight: FlightRecording, sample: ImuSample) -> Iterator[tuple[str, Any]
 
 
 def _cameras(
-    flight: FlightRecording, frame: StereoFrame | EncodedStereoFrame, coding: ImageCoding
+    flight: FlightRecording, frame: StereoFrame | SourceFrame, coding: ImageCoding
 ) -> Iterator[tuple[str, Any]]:
     for side, camera, picture in (
         ("left", flight.rig.left, frame.left),
         ("right", flight.rig.right, frame.right),
     ):
         frame_id = f"{flight.vehicle}/{side}_optical"
-        topic = f"/{flight.vehicle}/{side}/image_raw"
-        yield f"/{flight.vehicle}/{side}/camera_info", camera_info_message(frame.stamp_ns, frame_id, camera)
-        if isinstance(picture, bytes):
-            assert isinstance(frame, EncodedStereoFrame)
-            encoded, fmt = picture, frame.fmt
-        elif coding.fmt == "raw":
-            yield topic, image_message(frame.stamp_ns, frame_id, picture)
-            continue
-        else:
-            encoded, fmt = _compress(picture, coding), coding.fmt
-        yield f"{topic}/compressed", compressed_image_message(frame.stamp_ns, frame_id, encoded, fmt=fmt)
+        image = picture if isinstance(picture, SourceImage) else _coded(frame.stamp_ns, picture, coding)
+        yield f"/{flight.vehicle}/{side}/camera_info", camera_info_message(image.stamp_ns, frame_id, camera)
+        topic, built = _image(image, frame_id)
+        yield f"/{flight.vehicle}/{side}/{topic}", built
+
+
+def _image(image: SourceImage, frame_id: str) -> tuple[str, Any]:
+    """Return the topic, relative to the camera's, and the message."""
+    if not isinstance(image.content, bytes):
+        return "image_raw", image_message(image.stamp_ns, frame_id, image.content, encoding=image.encoding)
+    fmt = f"{image.encoding}; {image.fmt} compressed" if image.encoding else image.fmt
+    return "image_raw/compressed", compressed_image_message(image.stamp_ns, frame_id, image.content, fmt=fmt)
+
+
+def _coded(stamp_ns: int, pixels: NDArray[np.generic], coding: ImageCoding) -> SourceImage:
+    if coding.fmt == "raw":
+        return SourceImage(stamp_ns, pixels)
+    return SourceImage(stamp_ns, _compress(pixels, coding), coding.fmt)
 
 
 def _compress(image: NDArray[np.generic], coding: ImageCoding) -> bytes:

@@ -87,9 +87,9 @@ def _nanoseconds(sec: int, nanosec: int) -> int:
     return int(sec) * NS_PER_S + int(nanosec)
 
 
-def image_message(stamp_ns: int, frame_id: str, image: NDArray[Any]) -> Any:
-    """Build sensor_msgs/Image from (H, W) grey or (H, W, 3) BGR pixels."""
-    encoding = "bgr8" if image.ndim == 3 else "mono8" if image.dtype == np.uint8 else "mono16"
+def image_message(stamp_ns: int, frame_id: str, image: NDArray[Any], *, encoding: str = "") -> Any:
+    """Build sensor_msgs/Image from (H, W) grey or (H, W, 3) BGR pixels, or with another encoding of theirs."""
+    encoding = encoding or ("bgr8" if image.ndim == 3 else "mono8" if image.dtype == np.uint8 else "mono16")
     pixels = np.ascontiguousarray(image).astype(image.dtype.newbyteorder("<"), copy=False)
     return message(
         "sensor_msgs/msg/Image",
@@ -104,7 +104,14 @@ def image_message(stamp_ns: int, frame_id: str, image: NDArray[Any]) -> Any:
 
 
 def compressed_image_message(stamp_ns: int, frame_id: str, encoded: bytes, *, fmt: str) -> Any:
-    """Build sensor_msgs/CompressedImage from the bytes of a "jpeg" or "png" file."""
+    """Build sensor_msgs/CompressedImage from the bytes of a file.
+
+    Args:
+        stamp_ns: exposure time [ns].
+        frame_id: of the camera.
+        encoded: bytes of the file.
+        fmt: "jpeg" or "png"; of a Bayer mosaic "bayer_rggb8; png compressed", as `compressed_image_transport` has it.
+    """
     data = np.frombuffer(encoded, np.uint8)
     return message("sensor_msgs/msg/CompressedImage", header=_header(stamp_ns, frame_id), format=fmt, data=data)
 
@@ -116,10 +123,10 @@ def image_of(built: Any) -> NDArray[Any]:
         BagError: the image can't be decoded.
     """
     if hasattr(built, "format"):
-        decoded = _decoded(np.asarray(built.data))
-        if decoded is None:
+        pixels = decoded(np.asarray(built.data))
+        if pixels is None:
             raise BagError(f"compressed image at {stamp_ns_of(built)} ns can't be decoded; is it {built.format!r}?")
-        return np.asarray(decoded)
+        return _demosaiced(pixels, built.format.partition(";")[0].strip())
     if built.encoding not in ENCODINGS:
         raise BagError(f"image encoding {built.encoding!r} can't be used; record {', '.join(ENCODINGS)} or compressed")
     dtype, channels, conversion = ENCODINGS[built.encoding]
@@ -134,7 +141,15 @@ def image_of(built: Any) -> NDArray[Any]:
     return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion))
 
 
-def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
+def _demosaiced(pixels: NDArray[Any], encoding: str) -> NDArray[Any]:
+    """Return BGR pixels where a compressed image is a Bayer mosaic, and other pixels as they are."""
+    if pixels.ndim != 2 or not encoding.startswith("bayer_") or encoding not in ENCODINGS:
+        return pixels
+    conversion = ENCODINGS[encoding][2]
+    return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion))
+
+
+def decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     """Return an encoded image's pixels, or None. OpenCV raises for empty data and for sizes beyond its limits."""
     try:
         return cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig, VehicleConfig
 from uav_vslam.datasets.bag import BagFlight, open_flight, vehicles
-from uav_vslam.datasets.euroc import read_euroc
 from uav_vslam.datasets.flight_writer import write_flights
+from uav_vslam.datasets.importing.euroc import read_euroc
 from uav_vslam.datasets.truth import truth_trajectory
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -124,7 +124,7 @@ def _opened(recording: Path, vehicle: str | None) -> Iterator[BagFlight]:
         bag = recording
         if (recording / "cam0").is_dir():
             bag = Path(scratch) / "bag"
-            write_flights(bag, [read_euroc(recording)])
+            write_flights(bag, [read_euroc(recording).flight])
         names = [vehicle] if vehicle else vehicles([bag])
         if not names:
             raise BagError(f"bag {recording} holds no <vehicle>/left/image_raw; record or remap the images")

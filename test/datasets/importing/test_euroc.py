@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """An ASL folder becomes a flight with consistent ground truth, IMU readings and images."""
 
-import argparse
 import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from uav_vslam.cli import import_euroc
+from uav_vslam.cli.main import main
 from uav_vslam.datasets.bag import open_flight
-from uav_vslam.datasets.euroc import InitialSigma, read_euroc
+from uav_vslam.datasets.flight_writer import SourceFrame
+from uav_vslam.datasets.importing.euroc import read_euroc
+from uav_vslam.datasets.importing.motion import InitialSigma
+from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.rosbag import decode, iter_raw
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.rotation import so3_exp, so3_log
@@ -55,11 +57,12 @@ def write_sequence(
 
 
 def test_a_sequence_starts_at_the_first_image_with_ground_truth(tmp_path: Path) -> None:
-    flight = read_euroc(write_sequence(tmp_path / "mav0"), vehicle="uav3")
+    flight = read_euroc(write_sequence(tmp_path / "mav0"), vehicle="uav3").flight
     frames = list(flight.frames)
     assert [f.stamp_ns for f in frames] == [200_000_000, 300_000_000]
-    assert frames[0].left == b"cam0 200000000"
-    assert frames[0].right == b"cam1 200000000"
+    assert isinstance(frames[0], SourceFrame)
+    assert frames[0].left.content == b"cam0 200000000"
+    assert frames[0].right.content == b"cam1 200000000"
     assert flight.initial is not None
     state = flight.initial.state
     assert state.stamp_ns == 200_000_000
@@ -70,7 +73,7 @@ def test_a_sequence_starts_at_the_first_image_with_ground_truth(tmp_path: Path) 
 
 
 def test_calibration_is_read_with_all_its_terms(tmp_path: Path) -> None:
-    rig = read_euroc(write_sequence(tmp_path / "mav0")).rig
+    rig = read_euroc(write_sequence(tmp_path / "mav0")).flight.rig
     assert (rig.left.width, rig.left.height, rig.left.fx, rig.left.cy) == (64, 48, 50.0, 24.0)
     np.testing.assert_array_equal(rig.left.distortion, [-0.3, 0.1, 0.001, 0.002, 0.0])
     np.testing.assert_array_equal(rig.T_body_left.R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
@@ -79,7 +82,7 @@ def test_calibration_is_read_with_all_its_terms(tmp_path: Path) -> None:
 
 def test_the_stated_sigma_is_the_covariance(tmp_path: Path) -> None:
     sigma = InitialSigma(0.1, 0.2, 1.0, 0.01, 0.02)
-    initial = read_euroc(write_sequence(tmp_path / "mav0"), sigma=sigma).initial
+    initial = read_euroc(write_sequence(tmp_path / "mav0"), sigma=sigma).flight.initial
     assert initial is not None
     expected = np.repeat([0.1, 0.2, np.deg2rad(1.0), 0.01, 0.02], 3)
     np.testing.assert_allclose(np.sqrt(np.diag(initial.covariance)), expected)
@@ -89,7 +92,9 @@ def test_only_images_with_equal_stamps_pair(tmp_path: Path) -> None:
     mav0 = write_sequence(tmp_path / "mav0")
     text = (mav0 / "cam1" / "data.csv").read_text()
     (mav0 / "cam1" / "data.csv").write_text(text.replace("200000000,", "200000001,"))
-    assert [f.stamp_ns for f in read_euroc(mav0).frames] == [300_000_000]
+    problems = Problems()
+    assert [f.stamp_ns for f in read_euroc(mav0, problems=problems).flight.frames] == [300_000_000]
+    assert problems.counts == {"pictures without a partner": 2}
 
 
 def test_errors_name_what_is_wrong_with_a_folder(tmp_path: Path) -> None:
@@ -113,9 +118,7 @@ def euroc_mav0(data_root: Path) -> Path:
 @pytest.fixture(scope="module")
 def imported(euroc_mav0: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("euroc") / "v101"
-    parser = argparse.ArgumentParser()
-    import_euroc.add_arguments(parser)
-    assert import_euroc.run(parser.parse_args([str(euroc_mav0), str(out)])) == 0
+    assert main(["import", "euroc", str(euroc_mav0), str(out)]) == 0
     return out
 
 

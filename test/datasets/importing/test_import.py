@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all imports share: nothing is left out silently, and OUT is a whole recording or does not exist."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from uav_vslam.cli.main import main
+from uav_vslam.config import load_vehicle
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.importing.euroc import read_euroc
+from uav_vslam.datasets.importing.motion import motion_of_poses
+from uav_vslam.datasets.importing.pictures import Picture, frames, paired
+from uav_vslam.datasets.importing.problems import SHOWN, Problems
+from uav_vslam.datasets.importing.tables import read_table
+from uav_vslam.datasets.messages import compressed_image_message, image_of
+from uav_vslam.errors import BagError
+from uav_vslam.types import ImuSample, StereoFrame
+
+IMU = [f"{ms * 1_000_000},0.01,0.0,0.0,0.0,0.0,9.81" for ms in range(0, 400, 5)]
+SENSOR = """T_BS: {{data: [1.0, 0.0, 0.0, {x}, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]}}
+resolution: [64, 48]
+intrinsics: [50.0, 51.0, 32.0, 24.0]
+distortion_coefficients: [0.0, 0.0, 0.0, 0.0]
+"""
+
+
+@pytest.fixture
+def mav0(tmp_path: Path) -> Path:
+    """A small ASL folder: five pairs, 50 ms apart."""
+    folder = tmp_path / "mav0"
+    stamps = [ms * 1_000_000 for ms in range(100, 350, 50)]
+    for k in (0, 1):
+        camera = folder / f"cam{k}"
+        (camera / "data").mkdir(parents=True)
+        (camera / "sensor.yaml").write_text(SENSOR.format(x=0.1 * k))
+        (camera / "data.csv").write_text("\n".join(["#t,file", *(f"{s},{s}.png" for s in stamps)]) + "\n")
+        for s in stamps:
+            cv2.imwrite(str(camera / "data" / f"{s}.png"), np.full((48, 64), s % 251 + k, np.uint8))
+    for name, rows in (("imu0", IMU), ("state_groundtruth_estimate0", truth_rows())):
+        (folder / name).mkdir()
+        (folder / name / "data.csv").write_text("\n".join(["#header", *rows]) + "\n")
+    return folder
+
+
+def truth_rows() -> list[str]:
+    return [f"{ms * 1_000_000},{ms},2,3,1,0,0,0,4,5,6,0,0,0,0,0,0" for ms in range(0, 400, 20)]
+
+
+def test_what_can_not_be_read_is_named_with_its_line_counted_and_listed(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (mav0 / "cam0" / "data" / "150000000.png").unlink()
+    (mav0 / "cam1" / "data" / "200000000.png").write_bytes(b"")
+    (mav0 / "imu0" / "data.csv").write_text("\n".join([*IMU[:3], "15000000,nan,0,0,0,0,9.81", "x", *IMU[4:]]))
+    out = tmp_path / "out"
+    assert main(["import", "euroc", str(mav0), str(out)]) == 0
+    listed = (tmp_path / "out.warnings.txt").read_text().splitlines()
+    for line in (f"{mav0}/imu0/data.csv:4:", f"{mav0}/imu0/data.csv:5:", f"{mav0}/cam0/data.csv:3:"):
+        assert sum(line in text for text in listed) == 1
+    assert sum("200000000.png is empty" in text for text in listed) == 1
+    said = capsys.readouterr()
+    assert all(line in said.err for line in listed)
+    assert "2 lines that can't be read, 2 missing pictures, 2 pictures without a partner" in said.out
+    events = list(open_flight(out, "uav1").iter_events())
+    assert [e.stamp_ns for e in events if isinstance(e, StereoFrame)] == [100_000_000, 250_000_000, 300_000_000]
+    assert sum(isinstance(e, ImuSample) for e in events) == len(IMU) - 1
+
+
+def test_thousands_of_equal_problems_are_counted_not_printed(tmp_path: Path) -> None:
+    said: list[str] = []
+    problems = Problems(said.append)
+    for line in range(1, 1001):
+        problems.add("lines that can't be read", tmp_path / "log", "broken", line=line)
+    assert len(said) == SHOWN + 1
+    assert problems.summary() == "1000 lines that can't be read"
+    assert problems.lines[999] == f"{tmp_path / 'log'}:1000: broken"
+
+
+def test_rows_out_of_order_are_sorted_in_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text("30,3\n10,1\n20,2\n20,9\n40,4\n")
+    problems = Problems()
+    table = read_table(path, 1, problems)
+    np.testing.assert_array_equal(table.stamps_ns, [10, 20, 30, 40])
+    np.testing.assert_array_equal(table.values[:, 0], [1, 2, 3, 4])
+    assert [text.split(": ")[0].removeprefix(f"{path}:") for text in problems.lines] == ["2", "3", "4"]
+
+
+def test_pictures_pair_with_the_nearest_within_the_tolerance() -> None:
+    def side(*stamps: int) -> list[Picture]:
+        return [Picture(stamp, Path(f"{stamp}.png")) for stamp in stamps]
+
+    problems = Problems()
+    pairs = paired(side(0, 100, 200, 300), side(3, 98, 106, 215, 301), problems, tolerance_ns=10)
+    assert [(pair.left.stamp_ns, pair.right.stamp_ns) for pair in pairs] == [(0, 3), (100, 98), (300, 301)]
+    assert problems.counts == {"pictures without a partner": 3}
+    assert paired([], side(1), problems, tolerance_ns=10) == []
+
+
+@pytest.mark.parametrize(("suffix", "copied"), [(".png", True), (".jpg", True), (".pgm", False), (".tiff", False)])
+def test_files_that_ros_knows_are_copied_and_others_keep_their_pixels(
+    suffix: str, copied: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / f"picture{suffix}"
+    pixels = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
+    cv2.imwrite(str(path), pixels)
+    picture = Picture(7, path)
+    (frame,) = frames(paired([picture], [picture], Problems()), Problems(), offset_ns=5)
+    assert frame.stamp_ns == 12
+    if copied:
+        assert frame.left.content == path.read_bytes()
+    else:
+        np.testing.assert_array_equal(frame.left.content, pixels)
+
+
+def test_a_picture_that_turns_out_to_be_none_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "picture.pgm"
+    path.write_bytes(b"P5 no more")
+    problems = Problems()
+    picture = Picture(7, path)
+    assert list(frames(paired([picture], [picture], problems), problems)) == []
+    assert problems.counts == {"missing pictures": 2}
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_a_compressed_bayer_mosaic_is_read_as_colour(pattern: str) -> None:
+    at = {"r": 200, "g": 90, "b": 40}
+    tile = np.array([at[letter] for letter in pattern], np.uint8).reshape(2, 2)
+    _, png = cv2.imencode(".png", np.tile(tile, (8, 8)))
+    message = compressed_image_message(1, "left", bytes(png), fmt=f"bayer_{pattern}8; png compressed")
+    np.testing.assert_array_equal(image_of(message)[8, 8], [40, 90, 200])
+
+
+def test_velocities_are_those_of_the_positions_whatever_the_sign_of_the_quaternions() -> None:
+    stamps = np.arange(0, 1_000_000_000, 10_000_000)
+    seconds = stamps / 1e9
+    positions = np.column_stack([3.0 * seconds, np.zeros_like(seconds), 0.5 * seconds])
+    quaternions = np.tile([0.6, 0.0, 0.0, 0.8], (len(stamps), 1)) * np.where(np.arange(len(stamps)) % 2, 1, -1)[:, None]
+    motion = motion_of_poses(stamps, positions, quaternions, source=Path("poses"))
+    np.testing.assert_allclose(motion.table.values[:, 7:10], np.tile([3.0, 0.0, 0.5], (len(stamps), 1)), atol=1e-12)
+    between = motion.table.at(505_000_000)[3:7]
+    np.testing.assert_allclose(np.abs(between), [0.6, 0.0, 0.0, 0.8], atol=1e-12)
+
+
+def test_the_written_configuration_is_the_formats_and_one_that_is_there_is_kept(mav0: Path, tmp_path: Path) -> None:
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
+    assert load_vehicle(tmp_path / "out.yaml") == load_vehicle(Path(__file__).parents[3] / "config" / "euroc.yaml")
+    (tmp_path / "mine.yaml").write_text("# mine\n")
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "mine")]) == 0
+    assert (tmp_path / "mine.yaml").read_text() == "# mine\n"
+
+
+def test_an_import_that_was_cut_short_starts_again(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left = tmp_path / "out.partial" / "out"
+    left.mkdir(parents=True)
+    (left / "out.mcap").write_bytes(b"begun")
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
+    assert "cut short, is removed" in capsys.readouterr().err
+    assert not (tmp_path / "out.partial").exists()
+    assert open_flight(tmp_path / "out", "uav1").frame_count == 5
+
+
+def test_an_import_that_fails_leaves_nothing(
+    mav0: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    read_bytes: Callable[[Path], bytes] = Path.read_bytes
+
+    def interrupted(path: Path) -> bytes:
+        if path.name == "250000000.png":
+            raise KeyboardInterrupt
+        return read_bytes(path)
+
+    monkeypatch.setattr(Path, "read_bytes", interrupted)
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 130
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mav0"]
+
+
+def test_a_finished_import_and_other_peoples_folders_are_not_overwritten(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 2
+    assert "exists already" in capsys.readouterr().err
+    (tmp_path / "new.partial").mkdir()
+    (tmp_path / "new.partial" / "thesis.txt").write_text("years of work")
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "new")]) == 2
+    assert (tmp_path / "new.partial" / "thesis.txt").exists()
+
+
+def test_a_gap_of_the_ground_truth_at_the_start_is_refused(mav0: Path) -> None:
+    rows = [row for row in truth_rows() if not 20_000_000 <= int(row.split(",")[0]) <= 140_000_000]
+    (mav0 / "state_groundtruth_estimate0" / "data.csv").write_text("\n".join(rows))
+    with pytest.raises(BagError, match=r"state_groundtruth.*gap at the first image"):
+        read_euroc(mav0)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam import`: turn a data set that is no bag into one, with a configuration to run it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from uav_vslam.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from uav_vslam.datasets.importing.motion import InitialSigma
+    from uav_vslam.datasets.importing.problems import Problems
+    from uav_vslam.datasets.importing.source import Source
+
+HELP = "turn a data set that is no bag into one, with a configuration to run it"
+EXAMPLES = """examples:
+  uav-vslam import euroc V1_01_easy/mav0 v101 && uav-vslam run v101 --config v101.yaml
+  uav-vslam import euroc V1_01_easy/mav0 v101 --vehicle uav2 --initial-sigma 0.05 0.1 0.5 0.002 0.05
+  uav-vslam import FORMAT --help                     what one format needs
+
+OUT becomes the bag and OUT.yaml its configuration; a file that is there already is kept. Images of jpeg and png files
+are recorded byte for byte, lens distortion included. What can't be read is left out, told with file and line, counted,
+and listed in OUT.warnings.txt. The bag grows in OUT.partial: an import that was cut short leaves no OUT, and starts
+again.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    common = _common_arguments()
+    formats = parser.add_subparsers(title="formats", metavar="FORMAT", dest="format", required=True)
+    euroc = formats.add_parser("euroc", parents=[common], help="a sequence in EuRoC's ASL layout")
+    euroc.description = "Import a sequence in EuRoC's ASL layout; SOURCE is its mav0 folder."
+    euroc.set_defaults(read=_read_euroc)
+
+
+def _common_arguments() -> argparse.ArgumentParser:
+    """Return what all formats take."""
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("source", type=Path, metavar="SOURCE", help="folder of the data set")
+    common.add_argument("out", type=Path, metavar="OUT", help="bag folder to make")
+    common.add_argument("--vehicle", default="uav1", help="ROS namespace (default uav1)")
+    common.add_argument(
+        "--initial-sigma",
+        nargs=5,
+        type=float,
+        metavar=("M", "M/S", "DEG", "RAD/S", "M/S2"),
+        help="stated sigma of the start's position, velocity, attitude, gyro and accelerometer bias",
+    )
+    common.add_argument("--storage", default="mcap", choices=["mcap", "sqlite3"], help="bag format (default mcap)")
+    common.add_argument("--zstd", action="store_true", help="compress the mcap file's chunks: raw images shrink")
+    return common
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import and record; return the exit status."""
+    from uav_vslam.datasets.importing.problems import Problems
+    from uav_vslam.datasets.importing.source import require_new, write_source
+
+    if require_new(args.out):
+        _warn(f"{args.out}.partial, left by an import that was cut short, is removed; starting again")
+    problems = Problems(_warn)
+    source: Source = args.read(args, problems)
+    with progress_bar("importing", source.frame_count) as advance:
+        config = write_source(source, args.out, storage=args.storage, zstd=args.zstd, on_frame=advance)
+    size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
+    print(f"{args.out}: {source.frame_count} image pairs of {source.flight.vehicle}, {size_mb:.1f} MB")
+    _report(args.out, source, problems)
+    if config:
+        print(f"run it: uav-vslam run {args.out} --config {config}")
+    return 0
+
+
+def _report(out: Path, source: Source, problems: Problems) -> None:
+    """Print what the user should know, and list what was left out in a file."""
+    for note in source.notes:
+        print(f"note: {note}")
+    if problems.lines:
+        listed = out.with_name(f"{out.name}.warnings.txt")
+        listed.write_text("\n".join(problems.lines) + "\n", encoding="utf-8")
+        print(f"left out: {problems.summary()}; listed in {listed}")
+
+
+def _warn(text: str) -> None:
+    print(f"uav-vslam: warning: {text}", file=sys.stderr)
+
+
+def _sigma(args: argparse.Namespace) -> InitialSigma | None:
+    from uav_vslam.datasets.importing.motion import InitialSigma
+
+    return InitialSigma(*args.initial_sigma) if args.initial_sigma else None
+
+
+def _read_euroc(args: argparse.Namespace, problems: Problems) -> Source:
+    from uav_vslam.datasets.importing.euroc import read_euroc
+
+    return read_euroc(args.source, vehicle=args.vehicle, sigma=_sigma(args), problems=problems)

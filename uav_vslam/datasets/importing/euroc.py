@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""EuRoC's ASL folder layout as a flight recording; body is the IMU's frame, whose axes are not FLU on that sensor.
+
+Layout: `mav0/{cam0,cam1,imu0,state_groundtruth_estimate0}/{data.csv,sensor.yaml}`, cam0 is left. Images are copied
+byte for byte, lens distortion included. The world's z is up; gravity there is 9.81 m/s^2.
+"""
+
+from pathlib import Path
+
+from uav_vslam.datasets.calibration_files import parse_calibration, yaml_tree
+from uav_vslam.datasets.flight_writer import FlightRecording
+from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples
+from uav_vslam.datasets.importing.pictures import PicturePair, frames, paired, read_list
+from uav_vslam.datasets.importing.problems import Problems
+from uav_vslam.datasets.importing.source import Source
+from uav_vslam.datasets.importing.tables import read_table, read_text
+from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.stereo import StereoRig
+
+TRUTH_FOLDER = "state_groundtruth_estimate0"
+MODEL = "radial-tangential"  # the distortion model of the sequences
+
+
+def read_euroc(
+    mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None = None, problems: Problems | None = None
+) -> Source:
+    """Read a sequence; it starts at the first image pair with ground truth.
+
+    Args:
+        mav0: the folder that holds cam0, cam1, imu0 and the ground truth.
+        vehicle: its ROS namespace.
+        sigma: stated uncertainty of the start state.
+        problems: is told of what is left out.
+
+    Raises:
+        BagError: a file is missing or malformed, no images pair up, or none has ground truth.
+        CalibrationError: the cameras' calibrations contradict each other.
+    """
+    problems = problems or Problems()
+    left, T_body_left = _camera(mav0 / "cam0")
+    right, T_body_right = _camera(mav0 / "cam1")
+    imu = read_table(mav0 / "imu0" / "data.csv", 6, problems)
+    truth_file = mav0 / TRUTH_FOLDER / "data.csv"
+    truth = Motion(read_table(truth_file, 16, problems), truth_file)
+    pairs, notes = covered_pairs(asl_pairs(mav0, problems), truth)
+    if not pairs:
+        raise BagError(f"{mav0}: no pair of images with equal stamps is covered by ground truth; check data.csv")
+    flight = FlightRecording(
+        vehicle=vehicle,
+        rig=StereoRig(left, right, T_body_left, T_body_right),
+        imu=imu_samples(imu),
+        truth=truth.samples(imu),
+        frames=frames(pairs, problems),
+        initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()),
+    )
+    return Source(flight, len(pairs), base="euroc", notes=notes)
+
+
+def asl_pairs(mav0: Path, problems: Problems) -> list[PicturePair]:
+    """Return the pairs of pictures with equal stamps of cam0 and cam1."""
+    left, right = (read_list(mav0 / cam / "data.csv", mav0 / cam / "data", problems) for cam in ("cam0", "cam1"))
+    return paired(left, right, problems)
+
+
+def covered_pairs(pairs: list[PicturePair], truth: Motion) -> tuple[list[PicturePair], tuple[str, ...]]:
+    """Return the pairs from the first to the last stamp of the ground truth, and a note if there are others."""
+    covered = [pair for pair in pairs if truth.covers(pair.stamp_ns)]
+    outside = len(pairs) - len(covered)
+    return covered, (f"{outside} image pairs before or after the ground truth are left out",) if outside else ()
+
+
+def _camera(folder: Path) -> tuple[PinholeCamera, Pose]:
+    """Return the intrinsics and T_body_cam of a sensor.yaml."""
+    path = folder / "sensor.yaml"
+    sensor = yaml_tree(read_text(path), path)
+    if sensor.get("distortion_model", MODEL) != MODEL:
+        raise CalibrationError(f"{folder}: distortion model {sensor['distortion_model']!r}; use {MODEL}")
+    calibration = parse_calibration(sensor, path)
+    T_body_cam = calibration.T_body_cam(0)
+    if T_body_cam is None:
+        raise CalibrationError(f"{path}: no camera with T_BS; is it an ASL folder (mav0)?")
+    return calibration.cameras[0].camera, T_body_cam

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Image files with stamps: those that exist, in pairs, recorded as they are.
+
+Jpeg and png files are copied byte for byte; other kinds are decoded, and recorded as raw images.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
+from uav_vslam.datasets.importing.problems import Problems
+from uav_vslam.datasets.importing.tables import DISORDERED, UNREADABLE, numbered_lines
+from uav_vslam.datasets.messages import decoded
+
+COPIED = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
+MISSING, UNPAIRED = "missing pictures", "pictures without a partner"
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One image file and its exposure time [ns]."""
+
+    stamp_ns: int
+    path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class PicturePair:
+    """A left and a right picture."""
+
+    left: Picture
+    right: Picture
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the left picture [ns]."""
+        return self.left.stamp_ns
+
+
+def read_list(path: Path, folder: Path, problems: Problems) -> list[Picture]:
+    """Return the existing pictures of a csv file of stamps [ns] and names.
+
+    Args:
+        path: the file.
+        folder: of the pictures.
+        problems: is told of lines and pictures that are left out.
+
+    Raises:
+        BagError: the list can't be read.
+    """
+    listed: list[tuple[int, Path, int]] = []
+    for line, text in numbered_lines(path):
+        stamp, _, name = text.partition(",")
+        try:
+            listed.append((int(stamp), folder / name.strip(), line))
+        except ValueError:
+            problems.add(UNREADABLE, path, f"{text!r} is not 'stamp,filename'", line=line)
+    return existing(listed, path, problems)
+
+
+def existing(listed: Iterable[tuple[int, Path, int]], source: Path, problems: Problems) -> list[Picture]:
+    """Return the pictures of (stamp [ns], file, line in `source`) whose files exist and hold anything, by stamp."""
+    kept: dict[int, Picture] = {}
+    sizes: dict[Path, dict[str, int]] = {}
+    for stamp, path, line in listed:
+        folder = path.parent
+        if folder not in sizes:  # one look into the folder is faster than one at each file
+            sizes[folder] = {f.name: f.stat().st_size for f in folder.iterdir()} if folder.is_dir() else {}
+        if not sizes[folder].get(path.name):
+            wrong = "is empty" if path.name in sizes[folder] else "does not exist"
+            problems.add(MISSING, source, f"picture {path} {wrong}", line=line)
+        elif stamp in kept:
+            problems.add(DISORDERED, source, f"the stamp {stamp} ns is used twice; {path.name} is left out", line=line)
+        else:
+            kept[stamp] = Picture(stamp, path)
+    return [kept[stamp] for stamp in sorted(kept)]
+
+
+def paired(
+    left: list[Picture], right: list[Picture], problems: Problems, *, tolerance_ns: int = 0
+) -> list[PicturePair]:
+    """Return the pairs of mutually nearest pictures whose stamps differ by at most the tolerance [ns]."""
+    if not left or not right:
+        return []
+    left_ns, right_ns = (np.array([picture.stamp_ns for picture in side], np.int64) for side in (left, right))
+    nearest_right, nearest_left = _nearest(left_ns, right_ns), _nearest(right_ns, left_ns)
+    apart = np.abs(right_ns[nearest_right] - left_ns)
+    mutual = nearest_left[nearest_right] == np.arange(len(left))
+    chosen = np.flatnonzero(mutual & (apart <= tolerance_ns)).tolist()
+    partners = nearest_right[chosen].tolist()
+    for side, used in ((left, set(chosen)), (right, set(partners))):
+        for k in (k for k in range(len(side)) if k not in used):
+            problems.add(UNPAIRED, side[k].path, f"no picture of the other camera within {tolerance_ns / 1e6:g} ms")
+    return [PicturePair(left[i], right[j]) for i, j in zip(chosen, partners, strict=True)]
+
+
+def _nearest(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each stamp the index of the nearest one among the others, which are sorted."""
+    after = np.searchsorted(others_ns, stamps_ns).clip(0, len(others_ns) - 1)
+    before = (after - 1).clip(0)
+    nearer = np.abs(others_ns[before] - stamps_ns) <= np.abs(others_ns[after] - stamps_ns)
+    return np.asarray(np.where(nearer, before, after))
+
+
+def frames(
+    pairs: list[PicturePair], problems: Problems, *, encoding: str = "", offset_ns: int = 0
+) -> Iterator[SourceFrame]:
+    """Read pairs of files; a pair with a file that can't be read is left out.
+
+    Args:
+        pairs: the files.
+        problems: is told of pictures that are left out.
+        encoding: of Bayer mosaics ("bayer_rggb8"); empty if the pixels are grey or colour.
+        offset_ns: added to the stamps [ns].
+    """
+    for pair in pairs:
+        left, right = (_image(picture, problems, encoding, offset_ns) for picture in (pair.left, pair.right))
+        if left is not None and right is not None:
+            yield SourceFrame(left, right)
+
+
+def _image(picture: Picture, problems: Problems, encoding: str, offset_ns: int) -> SourceImage | None:
+    path, stamp_ns = picture.path, picture.stamp_ns + offset_ns
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        problems.add(MISSING, path, f"can't be read ({error.strerror})")
+        return None
+    fmt = COPIED.get(path.suffix.lower(), "")
+    if fmt:
+        return SourceImage(stamp_ns, data, fmt, encoding)
+    pixels = decoded(np.frombuffer(data, np.uint8))
+    if pixels is None:
+        problems.add(MISSING, path, "can't be decoded")
+        return None
+    return SourceImage(stamp_ns, pixels, encoding=encoding)

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Text files of numbers with a stamp in each row; a row that can't be read is reported and left out."""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.datasets.importing.problems import Problems
+from uav_vslam.errors import BagError
+
+Array = NDArray[np.float64]
+
+UNREADABLE, DISORDERED = "lines that can't be read", "lines out of order"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows in stamp order: (N,) stamps [ns] and (N, C) numbers."""
+
+    stamps_ns: NDArray[np.int64]
+    values: Array
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def at(self, stamp_ns: int) -> Array:
+        """Return the (C,) row at a stamp, linear between rows."""
+        return np.array(
+            [np.interp(stamp_ns - self.stamps_ns[0], self.stamps_ns - self.stamps_ns[0], c) for c in self.values.T]
+        )
+
+
+def read_text(path: Path) -> str:
+    """Return the content of a text file.
+
+    Raises:
+        BagError: it can't be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise BagError(f"{path}: can't be read ({error.strerror})") from None
+
+
+def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield number and text of the lines that are neither empty nor comments (#).
+
+    Raises:
+        BagError: the file can't be read.
+    """
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield number, line
+
+
+def numbers(fields: Sequence[str]) -> list[float]:
+    """Return finite numbers.
+
+    Raises:
+        ValueError: one is none.
+    """
+    values = [float(text) for text in fields]
+    if not all(map(math.isfinite, values)):
+        raise ValueError(f"{', '.join(fields)} are not all finite")
+    return values
+
+
+def read_table(path: Path, columns: int, problems: Problems) -> Table:
+    """Read a csv file whose rows hold a stamp [ns] and numbers; more columns are ignored.
+
+    Args:
+        path: the file.
+        columns: how many numbers are needed.
+        problems: is told of rows that are left out.
+
+    Raises:
+        BagError: the file can't be read or has no valid row.
+    """
+    rows: list[tuple[int, int, list[float]]] = []
+    for line, text in numbered_lines(path):
+        fields = text.split(",")
+        try:
+            stamp, values = int(fields[0]), numbers(fields[1 : 1 + columns])
+            if len(values) < columns:
+                raise ValueError(f"it has {len(values)}")
+        except ValueError as error:
+            problems.add(UNREADABLE, path, f"a row must hold a stamp and {columns} numbers ({error})", line=line)
+            continue
+        rows.append((stamp, line, values))
+    return table_of(rows, columns, path, problems)
+
+
+def table_of(rows: Iterable[tuple[int, int, list[float]]], columns: int, path: Path, problems: Problems) -> Table:
+    """Return rows of (stamp [ns], line, numbers) in stamp order; of equal stamps the first row counts.
+
+    Raises:
+        BagError: there are none.
+    """
+    kept: dict[int, list[float]] = {}
+    newest: int | None = None
+    for stamp, line, values in rows:
+        if stamp in kept:
+            problems.add(DISORDERED, path, f"the stamp {stamp} ns is used twice; this row is left out", line=line)
+            continue
+        if newest is not None and stamp < newest:
+            problems.add(DISORDERED, path, f"the stamp {stamp} ns is before the previous one; sorted in", line=line)
+        kept[stamp] = values
+        newest = stamp if newest is None else max(newest, stamp)
+    if not kept:
+        raise BagError(f"{path}: no row holds a stamp and {columns} numbers")
+    stamps = np.array(sorted(kept), np.int64)
+    return Table(stamps, np.array([kept[stamp] for stamp in stamps.tolist()]).reshape(-1, columns))
