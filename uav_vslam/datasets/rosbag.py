@@ -31,6 +31,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from uav_vslam.datasets import ros1_bag
+from uav_vslam.datasets.compressed_bag import compressed_files, unpacked
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
 from uav_vslam.errors import BagError
 
@@ -241,11 +242,13 @@ def _require_type(msgtype: str) -> None:
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """Return the paths to open: bag folders with metadata, or the storage files of those without."""
+    """Return the paths to open: bag folders with metadata, or the storage files of those without; all unpacked."""
     files: list[Path] = []
     for path in map(Path, paths):
         if not path.exists():
             raise BagError(f"bag {path} does not exist; give a bag folder or an .mcap, .db3 or .bag file")
+        if compressed_files(path):
+            path = unpacked(path)
         files_inside = sorted(p for p in path.iterdir() if p.suffix in STORAGE_FILES) if path.is_dir() else [path]
         if not files_inside or (path.is_file() and path.suffix not in STORAGE_FILES):
             raise BagError(f"{path} is not a bag: no .mcap, .db3 or .bag file; give a bag folder or such a file")

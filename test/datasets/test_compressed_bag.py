@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that were compressed as a whole are read like the bags themselves."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+import zstandard
+
+from uav_vslam.datasets.rosbag import RawRecorder, iter_raw, topics_of
+from uav_vslam.errors import BagError
+
+
+def compressed(bag: Path, out: Path) -> Path:
+    """Compress the storage file of a bag as `ros2 bag record --compression-mode file` does."""
+    shutil.copytree(bag, out)
+    (file,) = [path for path in out.iterdir() if path.suffix in (".mcap", ".db3")]
+    packed = file.with_name(file.name + ".zstd")
+    packed.write_bytes(zstandard.compress(file.read_bytes()))
+    file.unlink()
+    metadata = out / "metadata.yaml"
+    tree = yaml.safe_load(metadata.read_text())
+    told = tree["rosbag2_bagfile_information"]
+    told |= {"compression_format": "zstd", "compression_mode": "FILE", "relative_file_paths": [packed.name]}
+    metadata.write_text(yaml.safe_dump(tree))
+    return out
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_compressed_bag_has_the_messages_of_the_plain_one(storage: str, tiny_bag: Path, tmp_path: Path) -> None:
+    with RawRecorder(tmp_path / "plain", storage=storage) as recorder:
+        for raw in iter_raw([tiny_bag]):
+            recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns)
+    bag = compressed(tmp_path / "plain", tmp_path / "bag")
+    assert topics_of([bag]) == topics_of([tmp_path / "plain"])
+    assert list(iter_raw([bag])) == list(iter_raw([tiny_bag]))
+
+
+def test_a_compressed_file_alone_is_a_bag_and_one_beside_its_plain_copy_is_not_read_twice(
+    tiny_bag: Path, tmp_path: Path
+) -> None:
+    bag = compressed(tiny_bag, tmp_path / "bag")
+    (file,) = bag.glob("*.zstd")
+    (bag / "metadata.yaml").unlink()
+    expected = list(iter_raw([tiny_bag]))
+    assert list(iter_raw([file])) == expected
+    (bag / file.stem).write_bytes((tiny_bag / file.stem).read_bytes())
+    assert list(iter_raw([bag])) == expected
+
+
+def test_a_damaged_compressed_file_is_named(tiny_bag: Path, tmp_path: Path) -> None:
+    (file,) = compressed(tiny_bag, tmp_path / "bag").glob("*.zstd")
+    file.write_bytes(b"no zstd" + file.read_bytes())
+    with pytest.raises(BagError, match=r"mcap\.zstd can't be unpacked"):
+        topics_of([file])

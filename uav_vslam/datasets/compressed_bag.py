@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags whose storage files were compressed as a whole (`ros2 bag record --compression-mode file`): x.mcap.zstd."""
+
+import atexit
+import shutil
+import tempfile
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import yaml
+import zstandard
+
+from uav_vslam.errors import BagError
+
+SUFFIX = ".zstd"
+METADATA = "metadata.yaml"
+INFORMATION = "rosbag2_bagfile_information"
+
+
+def compressed_files(path: Path) -> list[Path]:
+    """Return the compressed files of a bag, a folder or one file; those that are also there unpacked do not count."""
+    if path.is_dir():
+        return sorted(p for p in path.iterdir() if p.suffix == SUFFIX and not p.with_suffix("").exists())
+    return [path] if path.suffix == SUFFIX else []
+
+
+@cache
+def unpacked(path: Path) -> Path:
+    """Return a copy of a bag with its files unpacked; it lasts as long as the process.
+
+    Args:
+        path: bag folder or storage file, of which `compressed_files` finds some.
+
+    Raises:
+        BagError: a file is damaged, or there is no room.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="uav_vslam_bag_"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    packed = compressed_files(path)
+    for file in packed:
+        _unpack(file, folder / file.stem)
+    if path.is_file():
+        return folder / path.stem
+    _link_the_rest(path, folder, packed)
+    return folder
+
+
+def _unpack(file: Path, out: Path) -> None:
+    try:
+        with file.open("rb") as source, out.open("wb") as target:
+            zstandard.ZstdDecompressor().copy_stream(source, target)
+    except (OSError, zstandard.ZstdError) as error:
+        raise BagError(f"{file} can't be unpacked into {out.parent} ({error}); unpack it yourself (zstd -d)") from None
+
+
+def _link_the_rest(path: Path, folder: Path, packed: Sequence[Path]) -> None:
+    """Complete an unpacked folder with links to the other files, and metadata that no longer tells of compression."""
+    for other in path.iterdir():
+        if other not in packed and other.name != METADATA:
+            (folder / other.name).symlink_to(other.resolve())
+    if (path / METADATA).exists():
+        tree = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))
+        told = tree[INFORMATION]
+        told |= {"compression_format": "", "compression_mode": ""}
+        told["relative_file_paths"] = [name.removesuffix(SUFFIX) for name in told["relative_file_paths"]]
+        (folder / METADATA).write_text(yaml.safe_dump(tree), encoding="utf-8")
