@@ -182,6 +182,10 @@ def _vehicle_result(
         frames_in=track.frames_in,
         frames_processed=len(track.outputs),
         closures=sum(output.report.closures for output in track.outputs),
+        frames=tuple(output.quality for output in track.outputs),
+        alarms=track.alarms_at,
+        dropped=track.dropped,
+        joints=tuple(output.joint for output in track.outputs if output.joint is not None),
         link=link_counters(member) if member else LinkCounters(),
     )
 

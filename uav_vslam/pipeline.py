@@ -25,6 +25,7 @@ class VehicleTrack:
         outputs: one per frame processed, in stamp order.
         dropped: frames that were not processed, by reason.
         alarms: frames with a camera or rig fault, by subject.
+        alarms_at: subjects of such faults by the frame's stamp [ns].
         broken: why the recording ended early; empty if complete.
         warnings: problems for the user.
     """
@@ -34,6 +35,7 @@ class VehicleTrack:
     outputs: list[FrameOutput] = field(default_factory=list)
     dropped: dict[str, int] = field(default_factory=dict)
     alarms: Counter[str] = field(default_factory=Counter)
+    alarms_at: dict[int, tuple[str, ...]] = field(default_factory=dict)
     broken: str = ""
     warnings: list[str] = field(default_factory=list)
 
@@ -97,6 +99,8 @@ class VehiclePipeline:
             if subject not in self.track.alarms:
                 self.track.warnings.append(f"frame {self.track.frames_in}: {text}")
             self.track.alarms[subject] += 1
+        if self._frontend.alarms:
+            self.track.alarms_at[frame.stamp_ns] = tuple(self._frontend.alarms)
         return features
 
     def _complete(self, increments: list[ImuIncrement]) -> list[FrameOutput]:

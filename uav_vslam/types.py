@@ -171,6 +171,43 @@ class PoseEstimate:
     covariance: Array
 
 
+@dataclass(frozen=True, slots=True)
+class FrameQuality:
+    """How the back end fared in one frame, judged without ground truth.
+
+    Attributes:
+        stamp_ns: of the frame [ns].
+        features: stereo points offered.
+        tracked: those whose track was in the frame before.
+        associated: landmarks that corrected the state.
+        downweighted: those of them that fitted badly.
+        landmarks: in the state afterwards.
+        coasted: the state was propagated by the IMU alone.
+        relocalised: gating failed and the whole map was searched.
+        restarted: the filter was re-initialised.
+        closures: associated landmarks that had not been seen for long.
+        nis: normalised innovation squared of the update, 0 without one.
+        dof: its degrees of freedom, 0 without an update.
+        gate_probability: of the gate that let the observations in.
+        events: problems reported at this frame.
+    """
+
+    stamp_ns: int
+    features: int
+    tracked: int
+    associated: int
+    downweighted: int
+    landmarks: int
+    coasted: bool
+    relocalised: bool
+    restarted: bool
+    closures: int
+    nis: float
+    dof: int
+    gate_probability: float
+    events: tuple[str, ...] = ()
+
+
 def source_of(vehicle: str, session: int) -> str:
     """Return the provenance key of the measurements of one session (start) of a vehicle."""
     return f"{vehicle}/{session}"

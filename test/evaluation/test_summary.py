@@ -57,7 +57,12 @@ def test_without_truth_or_peer_there_are_nulls(single_flight):
     assert summary["pooled"]["c_slam"] is None
     assert figures["s_slam"]["ate_m"] is None
     assert figures["s_slam"]["nees_position"] is None
-    assert summary["pooled"]["s_slam"] == {"ate_m": None, "end_m": None, "nees_position": None}
+    assert summary["pooled"]["s_slam"] == {
+        "ate_m": None,
+        "end_m": None,
+        "sigma_end_m": figures["s_slam"]["sigma_end_m"],
+        "nees_position": None,
+    }
     assert summary["realtime_factor"] is None
     assert figures["distance_m"] > 200.0
 

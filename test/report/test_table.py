@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
 import io
 
 from rich.console import Console
 
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.report.table import link_line, print_summary
+from uav_vslam.types import FrameQuality
 
 
 def printed(flight, alignment="none"):
@@ -45,4 +47,49 @@ def test_an_alignment_is_named(pair):
 
 
 def test_unknown_values_are_dashes(blind):
-    assert row(printed(blind), "S-SLAM", "–")
+    vehicle = blind.vehicles["uav1"]
+    bare = dataclasses.replace(vehicle, s_slam=dataclasses.replace(vehicle.s_slam, covariance=None))
+    assert row(printed(dataclasses.replace(blind, vehicles={"uav1": bare})), "S-SLAM", "–")
+
+
+def frame(k, **changes):
+    """Return a good frame of 100 degrees of freedom, 0.1 s apart."""
+    good = FrameQuality(10**18 + 100_000_000 * k, 90, 80, 25, 0, 60, False, False, False, 0, 100.0, 100, 1.0)
+    return dataclasses.replace(good, **changes)
+
+
+def judged(flight, frames, **changes):
+    """Return what is printed of a vehicle with such frames."""
+    vehicles = {
+        name: dataclasses.replace(vehicle, frames=tuple(frames), **changes) for name, vehicle in flight.vehicles.items()
+    }
+    return printed(dataclasses.replace(flight, vehicles=vehicles))
+
+
+def test_without_truth_the_table_shows_what_the_estimate_claims(blind):
+    text = printed(blind)
+    assert row(text, "1σ at end [m]", "per 100 m [m]", "Heading 1σ [deg]")
+    assert row(text, "S-SLAM", "0.866", "0.437", "28.6")  # 0.5 m an axis after 198 m, 0.5 rad
+    assert "ATE" not in text
+    assert "NEES" not in text
+
+
+def test_a_run_without_truth_is_judged_in_sentences(blind):
+    frames = [frame(k, coasted=k in (5, 6, 50), dof=100 * (k not in (5, 6, 50))) for k in range(100)]
+    frames[20] = frame(20, restarted=True, relocalised=True, closures=7, nis=300.0)
+    text = judged(blind, frames, alarms={1: ("left camera",), 2: ("left camera",)}, dropped={"unpaired": 2})
+    assert row(text, "consistent: NIS/dof 1.02 in [0.97, 1.03]; 1 % of frames outside")
+    assert row(text, "median 90 features, 80 tracked, 25 associated; coasted 3 of 100 frames (longest 2, 0.3 s)")
+    assert row(text, "S-SLAM claims 1 sigma of 0.87 m after 198 m (0.44 m/100 m), heading 28.65 deg")
+    assert row(text, "closures 7, re-initialisations 1, relocalisations 1, alarm left camera 2, dropped unpaired 2")
+
+
+def test_the_verdict_names_side_and_size(pair):
+    assert row(judged(pair, [frame(k, nis=400.0) for k in range(9)]), "over-confident", "above", "2 x claimed")
+    assert row(judged(pair, [frame(k, nis=25.0) for k in range(9)]), "conservative", "below", "0.5 x claimed")
+    assert row(judged(pair, [frame(0, nis=0.0, dof=0)]), "no visual update")
+
+
+def test_no_line_is_wider_than_a_hundred_columns(pair):
+    text = judged(pair, [frame(k, nis=40000.0, coasted=k % 2 == 0) for k in range(2000)], dropped={"unpaired": 1234})
+    assert max(map(len, text.splitlines())) <= 100

@@ -239,3 +239,28 @@ def test_dead_reckoning_misses_no_step_where_the_filter_fails(flown, monkeypatch
         dead_reckoned = advance(dead_reckoned, increment, flight.vehicle.scenario.imu_config)
     np.testing.assert_array_equal(outputs[-1].dead_reckoning.covariance, dead_reckoned.covariance)
     assert stage.dropped["motion_lost"] == 1
+
+
+def test_the_quality_of_a_frame_counts_the_tracks_of_the_one_before(flown) -> None:
+    flight = flown(1)
+    numbers = [(1, 2, 3, 4), (3, 4, 5), (0, 0, 3), (), (3,)]
+    frames = [
+        (dataclasses.replace(features.chosen(np.arange(len(ids))), tracks=np.array(ids, np.uint32)), increment)
+        for (features, increment), ids in zip(flight.frames, numbers, strict=False)
+    ]
+    stage = make(flight)
+    stage.start(flight.vehicle.initial)
+    assert [output.quality.tracked for output in feed(stage, frames)] == [0, 2, 1, 0, 0]
+
+
+def test_the_quality_of_a_frame_is_that_of_its_report(flown) -> None:
+    stage = make(flown(1))
+    stage.start(flown(1).vehicle.initial)
+    first, *others = feed(stage, flown(1).frames)
+    assert (first.quality.coasted, first.quality.dof) == (False, 0)  # at the start state: nothing to coast through
+    for output in others:
+        innovation, quality = output.report.innovation, output.quality
+        assert innovation is not None
+        assert (quality.nis, quality.dof) == (innovation.nis, innovation.dof)
+        assert quality.associated == output.report.associated == quality.dof // 4
+        assert (quality.stamp_ns, quality.coasted, quality.restarted) == (output.report.pose.stamp_ns, False, False)

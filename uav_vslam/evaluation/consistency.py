@@ -86,6 +86,12 @@ def chi_square_band(runs: int, *, probability: float = 0.95, dof: int = DOF) -> 
     The sum over runs is chi-square with runs * dof degrees of freedom. Keyframes of one run are correlated: the band
     holds for one keyframe over many runs, not for the mean over a run.
     """
-    half, shape = 0.5 * (1.0 - probability), 0.5 * runs * dof
-    low, high = gammaincinv(shape, [half, 1.0 - half])
-    return float(2.0 * low / (runs * dof)), float(2.0 * high / (runs * dof))
+    low, high = chi_square_bands(np.array(runs * dof), probability=probability)
+    return float(low), float(high)
+
+
+def chi_square_bands(degrees: Array, *, probability: float = 0.95) -> tuple[Array, Array]:
+    """Return the two-sided bands of chi-square variables over their (...) degrees of freedom, all above zero."""
+    half = 0.5 * (1.0 - probability)
+    low, high = (2.0 * gammaincinv(0.5 * degrees, share) / degrees for share in (half, 1.0 - half))
+    return np.asarray(low), np.asarray(high)

@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.frame_table import write_frames
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.evaluation.revision import git_revision
 from uav_vslam.evaluation.study import Row, study_markdown, study_tree
@@ -29,7 +30,7 @@ LATEST = "latest"
 def write_results(
     result: FlightResult, root: Path = DEFAULT_ROOT, *, plot: Plotter | None = None, alignment: str = "none"
 ) -> Path:
-    """Write summary, trajectories, configuration and plots of a flight into a new folder.
+    """Write summary, trajectories, records of the frames, configuration and plots of a flight into a new folder.
 
     Args:
         result: the flight.
@@ -44,7 +45,7 @@ def write_results(
         _write_json(folder / "summary.json", build_summary(result, git=git_revision(), alignment=alignment))
         config = yaml.safe_dump(result.config, sort_keys=False)
         (folder / "config.yaml").write_text(config, encoding="utf-8")
-        _write_trajectories(result, folder)
+        _write_vehicles(result, folder)
         if plot is not None:
             plot(result, folder)
     return folder
@@ -128,9 +129,11 @@ def _write_json(path: Path, tree: dict[str, Any]) -> None:
     path.write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _write_trajectories(result: FlightResult, folder: Path) -> None:
+def _write_vehicles(result: FlightResult, folder: Path) -> None:
     for name, vehicle in result.vehicles.items():
         for track in ("truth", "ins", "s_slam", "c_slam"):
             trajectory = getattr(vehicle, track)
             if trajectory is not None:
                 write_tum(trajectory, folder / f"{name}_{track}.tum")
+        if vehicle.frames is not None:
+            write_frames(vehicle, folder / f"{name}_frames.csv")

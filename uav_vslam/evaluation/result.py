@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.types import FrameQuality, JointInformation
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,10 @@ class VehicleResult:
         frames_in: stereo pairs offered, or None if not counted.
         frames_processed: stereo pairs that became an estimate.
         closures: landmarks recognised after a long absence, or None if not counted.
+        frames: how each frame processed went, in stamp order; None if not recorded.
+        alarms: camera and rig faults by the stamp [ns] of their frame; None if not recorded.
+        dropped: frames that were not processed, by reason.
+        joints: beliefs over the map at epochs, in stamp order; empty if not recorded.
         link: radio counters.
     """
 
@@ -49,6 +54,10 @@ class VehicleResult:
     frames_in: int | None
     frames_processed: int
     closures: int | None = None
+    frames: tuple[FrameQuality, ...] | None = None
+    alarms: dict[int, tuple[str, ...]] | None = None
+    dropped: dict[str, int] = field(default_factory=dict)
+    joints: tuple[JointInformation, ...] = ()
     link: LinkCounters = field(default_factory=LinkCounters)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Computes the content of `summary.json`; null without ground truth or peer.
+"""Computes the content of `summary.json`: errors are null without ground truth, quality and claims are not.
 
 Everything is scored at the stamps of the own-only track, so that the three estimates are compared at equal
 times: the INS is interpolated to them, the fused track has them.
@@ -13,6 +13,7 @@ import numpy as np
 
 from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import MAX_GAP_S
+from uav_vslam.evaluation.quality import claimed_figures, quality_figures
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
 from uav_vslam.evaluation.trajectory import Trajectory, interpolate
 from uav_vslam.evaluation.trajectory_error import absolute_error, relative_error
@@ -49,14 +50,17 @@ def build_summary(result: FlightResult, *, git: str | None, alignment: str = "no
 
 def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
     ins, _ = interpolate(vehicle.ins, vehicle.s_slam.stamps_ns, max_gap_s=MAX_GAP_S)
+    distance_m = _distance(vehicle)
     return {
-        "distance_m": _distance(vehicle),
+        "distance_m": distance_m,
         "frames_in": vehicle.frames_in,
         "frames_processed": vehicle.frames_processed,
         "closures": vehicle.closures,
-        "ins": _errors(ins, vehicle.truth, alignment),
-        "s_slam": _errors_and_nees(vehicle.s_slam, vehicle.truth, alignment),
-        "c_slam": _cooperative(vehicle, alignment),
+        "ins": _errors(ins, vehicle.truth, alignment) | claimed_figures(_ins_at_end(vehicle), distance_m),
+        "s_slam": _errors_and_nees(vehicle.s_slam, vehicle.truth, alignment)
+        | claimed_figures(vehicle.s_slam, distance_m),
+        "c_slam": _cooperative(vehicle, alignment, distance_m),
+        "quality": quality_figures(vehicle),
         "link": _link(vehicle.link),
     }
 
@@ -69,11 +73,17 @@ def _distance(vehicle: VehicleResult) -> float:
     return path.between(int(vehicle.s_slam.stamps_ns[0]), int(vehicle.s_slam.stamps_ns[-1])).path_length_m
 
 
-def _cooperative(vehicle: VehicleResult, alignment: str) -> Figures | None:
+def _ins_at_end(vehicle: VehicleResult) -> Trajectory:
+    """Return the INS up to the last own-only pose: at 200 Hz it may go on."""
+    ends_ns = vehicle.s_slam.stamps_ns[-1:]
+    return vehicle.ins.select(vehicle.ins.stamps_ns <= (int(ends_ns[0]) if len(ends_ns) else 0))
+
+
+def _cooperative(vehicle: VehicleResult, alignment: str, distance_m: float) -> Figures | None:
     if vehicle.c_slam is None:
         return None
-    common = np.isin(vehicle.c_slam.stamps_ns, vehicle.s_slam.stamps_ns)
-    return _errors_and_nees(vehicle.c_slam.select(common), vehicle.truth, alignment)
+    common = vehicle.c_slam.select(np.isin(vehicle.c_slam.stamps_ns, vehicle.s_slam.stamps_ns))
+    return _errors_and_nees(common, vehicle.truth, alignment) | claimed_figures(common, distance_m)
 
 
 def _errors(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figures:
@@ -117,7 +127,7 @@ def _pool(figures: Iterable[Figures | None]) -> Figures | None:
     present = [figure for figure in figures if figure is not None]
     if not present:
         return None
-    pooled = {key: _pooled(present, key, _rms) for key in ("ate_m", "end_m")}
+    pooled = {key: _pooled(present, key, _rms) for key in ("ate_m", "end_m", "sigma_end_m")}
     if "nees_position" in present[0]:
         pooled["nees_position"] = _pooled(present, "nees_position", _mean)
     return pooled

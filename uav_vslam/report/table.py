@@ -8,33 +8,48 @@ from rich.table import Table
 from rich.text import Text
 
 from uav_vslam.evaluation.summary import TRACKS, Figures
+from uav_vslam.report.quality_lines import quality_lines
 
 NAMES = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
+ERRORS = {"ATE [m]": "ate_m", "End [m]": "end_m", "Position NEES": "nees_position"}
+CLAIMS = {
+    "1σ at end [m]": "sigma_end_m",
+    "per 100 m [m]": "sigma_per_100m_m",
+    "Heading 1σ [deg]": "sigma_heading_end_deg",
+}
 ABSENT = "–"
 
 
 def print_summary(summary: Figures, console: Console | None = None) -> None:
-    """Print the table of a `build_summary` result, and one line per vehicle about its radio link."""
+    """Print the table of a `build_summary` result, and lines about each vehicle's radio link and quality."""
     console = console or Console()
     console.print(_title(summary), style="bold", markup=False, highlight=False, soft_wrap=True)
     console.print(summary_table(summary))
     for name, vehicle in summary["vehicles"].items():
-        console.print(link_line(name, vehicle), markup=False, highlight=False, soft_wrap=True)
+        for line in (link_line(name, vehicle), *(f"  {line}" for line in quality_lines(vehicle))):
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def summary_table(summary: Figures) -> Table:
-    """Return rows per vehicle and track with ATE, end error and NEES; pooled rows last."""
+    """Return rows per vehicle and track with errors, as far as there is ground truth, and what the estimate claims.
+
+    Pooled rows come last, with ground truth only.
+    """
+    scored = any(summary["pooled"][track]["ate_m"] is not None for track in TRACKS if summary["pooled"][track])
+    columns = {**ERRORS, "1σ at end [m]": CLAIMS["1σ at end [m]"]} if scored else CLAIMS
     table = Table()
     table.add_column("Vehicle")
     table.add_column("Estimate")
-    for heading in ("ATE [m]", "End [m]", "Position NEES"):
+    for heading in columns:
         table.add_column(Text(heading), justify="right")  # in a str, [m] would be markup
-    rows = {**summary["vehicles"], "pooled": summary["pooled"]} if len(summary["vehicles"]) > 1 else summary["vehicles"]
+    rows = dict(summary["vehicles"])
+    if scored and len(rows) > 1:
+        rows["pooled"] = summary["pooled"]
     for name, tracks in rows.items():
         present = [track for track in TRACKS if tracks[track] is not None]
         for track in present:
             figures = tracks[track]
-            cells = [_figure(figures.get(key)) for key in ("ate_m", "end_m", "nees_position")]
+            cells = [_figure(figures.get(key)) for key in columns.values()]
             first, last = track == present[0], track == present[-1]
             table.add_row(name if first else "", NAMES[track], *cells, end_section=last)
     return table

@@ -132,7 +132,7 @@ class SlamBackendNode(VehicleNode):
     def _count(self, output: FrameOutput) -> None:
         report = output.report
         self.counts["frames"] += 1
-        self.counts["frames_coasted"] += report.associated == 0
+        self.counts["frames_coasted"] += report.coasted
         self.counts["relocalisations"] += report.relocalised
         self.counts["closures"] += report.closures
         self.counts["recoveries"] += report.recovery != ""

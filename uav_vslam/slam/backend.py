@@ -51,6 +51,9 @@ class FrameReport:
         recovery: why the filter was re-initialised at this frame; empty if it was not.
         rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
         closures: associated landmarks that had not been seen for long.
+        tracked: stereo points whose track was in the frame before.
+        coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
+        gate_probability: of the gate on observations.
         sightings: (K, 2) identifier and feature row of each associated or new landmark.
     """
 
@@ -64,6 +67,9 @@ class FrameReport:
     recovery: str = ""
     rig_evidence: float = 0.0
     closures: int = 0
+    tracked: int = 0
+    coasted: bool = False
+    gate_probability: float = 1.0
     sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
 
 
@@ -86,6 +92,7 @@ class SlamBackend:
         self._matcher = matcher or MapMatcher(config.backend)
         self._map = LandmarkMap()
         self._frame = 0
+        self._last_tracks = np.zeros(0, np.uint32)
         self._reset(initial)
 
     @property
@@ -143,6 +150,9 @@ class SlamBackend:
             recovery=recovery,
             rig_evidence=self._filter.rig_evidence(),
             closures=closures,
+            tracked=self._continued(features),
+            coasted=increment is not None and len(matches) == 0,
+            gate_probability=self._config.gate_probability,
             sightings=np.vstack([sightings, np.column_stack([self._map.ids[len(self._map) - len(added) :], added])]),
         )
 
@@ -171,6 +181,13 @@ class SlamBackend:
         self._map.remove(np.arange(len(self._map)))
         self._health = FilterHealth()
         self._nav = initial
+
+    def _continued(self, features: StereoFeatures) -> int:
+        """Return how many points continue a track of the frame before."""
+        tracks = features.tracks[features.tracks != 0]
+        continued = int(np.isin(tracks, self._last_tracks).sum())
+        self._last_tracks = tracks
+        return continued
 
     def _check_joins(self, stamp_ns: int, increment: ImuIncrement | None) -> None:
         if increment is None:

@@ -16,7 +16,7 @@ from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.start_monitor import StartMonitor
-from uav_vslam.types import ImuIncrement, JointInformation, NavEstimate, StereoFeatures
+from uav_vslam.types import FrameQuality, ImuIncrement, JointInformation, NavEstimate, StereoFeatures
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +34,27 @@ class FrameOutput:
     dead_reckoning: NavEstimate
     joint: JointInformation | None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def quality(self) -> FrameQuality:
+        """How the frame went, judged without ground truth."""
+        report, innovation = self.report, self.report.innovation
+        return FrameQuality(
+            stamp_ns=report.pose.stamp_ns,
+            features=report.features,
+            tracked=report.tracked,
+            associated=report.associated,
+            downweighted=innovation.downweighted if innovation else 0,
+            landmarks=report.landmarks,
+            coasted=report.coasted,
+            relocalised=report.relocalised,
+            restarted=report.recovery != "",
+            closures=report.closures,
+            nis=innovation.nis if innovation else 0.0,
+            dof=innovation.dof if innovation else 0,
+            gate_probability=report.gate_probability,
+            events=self.warnings,
+        )
 
 
 class SlamStage:

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The record of a vehicle's frames as CSV, one row a frame; the columns name their units."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_vslam.evaluation.quality import HEADING, innovation_bands
+from uav_vslam.evaluation.result import VehicleResult
+from uav_vslam.types import NS_PER_S, FrameQuality
+
+COUNTS = ("features", "tracked", "associated", "downweighted", "landmarks", "closures")
+FLAGS = ("coasted", "relocalised", "restarted")
+SIGMAS = ("sigma_east_m", "sigma_north_m", "sigma_up_m", "sigma_heading_deg")  # claimed by S-SLAM
+NIS = ("nis", "dof", "nis_per_dof", "band_low", "band_high")  # empty for a frame without an update
+COLUMNS = ("stamp_ns", "time_s", *COUNTS, *FLAGS, *NIS, *SIGMAS, "alarms", "events")
+
+
+def write_frames(vehicle: VehicleResult, path: Path) -> None:
+    """Write the frames of a vehicle that were recorded."""
+    frames, sigmas = vehicle.frames or (), _sigmas(vehicle)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for frame in frames:
+            alarms = (vehicle.alarms or {}).get(frame.stamp_ns, ())
+            writer.writerow(
+                [
+                    frame.stamp_ns,
+                    f"{(frame.stamp_ns - frames[0].stamp_ns) / NS_PER_S:.6f}",
+                    *(getattr(frame, name) for name in COUNTS),
+                    *(int(getattr(frame, name)) for name in FLAGS),
+                    *_innovation(frame),
+                    *sigmas.get(frame.stamp_ns, [""] * len(SIGMAS)),
+                    "; ".join(alarms),
+                    "; ".join(frame.events),
+                ]
+            )
+
+
+def _innovation(frame: FrameQuality) -> list[Any]:
+    if frame.dof == 0:
+        return [""] * len(NIS)
+    low, high = innovation_bands(np.array([float(frame.dof)]), np.array([frame.gate_probability]))
+    return [f"{frame.nis:.6g}", frame.dof, *(f"{value:.6g}" for value in (frame.nis / frame.dof, low[0], high[0]))]
+
+
+def _sigmas(vehicle: VehicleResult) -> dict[int, list[str]]:
+    """Return the claimed standard deviations as text by stamp."""
+    track = vehicle.s_slam
+    if track.covariance is None:
+        return {}
+    sigma = np.sqrt(np.maximum(np.diagonal(track.covariance, axis1=1, axis2=2), 0.0))[:, [0, 1, 2, HEADING]]
+    sigma[:, 3] = np.degrees(sigma[:, 3])
+    rows = zip(track.stamps_ns.tolist(), sigma, strict=True)
+    return {stamp_ns: [f"{value:.6g}" for value in row] for stamp_ns, row in rows}
