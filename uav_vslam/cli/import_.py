@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import non_negative
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -35,6 +36,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     euroc = formats.add_parser("euroc", parents=[common], help="a sequence in EuRoC's ASL layout")
     euroc.description = "Import a sequence in EuRoC's ASL layout; SOURCE is its mav0 folder."
     euroc.set_defaults(read=_read_euroc)
+    tumvi = formats.add_parser("tumvi", parents=[common], help="a sequence in TUM-VI's layout, with Kalibr's files")
+    tumvi.description = "Import a sequence in TUM-VI's layout; SOURCE is the folder that holds mav0."
+    tumvi.add_argument(
+        "--calibration",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="of Kalibr (default: those in SOURCE, dso or mav0)",
+    )
+    tumvi.set_defaults(read=_read_tumvi)
+    kitti = formats.add_parser("kitti", parents=[common], help="a sequence of KITTI's odometry benchmark")
+    kitti.description = "Import a sequence of KITTI's odometry benchmark; SOURCE is its folder sequences/NN."
+    kitti.epilog = "It has no IMU. With that of its raw drive the graph can run it: --oxts DATE/DRIVE_extract/oxts"
+    kitti.add_argument("--colour", action="store_true", help="cameras 2 and 3 even if there are the grey ones")
+    kitti.add_argument("--oxts", type=Path, metavar="DIR", help="folder oxts of the raw drive: adds the IMU")
+    kitti.add_argument("--first-frame", type=non_negative, default=0, metavar="N", help="of the sequence in the drive")
+    kitti.add_argument(
+        "--image-times", type=Path, metavar="FILE", help="timestamps.txt of camera 0 (default: DIR/../image_00/)"
+    )
+    kitti.set_defaults(read=_read_kitti)
 
 
 def _common_arguments() -> argparse.ArgumentParser:
@@ -98,3 +119,22 @@ def _read_euroc(args: argparse.Namespace, problems: Problems) -> Source:
     from uav_vslam.datasets.importing.euroc import read_euroc
 
     return read_euroc(args.source, vehicle=args.vehicle, sigma=_sigma(args), problems=problems)
+
+
+def _read_tumvi(args: argparse.Namespace, problems: Problems) -> Source:
+    from uav_vslam.datasets.importing.tumvi import read_tumvi
+
+    files = tuple(args.calibration or ())
+    return read_tumvi(args.source, vehicle=args.vehicle, sigma=_sigma(args), calibration=files, problems=problems)
+
+
+def _read_kitti(args: argparse.Namespace, problems: Problems) -> Source:
+    from uav_vslam.datasets.importing.kitti import read_kitti
+    from uav_vslam.datasets.importing.kitti_oxts import read_oxts
+
+    oxts = None
+    if args.oxts:
+        oxts = read_oxts(args.oxts, first_frame=args.first_frame, image_times=args.image_times, problems=problems)
+    return read_kitti(
+        args.source, vehicle=args.vehicle, sigma=_sigma(args), colour=args.colour, oxts=oxts, problems=problems
+    )

@@ -13,7 +13,7 @@ from uav_vslam.config import load_vehicle
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.importing.euroc import read_euroc
 from uav_vslam.datasets.importing.motion import motion_of_poses
-from uav_vslam.datasets.importing.pictures import Picture, frames, paired
+from uav_vslam.datasets.importing.pictures import Picture, frames, paired, shifted
 from uav_vslam.datasets.importing.problems import SHOWN, Problems
 from uav_vslam.datasets.importing.tables import read_table
 from uav_vslam.datasets.messages import compressed_image_message, image_of
@@ -109,7 +109,7 @@ def test_files_that_ros_knows_are_copied_and_others_keep_their_pixels(
     pixels = np.arange(48 * 64, dtype=np.uint8).reshape(48, 64)
     cv2.imwrite(str(path), pixels)
     picture = Picture(7, path)
-    (frame,) = frames(paired([picture], [picture], Problems()), Problems(), offset_ns=5)
+    (frame,) = frames(shifted(paired([picture], [picture], Problems()), 5), Problems())
     assert frame.stamp_ns == 12
     if copied:
         assert frame.left.content == path.read_bytes()
@@ -142,7 +142,11 @@ def test_velocities_are_those_of_the_positions_whatever_the_sign_of_the_quaterni
     quaternions = np.tile([0.6, 0.0, 0.0, 0.8], (len(stamps), 1)) * np.where(np.arange(len(stamps)) % 2, 1, -1)[:, None]
     motion = motion_of_poses(stamps, positions, quaternions, source=Path("poses"))
     np.testing.assert_allclose(motion.table.values[:, 7:10], np.tile([3.0, 0.0, 0.5], (len(stamps), 1)), atol=1e-12)
-    between = motion.table.at(505_000_000)[3:7]
+    parabola = np.column_stack([seconds**2, -3.0 * seconds**2, seconds])
+    motion = motion_of_poses(stamps, parabola, quaternions, source=Path("poses"))
+    expected = np.column_stack([2.0 * seconds, -6.0 * seconds, np.ones_like(seconds)])  # exact, at the ends too
+    np.testing.assert_allclose(motion.table.values[:, 7:10], expected, atol=1e-12)
+    between = motion.table.at(np.array([505_000_000]))[0, 3:7]
     np.testing.assert_allclose(np.abs(between), [0.6, 0.0, 0.0, 0.8], atol=1e-12)
 
 

@@ -17,7 +17,7 @@ from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
 Array = NDArray[np.float64]
 
 GAP_NS = 100_000_000  # largest gap between rows across which the start state is interpolated
-DIFFERENCE_NS = 50_000_000  # velocities are differences of positions this much before and after
+DIFFERENCE_NS = 50_000_000  # velocities are differences of positions this far apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +61,14 @@ class Motion:
         """Return whether a stamp is neither before the first nor after the last row."""
         return bool(self.stamps_ns[0] <= stamp_ns <= self.stamps_ns[-1])
 
-    def samples(self, imu: Table) -> Iterator[TruthSample]:
-        """Yield the motion at each row; the angular rate is that of the (N, 6) readings without the bias."""
-        for stamp, row in zip(self.stamps_ns.tolist(), self.table.values, strict=True):
-            rate = imu.at(stamp)[:3] - row[10:13]
+    def samples(self, imu: Table | None) -> Iterator[TruthSample]:
+        """Yield the motion at each row; the angular rate is that of the (N, 6) readings without the bias.
+
+        Without readings it is unknown, NaN.
+        """
+        rows = self.table.values
+        rates = imu.at(self.stamps_ns)[:, :3] - rows[:, 10:13] if imu else np.full((len(rows), 3), np.nan)
+        for stamp, row, rate in zip(self.stamps_ns.tolist(), rows, rates, strict=True):
             yield TruthSample(stamp, Pose.from_quaternion_wxyz(row[3:7], row[:3]), row[7:10], rate)
 
     def start(self, stamp_ns: int, sigma: InitialSigma) -> NavEstimate:
@@ -73,13 +77,13 @@ class Motion:
         Raises:
             BagError: the rows around it are too far apart.
         """
-        after = int(np.searchsorted(self.stamps_ns, stamp_ns))
+        after = min(int(np.searchsorted(self.stamps_ns, stamp_ns)), len(self.table) - 1)
         before = max(after - 1, 0)
         if self.stamps_ns[after] - self.stamps_ns[before] > self.gap_ns:
             raise BagError(
                 f"{self.source}: ground truth has a gap at the first image ({stamp_ns} ns); cut the sequence later"
             )
-        row = self.table.at(stamp_ns)
+        row = self.table.at(np.array([stamp_ns]))[0]
         state = NavState(stamp_ns, Pose.from_quaternion_wxyz(row[3:7], row[:3]), row[7:10], row[10:13], row[13:16])
         return NavEstimate(state, sigma.covariance())
 
@@ -119,11 +123,31 @@ def imu_samples(imu: Table) -> Iterator[ImuSample]:
 
 
 def _differences(stamps_ns: NDArray[np.int64], positions: Array) -> Array:
-    """Return central differences over a span that averages the noise of dense positions."""
+    """Return (N, 3) velocities by parabolas through three positions, far enough apart to bear the noise of dense ones.
+
+    Inside a track these are central differences; at its ends the parabola lies to one side.
+    """
+    seconds = (stamps_ns - stamps_ns[0]) / NS_PER_S
     last = len(stamps_ns) - 1
+    if last < 2 or stamps_ns[-1] - stamps_ns[0] < 4 * DIFFERENCE_NS:
+        return np.gradient(positions, seconds, axis=0) if last > 0 else np.zeros_like(positions)
     rows = np.arange(last + 1)
-    later = np.searchsorted(stamps_ns, stamps_ns + DIFFERENCE_NS, side="right") - 1
-    later = np.maximum(later, rows + 1).clip(0, last)
-    earlier = np.minimum(np.searchsorted(stamps_ns, stamps_ns - DIFFERENCE_NS), rows - 1).clip(0, last)
-    seconds = np.maximum(stamps_ns[later] - stamps_ns[earlier], 1) / NS_PER_S
-    return np.asarray((positions[later] - positions[earlier]) / seconds[:, None])
+    later = np.maximum(np.searchsorted(stamps_ns, stamps_ns + DIFFERENCE_NS, side="right") - 1, rows + 1)
+    earlier = np.minimum(np.searchsorted(stamps_ns, stamps_ns - DIFFERENCE_NS), rows - 1)
+    nodes = np.column_stack([earlier, rows, later])
+    begins, ends = seconds < DIFFERENCE_NS / NS_PER_S, seconds[-1] - seconds < DIFFERENCE_NS / NS_PER_S
+    nodes[begins] = np.column_stack([rows, later, later[later.clip(0, last)]])[begins]
+    nodes[ends] = np.column_stack([earlier[earlier], earlier, rows])[ends]
+    nodes = nodes.clip(0, last)
+    return _slope_of_parabolas(seconds, seconds[nodes], positions[nodes])
+
+
+def _slope_of_parabolas(at: Array, times: Array, values: Array) -> Array:
+    """Return (N, 3) slopes at (N,) times of the parabolas through (N, 3, 3) values at (N, 3) times."""
+    a, b, c = times.T
+    weights = [
+        (2 * at - b - c) / ((a - b) * (a - c)),
+        (2 * at - a - c) / ((b - a) * (b - c)),
+        (2 * at - a - b) / ((c - a) * (c - b)),
+    ]
+    return np.asarray(np.einsum("kn,nkd->nd", np.array(weights), values))

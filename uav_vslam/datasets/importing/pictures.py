@@ -106,25 +106,31 @@ def _nearest(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDAr
     return np.asarray(np.where(nearer, before, after))
 
 
-def frames(
-    pairs: list[PicturePair], problems: Problems, *, encoding: str = "", offset_ns: int = 0
-) -> Iterator[SourceFrame]:
+def shifted(pairs: list[PicturePair], offset_ns: int) -> list[PicturePair]:
+    """Return the pairs with an offset [ns] added to their stamps."""
+
+    def later(picture: Picture) -> Picture:
+        return Picture(picture.stamp_ns + offset_ns, picture.path)
+
+    return [PicturePair(later(pair.left), later(pair.right)) for pair in pairs]
+
+
+def frames(pairs: list[PicturePair], problems: Problems, *, encoding: str = "") -> Iterator[SourceFrame]:
     """Read pairs of files; a pair with a file that can't be read is left out.
 
     Args:
         pairs: the files.
         problems: is told of pictures that are left out.
         encoding: of Bayer mosaics ("bayer_rggb8"); empty if the pixels are grey or colour.
-        offset_ns: added to the stamps [ns].
     """
     for pair in pairs:
-        left, right = (_image(picture, problems, encoding, offset_ns) for picture in (pair.left, pair.right))
+        left, right = (_image(picture, problems, encoding) for picture in (pair.left, pair.right))
         if left is not None and right is not None:
             yield SourceFrame(left, right)
 
 
-def _image(picture: Picture, problems: Problems, encoding: str, offset_ns: int) -> SourceImage | None:
-    path, stamp_ns = picture.path, picture.stamp_ns + offset_ns
+def _image(picture: Picture, problems: Problems, encoding: str) -> SourceImage | None:
+    path = picture.path
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -132,9 +138,9 @@ def _image(picture: Picture, problems: Problems, encoding: str, offset_ns: int) 
         return None
     fmt = COPIED.get(path.suffix.lower(), "")
     if fmt:
-        return SourceImage(stamp_ns, data, fmt, encoding)
+        return SourceImage(picture.stamp_ns, data, fmt, encoding)
     pixels = decoded(np.frombuffer(data, np.uint8))
     if pixels is None:
         problems.add(MISSING, path, "can't be decoded")
         return None
-    return SourceImage(stamp_ns, pixels, encoding=encoding)
+    return SourceImage(picture.stamp_ns, pixels, encoding=encoding)

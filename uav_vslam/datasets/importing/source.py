@@ -18,6 +18,7 @@ from uav_vslam.datasets.flight_writer import FlightRecording, write_flights
 from uav_vslam.errors import BagError
 
 PARTIAL = ".partial"
+IN_FLIGHT = {"start.method": "in_flight"}  # settings of a recording without ground truth
 
 
 @dataclass(frozen=True, slots=True)

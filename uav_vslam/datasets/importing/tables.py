@@ -27,11 +27,11 @@ class Table:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def at(self, stamp_ns: int) -> Array:
-        """Return the (C,) row at a stamp, linear between rows."""
-        return np.array(
-            [np.interp(stamp_ns - self.stamps_ns[0], self.stamps_ns - self.stamps_ns[0], c) for c in self.values.T]
-        )
+    def at(self, stamps_ns: NDArray[np.int64]) -> Array:
+        """Return the (M, C) rows at (M,) stamps [ns], linear between rows; beyond the ends the last one holds."""
+        start_ns = self.stamps_ns[0]
+        times = self.stamps_ns - start_ns
+        return np.column_stack([np.interp(stamps_ns - start_ns, times, column) for column in self.values.T])
 
 
 def read_text(path: Path) -> str:

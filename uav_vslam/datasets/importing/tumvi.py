@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""TUM-VI's layout [schubert18] as a flight recording: EuRoC's tables, Kalibr's calibration, fisheye lenses, 16 bits.
+
+Layout: `mav0/{cam0,cam1,imu0,mocap0}/data.csv`, the pictures in `mav0/cam?/data`, and Kalibr's camchain and IMU files
+beside mav0, in it, or in `dso`. Body is the IMU's frame. The mocap's world has its z up; it may see the sequence's
+begin and end only.
+"""
+
+from pathlib import Path
+
+from uav_vslam.datasets.calibration_files import Calibration, read_calibration
+from uav_vslam.datasets.flight_writer import FlightRecording
+from uav_vslam.datasets.importing.euroc import asl_pairs, covered_pairs
+from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
+from uav_vslam.datasets.importing.pictures import frames, shifted
+from uav_vslam.datasets.importing.problems import Problems
+from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
+from uav_vslam.datasets.importing.tables import read_table
+from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.types import NS_PER_S
+
+TRUTH_FILE = "mav0/mocap0/data.csv"
+CALIBRATION_FOLDERS = (".", "dso", "mav0")
+CAMERA_FILES, IMU_FILES = ("camchain-imucam*.yaml", "camchain*.yaml"), ("imu*.yaml",)
+SETTINGS = {  # of a hand-held rig with a baseline of 0.1 m and small images
+    "frontend.max_depth_m": 30.0,
+    "frontend.search_scale": 1.0,
+    "frontend.scale": 1.0,
+    "backend.depth_sigma_ratio": 0.0,
+}
+
+
+def read_tumvi(
+    folder: Path,
+    *,
+    vehicle: str = "uav1",
+    sigma: InitialSigma | None = None,
+    calibration: tuple[Path, ...] = (),
+    problems: Problems | None = None,
+) -> Source:
+    """Read a sequence; it starts at the first image pair with ground truth, if there is any.
+
+    Args:
+        folder: that holds mav0.
+        vehicle: its ROS namespace.
+        sigma: stated uncertainty of the start state.
+        calibration: files of Kalibr; empty: those that are found.
+        problems: is told of what is left out.
+
+    Raises:
+        BagError: a file is missing or malformed, or no images pair up.
+        CalibrationError: no calibration is found, or it lacks a camera or the IMU.
+    """
+    problems = problems or Problems()
+    files = calibration or _calibration_files(folder)
+    found = read_calibration(files)
+    imu = read_table(folder / "mav0" / "imu0" / "data.csv", 6, problems)
+    offset_ns = round(found.time_offset_s * NS_PER_S)
+    pairs = shifted(asl_pairs(folder / "mav0", problems), offset_ns)
+    notes = [f"calibration: {', '.join(map(str, files))}"]
+    truth = _truth(folder / TRUTH_FILE, problems)
+    if truth:
+        pairs, outside = covered_pairs(pairs, truth)
+        notes.extend(outside)
+    else:
+        notes.append(f"no {TRUTH_FILE}: start.method is in_flight, and nothing can be evaluated")
+    if not pairs:
+        raise BagError(f"{folder}: no pictures pair up, or none is covered by ground truth; check data.csv")
+    if offset_ns:
+        notes.append(f"images are stamped {offset_ns / 1e6:+.3f} ms, the clock offset that the calibration tells")
+    flight = FlightRecording(
+        vehicle=vehicle,
+        rig=_rig(found, files),
+        imu=imu_samples(imu),
+        truth=truth.samples(imu) if truth else (),
+        frames=frames(pairs, problems),
+        initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()) if truth else None,
+    )
+    settings = {**SETTINGS, **found.noise, **({} if truth else IN_FLIGHT)}
+    return Source(flight, len(pairs), settings=settings, notes=tuple(notes))
+
+
+def _calibration_files(folder: Path) -> tuple[Path, ...]:
+    """Return Kalibr's files of a sequence: the first camera file, and the first IMU file if there is one.
+
+    Raises:
+        CalibrationError: there is no camera file.
+    """
+    found = []
+    for patterns in (CAMERA_FILES, IMU_FILES):
+        matches = (path for name in CALIBRATION_FOLDERS for p in patterns for path in sorted((folder / name).glob(p)))
+        found.append(next(matches, None))
+    cameras, imu = found
+    if cameras is None:
+        raise CalibrationError(f"{folder}: no {' or '.join(CAMERA_FILES)} there, in dso or in mav0; use --calibration")
+    return (cameras, imu) if imu else (cameras,)
+
+
+def _rig(calibration: Calibration, files: tuple[Path, ...]) -> StereoRig:
+    T_body_left, T_body_right = calibration.T_body_cam(0), calibration.T_body_cam(1)
+    if T_body_left is None or T_body_right is None:
+        names = ", ".join(map(str, files))
+        raise CalibrationError(f"{names}: two cameras with T_cam_imu are needed; use a camchain-imucam file of Kalibr")
+    left, right = (one.camera for one in calibration.cameras)
+    return StereoRig(left, right, T_body_left, T_body_right)
+
+
+def _truth(path: Path, problems: Problems) -> Motion | None:
+    if not path.is_file():
+        return None
+    table = read_table(path, 7, problems)
+    return motion_of_poses(table.stamps_ns, table.values[:, :3], table.values[:, 3:7], source=path)
