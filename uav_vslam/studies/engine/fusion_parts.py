@@ -23,8 +23,7 @@ LASTING_S = 60.0  # after that, the gain is measured again
 PARTING_S = (60.0, 75.0)  # while they part, no correction may jump
 
 NOTES = {
-    "Flights": "landmark level, 1 px, ADIS16480; own-only tracks are computed once a seed, so all rows of a "
-    "table have the same flights",
+    "Tables": "own-only tracks are computed once a seed, so all rows of a table have the same flights",
     "Ratio": "ATE, root mean square over seeds and vehicles, over that of the same vehicles alone; ratio_low and "
     f"ratio_high: {CONFIDENCE:.0%} of the bootstrap over seeds",
     "Channel": "content sent over the radio: own maps hold only the sender's measurements, fused maps also those of "
@@ -35,6 +34,8 @@ NOTES = {
     "errors of a run are correlated, so that a consistent filter leaves it in 5 % of the runs at most",
     "Failures": "runs (a seed and vehicle) whose covariance lost definiteness or whose filter failed; their errors "
     "do not count",
+}
+PARTING_NOTES = {
     "lasting_ratio_to_s_slam": f"from {LASTING_S:.0f} s after the last common view on",
     "largest_jump_sigmas": "while they part",
     "recovery_packets": "sent after the blackout until one was used, at worst",

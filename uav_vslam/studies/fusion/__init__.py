@@ -17,13 +17,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Fly the chosen parts."""
-    from uav_vslam.studies.engine.fusion_parts import NOTES, run_parts
+    from uav_vslam.studies.engine import fusion_parts
     from uav_vslam.studies.engine.fusion_plot import draw_fusion
-    from uav_vslam.studies.fusion.compute import PARTS
+    from uav_vslam.studies.fusion.compute import NOTES, PARTS
 
     parts = [part for name in args.parts for part in PARTS[name](args.frames)]
-    rows = run_parts(parts, seeds, workers=args.workers, on_job=progress(len(parts) * len(seeds)))
-    return Findings(rows, NOTES, draw=draw_fusion)
+    rows = fusion_parts.run_parts(parts, seeds, workers=args.workers, on_job=progress(len(parts) * len(seeds)))
+    notes = NOTES | fusion_parts.NOTES | (fusion_parts.PARTING_NOTES if "network" in args.parts else {})
+    return Findings(rows, notes, draw=draw_fusion)
 
 
 STUDY = Study(

@@ -12,6 +12,8 @@ from uav_vslam.studies.engine.fusion_parts import Part
 BLACKOUT_S = (25.0, 85.0)
 SHARED_MAP_M = 1.0
 
+NOTES = {"Flights": "landmark level, 1 px, ADIS16480"}
+
 
 def schemes(frames: int) -> list[Part]:
     """The fusion schemes, the thesis's among them, the weights of an intersection, and what makes a plain sum fail."""

@@ -25,6 +25,8 @@ SIGMA_W = "thesis_half"
 ALTITUDE_M, SPEED, SPACING_M = 20.0, 6.0, 5.0
 
 NOTES = {
+    "Flights": "landmark level, two vehicles in formation, "
+    f"{' and '.join(f'{sigma:g}' for sigma in SIGMAS_PX)} px, {ALTITUDE_M:g} m above ground at {SPEED:g} m/s",
     "Noise": "sigma_w = 0.5 is taken as half of w1 of section 4.7.1; pixel noise is simulated and assumed",
     "Settings": "wideband and narrowband as this software has them, none is S-SLAM; CI per landmark, written back, is "
     "how the thesis fused. In its wideband mode updated information is sent back to peers, in narrowband it is not",
