@@ -48,6 +48,28 @@ def test_a_folder_and_a_pair_leave_tables_and_pictures(
     assert "Trends of the thesis" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("kind", ["noise", "blank"])
+def test_images_that_do_not_match_leave_rows_without_matches(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(1)
+    for name in "ab":
+        image = rng.integers(0, 256, (120, 160)) if kind == "noise" else np.full((120, 160), 128)
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image.astype(np.uint8))
+    pair = ",".join(str(tmp_path / f"{name}.png") for name in "ab")
+    options = ["--algorithms", "SIFT", "SURF", "ORB", "--seeds", "0", "--results", str(tmp_path / "results")]
+    assert study(pair, *options) == 0
+    rows = rows_of(tmp_path / "results")
+    sift = [row for row in rows if row["method"] == "SIFT" and row["descriptor_ratio"] < 0.9]
+    assert sift
+    assert all((row["matches"], row["matches_ransac"]) == (0, 0) for row in sift)
+    assert all((row["keypoints_1"] > 0) == (kind == "noise") for row in sift)
+    assert {path.name for path in (tmp_path / "results" / LATEST).glob("*.png")} == {
+        *("places.png", "spacing.png", "thresholds.png"),
+    }
+    assert "too few images match" in capsys.readouterr().out
+
+
 @pytest.mark.data
 def test_one_pair_of_the_thesiss_images(data_root: Path, tmp_path: Path) -> None:
     camp = data_root / "tno_nato_camp/visual"

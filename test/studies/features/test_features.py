@@ -180,6 +180,19 @@ def test_images_of_one_name_and_number_are_not_taken_for_each_other() -> None:
     assert alike["matches_ransac"] > 20 > unlike["matches"]
 
 
+def test_no_trend_is_concluded_from_sequences_of_which_nothing_matches() -> None:
+    figures = {"matches": 0, "matches_ransac": 0, "rate_1": 0.0, "rate_1_ransac": 0.0, "extract_s": 1.0, "match_s": 1.0}
+    common = {"camera": "moving", "keypoints_1": 9, "precision": None, "precision_ransac": None, **figures}
+    rows = [
+        {TABLE: table, "method": method, "condition": f"set 0 – {k}", "descriptor_ratio": ratio, **common}
+        for table, ratio in ((THRESHOLDS, 0.55), (THRESHOLDS, 0.95), (PLACES, 0.8), (SPACINGS, 0.8))
+        for method in ("ASIFT", "SURF", "SIFT", "DSIFT", "PHOW (RGB)")
+        for k in (1, 2)
+    ]
+    for claim in ("a higher threshold", "ASIFT finds", "ASIFT has", "SURF's matching", "matches grow", "matches in"):
+        assert verdict(rows, claim) == "not tested"
+
+
 def test_every_trend_is_told_even_without_figures() -> None:
     rows = trend_rows([])
     assert len(rows) == 19

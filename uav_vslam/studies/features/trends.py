@@ -15,6 +15,7 @@ SIMILAR = 1.5  # rates of two methods are "similar" within this factor
 FAILS = 0.02  # largest share of the points that a method which fails across bands keeps after RANSAC
 CHANCE = 10  # matches that a homography finds among wrong ones
 FEW = 0.05  # the same for one that is "poor" within a band
+NO_MATCHES = "too few images match"
 Verdict = tuple[bool | None, str]
 Trend = tuple[str, str, Callable[[Sequence[Row]], Verdict]]
 
@@ -84,7 +85,9 @@ def _first(key: str, method: str, *, most: bool) -> Callable[[Sequence[Row]], Ve
     def check(rows: Sequence[Row]) -> Verdict:
         medians = {name: value for name, value in _by_method(_rows(rows, PLACES), key).items() if name in THESIS}
         if method not in medians or len(medians) < 2:
-            return None, "the algorithm was not run"
+            return None, "the algorithm was not run, or found no points"
+        if not any(medians.values()):
+            return None, NO_MATCHES
         best = (max if most else min)(medians, key=lambda name: medians[name])
         return best == method, _listed(medians)
 
@@ -100,6 +103,8 @@ def _threshold_matters(rows: Sequence[Row]) -> Verdict:
         return None, "no ratios were compared"
     more = sum(high[key]["matches"] >= low[key]["matches"] for key in low)
     shares = [[_removed(row) for row in part.values() if row["matches"]] for part in (low, high)]
+    if not all(shares):
+        return None, NO_MATCHES
     worse = median(shares[1]) > median(shares[0])
     removed = f"RANSAC removes {median(shares[0]):.0%} and {median(shares[1]):.0%}"
     return more == len(low) and worse, f"more matches in {more} of {len(low)} pairs; {removed}"
@@ -126,7 +131,9 @@ def _ransac_cleans(rows: Sequence[Row]) -> Verdict:
 def _surf_like_sift(rows: Sequence[Row]) -> Verdict:
     rates = _by_method(_rows(rows, PLACES), "rate_1")
     if not {"SURF", "SIFT"} <= set(rates):
-        return None, "the algorithms were not run"
+        return None, "the algorithms were not run, or found no points"
+    if not rates["SIFT"]:
+        return None, NO_MATCHES
     quotient = rates["SURF"] / rates["SIFT"]
     return 1 / SIMILAR < quotient < SIMILAR, f"median rate SURF {rates['SURF']:.3f}, SIFT {rates['SIFT']:.3f}"
 
@@ -206,8 +213,10 @@ def _spacing_costs(rows: Sequence[Row]) -> Verdict:
     ends = [(curve[0]["matches"], curve[-1]["matches"]) for curve in curves.values() if len(curve) > 1]
     if not ends:
         return None, "no sequence"
-    fewer = sum(last < first for first, last in ends)
-    kept = median(last / first for first, last in ends if first)
+    shares = [last / first for first, last in ends if first]
+    if not shares:
+        return None, NO_MATCHES
+    fewer, kept = sum(last < first for first, last in ends), median(shares)
     return fewer > 0.75 * len(ends), (
         f"fewer at the largest interval in {fewer} of {len(ends)} sequences, median {kept:.2f} of those at the first"
     )
@@ -218,6 +227,8 @@ def _order(rows: Sequence[Row]) -> Verdict:
     medians = _by_method(_rows(rows, SPACINGS), "matches")
     if not set(expected) <= set(medians):
         return None, "the algorithms were not run"
+    if not any(medians.values()):
+        return None, NO_MATCHES
     found = sorted(expected, key=lambda method: -medians[method])
     return found == expected, _listed({method: medians[method] for method in found})
 
