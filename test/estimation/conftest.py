@@ -126,6 +126,7 @@ def _fly(
     model: str = "ri15",
     sigma_px: float = 1.0,
     offset_s: float = 0.0,
+    gamma: float | None = None,
 ) -> Outcome:
     """Fly over known points, querying the estimate at each frame as the back end does.
 
@@ -135,10 +136,11 @@ def _fly(
         name, model: of the filter.
         sigma_px: of each pixel coordinate.
         offset_s: true time offset.
+        gamma: of a bounded filter; None for the default.
     """
     points = scatter_landmarks([vehicle], per_frame=20).points_world
     rng, imu, zero = vehicle.scenario.rng(0, Purpose.PIXELS), vehicle.scenario.imu_config, np.zeros(3)
-    options = {"gamma": BackendConfig().gamma} if name in BOUNDED else {}
+    options = {"gamma": gamma or BackendConfig().gamma} if name in BOUNDED else {}
     f = FILTERS[name](
         vehicle.initial,
         rig=vehicle.rig,

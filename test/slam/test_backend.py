@@ -276,11 +276,12 @@ def test_a_filter_that_associates_nothing_for_long_is_reinitialised(flight: Flig
 def test_every_filter_flies_with_every_state_model(flight: Flight, name: str, model: str) -> None:
     reports = flight.fly(flight.backend(filter=name, model=model, max_in_view=20, max_landmarks=25))
     assert min(r.landmarks for r in reports) > 0
-    if name != "thesis_uhf":  # its covariance turns indefinite at once
-        assert not any(r.recovery for r in reports)
-        assert flight.position_error_m(reports[-1]) < 1.0
+    assert not any(r.recovery for r in reports)
+    assert flight.position_error_m(reports[-1]) < 1.0
 
 
-def test_the_thesis_s_h_infinity_filter_fails_and_is_reinitialised(flight: Flight) -> None:
-    reports = flight.fly(flight.backend(filter="thesis_uhf", model="euler9"))
-    assert any("indefinite" in r.recovery for r in reports)
+def test_the_thesis_s_h_infinity_filter_flies_with_the_gamma_of_the_thesis(flight: Flight) -> None:
+    """Its covariance is indefinite, but singular values give a square root."""
+    reports = flight.fly(flight.backend(filter="thesis_uhf", model="euler9", gamma=1.5))
+    assert not any(r.recovery for r in reports)
+    assert flight.position_error_m(reports[-1]) < 2.0

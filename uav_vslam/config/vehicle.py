@@ -120,7 +120,7 @@ class BackendConfig(Settings):
         "ri15", "state and error coordinates; ri15: right-invariant; euler9: the thesis's", choices=STATE_MODELS
     )
     gamma: float = setting(
-        100.0, "bound of the unscented H-infinity filter: smaller is more cautious, raised where infeasible", above=0
+        100.0, "bound of uhf and thesis_uhf: smaller is more cautious; uhf raises it where infeasible", above=0
     )
     sigma_px: float = setting(1.0, "standard deviation of each stereo pixel coordinate", unit="px", above=0, live=True)
     depth_sigma_ratio: float = setting(

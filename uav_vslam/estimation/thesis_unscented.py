@@ -3,9 +3,11 @@
 
 Sigma points span the whole state with kappa = 3 - n (Eq. 4.3.3), so the centre's weight is (3 - n)/3: strongly
 negative with landmarks. The transform's covariance is a positive part plus (beta - alpha^2) s s^T, with s the shift of
-the mean: with beta = 2 it stays definite, with beta < alpha^2 it may not. The thesis's remedy, "diagonal loading", is
-implemented; if it fails, the filter raises `FilterDivergence`. It also does if a sigma point, up to sqrt(3) sigmas
-away, puts an uncertain landmark behind the camera.
+the mean: with beta = 2 it stays definite, with beta < alpha^2 it may not. The bound of Eq. (4.4.4) makes it indefinite
+wherever an eigenvalue exceeds gamma^2. The remedies are the thesis's (section 4.8): "diagonal loading", and where that
+does not help, the square root by singular values, which are the absolute values of the eigenvalues. The filter then
+goes on with a covariance that no longer bounds its error. It raises `FilterDivergence` if a sigma point, up to sqrt(3)
+sigmas away, puts an uncertain landmark behind the camera.
 
 Symbols: chi sigma points as errors from the mean, W weights, D deviations from the weighted mean (rows are points).
 """
@@ -31,11 +33,10 @@ Array = NDArray[np.float64]
 SPREAD = np.sqrt(3.0)  # eta = sqrt(n + lambda), with alpha = 1
 BETA = 2.0
 LOADING = (0.0, 1e-12, 1e-9, 1e-6)  # tried in order: shares of the largest variance added to the diagonal
-UHF_GAMMA = 1.5  # "usually 0 < gamma < 2"
 
 
 class ThesisUnscentedFilter(Filter):
-    """Eq. (4.3.5) to (4.3.7); with `gamma` the covariance follows Eq. (4.4.4) instead."""
+    """Eq. (4.3.5) to (4.3.7); with `gamma` the updated covariance follows Eq. (4.4.4) instead."""
 
     def __init__(self, initial: NavEstimate, *, rig_config: RigConfig | None = None, **options: Any) -> None:
         """As `Filter`, but `rig_config` is ignored and the rig taken as exact: the thesis has no states for it."""
@@ -57,7 +58,7 @@ class ThesisUnscentedFilter(Filter):
         self.nav, self.landmarks = self._model.retract(centre, self.landmarks, shift)
         from_map = self._model.from_map(self.nav)
         P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T
-        self.belief = CovarianceBelief(symmetrise(P), self.vehicle)
+        self.belief = CovarianceBelief(definite(symmetrise(P)), self.vehicle)
 
     def _updated(
         self, predicted: PredictedObservation, nu: Array, observation_weights: Array
@@ -71,14 +72,16 @@ class ThesisUnscentedFilter(Filter):
         innovation = (nu + predicted.expected).ravel() / self.sigma_px - expected
         S = P_yy + np.diag(1.0 / np.repeat(observation_weights, STEREO_DOF))
         K = np.linalg.solve(S, P_xy.T).T
-        after = P - K @ S @ K.T if self._gamma is None else _bounded(P, P_xy, P_yy)
+        after = symmetrise(P - K @ S @ K.T)
+        if self._gamma is not None:
+            after = bounded(after, self._gamma)
         nis = float(innovation @ np.linalg.solve(S, innovation))
-        belief = CovarianceBelief(symmetrise(after), self.vehicle)
+        belief = CovarianceBelief(definite(after), self.vehicle)
         return Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1])), observation_weights, 0
 
     def _sigma_points(self) -> tuple[Array, Array, Array]:
         """Return chi (2n+1, n) and the weights of mean and covariance; Eq. (4.3.2)."""
-        L = _loaded_factor(self.covariance())
+        L = np.linalg.cholesky(definite(self.covariance()))
         n = len(L)
         chi = np.vstack([np.zeros(n), SPREAD * L.T, -SPREAD * L.T])
         mean_weights = np.full(2 * n + 1, 1.0 / (2.0 * SPREAD**2))
@@ -99,21 +102,39 @@ class ThesisUnscentedFilter(Filter):
         return np.asarray(camera.rig.project(points_left).reshape(len(chi), -1))
 
 
-def _loaded_factor(P: Array) -> Array:
-    """Return the Cholesky factor of P with the smallest sufficient diagonal loading."""
+def definite(P: Array) -> Array:
+    """Return P if it has a Cholesky factor, else with diagonal loading, else from its singular values.
+
+    P = U D V^T is symmetric, so U D U^T has the same eigenvectors and the absolute values of the eigenvalues.
+    """
+    if not np.isfinite(P).all():
+        raise FilterDivergence(f"covariance of {len(P)} rows is not finite")
+    loaded = _loaded(P)
+    if loaded is None:
+        U, D, _ = np.linalg.svd(P)
+        loaded = _loaded(symmetrise((U * D) @ U.T))
+    if loaded is None:
+        raise FilterDivergence(f"covariance of {len(P)} rows has no square root")
+    return loaded
+
+
+def _loaded(P: Array) -> Array | None:
+    """Return P with the smallest diagonal loading that gives it a Cholesky factor; None if none does."""
     for share in LOADING:
+        loaded = P + share * np.abs(np.diagonal(P)).max() * np.eye(len(P)) if share else P
         try:
-            return np.asarray(np.linalg.cholesky(P + share * np.abs(np.diagonal(P)).max() * np.eye(len(P))))
+            np.linalg.cholesky(loaded)
         except np.linalg.LinAlgError:
             continue
-    smallest = float(np.linalg.eigvalsh(P)[0])
-    raise FilterDivergence(
-        f"covariance is indefinite in spite of diagonal loading: smallest eigenvalue {smallest:.3e} of {len(P)} rows"
-    )
+        return loaded
+    return None
 
 
-def _bounded(P: Array, P_xy: Array, P_yy: Array) -> Array:
-    """Return Eq. (4.4.4), for whitened observations."""
-    left = np.hstack([P_xy, P])
-    middle = np.block([[P_yy + np.eye(len(P_yy)), P_xy.T], [P_xy, P - UHF_GAMMA**2 * np.eye(len(P))]])
-    return P - left @ np.linalg.solve(middle, left.T)
+def bounded(P: Array, gamma: float) -> Array:
+    """Return Eq. (4.4.4) for a covariance P updated by Eq. (4.3.7): P + P (gamma^2 I - P)^-1 P.
+
+    This is the Schur complement of the equation's first block, P_yy + R, in its block matrix, which leaves the limit
+    gamma -> infinity, P itself, free of cancellation. It equals (P^-1 - gamma^-2 I)^-1: an eigenvalue above gamma^2
+    turns negative.
+    """
+    return symmetrise(P + P @ np.linalg.solve(gamma**2 * np.eye(len(P)) - P, P))

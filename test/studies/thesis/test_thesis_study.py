@@ -2,7 +2,6 @@
 """The thesis study's notes are about its own flights and figures."""
 
 import json
-from pathlib import Path
 
 import pytest
 
