@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.common_landmarks import blocks, comparable, find_common
+from uav_vslam.cooperation.common_landmarks import blocks, comparable
+from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.slam.packet import ANCHOR, DENSE, PacketPolicy, make_packet
 
 CONFIG = FusionConfig()
@@ -50,7 +51,7 @@ def scene(make_joint):
         positions = truth + rng.normal(0, 0.5 * SIGMA_M, truth.shape) + shift_m * np.array([0.7, -0.7, 0.1])
         peer = make_joint(positions, P, vehicle="uav2", identities=appearance)
         packet = make_packet(peer, sequence=1, policy=policy)
-        pairs = find_common(own.positions, P[6:, 6:], own.descriptors, packet, config=config)
+        pairs = associate(own.positions, P[6:, 6:], own.descriptors, packet, config=config)
         return [(int(a), int(packet.ids[b]) - 1) for a, b in pairs]
 
     return match
@@ -76,7 +77,7 @@ def test_descriptors_of_another_kind_match_nothing(make_joint) -> None:
         short = own.descriptors[:, :64]
         assert comparable(own.descriptors, packet)
         assert not comparable(short, packet)
-        assert len(find_common(own.positions, np.eye(15), short, packet, config=CONFIG)) == 0
+        assert len(associate(own.positions, np.eye(15), short, packet, config=CONFIG)) == 0
 
 
 @pytest.mark.parametrize("wrong", [2, 5, 8])
@@ -111,7 +112,7 @@ def test_an_empty_map_has_no_matches(make_joint, own_count: int, peer_count: int
         for n, v in ((own_count, "uav1"), (peer_count, "uav2"))
     )
     packet = make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=9))
-    pairs = find_common(own.positions, np.eye(3 * own_count), own.descriptors, packet, config=CONFIG)
+    pairs = associate(own.positions, np.eye(3 * own_count), own.descriptors, packet, config=CONFIG)
     assert pairs.shape == (0, 2)
 
 
@@ -145,7 +146,7 @@ def shared_of(make_joint, offsets_m: np.ndarray, *, drift_m: float) -> tuple[int
     P, R = (random_covariance(seed, count, drift_m) for seed in (1, 2))
     packet = make_packet(make_joint(at + offsets_m, R, vehicle="uav2"), sequence=1, policy=WHOLE)
     config = FusionConfig(floor_sigma_m=FLOOR_M, min_common=1)
-    pairs = find_common(at, P[6:, 6:], make_joint(at, P).descriptors, packet, config=config)
+    pairs = associate(at, P[6:, 6:], make_joint(at, P).descriptors, packet, config=config)
     return len(pairs), P[6:, 6:], packet.covariance
 
 

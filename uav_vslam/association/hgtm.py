@@ -24,13 +24,16 @@ TOLERANCE_SHARE = 0.01  # of their extent, in addition: the ground is not flat, 
 SCALES = (0.5, 2.0)  # plausible scales of the image relative to the prediction
 
 
-def same_shapes(expected: Array, observed: Array, *, neighbours: int = NEIGHBOURS) -> Rows:
+def same_shapes(
+    expected: Array, observed: Array, *, neighbours: int = NEIGHBOURS, tolerance: float = TOLERANCE_PX
+) -> Rows:
     """Return the matches whose hyperedges all have equal shapes on both sides; matches without hyperedges are dropped.
 
     Args:
-        expected: (N, 2) predicted pixels of the landmarks [px].
-        observed: (N, 2) pixels of the matched features [px].
+        expected: (N, 2) predicted pixels of the landmarks [px], or points of another plane in its own unit.
+        observed: (N, 2) pixels of the matched features, in the same unit.
         neighbours: K.
+        tolerance: largest residual of three points after a similarity fit, in the same unit.
 
     Returns:
         (M,) ascending rows.
@@ -38,7 +41,7 @@ def same_shapes(expected: Array, observed: Array, *, neighbours: int = NEIGHBOUR
     left = np.arange(len(observed))
     while True:
         triples = left[hyperedges(observed[left], neighbours)]
-        wrong = ~_similar(expected[triples], observed[triples])
+        wrong = ~_similar(expected[triples], observed[triples], tolerance)
         if not wrong.any():
             return np.unique(triples)
         left = np.setdiff1d(left, _contradicted_hyperedges(triples, wrong))
@@ -56,14 +59,14 @@ def hyperedges(points: Array, neighbours: int) -> NDArray[np.intp]:
     return np.unique(np.sort(np.vstack(triples), axis=1), axis=0)
 
 
-def _similar(expected: Array, observed: Array) -> NDArray[np.bool_]:
+def _similar(expected: Array, observed: Array, tolerance: float) -> NDArray[np.bool_]:
     """Return which of (E, 3, 2) triangles are similar, by the least-squares fit o = a e + b of complex numbers."""
     e, o = (side[..., 0] + 1j * side[..., 1] for side in (expected, observed))
     e, o = e - e.mean(axis=1, keepdims=True), o - o.mean(axis=1, keepdims=True)
     extent2 = np.maximum((np.abs(e) ** 2).sum(axis=1), 1e-12)
     scale = (np.conj(e) * o).sum(axis=1) / extent2
     off = np.abs(o - scale[:, None] * e).max(axis=1)
-    near = off <= TOLERANCE_PX + TOLERANCE_SHARE * np.abs(o).max(axis=1)
+    near = off <= tolerance + TOLERANCE_SHARE * np.abs(o).max(axis=1)
     return np.asarray(near & (np.abs(scale) >= SCALES[0]) & (np.abs(scale) <= SCALES[1]))
 
 

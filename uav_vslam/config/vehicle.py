@@ -161,6 +161,19 @@ class BackendConfig(Settings):
 
 FUSION_SCHEMES = ("split_ci", "full_ci", "overlay", "inverse_ci")
 FUSION_WEIGHTS = ("position_trace", "trace", "determinant", "niehsen", "franken_hupper")
+FUSION_ASSOCIATIONS = (  # the names in cooperation.peer_associators.PEER_ASSOCIATORS
+    "consistent",
+    "gated",
+    "nn",
+    "ransac",
+    "gtm",
+    "hgtm",
+    "gated_ransac",
+    "gated_gtm",
+    "gated_hgtm",
+    "cds",
+    "coarse_fine",
+)
 # Communication modes, and what a vehicle may send in each: payload, before DDS, UDP and IP [B/s].
 MODE_BUDGETS = {"wideband": 100_000, "narrowband": 900, "none": 0}
 MAX_PACKET_LANDMARKS = 400  # a packet with more is rejected: the cost of checking is cubic
@@ -202,6 +215,12 @@ class FusionConfig(Settings):
     max_packet_landmarks: int = setting(
         64, "landmarks in one packet", at_least=1, at_most=MAX_PACKET_LANDMARKS, live=True
     )
+    association: str = setting(
+        "consistent",
+        "data association with peers' landmarks; consistent: by descriptor, gate and pairwise consistency; the others "
+        "need common_origin",
+        choices=FUSION_ASSOCIATIONS,
+    )
     ratio: float = setting(0.8, "descriptor ratio test between vehicles, before the gate", above=0, at_most=1)
     gate_probability: float = setting(0.99, "of the chi-square gate on a common landmark", above=0, below=1)
     min_common: int = setting(2, "pairs that must agree with each other before any is used", at_least=1)
@@ -222,6 +241,9 @@ class FusionConfig(Settings):
             refuse("fleet_key_file", self.fleet_key_file, "either a fleet key or signing keys")
         if bool(self.signing_key_file) != bool(self.peer_keys_folder):
             refuse("peer_keys_folder", self.peer_keys_folder, "signing_key_file and peer_keys_folder together")
+        if not self.common_origin and self.association != FUSION_ASSOCIATIONS[0]:
+            allowed = f"{FUSION_ASSOCIATIONS[0]} where common_origin is false: the alignment decides about pairs"
+            refuse("association", self.association, allowed)
 
     @property
     def returns_feedback(self) -> bool:

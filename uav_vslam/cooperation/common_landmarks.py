@@ -31,23 +31,22 @@ def find_common(
     *,
     config: FusionConfig,
 ) -> Pairs:
-    """Match own landmarks with a packet's.
+    """Match own landmarks with a packet's: the default of `peer_associators`, which has the others.
 
     Args:
         positions: (N, 3) own landmarks in the common frame [m].
         covariance: (3N, 3N) their joint covariance [m^2].
         descriptors: (N, D) as extracted; compressed here with the packet's basis.
         packet: the peer's.
-        config: ratio, gate and the smallest number of pairs that is accepted.
+        config: ratio and gate.
 
     Returns:
-        (K, 2) rows of own landmarks and of the packet; none if fewer than `min_common` are consistent.
+        (K, 2) rows of own landmarks and of the packet.
     """
     pairs = descriptor_matches(descriptors, packet, config.ratio)
     peer_positions, peer_covariance = packet.positions, packet.covariance
     pairs = pairs[gated(pairs, positions, covariance, peer_positions, peer_covariance, config)]
-    pairs = pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, config)]
-    return pairs if len(pairs) >= config.min_common else pairs[:0]
+    return pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, config)]
 
 
 def gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:

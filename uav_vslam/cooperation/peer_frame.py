@@ -11,6 +11,7 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation import common_landmarks
 from uav_vslam.cooperation.alignment import Alignment
 from uav_vslam.cooperation.frame_link import FrameLink
+from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.cooperation.unknown_frame import Framed, FrameEstimate, framed
@@ -37,7 +38,7 @@ class PeerFrame(Protocol):
     def find_common(
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
     ) -> Pairs:
-        """Return (K, 2) rows of own landmarks and of the packet; the arguments are `common_landmarks.find_common`'s."""
+        """Return (K, 2) rows of own landmarks and of the packet; the arguments are `peer_associators.associate`'s."""
 
     def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
         """Return those of (K, 2) pairs, matched by identifier, that pass the gate; none in an unknown frame."""
@@ -86,7 +87,7 @@ class CommonFrame:
         self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
     ) -> Pairs:
         """See `PeerFrame`."""
-        return common_landmarks.find_common(positions, covariance, descriptors, packet, config=self._config)
+        return associate(positions, covariance, descriptors, packet, config=self._config)
 
     def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
         """See `PeerFrame`."""

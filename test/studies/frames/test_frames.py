@@ -3,6 +3,7 @@
 
 import pytest
 
+from uav_vslam.config import FUSION_ASSOCIATIONS
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.association_stages import STAGES, UNKNOWN_FRAME
 from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only
@@ -36,6 +37,10 @@ def test_a_run_is_judged_in_every_respect(flown: OwnOnlyTracks) -> None:
     assert run.share == 0.3
     assert set(run.stages) == {*STAGES, UNKNOWN_FRAME}
     assert run.stages["ratio"].left > 0
+    assert set(run.methods) == set(FUSION_ASSOCIATIONS)
+    assert run.methods["consistent"] == run.stages["+ consistency"]
+    assert run.methods["nn"] == run.stages["+ mutual"]
+    assert run.methods["hgtm"].wrong < run.methods["nn"].wrong
     for figures in (run.ate_m, run.pose_nees):
         assert set(figures) == {OWN, PEER}
         assert all(set(by_track) == set(TRACKS) for by_track in figures.values())

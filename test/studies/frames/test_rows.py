@@ -19,7 +19,7 @@ def run(*, seed=1, share=0.3, after_s=2.0, errors=((0.5, 0.1), (0.1, 0.1)), alon
         for name, a, u in zip(("uav1", "uav2"), alone, unknown, strict=True)
     }
     figures = np.array(errors).reshape(-1, 2)
-    return FrameRun(seed, share, first, figures, ate, ate, {"ratio": Score(10, 9, 9, 10)})
+    return FrameRun(seed, share, first, figures, ate, ate, {"ratio": Score(10, 9, 9, 10)}, {"hgtm": Score(8, 8, 8, 10)})
 
 
 def test_good_is_found_in_time_and_near() -> None:
@@ -62,6 +62,7 @@ def test_the_study_has_its_tables(monkeypatch: pytest.MonkeyPatch) -> None:
         "frame of the peer's map",
         "trajectories",
         "stages of association",
+        "methods of association, fusion.association",
         "seed by seed",
     ]
     assert tables.count("frame of the peer's map") == len(study.SHARES)

@@ -26,6 +26,15 @@ def rows() -> dict[str, dict]:
     return {row["method"]: row for row in run_parts([part], [1], workers=1)}
 
 
+def test_wrong_pairs_spoil_the_conventional_association_and_not_hypergraph_matching() -> None:
+    settings = tuple(Setting(name, {"association": name}) for name in ("consistent", "nn", "hgtm"))
+    part = Part("mistaken", Scenario(frames=60), settings, mistaken_share=0.3)
+    found = {row["method"]: row for row in run_parts([part], [1], workers=1)}
+    for name in ("consistent", "hgtm"):
+        assert found[name]["ratio_to_s_slam"] < 1.0
+    assert found["nn"]["ratio_to_s_slam"] > 2.0
+
+
 def test_every_setting_has_a_row_over_every_vehicle(rows) -> None:
     assert list(rows) == [setting.name for setting in SETTINGS]
     assert {row["runs"] for row in rows.values()} == {2}

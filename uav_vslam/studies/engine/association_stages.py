@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Precision and recall of each stage of landmark association between vehicles."""
+"""Precision and recall of landmark association between vehicles: of each stage of the default, and of each method."""
 
 import dataclasses
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from uav_vslam.config import FusionConfig
+from uav_vslam.config import FUSION_ASSOCIATIONS, FusionConfig
 from uav_vslam.cooperation.common_landmarks import POINT_DOF, descriptor_matches, find_common
+from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.evaluation.study import Row
 from uav_vslam.numerics import mahalanobis2
@@ -75,12 +76,12 @@ class Score:
 
 
 def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: FusionConfig) -> dict[str, Pairs]:
-    """Return the pairs that each stage keeps, in a common frame.
+    """Return the pairs that each stage of the default keeps, in a common frame.
 
     Args:
         joint: the own belief.
         packet: a peer's.
-        config: ratio, gate and floor; the last stage accepts any number of pairs.
+        config: ratio, gate and floor; any number of pairs is accepted.
     """
     covariance = joint.covariance[POSE_DIM:, POSE_DIM:]
     one_way = descriptor_matches(joint.descriptors, packet, config.ratio, mutual=False)
@@ -88,14 +89,23 @@ def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: Fusi
     points = PointPairs.of(joint.positions, covariance, packet, mutual, config.floor_sigma_m)
     offset, S = points.own - points.peer, points.pair_covariances(np.eye(3))
     distance2 = mahalanobis2(offset, S)
-    any_number = dataclasses.replace(config, min_common=1)
     left = (
         one_way,
         mutual,
         mutual[distance2 <= chdtri(POINT_DOF, 1.0 - config.gate_probability)],
-        find_common(joint.positions, covariance, joint.descriptors, packet, config=any_number),
+        find_common(joint.positions, covariance, joint.descriptors, packet, config=config),
     )
     return dict(zip(STAGES, left, strict=True))
+
+
+def pairs_by_method(joint: JointInformation, packet: LandmarkPacket, config: FusionConfig) -> dict[str, Pairs]:
+    """Return the pairs that each method finds; arguments as of `pairs_by_stage`."""
+    covariance = joint.covariance[POSE_DIM:, POSE_DIM:]
+    configs = {name: dataclasses.replace(config, association=name) for name in FUSION_ASSOCIATIONS}
+    return {
+        name: associate(joint.positions, covariance, joint.descriptors, packet, config=one)
+        for name, one in configs.items()
+    }
 
 
 def score(pairs: Pairs, joint: JointInformation, packet: LandmarkPacket, truth: Identities) -> Score:
@@ -112,13 +122,14 @@ def mistaken_condition(share: float) -> str:
     return f"{share:.0%} mistaken"
 
 
-def stage_rows(scores: Iterable[tuple[float, Mapping[str, Score]]]) -> list[Row]:
-    """Return a row for each share of mistaken landmarks and each stage, from scores by stage."""
+def stage_rows(
+    scores: Iterable[tuple[float, Mapping[str, Score]]], order: Sequence[str] = (*STAGES, UNKNOWN_FRAME)
+) -> list[Row]:
+    """Return a row for each share of mistaken landmarks and each stage or method, from scores by these, in order."""
     totals: dict[tuple[float, str], Score] = {}
     for share, by_stage in scores:
         for stage, found in by_stage.items():
             totals[share, stage] = totals.get((share, stage), Score()) + found
-    order: Sequence[str] = (*STAGES, UNKNOWN_FRAME)
     keys = sorted(totals, key=lambda key: (key[0], order.index(key[1])))
     return [
         {"method": stage, "condition": mistaken_condition(share), **totals[share, stage].row()} for share, stage in keys

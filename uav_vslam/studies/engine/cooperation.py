@@ -23,7 +23,7 @@ from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.engine.own_only import prepare
-from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only
+from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only, with_mistaken_landmarks
 from uav_vslam.studies.engine.write_back import WRITE_BACK, fly_with_write_back
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
 
@@ -92,11 +92,24 @@ class Outcome:
 
 
 def run_settings(
-    scenario: Scenario, settings: tuple[Setting, ...], config: VehicleConfig, noise: LandmarkNoise
+    scenario: Scenario,
+    settings: tuple[Setting, ...],
+    config: VehicleConfig,
+    noise: LandmarkNoise,
+    *,
+    mistaken_share: float = 0.0,
 ) -> list[Outcome]:
-    """Fly a scenario's vehicles alone, then fuse them under every setting."""
+    """Fly a scenario's vehicles alone, then fuse them under every setting.
+
+    Args:
+        scenario, settings, config, noise: flight, what to compare, and what they share.
+        mistaken_share: of the landmarks that the first two vehicles have in common and one mistakes for others;
+            settings that write back fly on their own, without.
+    """
     config = dataclasses.replace(config, imu=scenario.imu_config)
     flown = fly_own_only(scenario, config, noise)
+    if mistaken_share:
+        flown = with_mistaken_landmarks(flown, mistaken_share, scenario.seed)
     outcomes: list[Outcome] = []
     for setting in settings:
         if setting.write_back:

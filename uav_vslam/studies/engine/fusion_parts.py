@@ -44,13 +44,14 @@ PARTING_NOTES = {
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Part:
-    """One table: a flight and its cooperation settings."""
+    """One table: a flight and its cooperation settings; `mistaken_share` as in `run_settings`."""
 
     table: str
     scenario: Scenario
     settings: tuple[Setting, ...]
     config: VehicleConfig = dataclasses.field(default_factory=VehicleConfig)
     noise: LandmarkNoise = dataclasses.field(default_factory=LandmarkNoise)
+    mistaken_share: float = 0.0
 
 
 def run_parts(
@@ -77,7 +78,8 @@ def run_parts(
 def _job(job: tuple[Part, int]) -> tuple[str, list[Outcome]]:
     part, seed = job
     scenario = dataclasses.replace(part.scenario, seed=seed)
-    return part.table, run_settings(scenario, part.settings, part.config, part.noise)
+    found = run_settings(scenario, part.settings, part.config, part.noise, mistaken_share=part.mistaken_share)
+    return part.table, found
 
 
 def _of(outcomes: Sequence[Outcome], setting: Setting) -> list[Outcome]:

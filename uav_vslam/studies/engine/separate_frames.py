@@ -113,6 +113,13 @@ def mistaken(
     return dataclasses.replace(flown, tracks=modified), wrong
 
 
+def with_mistaken_landmarks(flown: OwnOnlyTracks, share: float, seed: int) -> OwnOnlyTracks:
+    """Return the flights with a share of the landmarks that the first two vehicles have in common `mistaken`."""
+    own, peer = (identities(flown, name) for name in sorted(flown.tracks)[:2])
+    shared = [k for k, name in peer.items() if name in set(own.values())]
+    return mistaken(flown, sorted(flown.tracks)[1], share, seed, among=shared)[0]
+
+
 def identities(flown: OwnOnlyTracks, vehicle: str) -> dict[int, int]:
     """Return which landmark of the field each identifier of a vehicle is: the one with the nearest descriptor."""
     found: dict[int, int] = {}

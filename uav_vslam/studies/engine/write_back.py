@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.cooperation.common_landmarks import find_common
+from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.errors import UavVslamError
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import minimising_weight
@@ -176,7 +176,7 @@ def _exchange(
     for receiver, sender in itertools.permutations(backends, 2):
         packet, own = packets[sender], joints[receiver]
         P = own.covariance[POSE_DIM:, POSE_DIM:]
-        pairs = find_common(own.positions, P, own.descriptors, packet, config=config.fusion)
+        pairs = associate(own.positions, P, own.descriptors, packet, config=config.fusion)
         if len(pairs):
             shared = Shared.of(packet, pairs[:, 1])
             write(backends[receiver].filter, pairs[:, 0], shared, received.get((sender, receiver)))

@@ -23,7 +23,8 @@ STUDY = Study(
   uav-vslam study frames                   16 seeds
   uav-vslam study frames --seeds 2         a quick check
 
-It also measures each stage of data association between vehicles: ratio, mutual, gate, consistency.
+It also measures each stage of data association between vehicles (ratio, mutual, gate, consistency), and each method of
+`fusion.association`.
 """,
     run=run,
     seeds=16,

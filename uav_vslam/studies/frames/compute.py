@@ -17,7 +17,15 @@ from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.studies.engine.association_stages import STAGES, UNKNOWN_FRAME, Identities, Score, pairs_by_stage, score
+from uav_vslam.studies.engine.association_stages import (
+    STAGES,
+    UNKNOWN_FRAME,
+    Identities,
+    Score,
+    pairs_by_method,
+    pairs_by_stage,
+    score,
+)
 from uav_vslam.studies.engine.separate_frames import (
     OwnOnlyTracks,
     draw_offset,
@@ -70,6 +78,7 @@ class FrameRun:
         errors: (P, 2) of each packet's alignment since then [m], [deg].
         ate_m, pose_nees: figures of `evaluation` by vehicle and track.
         stages: the pairs of uav1's that each stage of association keeps.
+        methods: the pairs of uav1's that each method of association finds.
     """
 
     seed: int
@@ -79,6 +88,7 @@ class FrameRun:
     ate_m: ByVehicle
     pose_nees: ByVehicle
     stages: dict[str, Score]
+    methods: dict[str, Score]
 
 
 def run_seed(scenario: Scenario) -> list[FrameRun]:
@@ -108,6 +118,7 @@ def run_together(flown: OwnOnlyTracks, seed: int, share: float, *, feedback: boo
         ate_m=_scored_tracks(tracks, _ate),
         pose_nees=_scored_tracks(tracks, _pose_nees),
         stages=_stages(common[OWN].meetings, framing[OWN].meetings, truth, config),
+        methods=_methods(common[OWN].meetings, truth, config),
     )
 
 
@@ -151,6 +162,14 @@ def _stages(
             total[stage] += score(pairs, m.joint, m.packet, truth)
     for m in framing:
         total[UNKNOWN_FRAME] += score(m.pairs, m.joint, m.packet, truth)
+    return total
+
+
+def _methods(common: Sequence[Meeting], truth: Identities, config: FusionConfig) -> dict[str, Score]:
+    total: dict[str, Score] = {}
+    for m in common:
+        for name, pairs in pairs_by_method(m.joint, m.packet, config).items():
+            total[name] = total.get(name, Score()) + score(pairs, m.joint, m.packet, truth)
     return total
 
 

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Sequence
 
+from uav_vslam.config import FUSION_ASSOCIATIONS
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.association_stages import Score, mistaken_condition, stage_rows
@@ -33,6 +34,8 @@ NOTES = {
     "are to S-SLAM; better: only the vehicle of each seed that is better alone, partly by chance",
     "Stages": "pairs that uav1 finds in all packets of the flight, in a common frame but for the last row; recall is "
     "over the landmarks that both have and whose descriptor is right",
+    "Methods": "the same of each method of association in a common frame, on the packets that the default leads to; "
+    "what wrong pairs cost is in `study fusion --parts association`",
 }
 
 
@@ -44,11 +47,13 @@ def frame_rows(
     runs = [run for found in in_pool(run_seed, scenarios, workers, on_seed) for run in found]
     runs.sort(key=lambda run: (run.share, run.seed))
     by_share = [[run for run in runs if run.share == share] for share in SHARES]
-    scores = stage_rows((run.share, run.stages) for run in runs)
+    stages = stage_rows((run.share, run.stages) for run in runs)
+    methods = stage_rows(((run.share, run.methods) for run in runs), FUSION_ASSOCIATIONS)
     return [
         *({TABLE: "frame of the peer's map", **_pooled(some)} for some in by_share),
         *({TABLE: "trajectories", **row} for some in by_share for row in _trajectories(some)),
-        *({TABLE: "stages of association", **row} for row in scores),
+        *({TABLE: "stages of association", **row} for row in stages),
+        *({TABLE: "methods of association, fusion.association", **row} for row in methods),
         *({TABLE: "seed by seed", **_single(run)} for run in runs if run.share > 0),
     ]
 

@@ -7,7 +7,7 @@ import argparse
 
 from uav_vslam.studies.engine.study import Findings, Progress, Study
 
-PARTS = ("schemes", "network", "fleets")
+PARTS = ("schemes", "association", "network", "fleets")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,20 +19,24 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     """Fly the chosen parts."""
     from uav_vslam.studies.engine import fusion_parts
     from uav_vslam.studies.engine.fusion_plot import draw_fusion
-    from uav_vslam.studies.fusion.compute import NOTES, PARTS
+    from uav_vslam.studies.fusion.compute import ASSOCIATION_NOTES, NOTES, PARTS
 
     parts = [part for name in args.parts for part in PARTS[name](args.frames)]
     rows = fusion_parts.run_parts(parts, seeds, workers=args.workers, on_job=progress(len(parts) * len(seeds)))
-    notes = NOTES | fusion_parts.NOTES | (fusion_parts.PARTING_NOTES if "network" in args.parts else {})
+    of_part = {"association": ASSOCIATION_NOTES, "network": fusion_parts.PARTING_NOTES}
+    notes = NOTES | fusion_parts.NOTES
+    for name in args.parts:
+        notes |= of_part.get(name, {})
     return Findings(rows, notes, draw=draw_fusion)
 
 
 STUDY = Study(
-    help="landmark level: fusion schemes, the thesis's among them; bad radios; fleets of 2, 4 and 8",
+    help="landmark level: fusion schemes and association, the thesis's among them; bad radios; fleets of 2, 4 and 8",
     takes="over an hour",
     examples="""examples:
   uav-vslam study fusion                                20 seeds of everything
   uav-vslam study fusion --parts schemes --seeds 4      a first look; minutes
+  uav-vslam study fusion --parts association            the methods of `fusion.association` (thesis, section 7.4)
   uav-vslam study fusion --parts network fleets
 """,
     run=run,

@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fusion study's tables: schemes, weights, a shared map, bad radios, large fleets."""
+"""The fusion study's tables: schemes, weights, a shared map, data association, bad radios, large fleets."""
 
 import dataclasses
 from collections.abc import Callable
 
-from uav_vslam.config import FUSION_WEIGHTS, MAX_PACKET_LANDMARKS, LinkConfig
+from uav_vslam.config import FUSION_ASSOCIATIONS, FUSION_WEIGHTS, MAX_PACKET_LANDMARKS, LinkConfig
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario
 from uav_vslam.studies.engine.cooperation import Setting
 from uav_vslam.studies.engine.fusion_parts import Part
 
 BLACKOUT_S = (25.0, 85.0)
 SHARED_MAP_M = 1.0
+MISTAKEN_SHARES = (0.0, 0.3)
+IN_74 = ("consistent", "nn", "coarse_fine", "hgtm")  # in narrowband too, as in section 7.4 of [thesis]
 
 NOTES = {"Flights": "landmark level, 1 px, ADIS16480"}
+ASSOCIATION_NOTES = {
+    "Mistaken": "the share of the landmarks that both vehicles have and to which the second gives descriptors of "
+    "others for the whole flight; `study frames` has each method's precision and recall",
+}
 
 
 def schemes(frames: int) -> list[Part]:
@@ -61,6 +67,18 @@ def schemes(frames: int) -> list[Part]:
     ]
 
 
+def association(frames: int) -> list[Part]:
+    """Each method of data association between vehicles, and section 7.4's also in narrowband."""
+    settings = (
+        *(Setting(name, {"association": name}) for name in FUSION_ASSOCIATIONS),
+        *(Setting(f"{name}, narrowband", {"association": name, "mode": "narrowband"}) for name in IN_74),
+    )
+    return [
+        Part(f"association, {share:.0%} mistaken", Scenario(frames=frames), settings, mistaken_share=share)
+        for share in MISTAKEN_SHARES
+    ]
+
+
 def network() -> list[Part]:
     """Long flights that separate half-way, over bad radios and with restarts of the sender."""
     losses = [Setting(f"loss {share:.0%}", link=LinkConfig(loss=share)) for share in (0.0, 0.2, 0.5, 0.7, 0.9)]
@@ -97,6 +115,7 @@ def fleets(frames: int) -> list[Part]:
 
 PARTS: dict[str, Callable[[int], list[Part]]] = {
     "schemes": schemes,
+    "association": association,
     "network": lambda frames: network(),
     "fleets": fleets,
 }
