@@ -22,6 +22,10 @@ class CalibrationError(UavVslamError):
     """A camera or rig calibration is missing or inconsistent."""
 
 
+class TrajectoryFileError(UavVslamError):
+    """A trajectory file is missing, malformed, or does not belong to its ground truth."""
+
+
 class InvalidMessage(UavVslamError, ValueError):
     """A received message or reading can't be used; `reason` is a short key under which the drop is counted."""
 

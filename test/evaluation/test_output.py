@@ -10,7 +10,6 @@ import yaml
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.output import write_results, write_study
 from uav_vslam.evaluation.revision import git_revision
-from uav_vslam.evaluation.tum import write_tum
 
 
 def test_a_results_folder_holds_everything(flight, tmp_path):
@@ -18,7 +17,8 @@ def test_a_results_folder_holds_everything(flight, tmp_path):
     assert folder.parent == tmp_path
     assert folder.name.endswith("_pair_flight")
     tracks = {f"{name}_{track}.tum" for name in flight.vehicles for track in ("truth", "ins", "s_slam", "c_slam")}
-    assert {path.name for path in folder.iterdir()} == tracks | {"summary.json", "config.yaml"}
+    with_covariance = {f"{name}_{track}.csv" for name in flight.vehicles for track in ("s_slam", "c_slam")}
+    assert {path.name for path in folder.iterdir()} == tracks | with_covariance | {"summary.json", "config.yaml"}
     assert json.loads((folder / "summary.json").read_text())["vehicles"]["uav1"]["frames_in"] == 121
     assert yaml.safe_load((folder / "config.yaml").read_text()) == flight.config
 
@@ -58,33 +58,6 @@ def test_plots_are_drawn_into_the_folder(flight, tmp_path):
 def test_a_missing_track_has_no_file(single_flight, tmp_path):
     names = {path.name for path in write_results(single_flight, tmp_path).glob("*.tum")}
     assert names == {"uav1_ins.tum", "uav1_s_slam.tum"}
-
-
-def test_tum_keeps_every_nanosecond_and_repeats_byte_for_byte(truth, tmp_path):
-    one, two = write_tum(truth, tmp_path / "a.tum"), write_tum(truth, tmp_path / "b.tum")
-    assert one.read_bytes() == two.read_bytes()
-    fields = one.read_text().splitlines()[1].split()
-    assert fields[0] == "1700000000.100000007"
-    np.testing.assert_allclose([float(v) for v in fields[1:4]], truth.positions[1], atol=1e-9)
-    np.testing.assert_allclose([float(v) for v in fields[4:]], np.roll(truth.quaternions_wxyz[1], -1), atol=1e-12)
-
-
-def test_tum_pads_the_nanoseconds(truth, tmp_path):
-    few = truth.select(np.arange(2))
-    stamped = dataclasses.replace(few, stamps_ns=np.array([3_000_000_007, 4_050_000_000]))
-    lines = write_tum(stamped, tmp_path / "padded.tum").read_text().splitlines()
-    assert [line.split()[0] for line in lines] == ["3.000000007", "4.050000000"]
-
-
-def test_evo_reads_our_tum(truth, tmp_path):
-    file_interface = pytest.importorskip("evo.tools.file_interface", reason="evo is a development requirement")
-    read = file_interface.read_tum_trajectory_file(str(write_tum(truth, tmp_path / "truth.tum")))
-    np.testing.assert_allclose(read.positions_xyz, truth.positions, atol=1e-9)
-    np.testing.assert_allclose(read.orientations_quat_wxyz, truth.quaternions_wxyz, atol=1e-12)
-
-
-def test_an_empty_track_gives_an_empty_file(truth, tmp_path):
-    assert write_tum(truth.select(np.zeros(0, np.intp)), tmp_path / "none.tum").read_bytes() == b""
 
 
 def git(folder, *arguments):

@@ -16,6 +16,16 @@ def non_negative(text: str) -> int:
     return _whole(text, 0, "a whole number of at least 0")
 
 
+def positive_seconds(text: str) -> float:
+    """Return a duration above zero [s]."""
+    return _above_zero(text, "a time in seconds above 0")
+
+
+def lengths_m(text: str) -> tuple[float, ...]:
+    """Return lengths above zero [m], separated by commas."""
+    return tuple(_above_zero(part, "a length in metres above 0") for part in text.split(","))
+
+
 def results_folder(text: str) -> Path:
     """Return the folder of all results, which is created with the first of them."""
     from uav_vslam.errors import UavVslamError
@@ -38,5 +48,15 @@ def _whole(text: str, least: int, wanted: str) -> int:
     except ValueError:
         number = least - 1
     if number < least:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
+    return number
+
+
+def _above_zero(text: str, wanted: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
     return number

@@ -66,7 +66,11 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
         return code
     return evaluate.evaluate(
         argparse.Namespace(
-            bags=[estimates, *fleet.replay.bags], name="demo", alignment="none", root=args.root, no_plots=args.no_plots
+            inputs=[estimates, *fleet.replay.bags],
+            name="demo",
+            alignment="none",
+            root=args.root,
+            no_plots=args.no_plots,
         ),
         config=parameter_file({f"/{name}/**": config for name, config in fleet.vehicles.items()}),
         wall_s=time.monotonic() - started,

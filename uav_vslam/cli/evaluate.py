@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`uav-vslam evaluate`: score recorded estimates against the recorded truth."""
+"""`uav-vslam evaluate`: score estimates against the truth, from recordings, trajectory files and results folders."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uav_vslam.cli.arguments import results_folder
+from uav_vslam.cli.arguments import lengths_m, positive_seconds, results_folder
 
-HELP = "score recorded estimates against the recorded truth"
+HELP = "score recordings, trajectory files and results folders against the truth"
 EXAMPLES = """examples:
+  uav-vslam evaluate mine.tum orbslam.txt --truth mav0/state_groundtruth_estimate0/data.csv
+  uav-vslam evaluate results/latest results/2026-01-31_120000_v101       every vehicle and estimate, in one table
+  uav-vslam evaluate 00.txt --truth poses/00.txt --times sequences/00/times.txt --alignment yaw
   uav-vslam evaluate out/estimates bags/sample                 estimates and truth in different bags
-  uav-vslam evaluate out/estimates --alignment yaw             align yaw and position of the start
-  uav-vslam evaluate out/estimates bags/sample --no-plots --root out/results
 
-Writes summary.json, TUM trajectories and plots into a new folder below results/, to which results/latest leads, and
-prints the table. ATE and end error need no alignment where the start state was given in the frame of the truth.
+Files of TUM, KITTI and EuRoC are told apart by their content. Truth and estimate must be poses of the same body frame
+(of the IMU, say). The table names what each ATE removes: nothing (unaligned), heading about the start (start yaw),
+heading and position (yaw+pos), rotation and position (SE3). NEES needs the covariance that results folders hold.
+
+Files and results folders: comparison.json and comparison.png go into a new folder below results/, and results/latest
+stays where it is. Bags: summary.json, trajectories and plots go into a new folder, to which results/latest leads. ATE
+and end error need no alignment where the start state was given in the frame of the truth.
 """
+BAG_FILES = {".mcap", ".db3", ".bag"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,14 +33,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "bags", type=Path, nargs="+", metavar="BAG", help="recordings of the estimates and of the truth"
+        "inputs", type=Path, nargs="+", metavar="FILE|RESULTS|BAG", help="trajectory files and results folders, or bags"
     )
-    parser.add_argument("--name", help="of the flight (default: name of the first bag)")
+    parser.add_argument(
+        "--truth", type=Path, metavar="FILE", help="trajectory file of the truth (files, results folders)"
+    )
+    parser.add_argument("--times", type=Path, metavar="FILE", help="stamps [s] of KITTI files, one a line")
+    parser.add_argument(
+        "--segments", type=lengths_m, metavar="M,M,...", help="lengths for the drift (default: 100 to 800, or shares)"
+    )
+    parser.add_argument(
+        "--max-gap", type=positive_seconds, default=0.5, metavar="S", help="of the truth, to interpolate (default 0.5)"
+    )
+    parser.add_argument("--name", help="of the results (default: name of the first bag, or comparison)")
     parser.add_argument(
         "--alignment",
-        choices=["none", "se3", "yaw"],
+        choices=["none", "start-yaw", "yaw", "se3"],
         default="none",
-        help="of the estimates to the truth (default none)",
+        help="of the estimates to the truth: in the plot of files and results folders, in all of a bag (default none)",
     )
     parser.add_argument("--root", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
@@ -41,11 +58,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, write and print; return 2 if a recording is damaged, after evaluating what can be read."""
+    from uav_vslam.cli.comparison import compare_files
+    from uav_vslam.errors import BagError
+
+    bags = [path for path in args.inputs if _is_bag(path)]
+    if not bags:
+        return compare_files(args)
+    if len(bags) < len(args.inputs) or args.truth is not None:
+        raise BagError(
+            f"{bags[0]} is a bag, which is evaluated with other bags only; run it, and give the folder of the results"
+        )
     return evaluate(args)
 
 
+def _is_bag(path: Path) -> bool:
+    if not path.is_dir():
+        return path.suffix in BAG_FILES
+    return (path / "metadata.yaml").exists() or any(file.suffix in BAG_FILES for file in path.iterdir())
+
+
 def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, wall_s: float = 0.0) -> int:
-    """Evaluate as `run` does; the caller that made the recordings adds their configuration and its run time [s]."""
+    """Evaluate bags; the caller that made the recordings adds their configuration and its run time [s]."""
     from uav_vslam.datasets.outputs import read_outputs
     from uav_vslam.datasets.recorded_result import flight_result
     from uav_vslam.evaluation.output import write_results
@@ -53,9 +86,9 @@ def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, 
     from uav_vslam.report.plots import write_plots
     from uav_vslam.report.table import print_summary
 
-    outputs, damage = read_outputs(args.bags)
-    config = config or {"evaluated": [str(bag) for bag in args.bags]}
-    result = flight_result(args.name or args.bags[0].stem, outputs, config=config, wall_s=wall_s)
+    outputs, damage = read_outputs(args.inputs)
+    config = config or {"evaluated": [str(bag) for bag in args.inputs]}
+    result = flight_result(args.name or args.inputs[0].stem, outputs, config=config, wall_s=wall_s)
     plot = None if args.no_plots else write_plots
     folder = write_results(result, args.root, plot=plot, alignment=args.alignment)
     print_summary(build_summary(result, git=None, alignment=args.alignment))

@@ -2,7 +2,8 @@
 """Rigid alignment of an estimate to the ground truth, for estimates in another frame.
 
 Source of `se3`: Umeyama, "Least-squares estimation of transformation parameters between two point patterns" (1991),
-without scale. `yaw` is its restriction to the four directions that a visual-inertial system can't observe.
+without scale. `yaw` is its restriction to the four directions that a visual-inertial system can't observe; `start-yaw`
+fits the heading alone, so that the error grows from zero as it does in flight.
 """
 
 from collections.abc import Callable
@@ -31,13 +32,29 @@ def align_se3(estimate: Array, truth: Array) -> Pose:
 
 def align_yaw(estimate: Array, truth: Array) -> Pose:
     """Return the T_truth_estimate with a rotation about z only that minimises the squared distances [m]."""
-    spread = (truth - truth.mean(axis=0)).T @ (estimate - estimate.mean(axis=0))
-    yaw = np.arctan2(spread[1, 0] - spread[0, 1], spread[0, 0] + spread[1, 1])
-    return _through_centres(rotation_from_rpy(0.0, 0.0, yaw), estimate, truth)
+    R = _best_yaw(estimate - estimate.mean(axis=0), truth - truth.mean(axis=0))
+    return _through_centres(R, estimate, truth)
+
+
+def align_start_yaw(estimate: Array, truth: Array) -> Pose:
+    """Return the T_truth_estimate that maps the first position to the true one, with the best rotation about z."""
+    R = _best_yaw(estimate - estimate[0], truth - truth[0])
+    return Pose(R, truth[0] - R @ estimate[0])
+
+
+def _best_yaw(estimate: Array, truth: Array) -> Array:
+    """Return the rotation about z that minimises the squared distances of (N, 3) vectors."""
+    spread = truth.T @ estimate
+    return rotation_from_rpy(0.0, 0.0, np.arctan2(spread[1, 0] - spread[0, 1], spread[0, 0] + spread[1, 1]))
 
 
 def _through_centres(R: Array, estimate: Array, truth: Array) -> Pose:
     return Pose(R, truth.mean(axis=0) - R @ estimate.mean(axis=0))
 
 
-ALIGNMENTS: dict[str, Callable[[Array, Array], Pose]] = {"none": align_none, "se3": align_se3, "yaw": align_yaw}
+ALIGNMENTS: dict[str, Callable[[Array, Array], Pose]] = {
+    "none": align_none,
+    "se3": align_se3,
+    "start-yaw": align_start_yaw,
+    "yaw": align_yaw,
+}

@@ -13,18 +13,21 @@ from typing import Any
 import yaml
 
 from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.files.writing import write_csv, write_tum
 from uav_vslam.evaluation.frame_table import write_frames
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.evaluation.revision import git_revision
 from uav_vslam.evaluation.study import Row, study_markdown, study_tree
 from uav_vslam.evaluation.summary import build_summary
-from uav_vslam.evaluation.tum import write_tum
 
 Plotter = Callable[[FlightResult, Path], list[Path]]
 StudyPlotter = Callable[[dict[str, Any], Path], list[Path]]
+FolderPlotter = Callable[[Path], Path]
 
 DEFAULT_ROOT = Path("results")
 LATEST = "latest"
+ALL_TRACKS = ("truth", "ins", "s_slam", "c_slam")
+WITH_COVARIANCE = ("s_slam", "c_slam")  # for NEES, which TUM has no place for
 
 
 def write_results(
@@ -84,6 +87,24 @@ def write_study(
     return folder
 
 
+def write_comparison(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: FolderPlotter | None = None) -> Path:
+    """Write `comparison.json` and the plot into a new folder; `latest`, which may be compared, stays where it is.
+
+    Args:
+        tree: from `comparison.compare`.
+        root: folder of all results.
+        plot: draws into the folder; None draws nothing.
+
+    Returns:
+        The new folder.
+    """
+    folder = _dated_folder(root, tree["comparison"])
+    _write_json(folder / "comparison.json", tree)
+    if plot is not None:
+        plot(folder)
+    return folder
+
+
 def latest_link(root: Path) -> Path:
     """Return the path of the link to the newest results.
 
@@ -100,13 +121,17 @@ def latest_link(root: Path) -> Path:
 def _new_folder(root: Path, name: str) -> Iterator[Path]:
     """Yield a new dated folder; if filled without an error, `latest` is linked to it."""
     latest = latest_link(root)
-    folder = _make_unique(root, f"{datetime.now():%Y-%m-%d_%H%M%S}_{_file_name(name)}")
+    folder = _dated_folder(root, name)
     yield folder
     # Only renaming another link over it replaces a link atomically.
     fresh = root / f".{LATEST}_{os.getpid()}"
     fresh.unlink(missing_ok=True)
     fresh.symlink_to(folder.name)
     fresh.replace(latest)
+
+
+def _dated_folder(root: Path, name: str) -> Path:
+    return _make_unique(root, f"{datetime.now():%Y-%m-%d_%H%M%S}_{_file_name(name)}")
 
 
 def _make_unique(root: Path, stem: str) -> Path:
@@ -131,9 +156,11 @@ def _write_json(path: Path, tree: dict[str, Any]) -> None:
 
 def _write_vehicles(result: FlightResult, folder: Path) -> None:
     for name, vehicle in result.vehicles.items():
-        for track in ("truth", "ins", "s_slam", "c_slam"):
+        for track in ALL_TRACKS:
             trajectory = getattr(vehicle, track)
             if trajectory is not None:
                 write_tum(trajectory, folder / f"{name}_{track}.tum")
+            if trajectory is not None and track in WITH_COVARIANCE:
+                write_csv(trajectory, folder / f"{name}_{track}.csv")
         if vehicle.frames is not None:
             write_frames(vehicle, folder / f"{name}_frames.csv")

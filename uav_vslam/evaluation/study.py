@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A comparison of methods over seeds: as data, and as Markdown tables."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
+
+from uav_vslam.evaluation.plain import plain
 
 Row = dict[str, Any]
 
@@ -29,11 +30,11 @@ def study_tree(
         notes: explanation of the columns, by subject.
         series: curves, one dict each, with lists of equal length; for plots only.
     """
-    tree = {"study": name, "seeds": [int(seed) for seed in seeds], "git": git, "rows": _plain(rows)}
+    tree = {"study": name, "seeds": [int(seed) for seed in seeds], "git": git, "rows": plain(rows)}
     if notes:
         tree["notes"] = dict(notes)
     if series:
-        tree["series"] = _plain(series)
+        tree["series"] = plain(series)
     return tree
 
 
@@ -73,13 +74,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
     return str(value).replace("|", "\\|")
-
-
-def _plain(value: Any) -> Any:
-    """Return numpy scalars as Python numbers, and None for what JSON can't represent, recursively."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and not math.isfinite(value) else value

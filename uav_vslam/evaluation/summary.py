@@ -13,6 +13,7 @@ import numpy as np
 
 from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import MAX_GAP_S
+from uav_vslam.evaluation.plain import plain
 from uav_vslam.evaluation.quality import claimed_figures, quality_figures
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
 from uav_vslam.evaluation.trajectory import Trajectory, interpolate
@@ -30,21 +31,23 @@ def build_summary(result: FlightResult, *, git: str | None, alignment: str = "no
     Args:
         result: the flight.
         git: revision of the code, or None where it isn't known.
-        alignment: "none", "se3" or "yaw", of the estimates to the ground truth; NEES only with "none".
+        alignment: a name of `ALIGNMENTS`, of the estimates to the ground truth; NEES only with "none".
     """
     vehicles = {name: _vehicle(vehicle, alignment) for name, vehicle in result.vehicles.items()}
-    return _null_if_not_finite(
-        {
-            "name": result.name,
-            "seed": result.seed,
-            "mode": result.mode,
-            "git": git,
-            "duration_s": result.duration_s,
-            "realtime_factor": result.duration_s / result.wall_s if result.wall_s > 0 else None,
-            "alignment": alignment,
-            "vehicles": vehicles,
-            "pooled": {track: _pool(vehicle[track] for vehicle in vehicles.values()) for track in TRACKS},
-        }
+    return dict(
+        plain(
+            {
+                "name": result.name,
+                "seed": result.seed,
+                "mode": result.mode,
+                "git": git,
+                "duration_s": result.duration_s,
+                "realtime_factor": result.duration_s / result.wall_s if result.wall_s > 0 else None,
+                "alignment": alignment,
+                "vehicles": vehicles,
+                "pooled": {track: _pool(vehicle[track] for vehicle in vehicles.values()) for track in TRACKS},
+            }
+        )
     )
 
 
@@ -144,12 +147,3 @@ def _rms(values: list[float]) -> float:
 
 def _mean(values: list[float]) -> float:
     return math.fsum(values) / len(values)
-
-
-def _null_if_not_finite(value: Any) -> Any:
-    """Return plain data with None for NaN and infinity, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _null_if_not_finite(item) for key, item in value.items()}
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

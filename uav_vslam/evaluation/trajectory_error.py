@@ -66,7 +66,7 @@ def absolute_error(
 
     Args:
         estimate, truth: trajectories; in one frame unless aligned.
-        alignment: "none", "se3" or "yaw": transform of the whole estimate that is removed.
+        alignment: a name of `ALIGNMENTS`: transform of the whole estimate that is removed.
         association: see `pair_with_truth`.
 
     Returns:
@@ -79,7 +79,7 @@ def absolute_error(
         return None
     T_truth_estimate = ALIGNMENTS[alignment](paired.positions, reference.positions)
     distance = np.linalg.norm(T_truth_estimate.apply(paired.positions) - reference.positions, axis=1)
-    angle = _angles(reference.rotations.transpose(0, 2, 1) @ T_truth_estimate.R @ paired.rotations)
+    angle = angles(reference.rotations.transpose(0, 2, 1) @ T_truth_estimate.R @ paired.rotations)
     return AbsoluteError(
         ate_m=_rms(distance),
         end_m=float(distance[-1]),
@@ -111,11 +111,11 @@ def relative_error(
     first, second = _index_pairs(paired.stamps_ns, delta, unit)
     if len(first) == 0:
         return None
-    R_moved, t_moved = _motion(paired, first, second)
-    R_true, t_true = _motion(reference, first, second)
+    R_moved, t_moved = motion(paired, first, second)
+    R_true, t_true = motion(reference, first, second)
     return RelativeError(
         translation_rms_m=_rms(np.linalg.norm(t_moved - t_true, axis=1)),  # R_true^T doesn't change a length
-        rotation_rms_rad=_rms(_angles(R_true.transpose(0, 2, 1) @ R_moved)),
+        rotation_rms_rad=_rms(angles(R_true.transpose(0, 2, 1) @ R_moved)),
         delta=delta,
         unit=unit,
         pairs=len(first),
@@ -140,14 +140,15 @@ def _index_pairs(stamps_ns: NDArray[np.int64], delta: float, unit: str) -> tuple
     return rows[good], second[good]
 
 
-def _motion(trajectory: Trajectory, first: NDArray[np.intp], second: NDArray[np.intp]) -> tuple[Array, Array]:
+def motion(trajectory: Trajectory, first: NDArray[np.intp], second: NDArray[np.intp]) -> tuple[Array, Array]:
     """Return rotation and translation of T_first_second for each pair of rows."""
     R, p = trajectory.rotations, trajectory.positions
     R_first_map = R[first].transpose(0, 2, 1)
     return R_first_map @ R[second], np.einsum("nij,nj->ni", R_first_map, p[second] - p[first])
 
 
-def _angles(R: Array) -> Array:
+def angles(R: Array) -> Array:
+    """Return the (N,) angles [rad] of (N, 3, 3) rotations."""
     return np.asarray(np.linalg.norm(so3_log(R), axis=-1))
 
 

@@ -49,7 +49,7 @@ def summary_table(summary: Figures) -> Table:
         present = [track for track in TRACKS if tracks[track] is not None]
         for track in present:
             figures = tracks[track]
-            cells = [_figure(figures.get(key)) for key in columns.values()]
+            cells = [figure_text(figures.get(key)) for key in columns.values()]
             first, last = track == present[0], track == present[-1]
             table.add_row(name if first else "", NAMES[track], *cells, end_section=last)
     return table
@@ -81,7 +81,8 @@ def _title(summary: Figures) -> str:
     return ", ".join(parts)
 
 
-def _figure(value: Any) -> str:
+def figure_text(value: Any) -> str:
+    """Return a number with three decimals, or one from 10 on; a dash for None."""
     if value is None:
         return ABSENT
     return f"{value:.3f}" if abs(value) < 10 else f"{value:.1f}"

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`evaluate` on trajectory files and results folders of a made-up flight."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_up_flight import FLIGHT, TRUTH, VEHICLE
+
+from uav_vslam.cli.main import main
+from uav_vslam.evaluation.files.writing import write_csv, write_kitti, write_tum
+from uav_vslam.evaluation.output import write_results
+from uav_vslam.evaluation.summary import build_summary
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """The link to the results of the flight."""
+    write_results(FLIGHT, tmp_path / "results")
+    return tmp_path / "results" / "latest"
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, Path]:
+    """The truth and the own-only track in every format."""
+    return {
+        "truth": write_csv(TRUTH, tmp_path / "truth.csv"),
+        "tum": write_tum(VEHICLE.s_slam, tmp_path / "s_slam.tum"),
+        "csv": write_csv(VEHICLE.s_slam, tmp_path / "s_slam.csv"),
+        "kitti": write_kitti(VEHICLE.s_slam, tmp_path / "s_slam.txt"),
+        "times": tmp_path / "s_slam_times.txt",
+    }
+
+
+def evaluate(root: Path, *arguments: str | Path) -> dict:
+    """Run the verb, and return what it wrote."""
+    assert main(["evaluate", *map(str, arguments), "--root", str(root), "--no-plots"]) == 0
+    (folder,) = root.glob("*_comparison")
+    return json.loads((folder / "comparison.json").read_text())
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    """Run the command, which must refuse with exit code 2 and a single line; return the line."""
+    assert main([str(argument) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("uav-vslam: ")
+    assert error.count("\n") == 1, error
+    return error
+
+
+def test_a_results_folder_has_the_figures_of_its_own_summary(results: Path, tmp_path: Path) -> None:
+    tree = evaluate(tmp_path / "out", results)
+    summary = build_summary(FLIGHT, git=None)["vehicles"]["uav1"]
+    runs = dict(zip(("ins", "s_slam", "c_slam"), tree["runs"], strict=True))
+    for name, run in runs.items():
+        assert run["track"] == f"uav1 {name.upper().replace('_', '-')}"
+        assert run["poses_with_truth"] == summary[name]["poses"]
+        assert run["ate_m"]["none"] == pytest.approx(summary[name]["ate_m"], abs=1e-8)
+        assert run["end_m"]["none"] == pytest.approx(summary[name]["end_m"], abs=1e-8)
+    for name in ("s_slam", "c_slam"):
+        assert runs[name]["nees_position"] == pytest.approx(summary[name]["nees_position"], rel=1e-6)
+        assert runs[name]["nees_rotation"] == pytest.approx(summary[name]["nees_rotation"], rel=1e-6)
+
+
+def test_the_same_poses_give_the_same_figures_in_every_format(files: dict[str, Path], tmp_path: Path) -> None:
+    tree = evaluate(
+        tmp_path / "out",
+        files["tum"],
+        files["csv"],
+        files["kitti"],
+        "--truth",
+        files["truth"],
+        "--times",
+        files["times"],
+    )
+    tum, csv, kitti = tree["runs"]
+    for other in (csv, kitti):
+        for key in ("ate_m", "end_m", "rotation_rms_deg"):
+            assert other[key] == pytest.approx(tum[key], abs=1e-6)
+        assert other["rpe"] == pytest.approx(tum["rpe"], abs=1e-6)
+    assert len({run["source"] for run in tree["runs"]}) == 3  # although all are called s_slam
+    assert csv["nees_position"] is not None
+    assert tum["nees_position"] is None
+
+
+def test_evaluating_results_leaves_latest_where_it_is_and_draws(results: Path, capsys) -> None:
+    before = results.resolve()
+    for _ in range(2):  # the same command works twice
+        assert main(["evaluate", str(results), "--root", str(results.parent), "--alignment", "start-yaw"]) == 0
+    assert results.resolve() == before
+    assert len(list(results.parent.glob("*_comparison*/comparison.png"))) == 2
+    assert "C-SLAM" in capsys.readouterr().out
+
+
+def test_poses_without_truth_are_counted(files: dict[str, Path], tmp_path: Path, capsys) -> None:
+    half = write_csv(TRUTH.select(np.arange(1000)), tmp_path / "half.csv")
+    (run,) = evaluate(tmp_path / "out", files["tum"], "--truth", half)["runs"]
+    assert (run["poses"], run["poses_with_truth"]) == (200, 100)
+    assert "s_slam: 100 of 200 poses have ground truth; only they count" in capsys.readouterr().err
+
+
+def test_what_can_not_be_evaluated_is_refused_in_one_line(files, results: Path, tmp_path: Path, capsys) -> None:
+    assert "s_slam.tum needs a ground truth; give --truth" in refused(capsys, "evaluate", files["tum"])
+    (tmp_path / "folder").mkdir()
+    assert "holds no trajectories such as uav1_s_slam.tum" in refused(capsys, "evaluate", tmp_path / "folder")
+    assert "nowhere" in refused(capsys, "evaluate", tmp_path / "nowhere", "--truth", files["truth"])
+    assert "its 200 poses are not the 2000" in refused(capsys, "evaluate", files["kitti"], "--truth", files["truth"])
+    for path in results.glob("*_truth.tum"):
+        path.unlink()
+    assert "holds no ground truth of uav1; give --truth" in refused(capsys, "evaluate", results)
+    (tmp_path / "flight.mcap").touch()
+    error = refused(capsys, "evaluate", files["tum"], tmp_path / "flight.mcap", "--truth", files["truth"])
+    assert "flight.mcap is a bag" in error
+
+
+@pytest.mark.parametrize("option", [["--segments", "10,-5"], ["--segments", "x"], ["--max-gap", "0"]])
+def test_wrong_options_are_refused_before_any_work(option: list[str], capsys) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main(["evaluate", "nowhere", *option])
+    assert leaving.value.code == 2
+    assert "above 0" in capsys.readouterr().err

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `uav-vslam evaluate` does with trajectory files and results folders: all estimates in one table and one plot."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from uav_vslam.evaluation.comparison import PairedRun, Run
+    from uav_vslam.evaluation.trajectory import Trajectory
+
+
+def compare_files(args: argparse.Namespace) -> int:
+    """Score all estimates, print the tables, and write figures and plot."""
+    from functools import partial
+
+    from uav_vslam.evaluation.comparison import compare, pair_run
+    from uav_vslam.evaluation.output import write_comparison
+    from uav_vslam.evaluation.revision import git_revision
+    from uav_vslam.report.comparison_plot import write_comparison_plot
+    from uav_vslam.report.comparison_table import print_comparison
+
+    runs = [pair_run(run, max_gap_s=args.max_gap) for run in _runs(args)]
+    for run in runs:
+        _report_partial(run)
+    name = args.name or "comparison"
+    tree = compare(runs, name=name, git=git_revision(), lengths_m=args.segments)
+    plot = partial(write_comparison_plot, runs, alignment=args.alignment, title=name)
+    folder = write_comparison(tree, args.root, plot=None if args.no_plots else plot)
+    print_comparison(tree)
+    print(f"written to {folder}")
+    return 0
+
+
+def _runs(args: argparse.Namespace) -> list[Run]:
+    from uav_vslam.evaluation.files.reading import read_trajectory
+
+    truth = None
+    if args.truth is not None:
+        truth = read_trajectory(args.truth, times=args.times, numbered=True)
+    names = unique_names(args.inputs)
+    return [
+        run
+        for path, name in zip(args.inputs, names, strict=True)
+        for run in (_of_folder(path, name, truth) if path.is_dir() else _of_file(path, name, truth, args.times))
+    ]
+
+
+def _of_file(path: Path, name: str, truth: Trajectory | None, times: Path | None) -> list[Run]:
+    from uav_vslam.errors import TrajectoryFileError
+    from uav_vslam.evaluation.comparison import Run
+    from uav_vslam.evaluation.files.reading import read_trajectory
+
+    if truth is None:
+        raise TrajectoryFileError(f"{path} needs a ground truth; give --truth FILE")
+    return [Run(name, "", read_trajectory(path, times=times, reference=truth), truth)]
+
+
+def _of_folder(folder: Path, name: str, truth: Trajectory | None) -> list[Run]:
+    """Return the estimates of each vehicle of a results folder; their own truth counts unless another is given."""
+    from uav_vslam.errors import TrajectoryFileError
+    from uav_vslam.evaluation.comparison import Run
+    from uav_vslam.evaluation.files.results_folder import at_equal_stamps, read_results
+    from uav_vslam.report.table import NAMES
+
+    runs = []
+    for vehicle, tracks in read_results(folder).items():
+        reference = truth or tracks.get("truth")
+        if reference is None:
+            raise TrajectoryFileError(f"{folder} holds no ground truth of {vehicle}; give --truth FILE")
+        estimates = at_equal_stamps(tracks)
+        runs += [Run(name, f"{vehicle} {NAMES[track]}", found, reference) for track, found in estimates.items()]
+    return runs
+
+
+def unique_names(paths: list[Path]) -> list[str]:
+    """Return short names that tell the inputs apart: without date or ending, else in full, else numbered."""
+    from uav_vslam.evaluation.files.results_folder import short_name
+
+    short = [short_name(path) if path.is_dir() else path.stem for path in paths]
+    full = [path.resolve().name if path.is_dir() else f"{path.parent.name}/{path.name}" for path in paths]
+    numbered = [f"{number} {name}" for number, name in enumerate(short, 1)]
+    return next((names for names in (short, full) if len(set(names)) == len(names)), numbered)
+
+
+def _report_partial(run: PairedRun) -> None:
+    found, poses = len(run.estimate), len(run.run.estimate)
+    if found < poses:
+        print(
+            f"uav-vslam: {run.run.label}: {found} of {poses} poses have ground truth; only they count", file=sys.stderr
+        )

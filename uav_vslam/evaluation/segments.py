@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drift per distance: relative errors over segments of the true path, which need no alignment.
+
+As in the KITTI odometry benchmark (Geiger, Lenz, Urtasun 2012), the mean over segments of the error of the relative
+motion, per metre of the segment. Deviations: segments begin at every pose, end at the nearest pose instead of the next,
+and count only if their true length is within a tenth of the wanted one (`evo` pairs so, the tests' reference); they
+are divided by that true length.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.evaluation.trajectory_error import angles, motion
+
+Array = NDArray[np.float64]
+
+KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
+SHARES = (0.1, 0.2, 0.3, 0.4, 0.5)  # of a path too short for KITTI's lengths
+TOLERANCE = 0.1  # share of the length by which a segment may miss it
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentError:
+    """Mean drift over segments of one length.
+
+    Attributes:
+        length_m: wanted length of the segments [m].
+        translation: error of the relative translation per metre of path [m/m]; NaN without segments.
+        rotation: angle of the relative rotation's error per metre of path [rad/m].
+        segments: number of segments.
+    """
+
+    length_m: float
+    translation: float
+    rotation: float
+    segments: int
+
+
+def default_lengths_m(path_m: float) -> tuple[float, ...]:
+    """Return KITTI's lengths up to the path's [m] if it has two of them, else shares of the path to two digits."""
+    if path_m >= KITTI_LENGTHS_M[1]:
+        return tuple(length for length in KITTI_LENGTHS_M if length <= path_m)
+    return tuple(float(f"{share * path_m:.2g}") for share in SHARES if path_m > 0.0)
+
+
+def segment_errors(paired: Trajectory, truth: Trajectory, lengths_m: Sequence[float]) -> list[SegmentError]:
+    """Return the drift for each length.
+
+    Args:
+        paired, truth: the estimates and the true pose of each, from `pair_with_truth`.
+        lengths_m: lengths of the segments, positive [m].
+    """
+    distance_m = distances_m(truth)
+    return [_segment_error(paired, truth, distance_m, length_m) for length_m in lengths_m]
+
+
+def pooled(errors: Sequence[SegmentError]) -> SegmentError:
+    """Return the mean over the segments of all lengths, as KITTI ranks methods; its length is their mean."""
+    counted = [error for error in errors if error.segments]
+    if not counted:
+        return SegmentError(float("nan"), float("nan"), float("nan"), 0)
+    segments = [error.segments for error in counted]
+    values = [(error.length_m, error.translation, error.rotation) for error in counted]
+    length_m, translation, rotation = np.average(values, axis=0, weights=segments).tolist()
+    return SegmentError(length_m, translation, rotation, sum(segments))
+
+
+def distances_m(truth: Trajectory) -> Array:
+    """Return (N,) path lengths from the first pose to each pose [m]."""
+    steps = np.linalg.norm(np.diff(truth.positions, axis=0), axis=1)
+    return np.concatenate([np.zeros(min(len(truth), 1)), np.cumsum(steps)])
+
+
+def _segment_error(paired: Trajectory, truth: Trajectory, distance_m: Array, length_m: float) -> SegmentError:
+    first, second = _segments(distance_m, length_m)
+    if len(first) == 0:
+        return SegmentError(length_m, float("nan"), float("nan"), 0)
+    R_moved, t_moved = motion(paired, first, second)
+    R_true, t_true = motion(truth, first, second)
+    R_error = R_true.transpose(0, 2, 1) @ R_moved
+    travelled_m = distance_m[second] - distance_m[first]
+    return SegmentError(
+        length_m,
+        translation=float(np.mean(np.linalg.norm(t_moved - t_true, axis=1) / travelled_m)),
+        rotation=float(np.mean(angles(R_error) / travelled_m)),
+        segments=len(first),
+    )
+
+
+def _segments(distance_m: Array, length_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return first and last rows: from every pose to the pose nearest to the length, if it is within the tolerance."""
+    if len(distance_m) < 2:
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    first = np.arange(len(distance_m) - 1)
+    wanted = distance_m[first] + length_m
+    after = np.searchsorted(distance_m, wanted).clip(1, len(distance_m) - 1)
+    nearer_before = wanted - distance_m[after - 1] <= distance_m[after] - wanted
+    second = np.where(nearer_before, after - 1, after)
+    second = np.searchsorted(distance_m, distance_m[second])  # where the vehicle stands still, the first pose there
+    good = (np.abs(distance_m[second] - wanted) <= TOLERANCE * length_m) & (second > first)
+    return first[good], second[good]
