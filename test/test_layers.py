@@ -58,6 +58,7 @@ AT_HOME = {
     "mcap": {"datasets"},
     "gtsam": {"studies"},  # a reference, no part of the estimator
     "matplotlib": {"report", "studies"},
+    "pyproj": {"evaluation"},  # geodetic coordinates of exported trajectories
     MESSAGES: {"ros"},
 }
 # OpenCV inverts lens models. cv2.setNumThreads(1) belongs where a process begins; the bench compares with OpenCV.

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Local east-north-up coordinates to WGS 84, by PROJ (EPSG method 9837, geographic/topocentric)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+
+from uav_vslam.errors import ConfigError
+from uav_vslam.geometry.rotation import rotation_from_rpy
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """Where the map's origin is, and how its axes lie.
+
+    Attributes:
+        latitude_deg, longitude_deg: of the origin, WGS 84 [deg].
+        altitude_m: of the origin [m]; altitudes come out above the same reference, ellipsoid or sea level.
+        yaw_deg: of the map's x axis from east, counter-clockwise [deg].
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    yaw_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        limits = {"latitude": (self.latitude_deg, 90.0), "longitude": (self.longitude_deg, 180.0)}
+        for name, (value, largest) in limits.items():
+            if not abs(value) <= largest:
+                raise ConfigError(f"{name} {value:g} of the datum is not within ±{largest:g} degrees; give LAT LON ALT")
+        if not np.isfinite([self.altitude_m, self.yaw_deg]).all():
+            raise ConfigError(f"altitude {self.altitude_m:g} and yaw {self.yaw_deg:g} of the datum must be finite")
+
+
+def to_geodetic(positions: Array, datum: Datum) -> Array:
+    """Return (N, 3) longitude, latitude [deg] and altitude [m] of (N, 3) map positions [m]."""
+    R_enu_map = rotation_from_rpy(0.0, 0.0, np.deg2rad(datum.yaw_deg))
+    east, north, up = R_enu_map @ positions.T
+    origin = f"+lat_0={datum.latitude_deg:.12f} +lon_0={datum.longitude_deg:.12f} +h_0={datum.altitude_m:.6f}"
+    to_wgs84 = pyproj.Transformer.from_pipeline(
+        f"+proj=pipeline +step +inv +proj=topocentric +ellps=WGS84 {origin} "
+        "+step +inv +proj=cart +ellps=WGS84 +step +proj=unitconvert +xy_in=rad +xy_out=deg"
+    )
+    return np.stack(to_wgs84.transform(east, north, up), axis=1)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes trajectories as GeoJSON (RFC 7946) and KML (OGC 2.3), one line a track."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.types import NS_PER_S
+
+Array = NDArray[np.float64]
+
+DEGREE_DECIMALS, METRE_DECIMALS = 9, 3  # 0.1 mm and 1 mm
+KML = "http://www.opengis.net/kml/2.2"
+KML_COLOURS = ("ffd4b800", "ff2827d6", "ff00a5ff", "ff74c476", "ffbc80bd", "ff4dffff")  # aabbggrr
+
+
+def write_geojson(tracks: Mapping[str, Trajectory], path: Path, datum: Datum) -> Path:
+    """Write a LineString per track, with its name and first and last stamp [s]; altitudes are those of the datum."""
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"name": name, "start_s": _seconds(track, 0), "end_s": _seconds(track, -1)},
+            "geometry": {"type": "LineString", "coordinates": _rounded(to_geodetic(track.positions, datum))},
+        }
+        for name, track in tracks.items()
+    ]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}) + "\n", encoding="utf-8")
+    return path
+
+
+def write_kml(tracks: Mapping[str, Trajectory], path: Path, datum: Datum) -> Path:
+    """Write a coloured LineString per track at absolute altitude, which Google Earth counts from sea level."""
+    ElementTree.register_namespace("", KML)
+    root = ElementTree.Element(_tag("kml"))
+    document = _add(root, "Document")
+    _add(document, "name", path.stem)
+    for k, (name, track) in enumerate(tracks.items()):
+        place = _add(document, "Placemark")
+        _add(place, "name", name)
+        line_style = _add(_add(place, "Style"), "LineStyle")
+        _add(line_style, "color", KML_COLOURS[k % len(KML_COLOURS)])
+        _add(line_style, "width", "3")
+        line = _add(place, "LineString")
+        _add(line, "altitudeMode", "absolute")
+        corners = _rounded(to_geodetic(track.positions, datum))
+        _add(line, "coordinates", " ".join(",".join(map(str, corner)) for corner in corners))
+    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    return path
+
+
+def _add(parent: ElementTree.Element, name: str, text: str | None = None) -> ElementTree.Element:
+    element = ElementTree.SubElement(parent, _tag(name))
+    element.text = text
+    return element
+
+
+def _tag(name: str) -> str:
+    return f"{{{KML}}}{name}"
+
+
+def _rounded(coordinates: Array) -> list[list[float]]:
+    rounded = np.column_stack([coordinates[:, :2].round(DEGREE_DECIMALS), coordinates[:, 2].round(METRE_DECIMALS)])
+    return [[float(value) for value in row] for row in rounded]
+
+
+def _seconds(track: Trajectory, row: int) -> float:
+    return round(int(track.stamps_ns[row]) / NS_PER_S, 3)
