@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from uav_vslam.config import InputConfig, load_vehicle
+from uav_vslam.config.input import FramesConfig
 from uav_vslam.datasets.calibration_files import read_calibration
 from uav_vslam.datasets.sensor_setup import SensorSetup, with_noise_of_files
 from uav_vslam.errors import CalibrationError
@@ -117,6 +118,34 @@ def test_kalibrs_file_tells_all_of_the_rig_and_the_clock(tmp_path: Path) -> None
 
 def test_eurocs_folder_tells_all_of_the_rig(tmp_path: Path) -> None:
     assert_rig(setup_of(euroc(tmp_path)).rig())
+
+
+def test_eurocs_imu_may_be_elsewhere_than_its_body(tmp_path: Path) -> None:
+    place = Pose(so3_exp([0.2, 0.1, -0.3]), np.array([0.1, 0.2, 0.3]))
+    folder = euroc(tmp_path)
+    written(folder / "imu0" / "sensor.yaml", {"T_BS": {"data": place.matrix.ravel().tolist()}, **NOISE})
+    setup = setup_of(folder)
+    assert_rig(setup.rig())
+    np.testing.assert_allclose(setup.T_body_imu().matrix, place.matrix, atol=1e-12)
+
+
+def test_the_body_may_be_another_frame_than_the_imu_of_the_files(tmp_path: Path) -> None:
+    place = Pose(so3_exp([0.2, 0.1, -0.3]), np.array([0.1, 0.2, 0.3]))
+    frames = FramesConfig(base="base_link", imu="imu_link")
+    setup = SensorSetup.of("uav1", InputConfig(calibration=(kalibr(tmp_path),), frames=frames))
+    assert setup.missing_transforms() == ["base_link -> imu_link"]
+    setup.frames.add([("base_link", "imu_link", place)])
+    np.testing.assert_allclose(setup.rig().T_body_left.matrix, (place @ T_BODY_LEFT).matrix, atol=1e-9)
+    np.testing.assert_allclose(setup.T_body_imu().matrix, place.matrix, atol=1e-9)
+    assert setup.conflict("base_link") == ""
+
+
+def test_a_state_of_another_frame_than_the_imu_of_the_files_is_noticed(tmp_path: Path) -> None:
+    setup = setup_of(kalibr(tmp_path))
+    assert setup.conflict("base_link") == ""  # nothing is known of the IMU's frame
+    setup.imu_frame = "imu_link"
+    assert "input.frames.base: base_link" in setup.conflict("base_link")
+    assert setup.conflict("imu_link") == setup.conflict("") == ""
 
 
 @pytest.mark.parametrize("kind", ["kalibr without IMU", "ros"])

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
+from foreign import T_BODY_IMU, edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import FramesConfig, TopicsConfig
-from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.datasets.rosbag import RawMessage, decode, encode, message
 from uav_vslam.errors import CalibrationError
 from uav_vslam.types import ImuSample, StereoFrame
@@ -89,6 +89,43 @@ def test_an_imu_frame_that_nothing_connects_is_refused_with_the_remedy(tiny_bag:
         open_flight(bag, "uav1")
     named = InputConfig(frames=FramesConfig(imu="uav1/base_link"))
     open_flight(bag, "uav1", named)
+
+
+def test_a_start_state_of_another_body_than_the_files_is_refused_with_the_remedy(
+    tiny_bag: Path, tmp_path: Path
+) -> None:
+    changes = [edited("/uav1/imu/data_raw", turned), edited("/tf_static", with_imu_edge)]
+    bag = rewritten(tiny_bag, tmp_path / "bag", *changes)
+    calibration = (kalibr_of(tiny_bag, tmp_path, T_body_imu=T_BODY_IMU),)
+    with pytest.raises(CalibrationError, match=r"initial_state is of uav1/base_link.*input\.frames\.base"):
+        open_flight(bag, "uav1", InputConfig(calibration=calibration))
+    named = InputConfig(calibration=calibration, frames=FramesConfig(base="uav1/base_link", imu="imu_link"))
+    flight, expected = open_flight(bag, "uav1", named), open_flight(tiny_bag, "uav1")
+    assert_same(list(flight.iter_events()), events(tiny_bag), atol=1e-12)
+    np.testing.assert_allclose(flight.rig.T_body_right.matrix, expected.rig.T_body_right.matrix, atol=1e-12)
+    assert flight.warnings == ()
+
+
+def test_an_imu_without_a_frame_is_noticed(tiny_bag: Path, tmp_path: Path) -> None:
+    def unnamed(reading: Any) -> Any:
+        reading.header.frame_id = ""
+        return reading
+
+    bag = rewritten(tiny_bag, tmp_path / "bag", edited("/uav1/imu/data_raw", unnamed))
+    (warning,) = open_flight(bag, "uav1").warnings
+    assert "/uav1/imu/data_raw has no frame_id" in warning
+    assert open_flight(tiny_bag, "uav1").warnings == ()
+
+
+def test_vehicles_are_found_by_the_name_of_their_left_image(tiny_bag: Path, tmp_path: Path) -> None:
+    def other(raw: RawMessage) -> RawMessage:
+        return dataclasses.replace(raw, topic=raw.topic.replace("/left/image_raw", "/cam0/image"))
+
+    bag = rewritten(tiny_bag, tmp_path / "bag", other)
+    assert vehicles([bag]) == []
+    config = InputConfig(topics=TopicsConfig(left="cam0/image"))
+    assert vehicles([bag], config) == vehicles([tiny_bag])
+    assert open_flight(bag, vehicles([bag], config)[0], config).frame_count == 6
 
 
 @pytest.mark.parametrize("kind", ["PoseStamped", "TransformStamped"])

@@ -59,6 +59,16 @@ def test_a_stamp_that_does_not_increase_is_dropped() -> None:
     assert pairer.add_right(10 * MS, "r") == StereoPair(10 * MS, "l", "r")
 
 
+def test_a_camera_that_misses_its_first_image_costs_only_that_one_at_50_hertz() -> None:
+    pairer: StereoPairer[int] = StereoPairer()
+    pairs = []
+    pairer.add_right(0, 0)
+    for k in range(1, 8):
+        pairs += [pairer.add_left(k * 20 * MS, k), pairer.add_right(k * 20 * MS, k)]
+    assert [(pair.left, pair.right) for pair in pairs if pair] == [(k, k) for k in range(1, 8)]
+    assert pairer.dropped == 1
+
+
 def test_a_dead_camera_does_not_fill_the_memory() -> None:
     pairer: StereoPairer[int] = StereoPairer(waiting=10)
     for k in range(1000):

@@ -13,6 +13,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.startup_buffer import MAX_APART_S  # noqa: E402
+from uav_vslam.ros import calibration  # noqa: E402
 from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState  # noqa: E402
@@ -117,7 +118,10 @@ def test_one_sample_from_the_future_costs_one_sample(make: Make, method: str) ->
     assert node.counts["imu_gaps"] == 0
 
 
-def test_readings_in_a_frame_that_nothing_connects_are_dropped_until_its_transform_arrives(make: Make) -> None:
+def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_ever(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibration, "MAX_WAITING", 5)
     node = make()
     deliver(node, "initial_state", start_at(NOW_NS))
     upside_down = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
@@ -129,13 +133,17 @@ def test_readings_in_a_frame_that_nothing_connects_are_dropped_until_its_transfo
             reading = Imu(header=header(stamp_ns, "imu_link"), linear_acceleration=Vector3(z=-gravity))
             deliver(node, "imu/data_raw", reading)
 
-    feed(0, 3)
-    assert node.counts["dropped/imu_frame"] == 3
+    feed(0, 5)
     assert node.notes["transform"] == "/tf_static has no uav1/base_link -> imu_link"
+    assert node.counts["dropped/imu_frame"] == 0
+    feed(5, 8)
+    assert node.counts["dropped/imu_frame"] == 3
+    assert "imu_link" in node.failures["transform"]
     edge = transform_to_msg(upside_down, stamp_ns=0, parent="uav1/base_link", child="imu_link")
     deliver(node, "/tf_static", TFMessage(transforms=[edge]))
-    feed(3, 100)
-    assert node.counts["dropped/imu_frame"] == 3
-    assert "transform" not in node.notes
     assert node._live is not None
+    assert node._live.state.stamp_ns == NOW_NS + 7 * STEP_NS  # those that waited are used
+    feed(8, 100)
+    assert node.counts["dropped/imu_frame"] == 3
+    assert "transform" not in node.notes | node.failures
     np.testing.assert_allclose(node._live.pose.T_map_body.t, np.zeros(3), atol=1e-9)  # it hovers, and knows it

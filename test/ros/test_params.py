@@ -148,6 +148,16 @@ def test_values_that_do_not_go_together_are_refused_when_set(start: Callable[...
     assert (node.config.frontend.min_depth_m, node.config.frontend.max_depth_m) == (600.0, 700.0)
 
 
+def test_the_noise_of_a_calibration_file_counts_where_no_parameter_sets_it(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "imu.yaml"
+    file.write_text("imu0: {gyroscope_noise_density: 7.0e-4, accelerometer_noise_density: 8.0e-3}")
+    node = start("ins_propagator", f"input.calibration:=[{file}]", "imu.accel_noise:=2.0e-3")
+    assert node.config.imu.gyro_noise == node.get_parameter("imu.gyro_noise").value == 7.0e-4
+    assert node.config.imu.accel_noise == node.get_parameter("imu.accel_noise").value == 2.0e-3
+
+
 @pytest.mark.parametrize(("value", "taken"), [(2, 2.0), ("1e-3", 1e-3)])
 def test_a_whole_number_and_an_exponent_may_stand_for_a_float(
     start: Callable[..., Any], value: Any, taken: float

@@ -2,7 +2,7 @@
 """Makes a stranger's recording of one of ours: other topics, frames, clocks, and calibration in a file."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,8 @@ NAMES = {
 T_BODY_IMU = Pose(so3_exp([np.pi, 0.0, 0.0]), np.zeros(3))
 
 
-def rewritten(source: Path, out: Path, *changes: Change) -> Path:
-    """Copy a bag; each change edits or (None) drops messages."""
+def rewritten(source: Path, out: Path, *changes: Change, volatile: Collection[str] = ()) -> Path:
+    """Copy a bag; each change edits or (None) drops messages. Of its latched topics `volatile` are no longer so."""
     latched = {topic: info.latched for topic, info in topics_of([source]).items()}
     with RawRecorder(out) as recorder:
         for raw in iter_raw([source]):
@@ -40,7 +40,7 @@ def rewritten(source: Path, out: Path, *changes: Change) -> Path:
             for change in changes:
                 changed = change(changed) if changed is not None else None
             if changed is not None:
-                kept = latched.get(raw.topic, False)
+                kept = latched.get(raw.topic, False) and raw.topic not in volatile
                 recorder.write(changed.topic, changed.msgtype, changed.data, changed.stamp_ns, latched=kept)
     return out
 
@@ -72,8 +72,16 @@ def turned(message: Any) -> Any:
     return message
 
 
-def kalibr_of(bag: Path, folder: Path, *, vehicle: str = "uav1", timeshift_s: float = 0.0) -> Path:
-    """Write the recorded calibration as Kalibr does."""
+def kalibr_of(
+    bag: Path,
+    folder: Path,
+    *,
+    vehicle: str = "uav1",
+    timeshift_s: float = 0.0,
+    T_body_imu: Pose | None = None,
+) -> Path:
+    """Write the recorded calibration as Kalibr does, whose body is the IMU."""
+    T_imu_body = (T_body_imu or Pose.identity()).inverse()
     rig = open_flight(bag, vehicle).rig
     cameras = ((rig.left, rig.T_body_left), (rig.right, rig.T_body_right))
     tree = {
@@ -83,7 +91,7 @@ def kalibr_of(bag: Path, folder: Path, *, vehicle: str = "uav1", timeshift_s: fl
             "distortion_coeffs": [0.0, 0.0, 0.0, 0.0],
             "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
             "resolution": [camera.width, camera.height],
-            "T_cam_imu": T_body_cam.inverse().matrix.tolist(),
+            "T_cam_imu": (T_imu_body @ T_body_cam).inverse().matrix.tolist(),
             "timeshift_cam_imu": timeshift_s,
         }
         for k, (camera, T_body_cam) in enumerate(cameras)

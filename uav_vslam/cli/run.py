@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 FIRST_FRAMES = 20  # that show how far apart the stamps of a pair are
 NOTABLE_OFFSET_NS = 500_000  # at 20 m/s over farmland, a pair so far apart is moved by 10 mm against its baseline
-DEFAULT_NAME = "uav1"  # of the vehicle, where topics do not begin with it
 HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
   uav-vslam run config/fleet_demo.yaml                a fleet file: vehicles, configurations, recordings
@@ -69,6 +68,8 @@ def run(args: argparse.Namespace) -> int:
     for flight in flights.values():
         flight.check_images()
         _report_offset(flight)
+        for text in flight.warnings:
+            print(f"uav-vslam: warning: {flight.vehicle}: {text}", file=sys.stderr)
     truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
@@ -80,6 +81,10 @@ def run(args: argparse.Namespace) -> int:
     print_summary(build_summary(result, git=None))
     print(f"results: {folder}")
     for vehicle, track in tracks.items():
+        if track.dropped:
+            reasons = ", ".join(f"{count} {reason}" for reason, count in track.dropped.items())
+            used = f"{len(track.outputs)} of {track.frames_in} frames used"
+            print(f"uav-vslam: warning: {vehicle}: {used}; not used: {reasons}", file=sys.stderr)
         for text in track.warnings:
             print(f"uav-vslam: warning: {vehicle}: {text}", file=sys.stderr)
     broken = sorted({track.broken for track in tracks.values() if track.broken})  # vehicles may share a bag
@@ -94,15 +99,11 @@ def _report_offset(flight: BagFlight) -> None:
 
     import numpy as np
 
-    from uav_vslam.datasets.stereo_sync import LARGEST_TOLERANCE_NS
-    from uav_vslam.types import NS_PER_S
-
-    apart = flight.stamps_apart_ns(FIRST_FRAMES)
-    largest_ns = flight.input.pair_tolerance_s * NS_PER_S or LARGEST_TOLERANCE_NS
-    if len(apart) and NOTABLE_OFFSET_NS < np.median(apart) <= largest_ns:
+    apart, tolerance_ns = flight.stamps_apart_ns(FIRST_FRAMES), flight.pair_tolerance_ns(FIRST_FRAMES)
+    if len(apart) and NOTABLE_OFFSET_NS < np.median(apart) <= tolerance_ns:
         print(
             f"uav-vslam: {flight.vehicle}: left and right images are stamped {np.median(apart) / 1e6:.1f} ms apart and "
-            "count as simultaneous (input.pair_tolerance_s)",
+            f"count as simultaneous (tolerance {tolerance_ns / 1e6:.1f} ms, input.pair_tolerance_s)",
             file=sys.stderr,
         )
 
@@ -130,12 +131,11 @@ def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, Vehic
     bags = tuple(args.inputs)
     file = find_config(args.config) if args.config else None
     config = load_vehicle(file, overrides=overrides)
-    named = [DEFAULT_NAME] if config.input.topics.left.startswith("/") else vehicles(bags)
-    names = args.vehicles or named
+    names = args.vehicles or vehicles(bags, config.input)
     if not names:
         raise BagError(
-            f"bag {', '.join(map(str, bags))} holds no <vehicle>/left/image_raw; name its topics by input.topics, or "
-            "record or remap the images"
+            f"bag {', '.join(map(str, bags))} holds no <vehicle>/{config.input.topics.left}; name its topics by "
+            "input.topics, or record or remap the images"
         )
     if len(set(names)) < len(names):
         raise ConfigError(f"--vehicles {' '.join(names)} names one twice; each vehicle has one namespace")

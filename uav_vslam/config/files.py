@@ -130,11 +130,11 @@ def _tree(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a file's values with the paths in it, which are relative to it, as paths from here."""
+    """Return a file's values with the paths in it, which are relative to it, as absolute ones."""
     paths = values.get(CALIBRATION)
     if not isinstance(paths, list) or not all(isinstance(one, str) for one in paths):
         return values  # absent, or refused later
-    return values | {CALIBRATION: [str(path.parent / one) for one in paths if one]}
+    return values | {CALIBRATION: [str((path.parent / one).resolve()) for one in paths if one]}
 
 
 def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:

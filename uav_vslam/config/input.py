@@ -33,7 +33,11 @@ class TopicsConfig(Settings):
 class FramesConfig(Settings):
     """Names of frames in /tf_static; those of sensors replace what their messages have in header.frame_id."""
 
-    base: str = setting("", "body frame of the vehicle; empty: VEHICLE/base_link")
+    base: str = setting(
+        "",
+        "body frame of the vehicle; empty: VEHICLE/base_link. With calibration files that place the cameras the body "
+        "is theirs, unless this and `imu` are both set: /tf_static then tells where the IMU is",
+    )
     imu: str = setting("", "frame of the IMU; empty: as in its messages")
     left: str = setting("", "optical frame of the left camera; empty: as in its camera_info")
     right: str = setting("", "optical frame of the right camera; empty: as in its camera_info")
@@ -46,7 +50,7 @@ class InputConfig(Settings):
     calibration: tuple[Path, ...] = setting(
         (),
         "calibration files of Kalibr, ROS or EuRoC, relative to the configuration file; what they tell is not taken "
-        "from camera_info and /tf_static, and their IMU's frame is the body frame",
+        "from camera_info and /tf_static",
     )
     pair_tolerance_s: float = setting(
         0.0,

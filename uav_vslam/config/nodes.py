@@ -41,11 +41,8 @@ class ReplayNodeConfig(ReplayConfig):
         ("odometry", "fused/odometry"), "outputs of each vehicle to wait for after each frame; they pace lock-step"
     )
     finding_start: tuple[str, ...] = setting((), "vehicles that estimate their start state themselves")
-    topics: tuple[str, ...] = setting(
-        (), "topics that are not the conventional ones, as VEHICLE:ROLE:=TOPIC; roles are the keys of input.topics"
-    )
-    time_offsets_ns: tuple[str, ...] = setting(
-        (), "IMU time minus image stamp of vehicles with a clock offset, as VEHICLE:=NANOSECONDS"
+    inputs: tuple[str, ...] = setting(
+        (), "settings of `input` that the vehicles' nodes have, as VEHICLE:KEY:=VALUE (uav1:topics.left:=/camera/left)"
     )
 
 

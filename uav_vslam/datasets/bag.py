@@ -27,7 +27,7 @@ from uav_vslam.datasets.messages import (
 )
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, TopicInfo, decode, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
-from uav_vslam.datasets.stereo_sync import StereoPairer
+from uav_vslam.datasets.stereo_sync import PairTolerance, StereoPairer
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
@@ -38,7 +38,7 @@ __all__ = ["BagFlight", "RawMessage", "RawRecorder", "TruthTrack", "iter_raw", "
 
 Array = NDArray[np.float64]
 
-IMAGE_TOPICS = ("image_raw", "image_raw/compressed")
+DEFAULT_VEHICLE = "uav1"  # where topics do not begin with its name
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 REORDER_NS = 500_000_000  # a message may be recorded this much later than its stamp
 
@@ -77,6 +77,7 @@ class BagFlight:
         left_topic, right_topic: of the images.
         T_body_imu: pose of the IMU.
         time_offset_ns: IMU time minus image stamp [ns].
+        warnings: what is doubtful about the recording.
     """
 
     paths: tuple[Path, ...]
@@ -89,6 +90,7 @@ class BagFlight:
     right_topic: str
     T_body_imu: Pose
     time_offset_ns: int = 0
+    warnings: tuple[str, ...] = ()
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -123,15 +125,19 @@ class BagFlight:
         Args:
             first: only of so many images; None for all.
         """
-        left, right = (
-            np.array([header_stamp_ns(raw.data) for raw in itertools.islice(self._images(topic), first)], np.int64)
-            for topic in (self.left_topic, self.right_topic)
-        )
+        left, right = (self._stamps_ns(topic, first) for topic in (self.left_topic, self.right_topic))
         if len(right) == 0:
             return np.zeros(0, np.int64)
         after = np.searchsorted(right, left).clip(0, len(right) - 1)
         before = (after - 1).clip(0)
         return np.asarray(np.minimum(abs(right[after] - left), abs(left - right[before])))
+
+    def pair_tolerance_ns(self, first: int | None = None) -> int:
+        """Return the largest difference between the stamps of a pair [ns], after the first so many left images."""
+        tolerance = PairTolerance(round(self.input.pair_tolerance_s * NS_PER_S))
+        for stamp_ns in self._stamps_ns(self.left_topic, first):
+            tolerance.add_left(int(stamp_ns))
+        return tolerance.ns
 
     def unpaired_reason(self) -> str:
         """Return why images found no partner, from the stamps of both cameras."""
@@ -142,6 +148,10 @@ class BagFlight:
             f"the nearest stamps of {self.left_topic} and {self.right_topic} are {np.median(apart) / 1e6:.3g} ms apart "
             "(median); see input.pair_tolerance_s"
         )
+
+    def _stamps_ns(self, topic: str, first: int | None) -> NDArray[np.int64]:
+        images = itertools.islice(self._images(topic), first)
+        return np.array([header_stamp_ns(raw.data) for raw in images], np.int64)
 
     def _images(self, topic: str) -> Iterator[RawMessage]:
         return _readable(iter_raw(self.paths, [topic]))
@@ -187,9 +197,12 @@ def _pixels_or_empty(built: Any) -> NDArray[Any]:
         return np.zeros((0, 0), np.uint8)
 
 
-def vehicles(paths: Sequence[Path]) -> list[str]:
-    """Return the namespaces that have left images, sorted."""
-    endings = [f"/left/{name}" for name in IMAGE_TOPICS]
+def vehicles(paths: Sequence[Path], config: InputConfig | None = None) -> list[str]:
+    """Return the namespaces that have left images, sorted; the default one if the topic's name is absolute."""
+    left = (config or InputConfig()).topics.left
+    if left.startswith("/"):
+        return [DEFAULT_VEHICLE]
+    endings = [f"/{name}" for name in image_names(left)]
     topics = topics_of(paths)
     return sorted({topic.removesuffix(end).strip("/") for topic in topics for end in endings if topic.endswith(end)})
 
@@ -214,27 +227,42 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
     for topic in (*infos, config.topic(name, "imu")):
         if topic not in topics:
             raise _missing_topic(bags, topics, topic)
-    setup.imu_frame = _frame_id(bags, config.topic(name, "imu"))
+    if (reading := _first(bags, config.topic(name, "imu"))) is not None:
+        setup.imu_frame = reading.header.frame_id
     if setup.needs_frames and TF_STATIC not in topics:
         raise _missing_topic(bags, topics, TF_STATIC)
     try:
         _collect(bags, topics, setup)
         rig, T_body_imu = setup.rig(), setup.T_body_imu()
+        start = _first(bags, config.topic(name, "initial_state"))
+        if start is not None and (conflict := setup.conflict(start.child_frame_id)):
+            raise CalibrationError(f"{config.topic(name, 'initial_state')} {conflict}")
     except CalibrationError as error:
         raise CalibrationError(f"bag {_names(bags)}, vehicle {name}: {error}") from None
-    start = next(_readable(iter_raw(bags, [config.topic(name, "initial_state")])), None)
     return BagFlight(
         paths=bags,
         vehicle=name,
         input=config,
         rig=rig,
-        initial_state=navigation_state_of(decode(start)) if start else None,
+        initial_state=None if start is None else navigation_state_of(start),
         frame_count=topics[left_topic].count,
         left_topic=left_topic,
         right_topic=right_topic,
         T_body_imu=T_body_imu,
         time_offset_ns=setup.time_offset_ns,
+        warnings=tuple(_doubts(bags, setup)),
     )
+
+
+def _doubts(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
+    """Yield what is doubtful about the frames of a recording."""
+    if setup.imu_unnamed:
+        topic = setup.config.topic(setup.vehicle, "imu")
+        yield f"{topic} has no frame_id, so the IMU counts as the body; set input.frames.imu if it is elsewhere"
+    topic = setup.config.topic(setup.vehicle, "truth")
+    truth = _first(bags, topic)
+    if conflict := setup.conflict(getattr(truth, "child_frame_id", "")):
+        yield f"{topic} {conflict}"
 
 
 def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str) -> str:
@@ -274,10 +302,10 @@ def _collect(bags: Sequence[Path], topics: dict[str, TopicInfo], setup: SensorSe
         raise BagError(f"bag {_names(bags)} holds no message on {topic}; record it with the images")
 
 
-def _frame_id(bags: Sequence[Path], topic: str) -> str:
-    """Return the frame of a topic's first message, empty if there is none."""
+def _first(bags: Sequence[Path], topic: str) -> Any:
+    """Return a topic's first message, None if there is none."""
     first = next(_readable(iter_raw(bags, [topic])), None)
-    return decode(first).header.frame_id if first else ""
+    return decode(first) if first else None
 
 
 def _names(bags: Sequence[Path]) -> str:

@@ -5,7 +5,7 @@
     ROS      one file per camera (camera_calibration_parsers)  intrinsics; the rig of a rectified pair
     EuRoC    cam0, cam1 and imu0 of a `mav0` folder            intrinsics, `T_BS`, noise
 
-Cameras count in the order of the files: the first is the left one. The IMU's frame is the body.
+Cameras count in the order of the files: the first is the left one. The body is Kalibr's IMU, or EuRoC's body (`T_BS`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -65,10 +65,12 @@ class Calibration:
     Attributes:
         cameras: left and right one; fewer where the files tell of none.
         noise: settings of the IMU by name ("imu.gyro_noise"), with the values of the files.
+        T_body_imu: pose of the IMU, None if the files do not tell.
     """
 
     cameras: tuple[CameraCalibration, ...] = ()
     noise: Mapping[str, float] = field(default_factory=dict)
+    T_body_imu: Pose | None = None
 
     @property
     def time_offset_s(self) -> float:
@@ -96,14 +98,16 @@ def read_calibration(paths: Sequence[Path]) -> Calibration:
     """
     cameras: list[CameraCalibration] = []
     noise: dict[str, float] = {}
+    T_body_imu: Pose | None = None
     for path in [file for given in paths for file in _files(given)]:
         found = parse_calibration(yaml_tree(_text(path), path), path)
         cameras += found.cameras
         noise |= found.noise
+        T_body_imu = found.T_body_imu or T_body_imu
     if len(cameras) > 2:
         names = ", ".join(map(str, paths))
         raise CalibrationError(f"{names}: {len(cameras)} cameras; give the files of the left and the right one")
-    return Calibration(tuple(_related(cameras)), noise)
+    return Calibration(tuple(_related(cameras)), noise, T_body_imu)
 
 
 def yaml_tree(text: str, path: Path) -> dict[str, Any]:
@@ -182,7 +186,7 @@ def parse_calibration(tree: Tree, path: Path) -> Calibration:
         "imu0": lambda file: Calibration(noise=_noise(file["imu0"])),
         "camera_matrix": _of_ros,
         "intrinsics": _of_euroc,
-        "gyroscope_noise_density": lambda file: Calibration(noise=_noise(file)),
+        "gyroscope_noise_density": _of_euroc_imu,
     }
     for key, parse in kinds.items():
         if key in tree:
@@ -239,6 +243,11 @@ def _of_euroc(tree: Tree) -> Calibration:
     model = tree.get("distortion_model", "radial-tangential")
     found = camera(tree["resolution"], tree["intrinsics"], model, tree["distortion_coefficients"])
     return Calibration((CameraCalibration(found, _pose(tree["T_BS"]["data"])),))
+
+
+def _of_euroc_imu(tree: Tree) -> Calibration:
+    """Return what an IMU's sensor.yaml tells; Kalibr's imu.yaml has the same keys, but for the pose."""
+    return Calibration(noise=_noise(tree), T_body_imu=_pose(tree["T_BS"]["data"]) if "T_BS" in tree else None)
 
 
 def _related(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:

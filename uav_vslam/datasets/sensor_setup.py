@@ -68,6 +68,11 @@ class SensorSetup:
         """Whether the calibration files leave the place of a sensor to /tf_static."""
         return bool(self._unplaced_frames())
 
+    @property
+    def needs_imu_frame(self) -> bool:
+        """Whether the calibration files leave the place of the IMU to /tf_static, should it not be the body."""
+        return not self._imu_in_files or self._base_named
+
     def camera_frame(self, side: str) -> str:
         """Return the name of a camera's frame; empty while unknown."""
         override: str = getattr(self.config.frames, side)
@@ -88,12 +93,14 @@ class SensorSetup:
         return StereoRig(left, right, T_body_left, T_body_right)
 
     def T_body_imu(self) -> Pose:
-        """Return the pose of the IMU; its frame is the body's if it has no name, or if a file has the cameras there.
+        """Return the pose of the IMU: of the files, or of its frame, which is the body's if it has no name.
 
         Raises:
             CalibrationError: the frame is not connected to the body.
         """
-        if self._imu_is_body:
+        if self._imu_in_files:
+            return self._T_body_files() @ self._T_files_imu()
+        if not self._imu_frames():
             return Pose.identity()
         return self.frames.find(self.config.base_frame(self.vehicle), self._imu_frame)
 
@@ -101,14 +108,40 @@ class SensorSetup:
         """Return the same for the IMU alone."""
         return self._unconnected(self._imu_frames())
 
+    def conflict(self, frame: str) -> str:
+        """Return why a state or truth of a frame is not one of the body, empty if it is or nothing is known of it."""
+        frame = frame.lstrip("/")
+        if not self._cameras_in_files or self._base_named or not (frame and self._imu_frame):
+            return ""
+        if frame in (self._imu_frame, self.config.frames.base):
+            return ""
+        return (
+            f"is of {frame}, but the calibration files make the IMU, {self._imu_frame}, the body; if /tf_static "
+            f"connects them, set input.frames.base: {frame} and input.frames.imu: {self._imu_frame}"
+        )
+
+    @property
+    def imu_unnamed(self) -> bool:
+        """Whether nothing tells where the IMU is, so that it counts as the body."""
+        return not self._imu_frame and not self._imu_in_files
+
     @property
     def _imu_frame(self) -> str:
         return (self.config.frames.imu or self.imu_frame or "").lstrip("/")
 
     @property
-    def _imu_is_body(self) -> bool:
-        base = self.config.base_frame(self.vehicle)
-        return self.files.T_body_cam(0) is not None or self._imu_frame in ("", base)
+    def _cameras_in_files(self) -> bool:
+        return self.files.T_body_cam(0) is not None
+
+    @property
+    def _imu_in_files(self) -> bool:
+        """Whether the files place the IMU: it is their body unless they tell more."""
+        return self._cameras_in_files or self.files.T_body_imu is not None
+
+    @property
+    def _base_named(self) -> bool:
+        """Whether the body is another frame than that of the files, to which /tf_static connects their IMU."""
+        return bool(self.config.frames.base and self.config.frames.imu)
 
     def _unplaced_frames(self) -> list[str]:
         """Return the frames of the sensors that the files do not place."""
@@ -116,7 +149,19 @@ class SensorSetup:
         return frames + self._imu_frames()
 
     def _imu_frames(self) -> list[str]:
-        return [] if self._imu_is_body else [self._imu_frame]
+        if not self.needs_imu_frame:
+            return []
+        return [] if self._imu_frame in ("", self.config.base_frame(self.vehicle)) else [self._imu_frame]
+
+    def _T_files_imu(self) -> Pose:
+        return self.files.T_body_imu or Pose.identity()
+
+    def _T_body_files(self) -> Pose:
+        """Return the pose of the files' body in the vehicle's."""
+        if not self._imu_frames():
+            return Pose.identity()
+        T_body_imu = self.frames.find(self.config.base_frame(self.vehicle), self._imu_frame)
+        return T_body_imu @ self._T_files_imu().inverse()
 
     def _unconnected(self, frames: Iterable[str]) -> list[str]:
         base = self.config.base_frame(self.vehicle)
@@ -145,7 +190,7 @@ class SensorSetup:
     def _T_body_cam(self, index: int) -> Pose:
         known, T_left_right = self.files.T_body_cam(index), self._T_left_right()
         if known is not None:
-            return known
+            return self._T_body_files() @ known
         if index > 0 and T_left_right is not None:
             return self._T_body_cam(0) @ T_left_right
         return self.frames.find(self.config.base_frame(self.vehicle), self.camera_frame(SIDES[index]))

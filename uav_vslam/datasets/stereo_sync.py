@@ -3,7 +3,6 @@
 
 import statistics
 from collections import deque
-from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -13,6 +12,7 @@ from uav_vslam.stamps import IMAGE_TIME_JUMP_S, TimeJumpGuard
 T = TypeVar("T")
 
 LARGEST_TOLERANCE_NS = 20_000_000  # of the default: cameras farther apart than this are not synchronised
+EARLY_TOLERANCE_NS = 5_000_000  # of the default while the period is unknown: half of it at 100 Hz
 PERIODS = 3, 20  # how many tell the frame period: at least, and of the last so many
 
 
@@ -30,11 +30,31 @@ class StereoPair(Generic[T]):
     right: T
 
 
-def default_tolerance_ns(periods_ns: Collection[int]) -> int:
-    """Return the largest difference between the stamps of a pair [ns], from the latest frame periods [ns]."""
-    if len(periods_ns) < PERIODS[0]:
-        return LARGEST_TOLERANCE_NS
-    return min(LARGEST_TOLERANCE_NS, round(statistics.median(periods_ns) / 2))
+class PairTolerance:
+    """Largest difference between the stamps of a pair: as set, or half of the median period of the left images."""
+
+    def __init__(self, set_ns: int = 0) -> None:
+        """Set up; 0 for the default, which is at most `LARGEST_TOLERANCE_NS`."""
+        self._set_ns = set_ns
+        self._periods_ns: deque[int] = deque(maxlen=PERIODS[1])
+        self._newest_ns: int | None = None
+
+    @property
+    def ns(self) -> int:
+        """Its value after the images so far [ns]."""
+        if self._set_ns:
+            return self._set_ns
+        if len(self._periods_ns) < PERIODS[0]:
+            return EARLY_TOLERANCE_NS
+        return min(LARGEST_TOLERANCE_NS, round(statistics.median(self._periods_ns) / 2))
+
+    def add_left(self, stamp_ns: int) -> None:
+        """Count the period from the previous left image to this one; one that is not later is ignored."""
+        if self._newest_ns is not None and stamp_ns <= self._newest_ns:
+            return
+        if self._newest_ns is not None:
+            self._periods_ns.append(stamp_ns - self._newest_ns)
+        self._newest_ns = stamp_ns
 
 
 class StereoPairer(Generic[T]):
@@ -51,12 +71,10 @@ class StereoPairer(Generic[T]):
         """Set up.
 
         Args:
-            tolerance_ns: largest difference between the stamps of a pair [ns]; 0 for half of the median frame period,
-                at most `LARGEST_TOLERANCE_NS`.
+            tolerance_ns: largest difference between the stamps of a pair [ns]; 0 for that of `PairTolerance`.
             waiting: images of one camera that may wait; then the oldest is dropped.
         """
-        self._tolerance_ns = tolerance_ns
-        self._periods_ns: deque[int] = deque(maxlen=PERIODS[1])
+        self._tolerance = PairTolerance(tolerance_ns)
         self.offset_ns = 0
         self._capacity = waiting
         self._left: deque[tuple[int, T]] = deque()
@@ -67,10 +85,8 @@ class StereoPairer(Generic[T]):
 
     @property
     def tolerance_ns(self) -> int:
-        """Largest difference between the stamps of a pair [ns]; see `__init__`."""
-        if self._tolerance_ns:
-            return self._tolerance_ns
-        return default_tolerance_ns(self._periods_ns)
+        """Largest difference between the stamps of a pair, after the images so far [ns]."""
+        return self._tolerance.ns
 
     def add_left(self, stamp_ns: int, item: T) -> StereoPair[T] | None:
         """Add a left image; return the completed pair, if any."""
@@ -105,8 +121,8 @@ class StereoPairer(Generic[T]):
         if stamp_ns <= self._newest[side]:
             self.dropped += 1
             return False
-        if side == "left" and self._newest[side] >= 0:
-            self._periods_ns.append(stamp_ns - self._newest[side])
+        if side == "left":
+            self._tolerance.add_left(stamp_ns)
         self._newest[side] = stamp_ns
         return True
 

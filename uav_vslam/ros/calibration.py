@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The place and calibration of a vehicle's sensors, from calibration files, camera_info and /tf_static."""
 
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.datasets.messages import transforms_of
 from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
-from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ros.convert import camera_from_msg
-from uav_vslam.ros.qos import LATCHED_BY_MANY, STATE
+from uav_vslam.ins.mounting import ImuMounting
+from uav_vslam.ros.convert import camera_from_msg, imu_from_msg
+from uav_vslam.ros.qos import LATCHED_BY_MANY, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode
+from uav_vslam.types import ImuSample
 
+MAX_WAITING = 2000  # readings held until the place of the IMU is known
 MISSING = "transform"  # key in diagnostics of transforms that are still missing
 
 
@@ -44,10 +47,9 @@ class RigListener:
         """IMU time minus image stamp [ns]."""
         return self._setup.time_offset_ns
 
-    @property
-    def left_frame(self) -> str:
-        """Frame of the left camera, empty until known."""
-        return self._setup.camera_frame("left")
+    def left_frame(self, of_images: str) -> str:
+        """Return the frame of the left camera; where nothing else names it, that of its images."""
+        return self._setup.camera_frame("left") or of_images
 
     def _on_camera(self, side: str, message: CameraInfo) -> None:
         if side not in self._setup.cameras:
@@ -76,12 +78,17 @@ class RigListener:
 
 
 class ImuListener:
-    """Finds out where the IMU is; readings are of no use before."""
+    """Finds out where the IMU is; readings wait until then."""
 
-    def __init__(self, node: VehicleNode) -> None:
-        self._node = node
+    def __init__(self, node: VehicleNode, on_reading: Callable[[ImuSample], None]) -> None:
+        """Set up; `on_reading` gets each reading as of the body's origin and axes, in order of arrival."""
+        self._node, self._on_reading = node, on_reading
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
-        self._listens = False
+        self._mounting: ImuMounting | None = None
+        self._waiting: deque[ImuSample] = deque()
+        node.listen(Imu, node.config.input.topics.imu, self._on_imu, SENSOR)
+        if self._setup.needs_imu_frame:
+            node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED_BY_MANY)
 
     @property
     def time_offset_ns(self) -> int:
@@ -93,22 +100,48 @@ class ImuListener:
         """Whether camera_info is expected: if the calibration files tell all, cameras need not publish it."""
         return self._setup.needs_infos
 
-    def locate(self, frame_id: str) -> Pose:
-        """Return T_body_imu for readings in a frame.
+    def conflict(self, frame: str) -> str:
+        """Return why a start state of a frame is not one of the body, as `SensorSetup.conflict`."""
+        return self._setup.conflict(frame)
 
-        Raises:
-            InvalidMessage: the frame is not connected to the body, so far.
-        """
-        self._setup.imu_frame = frame_id
-        missing = ", ".join(self._setup.missing_imu_transforms())
-        if missing and not self._listens:
-            self._listens = True
-            self._node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED_BY_MANY)
-        if missing:
-            self._node.notes[MISSING] = text = f"/tf_static has no {missing}"
-            raise InvalidMessage("imu_frame", f"{text}, the IMU's frame; publish it, or set input.frames")
-        self._node.notes.pop(MISSING, None)
-        return self._setup.T_body_imu()
+    def _on_imu(self, message: Imu) -> None:
+        reading = imu_from_msg(message)
+        if self._mounting is not None:
+            self._on_reading(self._mounting.to_body(reading))
+            return
+        self._setup.imu_frame = message.header.frame_id
+        self._waiting.append(reading)
+        self._locate()
 
     def _on_transforms(self, message: TFMessage) -> None:
+        if self._mounting is not None:
+            return  # the IMU's place is constant
         self._setup.frames.add(transforms_of(message))
+        if self._waiting:
+            self._locate()
+
+    def _locate(self) -> None:
+        """Go on with the readings that wait, if the place of the IMU is known.
+
+        Raises:
+            InvalidMessage: it is not, and the oldest reading is dropped.
+        """
+        missing = ", ".join(self._setup.missing_imu_transforms())
+        if missing:
+            self._node.notes[MISSING] = f"/tf_static has no {missing}"
+            if len(self._waiting) > MAX_WAITING:
+                self._waiting.popleft()
+                text = f"/tf_static has no {missing}, the IMU's frame; publish it, or set input.frames"
+                self._node.failures[MISSING] = text
+                raise InvalidMessage("imu_frame", text)
+            return
+        self._node.notes.pop(MISSING, None)
+        self._node.failures.pop(MISSING, None)
+        if self._setup.imu_unnamed:
+            self._node.get_logger().warning("IMU messages have no frame_id: the IMU counts as the body")
+        self._mounting = ImuMounting(self._setup.T_body_imu())
+        while self._waiting:
+            try:
+                self._on_reading(self._mounting.to_body(self._waiting.popleft()))
+            except InvalidMessage as error:
+                self._node.drop(error.reason, str(error))

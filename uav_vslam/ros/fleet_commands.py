@@ -74,24 +74,13 @@ def node_specs(fleet: FleetConfig, *, link: LinkConfig | None = None) -> list[No
 
 
 def _replay_inputs(vehicles: Mapping[str, VehicleConfig]) -> dict[str, list[str]]:
-    """Return the replay's parameters about topics and clocks that are not the conventional ones."""
-    topics = [
-        f"{vehicle}:{role}:={config.input.topic(vehicle, role)}"
+    """Return the replay's parameter about inputs that are not the conventional ones."""
+    entries = [
+        f"{vehicle}:{key}:={json.dumps(value)}"
         for vehicle, config in vehicles.items()
-        for role in differences(config.input.topics)
+        for key, value in differences(config.input).items()
     ]
-    offsets = [
-        f"{vehicle}:={offset_ns}"
-        for vehicle, config in vehicles.items()
-        if config.input.calibration and (offset_ns := _time_offset_ns(vehicle, config))
-    ]
-    return {key: entries for key, entries in (("topics", topics), ("time_offsets_ns", offsets)) if entries}
-
-
-def _time_offset_ns(vehicle: str, config: VehicleConfig) -> int:
-    from uav_vslam.datasets.sensor_setup import SensorSetup  # needs libraries that launch files' Python may lack
-
-    return SensorSetup.of(vehicle, config.input).time_offset_ns
+    return {"inputs": entries} if entries else {}
 
 
 def packets_of(vehicle: str) -> str:

@@ -15,18 +15,16 @@ out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
 """
 
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import CameraInfo, Imu
+from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.datasets.messages import header_stamp_ns, stamp_ns_of
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
-from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator, InsOdometry
 from uav_vslam.ins.startup_buffer import MAX_APART_S, StartupBuffer
 from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
-    imu_from_msg,
     increment_to_msg,
     navigation_from_msg,
     navigation_to_msg,
@@ -52,10 +50,9 @@ class InsPropagatorNode(VehicleNode):
         self._live: InsOdometry | None = None
         self._startup_buffer = StartupBuffer(self.config.start.rest_s if method == "static" else MAX_APART_S)
         self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
+        self._given_frame = ""
         self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
         self._image_stamps = TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
-        self._sensors = ImuListener(self)
-        self._mounting: ImuMounting | None = None
         self._image_ns = -1
         self._increments = self.advertise(InsIncrement, "ins/increment", SENSOR)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
@@ -66,7 +63,7 @@ class InsPropagatorNode(VehicleNode):
             self._initial_state = self.advertise(NavigationState, topics.initial_state, LATCHED)
         else:
             self.listen(NavigationState, topics.initial_state, self._on_initial_state, LATCHED)
-        self.listen(Imu, topics.imu, self._on_imu, SENSOR)
+        self._sensors = ImuListener(self, lambda reading: self._feed(reading, self._imu_stamps))
         if self._sensors.has_infos:
             self.listen(CameraInfo, topics.left_info, lambda m: self._on_image(stamp_ns_of(m)), STATE)
         else:
@@ -74,11 +71,6 @@ class InsPropagatorNode(VehicleNode):
                 on_image = lambda data: self._on_image(header_stamp_ns(data))  # noqa: E731
                 self.listen(kind, name, on_image, IMAGE, instead_of=topics.left, raw=True)
         self.listen(NavigationState, "slam/correction", self._on_correction, STATE)
-
-    def _on_imu(self, message: Imu) -> None:
-        if self._mounting is None:
-            self._mounting = ImuMounting(self._sensors.locate(message.header.frame_id))
-        self._feed(self._mounting.to_body(imu_from_msg(message)), self._imu_stamps)
 
     def _on_image(self, stamp_ns: int) -> None:
         stamp_ns += self._sensors.time_offset_ns
@@ -93,7 +85,7 @@ class InsPropagatorNode(VehicleNode):
         if self._preintegrator is not None:  # found in flight by the back end
             self._start(given)
             return
-        self._given = given
+        self._given, self._given_frame = given, message.child_frame_id
         self._start_if_confirmed()
 
     def _start_if_confirmed(self) -> None:
@@ -111,6 +103,9 @@ class InsPropagatorNode(VehicleNode):
                 f"initial_state is stamped {given.state.stamp_ns} ns, {-ahead_s:.1f} s before the newest IMU sample, "
                 f"more than {MAX_APART_S:g} s; stamp it with its time of validity",
             )
+            return
+        if conflict := self._sensors.conflict(self._given_frame):
+            self.drop("start_frame", f"initial_state {conflict}")
             return
         self._start(given)
 

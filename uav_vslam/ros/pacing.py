@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+from uav_vslam.datasets.stereo_sync import PairTolerance
 from uav_vslam.types import NS_PER_S
 
 OVERLAP_NS = NS_PER_S // 10
@@ -42,12 +43,12 @@ class FrameShape:
 
     Attributes:
         parts: its messages.
-        spread_ns: their stamps differ by no more than this [ns].
+        tolerance_ns: their stamps differ by no more than this [ns]; 0 for the default of `PairTolerance`.
         offset_ns: stamp of the answer minus that of the left image [ns].
     """
 
     parts: frozenset[Kind] = FRAME_PARTS
-    spread_ns: int = 2_000_000
+    tolerance_ns: int = 0
     offset_ns: int = 0
 
 
@@ -88,6 +89,7 @@ class Answers:
         """Await answers on `topics` to each frame from its vehicle's start on; the back end drops earlier ones."""
         names, self._topics = tuple(vehicles), tuple(topics)
         self._shapes = {name: FrameShape() for name in names} | dict(shapes or {})
+        self._tolerances = {name: PairTolerance(shape.tolerance_ns) for name, shape in self._shapes.items()}
         self._starts_ns = starts_ns
         self._parts: dict[str, dict[Kind, int]] = {name: {} for name in names}  # stamps of the newest frame
         self._newest_ns = dict.fromkeys(names, -1)
@@ -96,6 +98,8 @@ class Answers:
 
     def published(self, message: Recorded) -> None:
         """Register a part of a frame; with its last part the frame awaits answers."""
+        if message.kind is Kind.LEFT:
+            self._tolerances[message.vehicle].add_left(message.stamp_ns)
         if self.begins_frame(message):
             self._parts[message.vehicle] = {}
         parts = self._parts[message.vehicle]
@@ -108,8 +112,8 @@ class Answers:
     def begins_frame(self, message: Recorded) -> bool:
         """Return whether this is the first part of a frame."""
         stamps = self._parts[message.vehicle].values()
-        spread_ns = self._shapes[message.vehicle].spread_ns
-        return not stamps or any(abs(message.stamp_ns - stamp_ns) > spread_ns for stamp_ns in stamps)
+        tolerance_ns = self._tolerances[message.vehicle].ns
+        return not stamps or any(abs(message.stamp_ns - stamp_ns) > tolerance_ns for stamp_ns in stamps)
 
     def answered(self, vehicle: str, topic: str, stamp_ns: int) -> None:
         """Register an answer; an unexpected one is ignored."""

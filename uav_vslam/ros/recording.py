@@ -2,24 +2,22 @@
 """The messages of a fleet's bags that are replayed, as serialised bytes."""
 
 import heapq
-import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
-from uav_vslam.datasets.bag import IMAGE_TOPICS
+from uav_vslam.datasets.bag import vehicles as vehicles_of
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawMessage, iter_raw, topics_of
-from uav_vslam.datasets.sensor_setup import SIDES
-from uav_vslam.datasets.stereo_sync import default_tolerance_ns
+from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
 from uav_vslam.errors import BagError
-from uav_vslam.ros.pacing import Kind, Recorded
+from uav_vslam.ros.pacing import FRAME_PARTS, FrameShape, Kind, Recorded
+from uav_vslam.types import NS_PER_S
 
 TF_STATIC = "/tf_static"
 INITIAL_STATE = "initial_state"
 KINDS = {"left": Kind.LEFT, "right": Kind.RIGHT, "left_info": Kind.INFO, "imu": Kind.IMU}  # by role
-FIRST_FRAMES = 20  # that tell the frame period
 # Outputs of the nodes: not replayed from the recording of a whole run.
 OUTPUTS = ("odometry", "path", "landmarks", "stereo_features", "joint_information", "landmark_information")
 OUTPUT_FOLDERS = ("ins/", "slam/", "fused/", "fusion/")
@@ -49,17 +47,19 @@ class Recording:
             paths: the bags.
             vehicles: names.
             finding_start: those that estimate their start state: a recorded one would contradict it.
-            inputs: topics by vehicle; the conventional ones of those that are absent.
+            inputs: settings by vehicle; the defaults for those that are absent.
 
         Raises:
+            CalibrationError: a calibration file can't be read.
             BagError: a bag is missing, unreadable, or lacks a topic that a vehicle needs.
         """
         if not paths:
             raise BagError("no recording to replay; set the parameter bags, or give --bag")
         self._paths, known = tuple(paths), topics_of(paths)
         self._finding_start = frozenset(finding_start)
-        self._inputs = dict(inputs or {})
-        self.vehicles = tuple(vehicles) or tuple(self._inputs) or _with_images(known)
+        inputs = dict(inputs or {})
+        self.vehicles = tuple(vehicles) or tuple(inputs) or tuple(vehicles_of(paths))
+        self._setups = {name: SensorSetup.of(name, inputs.get(name, InputConfig())) for name in self.vehicles}
         self._roles = {topic: (vehicle, role) for vehicle in self.vehicles for role, topic in self._named(vehicle)}
         self.topics = {topic: info for topic, info in known.items() if self._is_input(topic)}
         self.damage: list[str] = []
@@ -87,22 +87,20 @@ class Recording:
 
     def consumed(self, vehicle: str) -> list[str]:
         """Return the topics that need a subscriber before a vehicle can run."""
-        roles = (*KINDS, "right_info")
+        roles = ["left", "right", "imu"] + (["left_info", "right_info"] if self._setups[vehicle].needs_infos else [])
         return [
             t for t, (owner, role) in self._roles.items() if owner == vehicle and role in roles and t in self.topics
         ]
 
-    def has_infos(self, vehicle: str) -> bool:
-        """Return whether the left images come with a camera_info; else calibration files replace it."""
-        return self._count(vehicle, Kind.INFO) > 0
-
-    def pair_tolerance_ns(self, vehicle: str) -> int:
-        """Return the front end's default tolerance after the first images [ns]."""
-        topics = [topic for topic in self.topics if self.classify(topic) == (vehicle, Kind.LEFT)]
-        streams = itertools.chain.from_iterable(self._until_broken(path, topics) for path in self._paths)
-        stamps = [header_stamp_ns(raw.data) for raw in itertools.islice(streams, FIRST_FRAMES)]
-        self.damage.clear()  # the replay detects it again
-        return default_tolerance_ns([later - earlier for earlier, later in itertools.pairwise(stamps)])
+    def frame_shape(self, vehicle: str) -> FrameShape:
+        """Return what makes a frame: images that the front end pairs, and a camera_info unless files replace it."""
+        setup = self._setups[vehicle]
+        with_info = setup.needs_infos and self._count(vehicle, Kind.INFO) > 0
+        return FrameShape(
+            parts=FRAME_PARTS if with_info else FRAME_PARTS - {Kind.INFO},
+            tolerance_ns=round(setup.config.pair_tolerance_s * NS_PER_S),
+            offset_ns=setup.time_offset_ns,
+        )
 
     def messages(self) -> Iterator[Recorded]:
         """Yield all but the latched messages in recorded order; a damaged bag ends early."""
@@ -121,7 +119,7 @@ class Recording:
             self.damage.append(str(error))
 
     def _read_latched(self) -> list[RawMessage]:
-        topics = [topic for topic, info in self.topics.items() if info.latched or _is_latched(topic)]
+        topics = [topic for topic, info in self.topics.items() if info.latched or self._is_latched(topic)]
         newest: dict[tuple[Path, str, bytes], RawMessage] = {}
         for path in self._paths:
             for raw in self._until_broken(path, topics):
@@ -132,7 +130,7 @@ class Recording:
 
     def topic(self, vehicle: str, role: str) -> str:
         """Return the name of a vehicle's input; `role` is a key of `input.topics`."""
-        return self._inputs.get(vehicle, InputConfig()).topic(vehicle, role)
+        return self._setups[vehicle].config.topic(vehicle, role)
 
     def _named(self, vehicle: str) -> Iterator[tuple[str, str]]:
         """Yield role and topic of a vehicle's inputs; images under both names."""
@@ -147,6 +145,10 @@ class Recording:
         name = topic.removeprefix(f"/{vehicle}/")
         return topic == TF_STATIC or (vehicle != "" and name not in OUTPUTS and not name.startswith(OUTPUT_FOLDERS))
 
+    def _is_latched(self, topic: str) -> bool:
+        """Return whether late subscribers need the topic, however it was recorded."""
+        return topic == TF_STATIC or self._roles.get(topic, ("", ""))[1] == INITIAL_STATE
+
     def _count(self, vehicle: str, kind: Kind) -> int:
         counts = [info.count for topic, info in self.topics.items() if self.classify(topic) == (vehicle, kind)]
         return max(counts, default=0)
@@ -157,21 +159,11 @@ class Recording:
         for kind in (Kind.LEFT, Kind.RIGHT, Kind.IMU):
             if (vehicle, kind) not in recorded:
                 names = " or ".join(t for t in self._roles if self.classify(t) == (vehicle, kind))
-                held = ", ".join(_with_images(topics_of(self._paths))) or "none"
+                held = ", ".join(vehicles_of(self._paths)) or "none"
                 raise BagError(f"{bags}: no {names} for vehicle {vehicle}; vehicles recorded: {held}")
         infos, images = self._count(vehicle, Kind.INFO), self.frames(vehicle)
-        if infos and 2 * infos < images:
+        if self._setups[vehicle].needs_infos and infos and 2 * infos < images:
             raise BagError(
                 f"{bags}: {infos} messages on {self.topic(vehicle, 'left_info')} for {images} left images; the nodes "
                 "need one with each image, of the same stamp (uav-vslam run does not), or none and input.calibration"
             )
-
-
-def _is_latched(topic: str) -> bool:
-    return topic == TF_STATIC or topic.endswith(f"/{INITIAL_STATE}")
-
-
-def _with_images(topics: Iterable[str]) -> tuple[str, ...]:
-    endings = [f"/left/{image}" for image in IMAGE_TOPICS]
-    names = {topic.removesuffix(end).strip("/") for topic in topics for end in endings if topic.endswith(end)}
-    return tuple(sorted(names))

@@ -18,6 +18,7 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
+import yaml
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -33,10 +34,8 @@ from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.convert import stamp_from_ns
 from uav_vslam.ros.pacing import (
     EARLY_ANSWER,
-    FRAME_PARTS,
     IMU_AHEAD,
     Answers,
-    FrameShape,
     Kind,
     LockStep,
     Pacer,
@@ -74,11 +73,10 @@ class ReplayNode(Node):
             self._config.bags,
             self._config.vehicles,
             finding_start=self._config.finding_start,
-            inputs=_inputs(self._config.topics),
+            inputs=_inputs(self._config.inputs),
         )
         self._vehicles, self._starts_ns = self._recording.vehicles, dict(self._recording.starts_ns)
-        offsets_ns = dict(_split(entry) for entry in self._config.time_offsets_ns)
-        shapes = {name: self._shape(name, int(offsets_ns.get(name, 0))) for name in self._vehicles}
+        shapes = {name: self._recording.frame_shape(name) for name in self._vehicles}
         self._answers = Answers(self._vehicles, self._starts_ns, self._wait_for, shapes)
         self._readings = Readings(self._vehicles, self._starts_ns, IMU_AHEAD if self._wait_for else None)
         self._progress_s = self._begin_s = time.monotonic()
@@ -94,11 +92,6 @@ class ReplayNode(Node):
     @property
     def _lockstep(self) -> bool:
         return self._config.rate == 0
-
-    def _shape(self, vehicle: str, offset_ns: int) -> FrameShape:
-        """Return what makes a frame: images that the front end pairs, and a camera_info unless a file replaces it."""
-        parts = FRAME_PARTS if self._recording.has_infos(vehicle) else FRAME_PARTS - {Kind.INFO}
-        return FrameShape(parts, self._recording.pair_tolerance_ns(vehicle), offset_ns)
 
     def _advertise(self, topic: str):
         package, _, name = self._recording.topics[topic].msgtype.split("/")
@@ -237,26 +230,20 @@ class ReplayNode(Node):
         raise SystemExit(1)
 
 
-def _split(entry: str) -> tuple[str, str]:
-    """Return both sides of an entry LEFT:=RIGHT.
+def _inputs(entries: Iterable[str]) -> dict[str, InputConfig]:
+    """Return the settings of each vehicle's input from entries VEHICLE:KEY:=VALUE.
 
     Raises:
-        ConfigError: it has another form.
+        ConfigError: an entry has another form, or a key or value is wrong.
     """
-    left, found, right = entry.partition(":=")
-    if not (left and found and right):
-        raise ConfigError(f"{entry!r} is not of the form NAME:=VALUE")
-    return left, right
-
-
-def _inputs(entries: Iterable[str]) -> dict[str, InputConfig]:
-    """Return the topics of each vehicle from entries VEHICLE:ROLE:=TOPIC."""
-    values: dict[str, dict[str, str]] = {}
+    values: dict[str, dict[str, Any]] = {}
     for entry in entries:
-        key, topic = _split(entry)
-        vehicle, _, role = key.partition(":")
-        values.setdefault(vehicle, {})[f"topics.{role}"] = topic
-    return {vehicle: build(InputConfig, topics, where=f"topics of {vehicle}") for vehicle, topics in values.items()}
+        name, found, value = entry.partition(":=")
+        vehicle, _, key = name.partition(":")
+        if not (vehicle and key and found):
+            raise ConfigError(f"inputs: {entry!r} is not of the form VEHICLE:KEY:=VALUE")
+        values.setdefault(vehicle, {})[key] = yaml.safe_load(value)
+    return {vehicle: build(InputConfig, own, where=f"inputs of {vehicle}") for vehicle, own in values.items()}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -43,6 +43,7 @@ class VehicleNode(Node):
         counts: what happened how often, for the diagnostics.
         notes: further values for the diagnostics.
         alarms: current faults, by subject; they set the status to WARN.
+        failures: current faults that keep the node from working, by subject; they set it to ERROR.
     """
 
     def __init__(self, name: str) -> None:
@@ -55,6 +56,7 @@ class VehicleNode(Node):
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
         self.alarms: dict[str, str] = {}
+        self.failures: dict[str, str] = {}
         self._inputs: list[Input] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
@@ -163,7 +165,9 @@ class VehicleNode(Node):
         dropped = sum(count for reason, count in self.counts.items() if reason.startswith("dropped/"))
         pauses = stopped(self._inputs, time.monotonic())
         level, text = DiagnosticStatus.OK, "running"
-        if missing:
+        if self.failures:
+            level, text = DiagnosticStatus.ERROR, "; ".join(self.failures.values())
+        elif missing:
             level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"
         elif pauses:
             level, text = DiagnosticStatus.WARN, _pauses_text(pauses)

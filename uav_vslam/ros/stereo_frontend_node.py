@@ -50,6 +50,7 @@ class StereoFrontendNode(VehicleNode):
         self._rig = RigListener(self, self._work)
         self._frontend: Frontend | None = None
         self._alone = 0  # images since the last pair
+        self._image_frame = ""  # of the left images
         given = self.config.input
         self._pairer: StereoPairer[Pixels] = StereoPairer(tolerance_ns=round(given.pair_tolerance_s * NS_PER_S))
         self._waiting: deque[StereoFrame] = deque()
@@ -70,6 +71,8 @@ class StereoFrontendNode(VehicleNode):
     def _on_image(self, side: str, add: AddImage, message: Image | CompressedImage) -> None:
         if not self._uses(side, type(message)):
             return  # the same image once more
+        if side == "left":
+            self._image_frame = message.header.frame_id
         pair = add(stamp_ns_of(message), self._pixels(message))
         self.counts["dropped/unpaired"] = self._pairer.dropped
         if pair is None:
@@ -121,7 +124,9 @@ class StereoFrontendNode(VehicleNode):
             features = self._extracted(self._frontend, self._waiting.popleft())
             self._alarm(self._frontend.alarms)
             size = (rig.left.width, rig.left.height)
-            self._publisher.publish(features_to_msg(features, frame_id=self._rig.left_frame, size=size))
+            self._publisher.publish(
+                features_to_msg(features, frame_id=self._rig.left_frame(self._image_frame), size=size)
+            )
             self.counts["features"] += len(features)
 
     def _extracted(self, frontend: Frontend, frame: StereoFrame) -> Features:
