@@ -63,6 +63,7 @@ AT_HOME = {
 }
 # OpenCV inverts lens models. cv2.setNumThreads(1) belongs where a process begins; the bench compares with OpenCV.
 AT_HOME_FILES = {
+    "rosbags": {"studies/recordings/ros1.py"},  # writes what strangers record
     "cv2": {
         "geometry/camera.py",
         "offline.py",

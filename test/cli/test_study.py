@@ -21,6 +21,7 @@ SMALL = {
     "outliers": ["--seeds", "1", "--vehicles", "1", "--frames", "5"],
     "revisit": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
     "association": ["--seeds", "1", "--frames", "6", "--methods", "gated", "hgtm"],
+    "recordings": ["--seeds", "1", "--frames", "6"],
 }
 PICTURES = {
     "frames": set(),
@@ -32,6 +33,7 @@ PICTURES = {
     "outliers": {"outliers.png"},
     "revisit": {"revisit.png"},
     "association": {"association.png", "matching.png"},
+    "recordings": set(),
 }
 
 

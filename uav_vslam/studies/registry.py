@@ -16,6 +16,7 @@ from uav_vslam.studies import (
     models,
     outliers,
     radio,
+    recordings,
     revisit,
     rig,
     start,
@@ -42,4 +43,5 @@ STUDIES: dict[str, Study] = {
     "euroc": euroc.STUDY,
     "association": association.STUDY,
     "start": start.STUDY,
+    "recordings": recordings.STUDY,
 }
