@@ -37,13 +37,14 @@ ALLOWED: dict[str, set[str]] = {
     "evaluation": EARLY | {"estimation"},
     "datasets": EARLY | {"evaluation", "ins"},  # recorded truth becomes a trajectory, readings move to the body
     "report": {"types", "evaluation"},
+    "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found
     # what puts them together without ROS
     "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation", "processes"},
     "studies": ESTIMATOR
     | {"pipeline", "fleet", "evaluation", "datasets", "simulation", "offline", "processes", "report"},
     # the top
     "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes"},
-    "cli": ESTIMATOR | {"pipeline", "fleet", "datasets", "evaluation", "simulation", "report", "offline"},
+    "cli": ESTIMATOR | {"pipeline", "fleet", "datasets", "evaluation", "simulation", "report", "overlay", "offline"},
 }
 # What starts or watches ROS processes may import `ros`.
 ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "studies/engine/node_graph.py"}
@@ -52,7 +53,7 @@ LABORATORY_DOORS = {"cli/study.py", "cli/bench.py"}
 
 MESSAGES = "messages of ROS"
 AT_HOME = {
-    "cv2": {"vision", "datasets", "simulation"},
+    "cv2": {"vision", "datasets", "simulation", "overlay"},
     "rclpy": {"ros"},
     "rosbags": {"datasets"},
     "mcap": {"datasets"},
@@ -209,7 +210,7 @@ CORE = (
     "slam",
     "cooperation",
 )
-CORE += ("pipeline", "fleet", "simulation", "datasets", "evaluation", "report", "offline", "studies", "cli")
+CORE += ("pipeline", "fleet", "simulation", "datasets", "evaluation", "report", "overlay", "offline", "studies", "cli")
 
 BLOCKED_IMPORT = """
 import importlib, sys

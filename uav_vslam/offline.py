@@ -55,16 +55,28 @@ class FlightSource(Protocol):
 
 
 def track_vehicle(
-    source: FlightSource, config: VehicleConfig, on_frame: Callable[[], None] = lambda: None
+    source: FlightSource,
+    config: VehicleConfig,
+    on_frame: Callable[[], None] = lambda: None,
+    *,
+    keep_features: bool = False,
 ) -> VehicleTrack:
     """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the damage.
+
+    Args:
+        source: sensor data.
+        config: of the vehicle.
+        on_frame: called after each frame.
+        keep_features: in the track, for pictures.
 
     Raises:
         UavVslamError: the source has no start state and the configuration does not set how to find one, or none was
             found.
     """
     cv2.setNumThreads(1)
-    pipeline = VehiclePipeline(_start(source, config), rig=source.rig, config=config, vehicle=source.vehicle, session=1)
+    pipeline = VehiclePipeline(
+        _start(source, config), rig=source.rig, config=config, vehicle=source.vehicle, keep_features=keep_features
+    )
     try:
         for _ in pipeline.run(source.iter_events()):
             on_frame()
@@ -103,6 +115,7 @@ def fly(
     workers: int = 1,
     on_frame: Callable[[int], None] = lambda _: None,
     links: Callable[[str, str], PacketLink] | None = None,
+    keep_features: bool = False,
 ) -> tuple[dict[str, VehicleTrack], dict[str, CooperativeTrack]]:
     """Run a fleet.
 
@@ -112,11 +125,14 @@ def fly(
         workers: processes; 1 runs everything in this one.
         on_frame: called with the number of frames processed since the last call.
         links: makes the radio link from a sender to a receiver; without it packets arrive at once.
+        keep_features: in the tracks, for pictures.
     """
     if workers == 1 or len(sources) == 1:
-        tracks = [track_vehicle(s, configs[s.vehicle], lambda: on_frame(1)) for s in sources]
+        tracks = [
+            track_vehicle(s, configs[s.vehicle], lambda: on_frame(1), keep_features=keep_features) for s in sources
+        ]
     else:
-        tracks = _track_in_workers(sources, configs, workers, on_frame)
+        tracks = _track_in_workers(sources, configs, workers, on_frame, keep_features)
     by_name = {track.vehicle: track for track in tracks}
     return by_name, cooperate(by_name, configs, links)
 
@@ -223,16 +239,22 @@ def _init_worker(queue: Any) -> None:
     _progress = queue
 
 
-def _track_for_pool(source: FlightSource, config: VehicleConfig) -> VehicleTrack:
-    return track_vehicle(source, config, lambda: _progress.put(1))
+def _track_for_pool(source: FlightSource, config: VehicleConfig, keep_features: bool) -> VehicleTrack:
+    return track_vehicle(source, config, lambda: _progress.put(1), keep_features=keep_features)
 
 
 def _track_in_workers(
-    sources: list[FlightSource], configs: dict[str, VehicleConfig], workers: int, on_frame: Callable[[int], None]
+    sources: list[FlightSource],
+    configs: dict[str, VehicleConfig],
+    workers: int,
+    on_frame: Callable[[int], None],
+    keep_features: bool,
 ) -> list[VehicleTrack]:
     queue = multiprocessing.get_context("spawn").Queue()
     with worker_pool(min(workers, len(sources)), _init_worker, queue) as pool:
-        futures: list[Future[VehicleTrack]] = [pool.submit(_track_for_pool, s, configs[s.vehicle]) for s in sources]
+        futures: list[Future[VehicleTrack]] = [
+            pool.submit(_track_for_pool, s, configs[s.vehicle], keep_features) for s in sources
+        ]
         while not all(future.done() for future in futures):
             time.sleep(POLL_S)
             on_frame(_drain(queue))

@@ -26,6 +26,7 @@ class VehicleTrack:
         dropped: frames that were not processed, by reason.
         alarms: frames with a camera or rig fault, by subject.
         alarms_at: subjects of such faults by the frame's stamp [ns].
+        features: found in each frame, by its stamp [ns] and without descriptors; empty unless they are kept.
         broken: why the recording ended early; empty if complete.
         warnings: problems for the user.
     """
@@ -36,6 +37,7 @@ class VehicleTrack:
     dropped: dict[str, int] = field(default_factory=dict)
     alarms: Counter[str] = field(default_factory=Counter)
     alarms_at: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    features: dict[int, StereoFeatures] = field(default_factory=dict)
     broken: str = ""
     warnings: list[str] = field(default_factory=list)
 
@@ -44,9 +46,20 @@ class VehiclePipeline:
     """Front end, INS and back end of one vehicle."""
 
     def __init__(
-        self, initial: NavEstimate | None, *, rig: StereoRig, config: VehicleConfig, vehicle: str, session: int = 1
+        self,
+        initial: NavEstimate | None,
+        *,
+        rig: StereoRig,
+        config: VehicleConfig,
+        vehicle: str,
+        session: int = 1,
+        keep_features: bool = False,
     ) -> None:
-        """Start at a state; with `start.method: in_flight` it may be None and is estimated."""
+        """Start at a state; with `start.method: in_flight` it may be None and is estimated.
+
+        The track keeps its features, for pictures, if asked to: some 10 kB a frame.
+        """
+        self._keep_features = keep_features
         self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._preintegrator = ImuPreintegrator(config.imu, initial.state if initial else None)
         self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
@@ -80,7 +93,10 @@ class VehiclePipeline:
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
         """Add a frame, or its simulated features; frames before the start state are dropped."""
         self.track.frames_in += 1
-        self._slam.add_features(self._extract_features(frame) if isinstance(frame, StereoFrame) else frame)
+        features = self._extract_features(frame) if isinstance(frame, StereoFrame) else frame
+        self._slam.add_features(features)
+        if self._keep_features:
+            self.track.features[frame.stamp_ns] = features.without_descriptors
         if self._preintegrator.start_ns is None or frame.stamp_ns > self._preintegrator.start_ns:
             self._preintegrator.add_frame_stamp(frame.stamp_ns)
         return self._complete(self._preintegrator.increments())

@@ -75,6 +75,11 @@ class StereoFeatures:
         """Return a frame without points."""
         return StereoFeatures(stamp_ns, np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8))
 
+    @property
+    def without_descriptors(self) -> "StereoFeatures":
+        """The points and their tracks alone."""
+        return StereoFeatures(self.stamp_ns, self.pixels, self.descriptors[:, :0].copy(), self.tracks)
+
     def chosen(self, rows: NDArray[np.intp]) -> "StereoFeatures":
         """Return the points in `rows`."""
         return StereoFeatures(self.stamp_ns, self.pixels[rows], self.descriptors[rows], self.tracks[rows])

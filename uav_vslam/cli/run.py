@@ -13,8 +13,10 @@ from uav_vslam.cli.progress import progress_bar
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
     from uav_vslam.datasets.bag import BagFlight
+    from uav_vslam.evaluation.result import FlightResult
     from uav_vslam.evaluation.trajectory import Trajectory
     from uav_vslam.offline import FlightSource
+    from uav_vslam.pipeline import VehicleTrack
 
 FIRST_FRAMES = 20  # that show how far apart the stamps of a pair are
 NOTABLE_OFFSET_NS = 500_000  # at 20 m/s over farmland, a pair so far apart is moved by 10 mm against its baseline
@@ -24,6 +26,7 @@ EXAMPLES = """examples:
   uav-vslam run flight --config kagaru           every vehicle of a bag, one configuration for all
   uav-vslam run v101 --config euroc --set backend.sigma_px=0.8
   uav-vslam run uav1_bag uav2_bag --config kagaru --mode none
+  uav-vslam run flight --config kagaru --sheet 24 --video            pictures of the feature tracks
   uav-vslam run flight --config kagaru --mode narrowband --link bad_radio    over 9.6 kbit/s with 20 % loss
 """
 
@@ -42,6 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--workers", type=positive, default=2, help="processes, one a vehicle at most (default 2)")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
+    parser.add_argument(
+        "--sheet", type=positive, default=12, metavar="N", help="images with tracks on the contact sheet (default 12)"
+    )
+    parser.add_argument("--video", action="store_true", help="write all images with tracks as a video, too")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,7 +65,6 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
-    from uav_vslam.report.plots import write_plots
     from uav_vslam.report.table import print_summary
 
     bags, configs = _inputs(args)
@@ -74,10 +80,17 @@ def run(args: argparse.Namespace) -> int:
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
         sources: list[FlightSource] = list(flights.values())
-        tracks, fleet = fly(sources, configs, workers=args.workers, on_frame=advance, links=links)
+        tracks, fleet = fly(
+            sources,
+            configs,
+            workers=args.workers,
+            on_frame=advance,
+            links=links,
+            keep_features=args.video or not args.no_plots,
+        )
     name = args.name or args.inputs[0].stem
     result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started)
-    folder = write_results(result, args.results, plot=None if args.no_plots else write_plots)
+    folder = write_results(result, args.results, plot=partial(_draw, flights=flights, tracks=tracks, args=args))
     print_summary(build_summary(result, git=None))
     print(f"results: {folder}")
     for vehicle, track in tracks.items():
@@ -91,6 +104,28 @@ def run(args: argparse.Namespace) -> int:
     for reason in broken:
         print(f"uav-vslam: warning: {reason}", file=sys.stderr)
     return 2 if broken else 0
+
+
+def _draw(
+    result: FlightResult,
+    folder: Path,
+    *,
+    flights: dict[str, BagFlight],
+    tracks: dict[str, VehicleTrack],
+    args: argparse.Namespace,
+) -> list[Path]:
+    """Write plots, contact sheets and videos, as far as they are wanted."""
+    from uav_vslam.cli.track_pictures import write_film, write_sheet
+    from uav_vslam.report.plots import write_plots
+
+    written: list[Path | None] = []
+    if not args.no_plots:
+        written += write_plots(result, folder)
+        written += [write_sheet(flights[name], track, folder, count=args.sheet) for name, track in tracks.items()]
+    if args.video:
+        with progress_bar("drawing", sum(len(track.outputs) for track in tracks.values())) as advance:
+            written += [write_film(flights[name], track, folder, advance) for name, track in tracks.items()]
+    return [path for path in written if path is not None]
 
 
 def _report_offset(flight: BagFlight) -> None:

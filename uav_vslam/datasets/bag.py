@@ -3,7 +3,7 @@
 
 import heapq
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -152,6 +152,19 @@ class BagFlight:
     def _stamps_ns(self, topic: str, first: int | None) -> NDArray[np.int64]:
         images = itertools.islice(self._images(topic), first)
         return np.array([header_stamp_ns(raw.data) for raw in images], np.int64)
+
+    def left_images(self, stamps_ns: Collection[int]) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Yield stamp and pixels of the left images of some frames, as recorded; undecodable ones are left out.
+
+        Args:
+            stamps_ns: of the frames, as `iter_events` has them.
+        """
+        for raw in self._images(self.left_topic):
+            stamp_ns = header_stamp_ns(raw.data) + self.time_offset_ns
+            if stamp_ns in stamps_ns:
+                pixels = _pixels_or_empty(decode(raw))
+                if pixels.size:
+                    yield stamp_ns, pixels
 
     def _images(self, topic: str) -> Iterator[RawMessage]:
         return _readable(iter_raw(self.paths, [topic]))

@@ -5,10 +5,18 @@ from pathlib import Path
 
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.error_plot import error_plot
+from uav_vslam.report.landmark_view import landmark_view
+from uav_vslam.report.quality_plot import quality_plot
 from uav_vslam.report.style import save
 from uav_vslam.report.views import plan_view, view_3d
 
-DRAWINGS = {"plan_view.png": plan_view, "view_3d.png": view_3d, "errors.png": error_plot}
+DRAWINGS = {
+    "plan_view.png": plan_view,
+    "view_3d.png": view_3d,
+    "errors.png": error_plot,
+    "quality.png": quality_plot,
+    "landmarks.png": landmark_view,
+}
 
 
 def write_plots(result: FlightResult, folder: Path) -> list[Path]:

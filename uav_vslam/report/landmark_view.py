@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plan view of the landmarks with their ellipses, along the estimated path."""
+
+import numpy as np
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.landmarks import mapped_landmarks
+from uav_vslam.evaluation.result import FlightResult
+from uav_vslam.report.style import LINE_COLOURS, clean
+
+Array = NDArray[np.float64]
+
+SIGMAS = 3.0
+LEAST_SHARE = 0.008  # of the view: the median ellipse is drawn at least so long
+STRETCHES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+INNER_PERCENTILES = (1.0, 99.0)  # of the landmarks: the few that are badly triangulated don't set the view
+
+
+def landmark_view(result: FlightResult) -> Figure | None:
+    """Return the view from above, north up; None where the map was not recorded.
+
+    A landmark is shown as it was last estimated at an epoch, by S-SLAM. Ellipses too small to be seen are all drawn
+    larger by one factor, which the title states.
+    """
+    maps = {name: mapped_landmarks(vehicle.joints) for name, vehicle in result.vehicles.items()}
+    maps = {name: landmarks for name, landmarks in maps.items() if len(landmarks)}
+    if not maps:
+        return None
+    paths = {name: result.vehicles[name].s_slam.positions[:, :2] for name in maps}
+    low, high = _limits([*paths.values()], [landmarks.positions[:, :2] for landmarks in maps.values()])
+    ellipses = {name: horizontal_ellipses(landmarks.covariances) for name, landmarks in maps.items()}
+    stretch = _stretch(np.concatenate([axes[:, 0] for axes, _ in ellipses.values()]), float((high - low).max()))
+    aspect = float((high[1] - low[1]) / (high[0] - low[0]))
+    figure = Figure(figsize=(10.0, float(np.clip(10.0 * aspect, 4.0, 12.0)) + 1.0), layout="constrained")
+    axes = figure.add_subplot()
+    colours = {name: LINE_COLOURS[k % len(LINE_COLOURS)] for k, name in enumerate(maps)}
+    for name, landmarks in maps.items():
+        semi_axes, angles_deg = ellipses[name]
+        lengths = 2.0 * SIGMAS * stretch * semi_axes
+        axes.add_collection(
+            EllipseCollection(
+                lengths[:, 0],
+                lengths[:, 1],
+                angles_deg,
+                units="xy",
+                offsets=landmarks.positions[:, :2],
+                offset_transform=axes.transData,
+                facecolors="none",
+                edgecolors=colours[name],
+                linewidths=0.6,
+            )
+        )
+        axes.plot(*paths[name].T, color=colours[name], linewidth=1.8)
+        axes.plot(*paths[name][0], marker="o", color=colours[name], markerfacecolor="white", markersize=6)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="East [m]", ylabel="North [m]", aspect="equal")
+    drawn = "" if stretch == 1 else f" drawn {stretch} times as large"
+    axes.set_title(f"{result.name}: S-SLAM's landmarks, {SIGMAS:.0f}-sigma ellipses{drawn}")
+    clean(axes)
+    handles = [
+        Line2D([], [], color=colours[name], label=f"{name}: {len(landmarks)} landmarks")
+        for name, landmarks in maps.items()
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def horizontal_ellipses(covariances: Array) -> tuple[Array, Array]:
+    """Return the (N, 2) standard deviations along the axes of the horizontal ellipses, the longer first, and (N,) the
+    angle of the longer one from east [deg].
+    """
+    values, vectors = np.linalg.eigh(covariances[:, :2, :2])
+    longer = vectors[:, :, 1]
+    return np.sqrt(np.maximum(values[:, ::-1], 0.0)), np.degrees(np.arctan2(longer[:, 1], longer[:, 0]))
+
+
+def _limits(paths: list[Array], landmarks: list[Array]) -> tuple[Array, Array]:
+    inner = [np.percentile(points, INNER_PERCENTILES, axis=0) for points in landmarks]
+    every = np.concatenate([*paths, *inner])
+    low, high = every.min(axis=0), every.max(axis=0)
+    margin = 0.05 * float((high - low).max()) or 1.0
+    return low - margin, high + margin
+
+
+def _stretch(sigma_m: Array, size_m: float) -> int:
+    """Return by how much ellipses are enlarged so that the median one is visible."""
+    length = 2.0 * SIGMAS * float(np.median(sigma_m))
+    return next((factor for factor in STRETCHES if factor * length >= LEAST_SHARE * size_m), STRETCHES[-1])
