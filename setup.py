@@ -18,6 +18,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
         (f"share/{package_name}/config", sorted(glob("config/*.yaml") + glob("config/*.xml"))),
+        (f"share/{package_name}/config/import", sorted(glob("config/import/*.yaml"))),
         (f"share/{package_name}/config/links", sorted(glob("config/links/*.yaml"))),
         (f"share/{package_name}/config/dds", sorted(glob("config/dds/*.xml"))),
         (f"share/{package_name}/launch", sorted(glob("launch/*.launch.py"))),

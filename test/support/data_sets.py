@@ -11,15 +11,16 @@ import cv2
 import numpy as np
 import yaml
 
-from uav_vslam.datasets.flight_writer import FlightRecording, write_flights
+from uav_vslam.datasets.flight_writer import FlightRecording, SourceFrame, SourceImage, write_flights
 from uav_vslam.datasets.messages import TruthSample
+from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rpy_from_rotation, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
-from uav_vslam.types import NS_PER_S, NavEstimate, NavState, StereoFrame
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState, StereoFrame
 
 T_VELO_IMU = Pose(so3_exp([0.01, -0.02, 0.03]), np.array([-0.8, 0.3, -0.8]))
 SCENARIO = Scenario(frames=24, scale=0.25, vehicles=1, seed=5, noise_sigma=1.0)
@@ -52,8 +53,23 @@ def truth_of(flight: Flight, stamps_ns: Sequence[int]) -> list[TruthSample]:
     return [TruthSample(state.stamp_ns, state.T_map_body, state.v_map, np.zeros(3)) for state in states]
 
 
-def write_direct(flight: Flight, out: Path, *, covariance: np.ndarray, origin: np.ndarray | None = None) -> Path:
-    """Record the flight without a detour, from its true state; `origin` [m] is subtracted from positions."""
+def write_direct(
+    flight: Flight,
+    out: Path,
+    *,
+    covariance: np.ndarray,
+    origin: np.ndarray | None = None,
+    frames: Sequence[StereoFrame | SourceFrame] = (),
+) -> Path:
+    """Record the flight without a detour, from its true state.
+
+    Args:
+        flight: the flight.
+        out: bag to make.
+        covariance: (15, 15) of the start state.
+        origin: (3,) subtracted from positions [m].
+        frames: other images than the flight's; empty for those.
+    """
     shift = Pose(np.eye(3), np.zeros(3) if origin is None else -origin)
     start = dataclasses.replace(flight.start, T_map_body=shift @ flight.start.T_map_body)
     truth = truth_of(flight, flight.vehicle.frame_stamps_ns.tolist())
@@ -62,7 +78,7 @@ def write_direct(flight: Flight, out: Path, *, covariance: np.ndarray, origin: n
         flight.vehicle.rig,
         flight.vehicle.imu.samples(),
         [dataclasses.replace(sample, T_world_body=shift @ sample.T_world_body) for sample in truth],
-        flight.frames,
+        frames or flight.frames,
         NavEstimate(start, covariance),
     )
     write_flights(out, [recording])
@@ -181,3 +197,108 @@ def _row(stamp_ns: int, *values: float) -> str:
 
 def _words(values: object) -> str:
     return " ".join(repr(float(value)) for value in np.ravel(values))
+
+
+KAGARU_DATUM = (-27.8, 152.9, 60.0)
+R_OF_FRD_AND_NED = np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+TINT = {"r": 1.0, "g": 0.85, "b": 0.6}  # of the grey ground, so that a wrong Bayer pattern shows
+
+
+def mosaic(grey: np.ndarray, pattern: str) -> np.ndarray:
+    """Return the Bayer mosaic of a tinted grey image."""
+    tile = np.array([TINT[letter] for letter in pattern]).reshape(2, 2)
+    gains = np.tile(tile, (grey.shape[0] // 2, grey.shape[1] // 2))
+    return np.asarray(np.rint(grey * gains), np.uint8)
+
+
+def mosaics(flight: Flight) -> list[SourceFrame]:
+    """Return the frames as raw Bayer images, the right ones 1.3 ms later."""
+    return [
+        SourceFrame(
+            SourceImage(frame.stamp_ns, mosaic(frame.left, "rggb"), encoding="bayer_rggb8"),
+            SourceImage(frame.stamp_ns + 1_300_000, mosaic(frame.right, "rggb"), encoding="bayer_rggb8"),
+        )
+        for frame in flight.frames
+    ]
+
+
+def write_kagaru(flight: Flight, folder: Path, *, pattern: str = "rggb", clock_s: float = 0.0) -> Path:
+    """Write Bayer pictures, frame times and a log in NED, FRD, degrees and g, whose clock is `clock_s` ahead."""
+    for name, side, late_ns in (("front", "left", 0), ("back", "right", 1_300_000)):
+        (folder / name).mkdir(parents=True)
+        lines = []
+        for k, frame in enumerate(flight.frames):
+            cv2.imwrite(str(folder / name / f"img{k}.pgm"), mosaic(getattr(frame, side), pattern))
+            lines.append(f"{frame.stamp_ns + late_ns:d}"[:-9] + "." + f"{frame.stamp_ns + late_ns:d}"[-9:])
+        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    names = "Time,Gyr_X,Gyr_Y,Gyr_Z,Acc_X,Acc_Y,Acc_Z,Roll,Pitch,Yaw,Latitude,Longitude,Altitude,Vel_X,Vel_Y,Vel_Z"
+    lines = ["XSens log", names]
+    for sample in flight.vehicle.imu.samples():
+        stamp = sample.stamp_ns + round(clock_s * NS_PER_S)
+        lines.append(f"{stamp // NS_PER_S}.{stamp % NS_PER_S:09d}," + ",".join(_log_row(flight, sample)))
+    (folder / "xsens.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def _log_row(flight: Flight, sample: ImuSample) -> list[str]:
+    R_flu_frd, R_enu_ned = R_OF_FRD_AND_NED
+    state = flight.vehicle.true_state(sample.stamp_ns)
+    R_ned_frd = R_enu_ned.T @ state.T_map_body.R @ R_flu_frd
+    longitude, latitude, altitude = to_geodetic(state.T_map_body.t[None], Datum(*KAGARU_DATUM))[0]
+    values = [*np.rad2deg(R_flu_frd.T @ sample.gyro), *(R_flu_frd.T @ sample.accel / 9.80665)]
+    values += np.rad2deg(rpy_from_rotation(R_ned_frd)).tolist()
+    return [f"{v:.9f}" for v in [*values, latitude, longitude, altitude, *(R_enu_ned.T @ state.v_map)]]
+
+
+def kagaru_layout(flight: Flight, path: Path, **changes: object) -> Path:
+    """Write the layout of such a folder; `changes` of its log are by name."""
+    rig, R_flu_frd = flight.vehicle.rig, R_OF_FRD_AND_NED[0]
+    T_frd_left = Pose(R_flu_frd.T, np.zeros(3)) @ rig.T_body_left
+    cameras = {"left": rig.left, "right": rig.right}
+    lenses = {side: {"intrinsics": [c.fx, c.fy, c.cx, c.cy]} for side, c in cameras.items()}
+    columns = {
+        "gyro": ["Gyr_X", "Gyr_Y", "Gyr_Z"],
+        "accel": [5, 6, 7],
+        "attitude": ["Roll", "Pitch", "Yaw"],
+        "position": ["Latitude", "Longitude", "Altitude"],
+        "velocity": ["Vel_X", "Vel_Y", "Vel_Z"],
+    }
+    units = {"gyro_unit": "deg/s", "accel_unit": "g", "body_axes": "FRD", "world_axes": "NED", "delimiter": "comma"}
+    log = {"file": "xsens.csv", "header_line": 2, "time_columns": ["Time"], **columns, **units, **changes}
+    sides = {"left": {"images": "front/*.pgm", "times": "front.txt"}}
+    sides["right"] = {"images": "back/*.pgm", "times": "back.txt"}
+    tree = {
+        "cameras": {**sides, "bayer": "rggb"},
+        "log": log,
+        "calibration": {
+            "size": [rig.left.width, rig.left.height],
+            **lenses,
+            "T_imu_left": T_frd_left.matrix.ravel().tolist(),
+            "T_left_right": (rig.T_body_left.inverse() @ rig.T_body_right).matrix.ravel().tolist(),
+        },
+        "datum": list(KAGARU_DATUM),
+        "base": "kagaru",
+        "run": {"imu": {"gyro_noise": 1.3e-4}},
+    }
+    path.write_text(yaml.safe_dump(tree))
+    return path
+
+
+def kalibr_in_frd(flight: Flight, folder: Path) -> Path:
+    """Write Kalibr's file of the flight's rig, calibrated with a sensor in FRD."""
+    rig = flight.vehicle.rig
+    T_frd_body = Pose(R_OF_FRD_AND_NED[0].T, np.zeros(3))
+    tree = {
+        f"cam{k}": {
+            "camera_model": "pinhole",
+            "distortion_model": "none",
+            "distortion_coeffs": [],
+            "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+            "resolution": [camera.width, camera.height],
+            "T_cam_imu": (T_frd_body @ T_body_cam).inverse().matrix.tolist(),
+        }
+        for k, (camera, T_body_cam) in enumerate(((rig.left, rig.T_body_left), (rig.right, rig.T_body_right)))
+    }
+    path = folder / "camchain-imucam.yaml"
+    path.write_text(yaml.safe_dump(tree))
+    return path

@@ -56,6 +56,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--image-times", type=Path, metavar="FILE", help="timestamps.txt of camera 0 (default: DIR/../image_00/)"
     )
     kitti.set_defaults(read=_read_kitti)
+    kagaru = formats.add_parser("kagaru", parents=[common], help="pictures, frame times and a log in any layout")
+    kagaru.description = "Import a folder of pictures, frame times and a log; a layout file tells what is where."
+    kagaru.add_argument(
+        "--layout",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help="a copy of config/import/kagaru.yaml, filled in",
+    )
+    kagaru.set_defaults(read=_read_kagaru)
 
 
 def _common_arguments() -> argparse.ArgumentParser:
@@ -99,6 +109,8 @@ def _report(out: Path, source: Source, problems: Problems) -> None:
     """Print what the user should know, and list what was left out in a file."""
     for note in source.notes:
         print(f"note: {note}")
+    for text in source.warnings:
+        _warn(text)
     if problems.lines:
         listed = out.with_name(f"{out.name}.warnings.txt")
         listed.write_text("\n".join(problems.lines) + "\n", encoding="utf-8")
@@ -138,3 +150,9 @@ def _read_kitti(args: argparse.Namespace, problems: Problems) -> Source:
     return read_kitti(
         args.source, vehicle=args.vehicle, sigma=_sigma(args), colour=args.colour, oxts=oxts, problems=problems
     )
+
+
+def _read_kagaru(args: argparse.Namespace, problems: Problems) -> Source:
+    from uav_vslam.datasets.importing.kagaru import read_kagaru
+
+    return read_kagaru(args.source, args.layout, vehicle=args.vehicle, sigma=_sigma(args), problems=problems)

@@ -94,7 +94,7 @@ def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Fle
     Raises:
         ConfigError: the file can't be read, a key or value is wrong, or a vehicle's name is used twice.
     """
-    tree = _read_yaml(path)
+    tree = read_yaml(path)
     _reject_unknown(tree, {"vehicles", "replay", "mode"}, where=str(path), prefix="")
     if not isinstance(tree.get("vehicles"), dict) or not tree["vehicles"]:
         raise ConfigError(
@@ -165,7 +165,7 @@ def _reject_unknown(keys: Iterable[Any], known: set[str], *, where: str, prefix:
 
 def _read_parameters(path: Path) -> dict[str, Any]:
     """Return the values of a ROS parameter file for all nodes by dotted name."""
-    tree = _read_yaml(path)
+    tree = read_yaml(path)
     if not tree:
         return {}
     inner = tree.get(ALL_NODES)
@@ -202,7 +202,12 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _read_yaml(path: Path) -> dict[Any, Any]:
+def read_yaml(path: Path) -> dict[Any, Any]:
+    """Return the keys and values of a YAML file, none of them twice.
+
+    Raises:
+        ConfigError: it can't be read, or is not valid.
+    """
     try:
         with path.open(encoding="utf-8") as stream:
             tree = yaml.load(stream, Loader=_UniqueKeyLoader)

@@ -5,6 +5,7 @@ problems    what is left out, with file and line
 tables      text files of numbers
 pictures    image files, their stamps and pairs
 motion      ground truth, and the start state taken from it
+rigs, axes, columns    calibration, directions and columns as layouts give them
 source      what every format yields, and how it is written
 euroc, kitti, tumvi, kagaru    the formats
 """

@@ -31,6 +31,7 @@ class Source:
         base: name of one of our configurations that suits it; empty for the defaults.
         settings: what differs from that, by dotted name.
         notes: what the user should know.
+        warnings: what in it contradicts itself.
         runnable: whether the graph can run it; None for no configuration otherwise.
     """
 
@@ -39,6 +40,7 @@ class Source:
     base: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     runnable: bool = True
 
 

@@ -8,17 +8,16 @@ begin and end only.
 
 from pathlib import Path
 
-from uav_vslam.datasets.calibration_files import Calibration, read_calibration
+from uav_vslam.datasets.calibration_files import read_calibration
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.euroc import asl_pairs, covered_pairs
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
 from uav_vslam.datasets.importing.pictures import frames, shifted
 from uav_vslam.datasets.importing.problems import Problems
+from uav_vslam.datasets.importing.rigs import rig_of_files
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
 from uav_vslam.datasets.importing.tables import read_table
 from uav_vslam.errors import BagError, CalibrationError
-from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.types import NS_PER_S
 
 TRUTH_FILE = "mav0/mocap0/data.csv"
 CALIBRATION_FOLDERS = (".", "dso", "mav0")
@@ -54,9 +53,8 @@ def read_tumvi(
     """
     problems = problems or Problems()
     files = calibration or _calibration_files(folder)
-    found = read_calibration(files)
+    rig, offset_ns = rig_of_files(files)
     imu = read_table(folder / "mav0" / "imu0" / "data.csv", 6, problems)
-    offset_ns = round(found.time_offset_s * NS_PER_S)
     pairs = shifted(asl_pairs(folder / "mav0", problems), offset_ns)
     notes = [f"calibration: {', '.join(map(str, files))}"]
     truth = _truth(folder / TRUTH_FILE, problems)
@@ -71,13 +69,13 @@ def read_tumvi(
         notes.append(f"images are stamped {offset_ns / 1e6:+.3f} ms, the clock offset that the calibration tells")
     flight = FlightRecording(
         vehicle=vehicle,
-        rig=_rig(found, files),
+        rig=rig,
         imu=imu_samples(imu),
         truth=truth.samples(imu) if truth else (),
         frames=frames(pairs, problems),
         initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()) if truth else None,
     )
-    settings = {**SETTINGS, **found.noise, **({} if truth else IN_FLIGHT)}
+    settings = {**SETTINGS, **read_calibration(files).noise, **({} if truth else IN_FLIGHT)}
     return Source(flight, len(pairs), settings=settings, notes=tuple(notes))
 
 
@@ -95,15 +93,6 @@ def _calibration_files(folder: Path) -> tuple[Path, ...]:
     if cameras is None:
         raise CalibrationError(f"{folder}: no {' or '.join(CAMERA_FILES)} there, in dso or in mav0; use --calibration")
     return (cameras, imu) if imu else (cameras,)
-
-
-def _rig(calibration: Calibration, files: tuple[Path, ...]) -> StereoRig:
-    T_body_left, T_body_right = calibration.T_body_cam(0), calibration.T_body_cam(1)
-    if T_body_left is None or T_body_right is None:
-        names = ", ".join(map(str, files))
-        raise CalibrationError(f"{names}: two cameras with T_cam_imu are needed; use a camchain-imucam file of Kalibr")
-    left, right = (one.camera for one in calibration.cameras)
-    return StereoRig(left, right, T_body_left, T_body_right)
 
 
 def _truth(path: Path, problems: Problems) -> Motion | None:

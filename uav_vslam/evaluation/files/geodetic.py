@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Local east-north-up coordinates to WGS 84, by PROJ (EPSG method 9837, geographic/topocentric)."""
+"""Local east-north-up coordinates to WGS 84 and back, by PROJ (EPSG method 9837, geographic/topocentric)."""
 
 from dataclasses import dataclass
 
@@ -39,11 +39,23 @@ class Datum:
 
 def to_geodetic(positions: Array, datum: Datum) -> Array:
     """Return (N, 3) longitude, latitude [deg] and altitude [m] of (N, 3) map positions [m]."""
-    R_enu_map = rotation_from_rpy(0.0, 0.0, np.deg2rad(datum.yaw_deg))
-    east, north, up = R_enu_map @ positions.T
+    return np.stack(_to_wgs84(datum).transform(*(_R_enu_map(datum) @ positions.T)), axis=1)
+
+
+def from_geodetic(points: Array, datum: Datum) -> Array:
+    """Return (N, 3) map positions [m] of (N, 3) longitude, latitude [deg] and altitude [m]."""
+    longitude, latitude, altitude = points.T
+    east_north_up = _to_wgs84(datum).transform(longitude, latitude, altitude, direction="INVERSE")
+    return np.asarray(np.stack(east_north_up, axis=1) @ _R_enu_map(datum))
+
+
+def _R_enu_map(datum: Datum) -> Array:
+    return rotation_from_rpy(0.0, 0.0, np.deg2rad(datum.yaw_deg))
+
+
+def _to_wgs84(datum: Datum) -> pyproj.Transformer:
     origin = f"+lat_0={datum.latitude_deg:.12f} +lon_0={datum.longitude_deg:.12f} +h_0={datum.altitude_m:.6f}"
-    to_wgs84 = pyproj.Transformer.from_pipeline(
+    return pyproj.Transformer.from_pipeline(
         f"+proj=pipeline +step +inv +proj=topocentric +ellps=WGS84 {origin} "
         "+step +inv +proj=cart +ellps=WGS84 +step +proj=unitconvert +xy_in=rad +xy_out=deg"
     )
-    return np.stack(to_wgs84.transform(east, north, up), axis=1)

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A made-up folder of Bayer pictures, frame times and a log in NED, degrees and g gives the flight it was made from."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from data_sets import (
+    KAGARU_DATUM,
+    SCENARIO,
+    TINT,
+    Flight,
+    fly,
+    kagaru_layout,
+    kalibr_in_frd,
+    mosaic,
+    mosaics,
+    write_direct,
+    write_kagaru,
+)
+
+from uav_vslam.cli.main import main
+from uav_vslam.config import load_vehicle
+from uav_vslam.datasets.bag import BagFlight, open_flight
+from uav_vslam.datasets.importing.axes import rotation_to_enu, rotation_to_flu
+from uav_vslam.datasets.importing.columns import Clock
+from uav_vslam.datasets.importing.kagaru import read_kagaru
+from uav_vslam.datasets.importing.kagaru_settings import read_settings
+from uav_vslam.errors import BagError, CalibrationError, ConfigError
+from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic, to_geodetic
+from uav_vslam.types import ImuSample, StereoFrame
+
+Capsys = pytest.CaptureFixture[str]
+
+NINE_DIGITS = 1e-8  # of a log with nine decimals, in radians, m/s^2 and m/s
+POSITION_M = 2e-4  # nine decimals of a degree are 0.1 mm
+ROTATION = 1e-9
+OURS = Path(__file__).parents[3] / "config" / "import" / "kagaru.yaml"
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return fly(scenario=dataclasses.replace(SCENARIO, frames=40, scale=0.375))
+
+
+@pytest.fixture(scope="module")
+def folder(flight: Flight, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_kagaru(flight, tmp_path_factory.mktemp("kagaru"))
+
+
+def imported(folder: Path, layout: Path, out: Path, *options: str) -> BagFlight:
+    assert main(["import", "kagaru", str(folder), str(out), "--layout", str(layout), *options]) == 0
+    return open_flight(out, "uav1")
+
+
+def test_the_flight_comes_back(flight: Flight, folder: Path, tmp_path: Path, capsys: Capsys) -> None:
+    found = imported(folder, kagaru_layout(flight, tmp_path / "layout.yaml"), tmp_path / "out")
+    said = capsys.readouterr()
+    assert "warning" not in said.err
+    assert "datum: -27.800000000 152.900000000 60.000" in said.out
+    np.testing.assert_allclose(found.rig.T_body_left.matrix, flight.vehicle.rig.T_body_left.matrix, atol=ROTATION)
+    np.testing.assert_allclose(found.rig.T_body_right.matrix, flight.vehicle.rig.T_body_right.matrix, atol=ROTATION)
+    events = list(found.iter_events())
+    readings = [event for event in events if isinstance(event, ImuSample)]
+    np.testing.assert_array_equal([r.stamp_ns for r in readings], flight.vehicle.imu.stamps_ns)
+    np.testing.assert_allclose([r.gyro for r in readings], flight.vehicle.imu.gyro, atol=NINE_DIGITS)
+    np.testing.assert_allclose([r.accel for r in readings], flight.vehicle.imu.accel, atol=NINE_DIGITS)
+    frames = [event for event in events if isinstance(event, StereoFrame)]
+    assert [frame.stamp_ns for frame in frames] == [frame.stamp_ns for frame in flight.frames]
+    truth, start = found.truth(), found.initial_state
+    assert truth is not None
+    assert start is not None
+    for stamp, R, p, v in zip(
+        truth.stamps_ns, truth.R_world_body, truth.positions_world, truth.velocities_world, strict=True
+    ):
+        state = flight.vehicle.true_state(int(stamp))
+        np.testing.assert_allclose(R, state.T_map_body.R, atol=NINE_DIGITS)
+        np.testing.assert_allclose(p, state.T_map_body.t, atol=POSITION_M)
+        np.testing.assert_allclose(v, state.v_map, atol=NINE_DIGITS)
+    np.testing.assert_allclose(start.state.v_map, flight.start.v_map, atol=1e-3)  # between rows, in a turn
+    assert load_vehicle(tmp_path / "out.yaml").imu.gyro_noise == 1.3e-4
+    assert load_vehicle(tmp_path / "out.yaml").backend == load_vehicle(OURS.parents[1] / "kagaru.yaml").backend
+
+
+def test_the_pictures_are_read_in_the_colours_of_their_bayer_pattern(
+    flight: Flight, folder: Path, tmp_path: Path
+) -> None:
+    found = imported(folder, kagaru_layout(flight, tmp_path / "layout.yaml"), tmp_path / "out")
+    frame = next(event for event in found.iter_events() if isinstance(event, StereoFrame))
+    expected = cv2.cvtColor(mosaic(flight.frames[0].left, "rggb"), cv2.COLOR_BayerRGGB2BGR)
+    np.testing.assert_array_equal(frame.left, expected)
+    means = frame.left.reshape(-1, 3).mean(axis=0)
+    np.testing.assert_allclose(means[:2] / means[2], [TINT["b"], TINT["g"]], rtol=0.01)
+
+
+@pytest.mark.slow
+def test_the_imported_flight_runs_as_the_direct_bag(flight: Flight, folder: Path, tmp_path: Path) -> None:
+    found = imported(folder, kagaru_layout(flight, tmp_path / "layout.yaml"), tmp_path / "out")
+    assert found.initial_state is not None
+    covariance = found.initial_state.covariance
+    direct = write_direct(flight, tmp_path / "direct", covariance=covariance, frames=mosaics(flight))
+    errors = []
+    for bag in (tmp_path / "out", direct):
+        results = tmp_path / f"{bag.name}_results"
+        config = str(tmp_path / "out.yaml")
+        assert main(["run", str(bag), "--config", config, "--no-plots", "--results", str(results)]) == 0
+        summary = json.loads((results / "latest" / "summary.json").read_text())["vehicles"]["uav1"]
+        assert summary["frames_processed"] == len(flight.frames)
+        errors.append(summary["s_slam"]["ate_m"])
+    assert errors[0] == pytest.approx(errors[1], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"accel_unit": "m/s^2"}, "accel_unit"),
+        ({"gyro_unit": "rad/s"}, "gyro_unit"),
+        ({"body_axes": "FLU"}, "body_axes"),
+        ({"world_axes": "ENU"}, "world_axes"),
+        ({"angle_unit": "rad"}, "angle_unit"),
+        ({"gyro": ["Gyr_Y", "Gyr_X", "Gyr_Z"]}, "columns of gyro"),
+        ({"accel": [7, 6, 5]}, "columns of accel"),
+    ],
+)
+def test_a_wrong_unit_axis_or_column_contradicts_the_attitude_and_is_told(
+    change: dict[str, object], said: str, flight: Flight, folder: Path, tmp_path: Path
+) -> None:
+    source = read_kagaru(folder, kagaru_layout(flight, tmp_path / "layout.yaml", **change))
+    assert any(said in warning for warning in source.warnings), source.warnings
+
+
+def test_clocks_apart_are_joined_by_the_offset(flight: Flight, tmp_path: Path) -> None:
+    folder = write_kagaru(flight, tmp_path / "data", clock_s=3600.5)
+    with pytest.raises(BagError, match=r"none of 40 image pairs is covered by the log.*offsets"):
+        read_kagaru(folder, kagaru_layout(flight, tmp_path / "layout.yaml"))
+    source = read_kagaru(folder, kagaru_layout(flight, tmp_path / "layout.yaml", time_offset_s=-3600.5))
+    assert [sample.stamp_ns for sample in source.flight.imu] == flight.vehicle.imu.stamps_ns.tolist()
+    assert source.frame_count == 40
+
+
+def test_a_kalibr_file_is_turned_with_the_sensors_axes(flight: Flight, folder: Path, tmp_path: Path) -> None:
+    tree = yaml.safe_load(kagaru_layout(flight, tmp_path / "layout.yaml").read_text())
+    tree["calibration"] = {"files": [kalibr_in_frd(flight, tmp_path).name]}
+    (tmp_path / "layout.yaml").write_text(yaml.safe_dump(tree))
+    rig = read_kagaru(folder, tmp_path / "layout.yaml").flight.rig
+    np.testing.assert_allclose(rig.T_body_right.matrix, flight.vehicle.rig.T_body_right.matrix, atol=ROTATION)
+
+
+def test_without_pose_in_the_log_the_run_starts_in_flight(
+    flight: Flight, folder: Path, tmp_path: Path, capsys: Capsys
+) -> None:
+    imported(folder, kagaru_layout(flight, tmp_path / "layout.yaml", attitude=[]), tmp_path / "out")
+    assert load_vehicle(tmp_path / "out.yaml").start.method == "in_flight"
+    assert "nothing can be evaluated" in capsys.readouterr().out
+
+
+def test_frame_times_that_do_not_match_the_pictures_are_refused_unless_they_name_them(
+    flight: Flight, folder: Path, tmp_path: Path
+) -> None:
+    tree = yaml.safe_load(kagaru_layout(flight, tmp_path / "layout.yaml").read_text())
+    lines = (folder / "front.txt").read_text().splitlines()
+    short = folder / "short.txt"
+    short.write_text("\n".join(lines[:-1]))
+    tree["cameras"]["left"]["times"] = "short.txt"
+    (tmp_path / "layout.yaml").write_text(yaml.safe_dump(tree))
+    with pytest.raises(BagError, match="39 lines for 40 pictures"):
+        read_kagaru(folder, tmp_path / "layout.yaml")
+    for name, back in (("short", "front"), ("long", "back")):
+        lines = (folder / f"{back}.txt").read_text().splitlines()
+        named = [f"{line} img{k}.pgm" for k, line in enumerate(lines)]
+        (folder / f"{name}.txt").write_text("\n".join(named[:-1]))
+    tree["cameras"] |= {"name_column": 2, "right": {"images": "back/*.pgm", "times": "long.txt"}}
+    (tmp_path / "layout.yaml").write_text(yaml.safe_dump(tree))
+    assert read_kagaru(folder, tmp_path / "layout.yaml").frame_count == 39
+
+
+def test_stamps_may_be_in_the_names_of_the_pictures(flight: Flight, tmp_path: Path) -> None:
+    folder = write_kagaru(flight, tmp_path / "data")
+    for name in ("front", "back"):
+        lines = (folder / f"{name}.txt").read_text().splitlines()
+        for k, line in enumerate(lines):
+            (folder / name / f"img{k}.pgm").rename(folder / name / f"cam1_{line.replace('.', '')}.pgm")
+    tree = yaml.safe_load(kagaru_layout(flight, tmp_path / "layout.yaml").read_text())
+    tree["cameras"] |= {"time_units": ["ns"]} | {
+        side: {"images": f"{name}/*.pgm"} for side, name in (("left", "front"), ("right", "back"))
+    }
+    (tmp_path / "layout.yaml").write_text(yaml.safe_dump(tree))
+    frames = list(read_kagaru(folder, tmp_path / "layout.yaml").flight.frames)
+    assert [frame.stamp_ns for frame in frames] == [frame.stamp_ns for frame in flight.frames]
+
+
+@pytest.mark.parametrize(
+    ("edit", "error", "said"),
+    [
+        ({"cameras": {"bayr": "rggb"}}, ConfigError, "did you mean cameras.bayer"),
+        ({"log": {"gyro": ["Gyr_X", "Gyr_Y"]}}, ConfigError, "3 columns"),
+        ({"log": {"gyro": ["a", "b", "c"]}}, ConfigError, r"xsens.csv: no column 'a'; it has Time, Gyr_X"),
+        ({"log": {"world_axes": "NEU"}}, ConfigError, "three right-handed directions"),
+        ({"log": {"file": "none.csv"}}, BagError, "none.csv: can't be read"),
+        ({"cameras": {"left": {"images": "nowhere/*.png"}}}, BagError, "no picture nowhere"),
+        ({"cameras": {"pair_tolerance_s": 0.0}}, BagError, "none of 40 left and 40 right pictures pair up"),
+        ({"calibration": {"size": [640, 480]}}, CalibrationError, "calibrate at the recorded size"),
+        ({"calibration": {"T_imu_left": [1.0] * 16}}, CalibrationError, "no rotation"),
+        ({"run": {"imu": {"giro_noise": 1.0}}}, ConfigError, r"unknown key imu\.giro_noise"),
+    ],
+)
+def test_what_is_wrong_in_a_layout_is_named(
+    edit: dict[str, dict[str, object]],
+    error: type[Exception],
+    said: str,
+    flight: Flight,
+    folder: Path,
+    tmp_path: Path,
+) -> None:
+    tree = yaml.safe_load(kagaru_layout(flight, tmp_path / "layout.yaml").read_text())
+    for section, changes in edit.items():
+        tree[section] |= changes
+    (tmp_path / "layout.yaml").write_text(yaml.safe_dump(tree))
+    with pytest.raises(error, match=said):
+        list(read_kagaru(folder, tmp_path / "layout.yaml").flight.frames)
+
+
+def test_broken_lines_of_the_log_are_left_out_and_named(flight: Flight, tmp_path: Path, capsys: Capsys) -> None:
+    folder = write_kagaru(flight, tmp_path / "data")
+    lines = (folder / "xsens.csv").read_text().splitlines()
+    lines[10], lines[20] = "garbage", lines[20].rpartition(",")[0]  # the velocity is cut: the readings are whole
+    (folder / "xsens.csv").write_text("\n".join(lines))
+    found = imported(folder, kagaru_layout(flight, tmp_path / "layout.yaml"), tmp_path / "out")
+    assert "3 lines that can't be read" in capsys.readouterr().out
+    listed = (tmp_path / "out.warnings.txt").read_text()
+    assert listed.count(f"{folder}/xsens.csv:11: ") == 2  # as a reading and as a pose
+    assert listed.count(f"{folder}/xsens.csv:21: ") == 1
+    readings = [event for event in found.iter_events() if isinstance(event, ImuSample)]
+    assert len(readings) == len(flight.vehicle.imu.stamps_ns) - 1
+
+
+def test_the_layout_that_we_ship_is_valid() -> None:
+    layout, run = read_settings(OURS)
+    assert layout.cameras.bayer == "rggb"
+    assert layout.log.world_axes == "NED"
+    assert "imu.gyro_noise" in run
+
+
+def test_axes_are_right_handed_and_what_their_letters_say() -> None:
+    np.testing.assert_array_equal(rotation_to_enu("NED") @ [1.0, 2.0, 3.0], [2.0, 1.0, -3.0])
+    np.testing.assert_array_equal(rotation_to_enu("NWU") @ [1.0, 2.0, 3.0], [-2.0, 1.0, 3.0])
+    np.testing.assert_array_equal(rotation_to_flu("FRD") @ [1.0, 2.0, 3.0], [1.0, -2.0, -3.0])
+    for letters in ("NEU", "NNE", "XYZ", "", "NE"):
+        with pytest.raises(ConfigError, match="right-handed"):
+            rotation_to_enu(letters)
+
+
+def test_stamps_of_seconds_since_1970_keep_their_nanoseconds() -> None:
+    assert Clock(("1",), ("s",), 0).stamp_ns(["1283212800.123456789"]) == 1_283_212_800_123_456_789
+    assert Clock(("1", "2"), ("s", "ns"), -7).stamp_ns(["1283212800", "123456789"]) == 1_283_212_800_123_456_782
+    with pytest.raises(ValueError, match="no time"):
+        Clock(("1",), ("s",), 0).stamp_ns(["soon"])
+
+
+def test_geodetic_positions_come_back_and_north_is_along_y() -> None:
+    datum = Datum(*KAGARU_DATUM)
+    points = np.array([[0.0, 0.0, 0.0], [500.0, -300.0, 70.0]])
+    np.testing.assert_allclose(from_geodetic(to_geodetic(points, datum), datum), points, atol=1e-6)
+    north = from_geodetic(np.array([[KAGARU_DATUM[1], KAGARU_DATUM[0] + 1e-3, KAGARU_DATUM[2]]]), datum)[0]
+    np.testing.assert_allclose(north, [0.0, 110.8, 0.0], atol=0.1)  # a thousandth of a degree of the meridian
