@@ -36,7 +36,8 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": EARLY | {"datasets"},  # a simulated flight is recorded as a bag
     "evaluation": EARLY | {"estimation"},
     "datasets": EARLY | {"evaluation", "ins"},  # recorded truth becomes a trajectory, readings move to the body
-    "report": {"types", "evaluation"},
+    "calibration": EARLY | {"vision", "datasets"},  # image pairs of files and recordings
+    "report": {"types", "evaluation", "calibration"},
     "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found
     # what puts them together without ROS
     "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation", "processes"},
@@ -44,7 +45,8 @@ ALLOWED: dict[str, set[str]] = {
     | {"pipeline", "fleet", "evaluation", "datasets", "simulation", "offline", "processes", "report"},
     # the top
     "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes"},
-    "cli": ESTIMATOR | {"pipeline", "fleet", "datasets", "evaluation", "simulation", "report", "overlay", "offline"},
+    "cli": ESTIMATOR
+    | {"pipeline", "fleet", "datasets", "calibration", "evaluation", "simulation", "report", "overlay", "offline"},
 }
 # What starts or watches ROS processes may import `ros`.
 ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "studies/engine/node_graph.py"}
@@ -53,7 +55,7 @@ LABORATORY_DOORS = {"cli/study.py", "cli/bench.py"}
 
 MESSAGES = "messages of ROS"
 AT_HOME = {
-    "cv2": {"vision", "datasets", "simulation", "overlay"},
+    "cv2": {"vision", "datasets", "simulation", "calibration", "overlay"},
     "rclpy": {"ros"},
     "rosbags": {"datasets"},
     "mcap": {"datasets"},
@@ -68,6 +70,7 @@ AT_HOME_FILES = {
     "cv2": {
         "geometry/camera.py",
         "offline.py",
+        "cli/calibrate.py",
         "cli/simulate.py",
         "cli/bench.py",
         "studies/bench/compute.py",
@@ -210,7 +213,8 @@ CORE = (
     "slam",
     "cooperation",
 )
-CORE += ("pipeline", "fleet", "simulation", "datasets", "evaluation", "report", "overlay", "offline", "studies", "cli")
+CORE += ("pipeline", "fleet", "simulation", "datasets", "calibration", "evaluation", "report", "overlay", "offline")
+CORE += ("studies", "cli")
 
 BLOCKED_IMPORT = """
 import importlib, sys

@@ -16,7 +16,19 @@ from types import ModuleType
 from uav_vslam import __version__
 from uav_vslam.errors import UavVslamError
 
-VERBS = ("simulate", "import", "run", "launch", "evaluate", "export", "demo", "study", "bench", "topic")
+VERBS = (
+    "simulate",
+    "import",
+    "calibrate",
+    "run",
+    "launch",
+    "evaluate",
+    "export",
+    "demo",
+    "study",
+    "bench",
+    "topic",
+)
 EXAMPLES = """examples:
   uav-vslam demo                                     replay two vehicles' sample recordings and report
   uav-vslam launch config/fleet_demo.yaml            the same node graph, nothing evaluated

@@ -44,8 +44,8 @@ def write_results(
     Returns:
         The new folder.
     """
-    with _new_folder(root, result.name) as folder:
-        _write_json(folder / "summary.json", build_summary(result, git=git_revision(), alignment=alignment))
+    with new_folder(root, result.name) as folder:
+        write_json(folder / "summary.json", build_summary(result, git=git_revision(), alignment=alignment))
         config = yaml.safe_dump(result.config, sort_keys=False)
         (folder / "config.yaml").write_text(config, encoding="utf-8")
         _write_vehicles(result, folder)
@@ -79,8 +79,8 @@ def write_study(
         The new folder.
     """
     tree = study_tree(name, rows, seeds, git=git_revision(), notes=notes, series=series)
-    with _new_folder(root, name) as folder:
-        _write_json(folder / "study.json", tree)
+    with new_folder(root, name) as folder:
+        write_json(folder / "study.json", tree)
         (folder / "study.md").write_text(study_markdown(tree), encoding="utf-8")
         if plot is not None:
             plot(tree, folder)
@@ -99,7 +99,7 @@ def write_comparison(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: F
         The new folder.
     """
     folder = _dated_folder(root, tree["comparison"])
-    _write_json(folder / "comparison.json", tree)
+    write_json(folder / "comparison.json", tree)
     if plot is not None:
         plot(folder)
     return folder
@@ -118,7 +118,7 @@ def latest_link(root: Path) -> Path:
 
 
 @contextmanager
-def _new_folder(root: Path, name: str) -> Iterator[Path]:
+def new_folder(root: Path, name: str) -> Iterator[Path]:
     """Yield a new dated folder; if filled without an error, `latest` is linked to it."""
     latest = latest_link(root)
     folder = _dated_folder(root, name)
@@ -150,7 +150,8 @@ def _file_name(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).strip("._") or "unnamed"
 
 
-def _write_json(path: Path, tree: dict[str, Any]) -> None:
+def write_json(path: Path, tree: dict[str, Any]) -> None:
+    """Write a tree as JSON, which holds neither NaN nor infinity."""
     path.write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures pair up by their names, from wherever they come."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from uav_vslam.calibration.pictures import FilePictures, paired, pictures_of
+from uav_vslam.datasets.messages import image_message
+from uav_vslam.datasets.rosbag import RawRecorder, encode
+from uav_vslam.errors import BagError, CalibrationError
+
+TOPICS = ("/uav1/left/image_raw", "/uav1/right/image_raw")
+
+
+def image(value: int) -> np.ndarray:
+    return np.full((4, 6), value, np.uint8)
+
+
+def pictures(folder: Path, *names: str) -> list[Path]:
+    for number, name in enumerate(names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(folder / name), image(number))
+    return [folder / name for name in names]
+
+
+def found(*inputs: str | Path) -> FilePictures:
+    result = pictures_of([str(item) for item in inputs], topics=TOPICS, most=10)
+    assert isinstance(result, FilePictures)
+    return result
+
+
+NAMES = {
+    "words": (("left01.png", "left02.png"), ("right01.png", "right02.png"), ["01", "02"]),
+    "letters": (("1_L.png", "2_L.png"), ("1_R.png", "2_R.png"), ["1", "2"]),
+    "cameras": (("cam0_17.png", "cam0_18.png"), ("cam1_17.png", "cam1_18.png"), ["17", "18"]),
+    "stamps": (("a/900.png", "a/910.png"), ("b/900.png", "b/910.png"), ["900", "910"]),
+    "nothing in common": (("p3.png", "p9.png"), ("q1.png", "q2.png"), ["001", "002"]),
+}
+
+
+@pytest.mark.parametrize("case", NAMES)
+def test_names_pair_up_by_what_is_not_the_camera(case: str, tmp_path: Path) -> None:
+    left, right, names = NAMES[case]
+    lefts, rights = pictures(tmp_path, *left), pictures(tmp_path, *right)
+    result = paired(lefts[::-1], rights)
+    assert list(result.names) == names
+    assert list(result.left) == lefts
+    assert list(result.right) == rights
+
+
+def test_a_picture_without_a_partner_is_named(tmp_path: Path) -> None:
+    left = pictures(tmp_path, "left1.png", "left2.png", "left3.png")
+    right = pictures(tmp_path, "right1.png", "right3.png", "right4.png")
+    with pytest.raises(
+        CalibrationError, match=r"3 left and 3 right pictures; without a partner: .*left2\.png, .*right4"
+    ):
+        paired(left, right)
+
+
+@pytest.mark.parametrize("folders", [("left", "right"), ("cam0/data", "cam1/data"), (".", ".")])
+def test_a_folder_holds_both_cameras(folders: tuple[str, str], tmp_path: Path) -> None:
+    pictures(tmp_path, *(f"{folders[0]}/left{k}.png" for k in range(3)))
+    pictures(tmp_path, *(f"{folders[1]}/right{k}.png" for k in range(3)))
+    (tmp_path / folders[0] / "left notes.txt").write_text("not a picture")
+    result = found(tmp_path)
+    assert [(name, left[0, 0], right[0, 0]) for name, left, right in result] == [("0", 0, 0), ("1", 1, 1), ("2", 2, 2)]
+
+
+def test_patterns_and_what_a_shell_makes_of_them_are_the_same(tmp_path: Path) -> None:
+    left = pictures(tmp_path, "left1.png", "left2.png")
+    right = pictures(tmp_path, "right1.png", "right2.png")
+    expected = found(tmp_path / "left*", tmp_path / "right*")
+    assert found(*left, *right) == expected
+    assert len(expected) == 2
+
+
+def test_images_of_a_recording_are_paired_and_thinned(tmp_path: Path) -> None:
+    with RawRecorder(tmp_path / "bag") as recorder:
+        for k in range(12):
+            for side, topic in enumerate(TOPICS):
+                stamp_ns = k * 100_000_000 + side * 2_000_000
+                built = image_message(stamp_ns, "", image(k))
+                recorder.write(topic, "sensor_msgs/msg/Image", encode(built), stamp_ns)
+    result = pictures_of([str(tmp_path / "bag")], topics=TOPICS, most=5)
+    read = [(name, int(left[0, 0]), int(right[0, 0])) for name, left, right in result]
+    assert read == [(f"{0.3 * k:.3f}", 3 * k, 3 * k) for k in range(4)]
+    assert len(result) == 4
+    with pytest.raises(CalibrationError, match=r"has no /a/left; name its images by --topics; it has /uav1/left"):
+        pictures_of([str(tmp_path / "bag")], topics=("/a/left", TOPICS[1]), most=5)
+
+
+def test_what_holds_no_pictures_is_told(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match="holds 0 pictures named left and 0 named right"):
+        found(tmp_path)
+    with pytest.raises(CalibrationError, match=r"no picture is like .*left\*"):
+        found(tmp_path / "left*", tmp_path / "right*")
+    with pytest.raises(BagError, match="does not exist"):
+        found(tmp_path / "nowhere")

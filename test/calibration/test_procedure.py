@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What does not fit is rejected with its reason, and what is doubtful is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from board_scene import HEIGHT, WIDTH, corner_pairs, imaged, rig_of
+
+from uav_vslam.calibration.boards import Board, Chessboard, Corners
+from uav_vslam.calibration.bundle import BoardPair
+from uav_vslam.calibration.procedure import Boards, calibrate, coverage, find_boards
+from uav_vslam.calibration.solve import Lens
+from uav_vslam.errors import CalibrationError
+
+BOARD = Chessboard(9, 6, 0.03)
+LENS = Lens("plumb_bob", ("k3",))
+SIGMA_PX = 0.15
+
+
+def boards(count: int = 12, seed: int = 1) -> Boards:
+    pairs = corner_pairs(rig_of(), BOARD, count, np.random.default_rng(seed), sigma_px=SIGMA_PX)
+    return Boards(pairs, [], (WIDTH, HEIGHT))
+
+
+def test_all_pairs_of_a_rigid_rig_are_used_and_nothing_is_doubtful() -> None:
+    found = calibrate(boards(24), LENS)
+    assert len(found.pairs) == 24
+    assert found.rejected == []
+    assert found.warnings == []
+    assert found.check.own_px[0] < found.check.other_px[0] < 2.0 * found.check.own_px[0]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_pair_whose_images_are_of_two_moments_is_rejected(seed: int) -> None:
+    """A joint solution of all fourteen would not tell it: with the second seed it has less than thrice the median."""
+    given = boards(14, seed)
+    mixed = replace(given.pairs[5], right=given.pairs[6].right)
+    found = calibrate(replace(given, pairs=[*given.pairs[:5], mixed, *given.pairs[6:]]), LENS)
+    assert [pair.name for pair in found.rejected] == ["05"]
+    assert "outlier" in found.rejected[0].reason
+    assert found.solution.rig.baseline_m == pytest.approx(rig_of().baseline_m, rel=0.01)
+
+
+def test_too_few_pairs_that_agree_are_refused() -> None:
+    given = boards(8)
+    mixed = replace(given.pairs[5], right=given.pairs[6].right)
+    with pytest.raises(CalibrationError, match="only 7 pairs agree, 8 are needed"):
+        calibrate(replace(given, pairs=[*given.pairs[:5], mixed, *given.pairs[6:]]), LENS)
+
+
+def test_halves_that_disagree_are_told() -> None:
+    """Every second picture is of a board that is 3 % larger, as if two boards had been mixed up."""
+    given = boards(24)
+    larger = [
+        replace(pair, **{side: scaled(getattr(pair, side), 1.03) for side in ("left", "right")}) if k % 2 else pair
+        for k, pair in enumerate(given.pairs)
+    ]
+    found = calibrate(replace(given, pairs=larger), LENS)
+    assert found.check.baseline_difference == pytest.approx(0.03, abs=0.005)
+    assert any("baseline from odd and from even pairs differs by" in text for text in found.warnings)
+
+
+def scaled(corners: Corners, factor: float) -> Corners:
+    return Corners(factor * corners.points_board, corners.pixels)
+
+
+def test_boards_that_face_the_camera_leave_the_focal_length_open() -> None:
+    rig, points = rig_of(), boards(1).pairs[0].left.points_board
+    rng, pairs = np.random.default_rng(3), []
+    for k in range(8):
+        shift = np.array([-0.12 + 0.005 * k, -0.075, 0.36])
+        left, right = (
+            Corners(points, pixels + rng.normal(0.0, SIGMA_PX, pixels.shape)) for pixels in imaged(rig, points + shift)
+        )
+        pairs.append(BoardPair(f"{k}", left, right))
+    found = calibrate(Boards(pairs, [], (WIDTH, HEIGHT)), LENS)
+    assert any("focal length uncertain by" in text for text in found.warnings)
+
+
+def test_coverage_counts_the_cells_with_a_corner() -> None:
+    found = calibrate(boards(12), LENS)
+    corner = np.array([[1.0, 1.0], [WIDTH - 1.0, HEIGHT - 1.0], [WIDTH / 2 + 1, 1.0], [2.0, 2.0]])
+    only = replace(found.pairs[0], left=Corners(np.zeros((4, 3)), corner))
+    assert coverage(replace(found, pairs=[only]), "left") == 3 / 64
+
+
+class Marked:
+    """A board that is found where the image's first pixel is bright."""
+
+    columns, rows, square_m = 9, 6, 0.03
+
+    def detect(self, image: np.ndarray) -> Corners | None:
+        return Corners(np.zeros((1, 3)), np.zeros((1, 2))) if image[0, 0] else None
+
+    def like(self, corners: Corners, reference: Corners) -> Corners:
+        return corners
+
+
+SEEN, BLANK = np.full((40, 60), 255, np.uint8), np.zeros((40, 60), np.uint8)
+
+
+def looked_at(*images: tuple[np.ndarray, np.ndarray], board: Board | None = None) -> Boards:
+    return find_boards(((f"{k}", *pair) for k, pair in enumerate(images)), board or Marked())
+
+
+def test_pictures_without_a_board_are_rejected_with_the_side() -> None:
+    found = looked_at(*[(SEEN, SEEN)] * 8, (BLANK, SEEN), (SEEN, BLANK), (BLANK, BLANK))
+    assert len(found.pairs) == 8
+    assert found.size == (60, 40)
+    sides = ["the left image", "the right image", "both images"]
+    assert [pair.reason for pair in found.rejected] == [f"no board found in {side}" for side in sides]
+
+
+def test_pictures_of_another_size_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="right picture of pair 1 is 60x30 px but the first picture 60x40"):
+        looked_at((SEEN, SEEN), (SEEN, SEEN[:30]))
+
+
+def test_too_few_boards_are_refused_with_what_to_count() -> None:
+    with pytest.raises(
+        CalibrationError, match=r"1 of 2 pairs show the 9x6 board in both images; 8 are needed; --board"
+    ):
+        looked_at((SEEN, SEEN), (BLANK, SEEN))

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam calibrate` finds the cameras behind rendered pictures, and those behind real ones."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from board_scene import poses, rendered_pair, rig_of
+
+from uav_vslam.calibration.boards import Board, Charuco, Chessboard
+from uav_vslam.cli.main import main
+from uav_vslam.datasets.calibration_files import read_calibration
+
+BOARDS: dict[str, tuple[Board, list[str]]] = {
+    "chessboard": (Chessboard(8, 5, 0.03), ["--board", "8x5", "--square", "0.03"]),
+    "charuco": (
+        Charuco(6, 4, 0.03, 0.022, "DICT_4X4_50"),
+        ["--board", "6x4", "--square", "0.03", "--charuco", "DICT_4X4_50", "--marker", "0.022"],
+    ),
+}
+PAIRS = 12
+BASELINE, FOCAL = 0.005, 0.005  # relative: four times the standard deviation that such corners leave
+
+
+def pictures_of(board: Board, folder: Path) -> Path:
+    rig = rig_of()
+    for k, pose in enumerate(poses(board, rig, PAIRS, np.random.default_rng(11))):
+        for side, image in zip(("left", "right"), rendered_pair(rig, board, pose), strict=True):
+            cv2.imwrite(str(folder / f"{side}{k:02}.png"), image)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def chessboard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Rendered pictures of a chessboard."""
+    return pictures_of(BOARDS["chessboard"][0], tmp_path_factory.mktemp("boards"))
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    assert main(["calibrate", *map(str, arguments)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("uav-vslam: ")
+    assert error.count("\n") == 1, error
+    return error
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_rendered_pictures_give_the_cameras_that_took_them(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board, arguments = BOARDS[kind]
+    folder, results, true = pictures_of(board, tmp_path), tmp_path / "results", rig_of()
+    patterns = [str(folder / "left*.png"), str(folder / "right*.png")]
+    assert main(["calibrate", *patterns, *arguments, "--results", str(results)]) == 0
+    latest = results / "latest"
+    assert {path.name for path in latest.iterdir()} == {
+        "left.yaml",
+        "right.yaml",
+        "camchain.yaml",
+        "summary.json",
+        "calibration.png",
+    }
+    left, right = read_calibration([latest / "left.yaml", latest / "right.yaml"]).cameras
+    assert left.camera.fx == pytest.approx(true.left.fx, rel=FOCAL)
+    assert right.camera.fy == pytest.approx(true.right.fy, rel=FOCAL)
+    assert right.T_left_cam is not None
+    assert np.linalg.norm(right.T_left_cam.t) == pytest.approx(true.baseline_m, rel=BASELINE)
+    summary = json.loads((latest / "summary.json").read_text())
+    assert summary["pairs_used"] == PAIRS
+    assert summary["reprojection_px"]["stereo"] < 0.15
+    said = capsys.readouterr().out
+    assert "use it:  input: {calibration: [" in said
+    assert str(latest.resolve() / "left.yaml") in said
+
+
+def test_a_wrong_board_is_told_with_the_right_one(chessboard: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, chessboard, "--board", "9x6", "--square", "0.03")
+    assert f"0 of {PAIRS} pairs show the 9x6 board" in line
+    assert "use --board 8x5" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--charuco", "DICT_4X4_50"], "--charuco needs --marker"),
+        (["--marker", "0.02"], "name its dictionary by --charuco"),
+        (["--model", "equidistant", "--fix", "p1"], "equidistant has no coefficient p1"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    options: list[str], said: str, chessboard: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert said in refused(capsys, chessboard, "--board", "8x5", "--square", "0.03", *options)
+
+
+def test_a_folder_without_pictures_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "holds 0 pictures" in refused(capsys, tmp_path, "--board", "8x5", "--square", "0.03")
+
+
+@pytest.mark.data
+def test_real_pictures_are_calibrated_to_a_fifth_of_a_pixel_and_both_halves_agree(
+    data_root: Path, tmp_path: Path
+) -> None:
+    pictures = data_root / "chessboard_stereo"
+    assert main(["calibrate", str(pictures), "--board", "9x6", "--square", "1", "--results", str(tmp_path)]) == 0
+    summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
+    assert summary["pairs_used"] == 25
+    assert summary["reprojection_px"]["stereo"] <= 0.20
+    assert summary["halves"]["baseline_difference"] < 0.01
+    assert summary["warnings"] == []

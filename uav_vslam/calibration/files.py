@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration files that `input.calibration` reads: ROS camera_info YAML of both cameras, and Kalibr's camchain."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.stereo import StereoRig
+
+Array = NDArray[np.float64]
+
+KALIBR_LENSES = {"plumb_bob": "radtan", "equidistant": "equidistant"}
+KALIBR_COEFFICIENTS = 4
+
+
+def write_calibration(rig: StereoRig, folder: Path) -> list[Path]:
+    """Write `left.yaml` and `right.yaml`, and `camchain.yaml` if Kalibr knows the distortion model.
+
+    Args:
+        rig: cameras.
+        folder: that exists.
+
+    Returns:
+        The files; the first two, or the last one alone, tell all of the rig.
+    """
+    written = []
+    for name, camera, R, P in zip(("left", "right"), (rig.left, rig.right), *rectification(rig), strict=True):
+        written.append(_write(folder / f"{name}.yaml", camera_info(name, camera, R, P)))
+    if _kalibr_knows(rig.left) and _kalibr_knows(rig.right):
+        written.append(_write(folder / "camchain.yaml", camchain(rig)))
+    return written
+
+
+def rectification(rig: StereoRig) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return R and P of both cameras as CameraInfo defines them: rotation to and projection of the rectified pair."""
+    size = rig.left.width, rig.left.height
+    T = rig.T_right_left
+    if rig.left.model == "equidistant":
+        R_left, R_right, P_left, P_right, _ = cv2.fisheye.stereoRectify(
+            rig.left.K, rig.left.distortion, rig.right.K, rig.right.distortion, size, T.R, T.t, flags=0
+        )
+    else:
+        R_left, R_right, P_left, P_right, *_ = cv2.stereoRectify(
+            rig.left.K, rig.left.distortion, rig.right.K, rig.right.distortion, size, T.R, T.t, alpha=0
+        )
+    return (R_left, R_right), (P_left, P_right)
+
+
+def camera_info(name: str, camera: PinholeCamera, R: Array, P: Array) -> dict[str, Any]:
+    """Return what ROS's camera_calibration_parsers reads."""
+    return {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
+        "camera_matrix": _matrix(camera.K),
+        "distortion_model": camera.model,
+        "distortion_coefficients": _matrix(camera.distortion[None]),
+        "rectification_matrix": _matrix(R),
+        "projection_matrix": _matrix(P),
+    }
+
+
+def camchain(rig: StereoRig) -> dict[str, Any]:
+    """Return what Kalibr writes for two cameras."""
+    left, right = (
+        {
+            "camera_model": "pinhole",
+            "intrinsics": [float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)],
+            "distortion_model": KALIBR_LENSES[camera.model],
+            "distortion_coeffs": camera.distortion[:KALIBR_COEFFICIENTS].tolist(),
+            "resolution": [camera.width, camera.height],
+        }
+        for camera in (rig.left, rig.right)
+    )
+    return {"cam0": left, "cam1": right | {"T_cn_cnm1": rig.T_right_left.matrix.tolist()}}
+
+
+def _kalibr_knows(camera: PinholeCamera) -> bool:
+    return camera.model in KALIBR_LENSES and not camera.distortion[KALIBR_COEFFICIENTS:].any()
+
+
+def _matrix(values: Array) -> dict[str, Any]:
+    return {"rows": values.shape[0], "cols": values.shape[1], "data": np.ravel(values).tolist()}
+
+
+def _write(path: Path, tree: dict[str, Any]) -> Path:
+    path.write_text(yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+    return path

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Image pairs of a calibration board: from files, a folder or a recording."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from glob import glob
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.calibration.bundle import SIDES
+from uav_vslam.datasets.image_sets import SUFFIXES, read_image
+from uav_vslam.datasets.messages import image_of, stamp_ns_of
+from uav_vslam.datasets.rosbag import decode, iter_raw, topics_of
+from uav_vslam.datasets.stereo_sync import StereoPairer
+from uav_vslam.errors import CalibrationError
+from uav_vslam.vision.images import to_grey8
+
+Image = NDArray[np.uint8]
+
+SIDE_FOLDERS = (("left", "right"), ("cam0", "cam1"), ("cam0/data", "cam1/data"), ("image_0", "image_1"))
+# What tells a camera in the name of a file; the rest of the name tells the pair.
+SIDE_WORDS = re.compile(r"left|right|cam(?:era)?_?[0-9]|(?<![a-z])[lr](?![a-z])", re.IGNORECASE)
+NAMED = 5  # files that an error lists
+
+
+@dataclass(frozen=True, slots=True)
+class FilePictures:
+    """Pairs of image files.
+
+    Attributes:
+        names: of the pairs.
+        left, right: files, pair by pair.
+    """
+
+    names: tuple[str, ...]
+    left: tuple[Path, ...]
+    right: tuple[Path, ...]
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+    def __iter__(self) -> Iterator[tuple[str, Image, Image]]:
+        """Yield name, left and right 8-bit grey image of each pair."""
+        for name, left, right in zip(self.names, self.left, self.right, strict=True):
+            yield name, to_grey8(read_image(left)), to_grey8(read_image(right))
+
+
+@dataclass(frozen=True, slots=True)
+class BagPictures:
+    """Pairs of a recording, evenly spread over it.
+
+    Attributes:
+        paths: bags.
+        topics: of the left and of the right images.
+        count: left images recorded.
+        most: pairs to use.
+    """
+
+    paths: tuple[Path, ...]
+    topics: tuple[str, str]
+    count: int
+    most: int
+
+    def __len__(self) -> int:
+        return -(-self.count // self._every)
+
+    def __iter__(self) -> Iterator[tuple[str, Image, Image]]:
+        """Yield stamp [s], left and right 8-bit grey image of each pair."""
+        pairer: StereoPairer[bytes] = StereoPairer()
+        number = 0
+        for raw in iter_raw(self.paths, self.topics):
+            built = decode(raw)
+            add = pairer.add_left if raw.topic == self.topics[0] else pairer.add_right
+            pair = add(stamp_ns_of(built), built)
+            if pair is None:
+                continue
+            if number % self._every == 0:
+                left, right = (to_grey8(image_of(image)) for image in (pair.left, pair.right))
+                yield f"{pair.stamp_ns * 1e-9:.3f}", left, right
+            number += 1
+
+    @property
+    def _every(self) -> int:
+        return max(1, -(-self.count // self.most))
+
+
+Pictures = FilePictures | BagPictures
+
+
+def pictures_of(inputs: Sequence[str], *, topics: tuple[str, str], most: int) -> Pictures:
+    """Return the pictures that a command line names.
+
+    Args:
+        inputs: two patterns of files; the files of both, as a shell expands the patterns; a folder; or a bag.
+        topics: of a bag's left and right images.
+        most: largest number of pairs to take from a bag.
+
+    Raises:
+        CalibrationError: there are no pictures, or some have no partner.
+        BagError: the bag can't be read.
+    """
+    if len(inputs) == 1:
+        path = Path(inputs[0])
+        if path.is_dir() and not (path / "metadata.yaml").exists():
+            return paired(*_sides_of(path))
+        return _of_bag(path, topics, most)
+    if len(inputs) == 2:
+        left, right = (_files_like(pattern) for pattern in inputs)
+        return paired(left, right)
+    half = len(inputs) // 2
+    return paired([Path(name) for name in inputs[:half]], [Path(name) for name in inputs[half:]])
+
+
+def paired(left: Sequence[Path], right: Sequence[Path]) -> FilePictures:
+    """Return files paired by what their names have in common beside the camera: left01.png and right01.png.
+
+    If no names have anything in common, files pair up in sorted order.
+
+    Raises:
+        CalibrationError: files have no partner.
+    """
+    by_key = [{_key(path): path for path in sorted(files)} for files in (left, right)]
+    if len(by_key[0]) < len(left) or len(by_key[1]) < len(right) or not by_key[0].keys() & by_key[1].keys():
+        by_key = [{f"{k:03}": path for k, path in enumerate(sorted(files), 1)} for files in (left, right)]
+    alone = sorted(by_key[0].keys() ^ by_key[1].keys())
+    if alone:
+        names = [str((by_key[0] | by_key[1])[key]) for key in alone]
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        raise CalibrationError(
+            f"{len(left)} left and {len(right)} right pictures; without a partner: {', '.join(names[:NAMED])}{more}; "
+            "remove them, or name the patterns of both cameras"
+        )
+    keys = sorted(by_key[0])
+    return FilePictures(tuple(keys), tuple(by_key[0][key] for key in keys), tuple(by_key[1][key] for key in keys))
+
+
+def _key(path: Path) -> str:
+    return SIDE_WORDS.sub("", path.stem).strip("_-. ")
+
+
+def _files_like(pattern: str) -> list[Path]:
+    files = [Path(name) for name in glob(pattern) if Path(name).suffix.lower() in SUFFIXES]
+    if not files:
+        raise CalibrationError(f"no picture is like {pattern}; give a pattern such as 'boards/left*.png' in quotes")
+    return files
+
+
+def _sides_of(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the pictures of the two folders of the cameras, or those of one folder by the words in their names."""
+    for names in SIDE_FOLDERS:
+        if all((folder / name).is_dir() for name in names):
+            left, right = (_pictures_in(folder / name) for name in names)
+            if left and right:
+                return left, right
+    files = _pictures_in(folder)
+    left, right = ([path for path in files if side in path.stem.lower()] for side in SIDES)
+    if not left or not right:
+        raise CalibrationError(
+            f"{folder} holds {len(left)} pictures named left and {len(right)} named right, of {len(files)}, and no "
+            "folders left and right or cam0 and cam1 with pictures; give two patterns: 'LEFT*.png' 'RIGHT*.png'"
+        )
+    return left, right
+
+
+def _pictures_in(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+
+
+def _of_bag(path: Path, topics: tuple[str, str], most: int) -> BagPictures:
+    recorded = topics_of([path])
+    missing = [topic for topic in topics if topic not in recorded]
+    if missing:
+        images = sorted(topic for topic, info in recorded.items() if info.msgtype.endswith("Image"))
+        raise CalibrationError(
+            f"bag {path} has no {' and '.join(missing)}; name its images by --topics; "
+            f"it has {', '.join(images) or 'none'}"
+        )
+    return BagPictures((path,), topics, recorded[topics[0]].count, most)

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole calibration: boards found, outliers rejected, both halves of the pictures compared."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.calibration.boards import Board, found_size
+from uav_vslam.calibration.bundle import BoardPair
+from uav_vslam.calibration.solve import Lens, StereoSolution, first_rig, reproject, rms, solve
+from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.stereo import StereoRig
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+LEAST_PAIRS = 8  # so that each half has four: a plane needs three views, and one more shows an error
+OUTLIER = 3.0  # times the median reprojection error of the pairs; noise alone scatters it by a few per cent
+DISAGREEMENT = 0.01  # of baselines or focal lengths, between halves or as a standard deviation, that earns a warning
+MOST_ROUNDS = 10  # of solving and telling which pairs agree
+CELLS = 8  # of an image each way, for coverage
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A pair that was not used, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Boards:
+    """What was found in all pictures.
+
+    Attributes:
+        pairs: boards seen by both cameras.
+        rejected: pairs without.
+        size: width and height of all images [px].
+    """
+
+    pairs: list[BoardPair]
+    rejected: list[Rejected]
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class HalfCheck:
+    """The same calibration from every second pair, and from the others.
+
+    Attributes:
+        halves: both solutions.
+        own_px: reprojection error of each half with its own rig.
+        other_px: reprojection error of each half with the rig of the other one.
+    """
+
+    halves: tuple[StereoSolution, StereoSolution]
+    own_px: tuple[float, float]
+    other_px: tuple[float, float]
+
+    @property
+    def baseline_difference(self) -> float:
+        """Of the halves, relative."""
+        return _difference(*(half.rig.baseline_m for half in self.halves))
+
+    @property
+    def focal_difference(self) -> float:
+        """Of the halves, relative: the larger one of the two cameras."""
+        left, right = ([getattr(half.rig, side).fx for half in self.halves] for side in ("left", "right"))
+        return max(_difference(*left), _difference(*right))
+
+
+@dataclass(frozen=True, slots=True)
+class StereoCalibration:
+    """The result.
+
+    Attributes:
+        solution: cameras, their standard deviations, residuals.
+        lens: how lenses were modelled.
+        pairs: that were used, in the order of the residuals.
+        rejected: pairs that were not.
+        check: from halves.
+        warnings: what is doubtful, in words.
+    """
+
+    solution: StereoSolution
+    lens: Lens
+    pairs: list[BoardPair]
+    rejected: list[Rejected]
+    check: HalfCheck
+    warnings: list[str]
+
+
+def find_boards(
+    pictures: Iterable[tuple[str, Image, Image]], board: Board, *, on_pair: Callable[[], object] = lambda: None
+) -> Boards:
+    """Find the board in all pictures.
+
+    Args:
+        pictures: name, left and right image of each pair.
+        board: to look for.
+        on_pair: called after each pair.
+
+    Raises:
+        CalibrationError: pictures have different sizes, or too few show the board.
+    """
+    pairs: list[BoardPair] = []
+    rejected: list[Rejected] = []
+    other_sizes: list[tuple[int, int]] = []
+    size: tuple[int, int] | None = None
+    for name, *images in pictures:
+        size = size or images[0].shape[::-1]
+        _check_sizes(name, images, size)
+        left, right = (board.detect(image) for image in images)
+        if left is None or right is None:
+            other_sizes += [found for found in map(found_size, images) if found is not None]
+            where = "both images" if left is right else "the left image" if left is None else "the right image"
+            rejected.append(Rejected(name, f"no board found in {where}"))
+        else:
+            pairs.append(BoardPair(name, left, board.like(right, left)))
+        on_pair()
+    if size is None or len(pairs) < LEAST_PAIRS:
+        raise CalibrationError(_too_few(pairs, rejected, board, other_sizes))
+    return Boards(pairs, rejected, size)
+
+
+def calibrate(boards: Boards, lens: Lens) -> StereoCalibration:
+    """Calibrate, reject outliers, and calibrate halves.
+
+    Raises:
+        CalibrationError: too few pairs agree.
+    """
+    solution, errors, agrees = _trimmed(boards.pairs, boards.size, lens)
+    pairs = [pair for pair, good in zip(boards.pairs, agrees, strict=True) if good]
+    usual = float(np.median(errors[agrees]))
+    rejected = boards.rejected + [
+        Rejected(pair.name, f"outlier: {error:.2f} px, {error / usual:.1f} times the median")
+        for pair, error, good in zip(boards.pairs, errors, agrees, strict=True)
+        if not good
+    ]
+    check = _half_check(pairs, boards.size, lens)
+    found = StereoCalibration(solution, lens, pairs, rejected, check, [])
+    return replace(found, warnings=_warnings(found))
+
+
+def _trimmed(
+    pairs: Sequence[BoardPair], size: tuple[int, int], lens: Lens
+) -> tuple[StereoSolution, Array, NDArray[np.bool_]]:
+    """Solve from the pairs that agree with the solution.
+
+    An outlier pulls the solution of all pairs so far that the others look no better: the first rig, which it does not
+    pull, tells the pairs to begin with.
+
+    Returns:
+        The solution, the reprojection error of each pair with it [px], and which pairs it is of.
+    """
+    errors = _errors(first_rig(pairs, size, lens), pairs)
+    agrees = errors <= OUTLIER * np.median(errors)
+    for _ in range(MOST_ROUNDS):
+        if agrees.sum() < LEAST_PAIRS:
+            raise CalibrationError(
+                f"only {agrees.sum()} pairs agree, {LEAST_PAIRS} are needed; is the rig rigid, the board flat, and "
+                "are both images of a pair taken at the same moment?"
+            )
+        solution = solve([pair for pair, good in zip(pairs, agrees, strict=True) if good], size, lens)
+        errors = _errors(solution.rig, pairs)
+        before, agrees = agrees, errors <= OUTLIER * np.median(errors[agrees])
+        if np.array_equal(before, agrees):
+            break
+    return solution, errors, before
+
+
+def _errors(rig: StereoRig, pairs: Sequence[BoardPair]) -> Array:
+    return np.array([rms(residuals) for residuals in reproject(rig, pairs)])
+
+
+def coverage(found: StereoCalibration, side: str) -> float:
+    """Return the share of an image's cells, `CELLS` each way, that hold a corner."""
+    camera = getattr(found.solution.rig, side)
+    pixels = np.concatenate([getattr(pair, side).pixels for pair in found.pairs])
+    return len(np.unique(cells(pixels, camera), axis=0)) / CELLS**2
+
+
+def cells(pixels: Array, camera: PinholeCamera) -> NDArray[np.intp]:
+    """Return column and row of the image's cell of (N, 2) pixels."""
+    return np.clip(np.floor(pixels / [camera.width, camera.height] * CELLS), 0, CELLS - 1).astype(np.intp)
+
+
+def _half_check(pairs: Sequence[BoardPair], size: tuple[int, int], lens: Lens) -> HalfCheck:
+    odd, even = pairs[::2], pairs[1::2]
+    halves = solve(odd, size, lens), solve(even, size, lens)
+    first, second = (half.rig for half in halves)
+    return HalfCheck(
+        halves,
+        (_rms_of(halves[0].residuals), _rms_of(halves[1].residuals)),
+        (_rms_of(reproject(second, odd)), _rms_of(reproject(first, even))),
+    )
+
+
+def _warnings(found: StereoCalibration) -> list[str]:
+    check, told = found.check, []
+    solution = found.solution
+    for what, sigma, value in (
+        ("baseline", solution.sigma_baseline_m, solution.rig.baseline_m),
+        ("left focal length", solution.sigma_left[0], solution.rig.left.fx),
+        ("right focal length", solution.sigma_right[0], solution.rig.right.fx),
+    ):
+        if sigma > DISAGREEMENT * value:
+            told.append(
+                f"the pictures leave the {what} uncertain by {100 * sigma / value:.1f} % (standard deviation); "
+                "take more, with the board tilted different ways"
+            )
+    for what, difference in (("baseline", check.baseline_difference), ("focal length", check.focal_difference)):
+        if difference > DISAGREEMENT:
+            told.append(
+                f"the {what} from odd and from even pairs differs by {100 * difference:.1f} %; take more pictures, "
+                "with the board tilted different ways and near all edges of both images"
+            )
+    return told
+
+
+def _rms_of(residuals: Iterable[tuple[Array, Array]]) -> float:
+    return rms([part for pair in residuals for part in pair])
+
+
+def _difference(first: float, second: float) -> float:
+    return abs(first - second) / (0.5 * (first + second))
+
+
+def _check_sizes(name: str, images: Sequence[Image], size: tuple[int, int]) -> None:
+    for side, image in zip(("left", "right"), images, strict=True):
+        if image.shape[::-1] != size:
+            raise CalibrationError(
+                f"the {side} picture of pair {name} is {image.shape[1]}x{image.shape[0]} px but the first picture "
+                f"{size[0]}x{size[1]}; use pictures of one size from both cameras"
+            )
+
+
+def _too_few(
+    pairs: Sequence[BoardPair], rejected: Sequence[Rejected], board: Board, other_sizes: Sequence[tuple[int, int]]
+) -> str:
+    count = len(pairs) + len(rejected)
+    size = max(board.columns, board.rows), min(board.columns, board.rows)
+    text = f"{len(pairs)} of {count} pairs show the {size[0]}x{size[1]} board in both images; {LEAST_PAIRS} are needed"
+    other = [found for found in other_sizes if found != size]
+    if pairs or not other:
+        return f"{text}; --board counts inner corners, one fewer than squares each way"
+    likely = max(set(other), key=other.count)
+    use = f"{likely[0]}x{likely[1]}"
+    return f"{text}; {other.count(likely)} images show a board of {use} inner corners: use --board {use}"
