@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import yaml
 
-from uav_vslam.config import FrontendConfig, RigConfig
+from uav_vslam.config import FRONTEND_MATCHERS, FrontendConfig, RigConfig
 from uav_vslam.errors import ConfigError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import StereoFrame
+from uav_vslam.vision.matching import MATCHERS
 from uav_vslam.vision.stereo_points import StereoFrontend
 
 CONFIG = FrontendConfig()
@@ -59,6 +60,44 @@ def test_full_resolution_gives_the_same_pixel_frame(flight_scene):
     offset = (half[same, :2] - full[nearest[same], :2]).mean(axis=0)
     assert same.sum() > 50
     assert (abs(offset) < 0.1).all()  # a wrong half-pixel convention shows as 0.5
+
+
+def test_the_configuration_has_all_matchers_and_the_gated_one_is_the_default():
+    assert set(FRONTEND_MATCHERS) == {"gated", *MATCHERS}
+    assert FrontendConfig().matcher == "gated"
+
+
+@pytest.mark.parametrize("matcher", FRONTEND_MATCHERS)
+def test_every_matcher_gives_distinct_right_points_that_stereo_geometry_allows(flight_scene, matcher):
+    config = dataclasses.replace(CONFIG, matcher=matcher, max_matches=CONFIG.max_features)
+    rig = flight_scene.rig
+    pixels, again = (StereoFrontend(rig, config).process(flight_scene.frame).pixels for _ in range(2))
+    assert len(pixels) >= (40 if matcher.startswith("cds") else 400)
+    assert flight_scene.wrong(pixels).mean() <= LARGEST_WRONG_SHARE
+    assert (rig.epipolar_distance(pixels.astype(float)) <= CONFIG.epipolar_px + 1e-3).all()
+    for columns in (slice(0, 2), slice(2, 4)):
+        assert len(np.unique(pixels[:, columns], axis=0)) == len(pixels)
+    np.testing.assert_array_equal(again, pixels)
+
+
+@pytest.mark.parametrize("matcher", MATCHERS)
+def test_points_are_pairs_of_the_configured_matcher(indoor_scene, matcher):
+    frontend = StereoFrontend(indoor_scene.rig, dataclasses.replace(CONFIG, matcher=matcher))
+    detected = frontend.detect(indoor_scene.frame)
+    pairs = MATCHERS[matcher](detected.left, detected.right, CONFIG.ratio)
+    proposed = np.hstack([detected.pixels_left[pairs[:, 0]], detected.pixels_right[pairs[:, 1]]]).astype(np.float32)
+    found = {row.tobytes() for row in frontend.match(detected).pixels}
+    assert found
+    assert found <= {row.tobytes() for row in proposed}
+    gated = StereoFrontend(indoor_scene.rig, CONFIG).match(detected).pixels
+    assert found != {row.tobytes() for row in gated}
+
+
+@pytest.mark.parametrize("matcher", FRONTEND_MATCHERS)
+def test_a_pair_without_texture_has_no_points_by_any_matcher(flight_scene, matcher):
+    blank = np.full_like(flight_scene.frame.left, 100)
+    frontend = StereoFrontend(flight_scene.rig, dataclasses.replace(CONFIG, matcher=matcher))
+    assert len(frontend.match(frontend.detect(StereoFrame(0, blank, blank)))) == 0
 
 
 def test_pairs_are_processed_independently(indoor_scene):

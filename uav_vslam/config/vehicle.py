@@ -49,6 +49,16 @@ class RigConfig(Settings):
 EXTRACTORS = ("sift", "asift", "surf", "dsift", "phow_rgb", "phow_hsv", "phow_opponent", "orb")
 SIFT_EXTRACTORS = ("sift", "asift", "dsift")  # with SIFT descriptors of 128 bytes
 FRONTEND_METHODS = ("klt", "sift")  # the names in vision.frontends.FRONTENDS
+FRONTEND_MATCHERS = (  # gated, and the names in vision.matching.MATCHERS
+    "gated",
+    "nn",
+    "nn_mutual",
+    "ransac_homography",
+    "ransac_fundamental",
+    "gtm",
+    "cds_nn",
+    "cds_gtm",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +83,12 @@ class FrontendConfig(Settings):
     max_features: int = setting(1000, "keypoints kept per image, strongest first", at_least=1)
     contrast_threshold: float = setting(
         0.01, "SIFT contrast threshold (OpenCV's default 0.04 finds too little on grass)", at_least=0
+    )
+    matcher: str = setting(
+        "gated",
+        "sift: left to right; gated: nearest descriptor among those that stereo geometry allows; the others match "
+        "whole images, and the geometry is checked afterwards; no effect with klt, which matches by optical flow",
+        choices=FRONTEND_MATCHERS,
     )
     ratio: float = setting(0.8, "sift: nearest / second-nearest descriptor distance, left to right", above=0, at_most=1)
     epipolar_px: float = setting(

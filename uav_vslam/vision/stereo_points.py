@@ -14,12 +14,13 @@ from uav_vslam.types import StereoFeatures, StereoFrame
 from uav_vslam.vision.features import Keypoints, make_extractor
 from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
-from uav_vslam.vision.matching import match_descriptors, match_gated
+from uav_vslam.vision.matching import MATCHERS, match_descriptors, match_gated
 from uav_vslam.vision.stereo_gate import stereo_candidates
 
 Array = NDArray[np.float64]
 
 RIG_CHECK_POINTS = 300  # strongest keypoints of each image, matched without a gate to check the rig
+GATED = "gated"  # the matcher that is no entry of MATCHERS: it needs the rig
 DISPARITY_NOISE_PX = 0.5  # four sigma of the disparity, in pixels of the downscaled image
 
 
@@ -82,16 +83,23 @@ class StereoFrontend(Frontend):
         return keypoints, camera.undistort(raw)
 
     def _match(self, detected: DetectedPair) -> NDArray[np.intp]:
-        """Return (M, 2) indices of matches allowed by stereo geometry, each point used at most once."""
-        allowed = stereo_candidates(
+        """Return (M, 2) indices of matches by the configured matcher, each point used at most once."""
+        matcher, ratio = self._config.matcher, self._config.ratio
+        if matcher == GATED:
+            pairs = match_gated(detected.left.descriptors, detected.right.descriptors, self._allowed(detected), ratio)
+        else:
+            pairs = MATCHERS[matcher](detected.left, detected.right, ratio)
+        return _without_duplicates(pairs, detected.pixels_left, detected.pixels_right)
+
+    def _allowed(self, detected: DetectedPair) -> NDArray[np.bool_]:
+        """Return the (Nl, Nr) pairs that stereo geometry allows."""
+        return stereo_candidates(
             detected.pixels_left,
             detected.pixels_right,
             self._rig,
             epipolar_px=self._gate.epipolar_px,
             depth_range_m=(self._config.min_depth_m, self._config.max_depth_m),
         )
-        pairs = match_gated(detected.left.descriptors, detected.right.descriptors, allowed, self._config.ratio)
-        return _without_duplicates(pairs, detected.pixels_left, detected.pixels_right)
 
     def _matched_by_descriptor(self, detected: DetectedPair) -> Array:
         """Return (M, 4) pixels of the strongest keypoints, matched by descriptors alone, to check the rig."""
