@@ -170,6 +170,18 @@ def test_a_whole_number_and_an_exponent_may_stand_for_a_float(
     assert node.get_parameter("backend.sigma_px").value == node.config.backend.sigma_px == taken
 
 
+@pytest.mark.parametrize(
+    ("name", "setting"), [("stereo_frontend", "matcher = gtm"), ("slam_backend", "association = nn")]
+)
+def test_a_node_warns_of_its_own_settings_that_decide_nothing(
+    start: Callable[..., Any], capfd: pytest.CaptureFixture[str], name: str, setting: str
+) -> None:
+    start(name, "frontend.matcher:=gtm", "backend.association:=nn")
+    lines = [line for line in capfd.readouterr().err.splitlines() if "klt" in line]
+    assert len(lines) == 1
+    assert setting in lines[0]
+
+
 @pytest.mark.parametrize("name", CLASSES)
 def test_configuration_files_of_ours_are_parameter_files_of_every_node(start: Callable[..., Any], name: str) -> None:
     link = ROOT / "config" / "links" / "bad_radio.yaml"

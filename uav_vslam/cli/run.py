@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     import time
     from functools import partial
 
-    from uav_vslam.config import load_link
+    from uav_vslam.config import idle_settings, load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.bag import open_flight
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
@@ -68,6 +68,8 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.table import print_summary
 
     bags, configs = _inputs(args)
+    for text in dict.fromkeys(text for config in configs.values() for text in idle_settings(config).values()):
+        print(f"uav-vslam: warning: {text}", file=sys.stderr)
     links = partial(link_between, load_link(args.link)) if args.link else None
     flights = {name: open_flight(bags, name, config.input) for name, config in configs.items()}
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}

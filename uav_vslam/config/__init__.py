@@ -3,10 +3,12 @@
 
 settings    the metadata of a setting, and the checks made from it
 imu, input, vehicle, fleet, nodes    the settings
+advice      settings that decide nothing with the others
 files       YAML files
 reference   the reference page docs/reference/parameters.md
 """
 
+from uav_vslam.config.advice import idle_settings
 from uav_vslam.config.files import (
     difference_file,
     find_config,
@@ -66,6 +68,7 @@ __all__ = [
     "difference_file",
     "differences",
     "find_config",
+    "idle_settings",
     "load_fleet",
     "load_link",
     "load_vehicle",

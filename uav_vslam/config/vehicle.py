@@ -142,7 +142,11 @@ class BackendConfig(Settings):
     depth_sigma_ratio: float = setting(
         0.043, "relief / height, smooths the depth in the Jacobian; 0: off (indoors)", at_least=0
     )
-    association: str = setting("gated", "data association", choices=ASSOCIATIONS)
+    association: str = setting(
+        "gated",
+        "data association with landmarks; decides almost nothing with frontend.method klt, whose tracks keep theirs",
+        choices=ASSOCIATIONS,
+    )
     min_descriptor_ratio: float = setting(
         0.85, "nearest / second-nearest descriptor distance inside the gate", above=0, at_most=1
     )

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import VehicleConfig, idle_settings
 from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.ros.inputs import Input, silent, stopped, unmatched
@@ -51,6 +51,9 @@ class VehicleNode(Node):
         self.own: Any = read(self, typing.cast(Any, NODES[name].own))
         declare(self, self.own)
         self._settings = VehicleParameters(self, NODES[name].used_names, self.configure)
+        for setting, text in idle_settings(self.config).items():
+            if setting in NODES[name].used_names:
+                self.get_logger().warning(text)
         namespace = self.get_namespace().strip("/").replace("/", "_")
         self.vehicle: str = self.own.vehicle or namespace or "uav1"
         self.counts: Counter[str] = Counter()
