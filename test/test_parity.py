@@ -36,6 +36,7 @@ EUROC_FIRST_FRAMES = 8  # the gap of 7.3 s is after the first
 POSITION_M = 1e-9
 ROTATION_RAD = 1e-12
 COVARIANCE_RATIO = 1e-9  # of the largest entry
+NIS_RATIO = 1e-6  # innovations of 0.05 px are differences of pixels near 400
 
 # Room for another machine's image decoder and BLAS; measured: ATE 0.033 m, NEES 2.1, one frame without association.
 EUROC_ATE_M = 0.20
@@ -123,6 +124,9 @@ def assert_parity(outputs: dict[str, RecordedOutputs], case: Case) -> None:
         assert_same(outputs[name].own_only, [output.report.pose for output in track.outputs])
         assert_same(outputs[name].fused, case.cooperative[name].poses)
         assert_same(outputs[name].dead_reckoning, [output.dead_reckoning.pose for output in track.outputs])
+        for a, b in zip(outputs[name].frames, (output.quality for output in track.outputs), strict=True):
+            assert dataclasses.replace(a, nis=b.nis) == b
+            assert a.nis == pytest.approx(b.nis, rel=NIS_RATIO)
 
 
 @pytest.mark.ros

@@ -125,6 +125,31 @@ def test_a_vehicle_without_peer_has_no_cooperative_track(tmp_path, fleet, mode):
     assert summary["mode"] == mode
 
 
+def test_recorded_frames_are_judged_without_truth(tmp_path, capsys):
+    with RawRecorder(tmp_path / "estimates") as bag:
+        for k in range(FRAMES):
+            stamp_ns, built = odometry(k, 0.0, 0.5)
+            bag.write("/uav1/odometry", "nav_msgs/msg/Odometry", encode(built), stamp_ns)
+            coasted = k in (0, 10, 11)
+            quality = message(
+                "uav_vslam_msgs/msg/FrameQuality", header=built.header, features=300, tracked=200, associated=25,
+                downweighted=1, landmarks=80, coasted=coasted, relocalised=False, restarted=k == 12,
+                closures=2 * (k == 5), nis=100.0 * (not coasted), dof=100 * (not coasted), gate_probability=0.99,
+                events=["lost"] * (k == 12),
+            )  # fmt: skip
+            bag.write("/uav1/slam/quality", "uav_vslam_msgs/msg/FrameQuality", encode(quality), stamp_ns)
+    assert run(tmp_path / "estimates", "--root", tmp_path / "results", "--no-plots") == 0
+    vehicle = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())["vehicles"]["uav1"]
+    quality = vehicle["quality"]
+    assert (vehicle["closures"], quality["closures"], quality["restarts"]) == (2, 2, 1)
+    assert (quality["frames_coasted"], quality["coasted_longest"], quality["nis_per_dof"]) == (3, 2, 1.0)
+    assert quality["events"] == [{"time_s": pytest.approx(1.2), "text": "lost"}]
+    assert quality["alarms"] is None
+    assert "consistent: NIS/dof 1 in" in capsys.readouterr().out
+    rows = (tmp_path / "results" / "latest" / "uav1_frames.csv").read_text().splitlines()
+    assert len(rows) == FRAMES + 1
+
+
 def test_a_recording_without_estimates_says_what_it_holds(pair):
     with pytest.raises(BagError, match=r"/uav1/ground_truth/odometry.*give the bag of the estimates"):
         read_outputs([pair / "inputs"])

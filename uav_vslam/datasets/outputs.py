@@ -11,7 +11,7 @@ import numpy as np
 from uav_vslam.datasets.messages import stamp_ns_of, truth_of
 from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw, topics_of
 from uav_vslam.errors import BagError
-from uav_vslam.types import PoseEstimate
+from uav_vslam.types import FrameQuality, PoseEstimate
 
 ODOMETRY = {
     "odometry": "own_only",
@@ -20,6 +20,7 @@ ODOMETRY = {
     "ground_truth/odometry": "truth",
 }
 STATUS = "fusion/status"
+QUALITY = "slam/quality"
 FRAMES = "left/camera_info"
 
 
@@ -52,6 +53,7 @@ class RecordedOutputs:
     Attributes:
         own_only, fused, dead_reckoning, truth: pose estimates in recording order.
         link: the last fusion status, or None.
+        frames: how each frame went, in recording order; empty if not recorded.
         frames_in: image pairs replayed, or None if the bags have none.
     """
 
@@ -60,6 +62,7 @@ class RecordedOutputs:
     dead_reckoning: list[PoseEstimate] = field(default_factory=list)
     truth: list[PoseEstimate] = field(default_factory=list)
     link: LinkRecord | None = None
+    frames: list[FrameQuality] = field(default_factory=list)
     frames_in: int | None = None
 
 
@@ -87,7 +90,7 @@ def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], Bag
     for name in names:
         if f"/{name}/{FRAMES}" in topics:
             outputs[name].frames_in = topics[f"/{name}/{FRAMES}"].count
-    wanted = [f"/{name}/{ending}" for name in names for ending in (*ODOMETRY, STATUS)]
+    wanted = [f"/{name}/{ending}" for name in names for ending in (*ODOMETRY, STATUS, QUALITY)]
     messages = _Readable(iter_raw(paths, wanted))
     for raw in messages:
         _, name, ending = raw.topic.split("/", 2)
@@ -114,6 +117,9 @@ def _store(outputs: RecordedOutputs, ending: str, raw: RawMessage) -> None:
     if ending == STATUS:
         outputs.link = _link(built)
         return
+    if ending == QUALITY:
+        outputs.frames.append(_frame_quality(built))
+        return
     track: list[PoseEstimate] = getattr(outputs, ODOMETRY[ending])
     track.append(_pose_estimate(built, raw.topic))
 
@@ -125,6 +131,25 @@ def _pose_estimate(built: Any, topic: str) -> PoseEstimate:
     except ValueError as error:
         raise BagError(f"{topic} at {stamp_ns_of(built)} ns holds no pose: {error}") from None
     return PoseEstimate(stamp_ns_of(built), pose, covariance)
+
+
+def _frame_quality(built: Any) -> FrameQuality:
+    return FrameQuality(
+        stamp_ns=stamp_ns_of(built),
+        features=int(built.features),
+        tracked=int(built.tracked),
+        associated=int(built.associated),
+        downweighted=int(built.downweighted),
+        landmarks=int(built.landmarks),
+        coasted=bool(built.coasted),
+        relocalised=bool(built.relocalised),
+        restarted=bool(built.restarted),
+        closures=int(built.closures),
+        nis=float(built.nis),
+        dof=int(built.dof),
+        gate_probability=float(built.gate_probability),
+        events=tuple(built.events),
+    )
 
 
 def _link(built: Any) -> LinkRecord:

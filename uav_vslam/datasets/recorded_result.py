@@ -28,6 +28,7 @@ def flight_result(
 
 def _vehicle_result(name: str, recorded: RecordedOutputs, fleet: dict[str, RecordedOutputs]) -> VehicleResult:
     s_slam = Trajectory.from_estimates(recorded.own_only)
+    frames = sorted(recorded.frames, key=lambda frame: frame.stamp_ns)
     return VehicleResult(
         name=name,
         truth=Trajectory.from_estimates(recorded.truth) if recorded.truth else None,
@@ -36,6 +37,8 @@ def _vehicle_result(name: str, recorded: RecordedOutputs, fleet: dict[str, Recor
         c_slam=Trajectory.from_estimates(recorded.fused) if _has_peer(recorded, fleet) else None,
         frames_in=recorded.frames_in,
         frames_processed=len(s_slam),
+        closures=sum(frame.closures for frame in frames) if frames else None,
+        frames=tuple(frames) or None,
         link=_counters(recorded),
     )
 

@@ -3,6 +3,7 @@
 
 in   /<vehicle>/odometry, fused/odometry, ins/dead_reckoning, ground_truth/odometry    nav_msgs/Odometry
      /<vehicle>/fusion/status                                                          uav_vslam_msgs/FusionStatus
+     /<vehicle>/slam/quality                                                           uav_vslam_msgs/FrameQuality
      /diagnostics                                                                      diagnostic_msgs/DiagnosticArray
 out  /diagnostics                                                                      the recorder's own status
 
@@ -24,7 +25,7 @@ from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.runtime import UNMATCHED, run_node
-from uav_vslam_msgs.msg import FusionStatus
+from uav_vslam_msgs.msg import FrameQuality, FusionStatus
 
 VEHICLE_TOPICS = {
     "odometry": Odometry,
@@ -32,6 +33,7 @@ VEHICLE_TOPICS = {
     "ins/dead_reckoning": Odometry,
     "ground_truth/odometry": Odometry,
     "fusion/status": FusionStatus,
+    "slam/quality": FrameQuality,
 }
 REPORT_S = 1.0
 WAKE_S = 0.2  # Python handles a signal only when the executor wakes

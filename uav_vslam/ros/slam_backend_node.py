@@ -11,6 +11,7 @@ out  odometry                              nav_msgs/Odometry per frame, map fram
      landmarks                             sensor_msgs/PointCloud2 at epochs, map frame
      joint_information                     uav_vslam_msgs/JointInformation at epochs, for the own fusion node
      slam/correction                       uav_vslam_msgs/NavigationState per frame, for the INS
+     slam/quality                          uav_vslam_msgs/FrameQuality per frame, for evaluation without ground truth
      /tf                                   <vehicle>/map to <vehicle>/odom
 """
 
@@ -37,13 +38,14 @@ from uav_vslam.ros.convert import (
     transform_to_msg,
 )
 from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
+from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.slam.backend import FrameReport
 from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.types import JointInformation as Joint
 from uav_vslam.types import NavEstimate
-from uav_vslam_msgs.msg import InsIncrement, JointInformation, NavigationState
+from uav_vslam_msgs.msg import FrameQuality, InsIncrement, JointInformation, NavigationState
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
 
 MAX_PATH = 2000  # poses in a published path
@@ -62,6 +64,7 @@ class SlamBackendNode(VehicleNode):
         self._landmarks = self.advertise(PointCloud2, "landmarks", STATE)
         self._joint = self.advertise(JointInformation, "joint_information", STATE)
         self._correction = self.advertise(NavigationState, "slam/correction", STATE)
+        self._quality = self.advertise(FrameQuality, "slam/quality", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
         self._rig = RigListener(self, self._work)
         self._finds_start = self.config.start.method == "in_flight"
@@ -104,6 +107,7 @@ class SlamBackendNode(VehicleNode):
         self._count(output)
         if output.joint is not None:
             self._publish_epoch(output.joint)
+        self._quality.publish(quality_to_msg(output.quality, frame_id=self.map_frame))
         self._publish_frame(output.report, output.dead_reckoning.state.T_map_body)
 
     def _publish_start(self, found: NavEstimate) -> None:
