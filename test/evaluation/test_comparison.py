@@ -47,6 +47,14 @@ def test_nees_is_that_of_the_given_covariance_and_absent_without(truth, estimate
     assert figures(dataclasses.replace(estimate, covariance=None), truth)["nees_position"] is None
 
 
+def test_the_distance_is_that_of_the_whole_truth_between_sparse_poses(truth, estimate):
+    rows = np.arange(10, 120, 50)
+    run = pair_run(Run("a", "", estimate.select(rows), truth))
+    assert run.flown_m[-1] == pytest.approx(truth.select(np.arange(10, 111)).path_length_m)
+    assert run.flown_m[-1] > run.truth.path_length_m  # a polygon through the three poses is shorter
+    assert len(run.true_path) == 101
+
+
 def test_the_shortest_path_chooses_the_segments_of_all_unless_they_are_given(truth, estimate):
     runs = [pair_run(Run("a", "", estimate.select(rows), truth)) for rows in (np.arange(120), np.arange(60))]
     tree = compare(runs, name="test", git=None)

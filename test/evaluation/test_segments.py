@@ -70,6 +70,22 @@ def test_where_the_vehicle_stands_still_there_is_no_segment():
     assert segment_errors(hovering, hovering, [50.0])[0].segments == 0
 
 
+def test_a_segment_ends_where_the_vehicle_arrives_not_after_its_halt():
+    """As in evo; what the estimate drifts during the halt is no drift per distance."""
+    rows = np.r_[np.arange(51), np.full(20, 50), np.arange(51, 60)]
+    stamps_ns = 10**8 * np.arange(len(rows), dtype=np.int64)
+    moving = straight()
+    truth = Trajectory(stamps_ns, moving.positions[rows], moving.quaternions_wxyz[rows])
+    drift = np.zeros((len(rows), 3))
+    drift[51:, 1] = 0.1 * np.minimum(np.arange(len(rows) - 51), 20)
+    estimate = Trajectory(stamps_ns, truth.positions + drift, truth.quaternions_wxyz)
+    (error,) = segment_errors(estimate, truth, [100.5])
+    moved_m, ends = evo_errors(truth, estimate, metrics.PoseRelation.translation_part, 100.5)
+    distance_m = distances_m(truth)
+    assert error.segments == len(ends)
+    assert error.translation == pytest.approx(np.mean(moved_m / (distance_m[ends] - distance_m[: len(ends)])))
+
+
 def test_a_gap_longer_than_the_tolerance_gives_no_segment():
     sparse = straight().select(np.arange(0, 501, 50))  # every 100 m
     short, fitting = segment_errors(sparse, sparse, [50.0, 100.0])

@@ -63,6 +63,18 @@ class PairedRun:
     estimate: Trajectory
     truth: Trajectory
 
+    @property
+    def true_path(self) -> Trajectory:
+        """All true poses between the first and the last of the compared ones."""
+        return self.run.truth.between(int(self.truth.stamps_ns[0]), int(self.truth.stamps_ns[-1]))
+
+    @property
+    def flown_m(self) -> Array:
+        """(N,) distance along the whole true path from the first compared pose to each [m]."""
+        first_ns, whole = self.truth.stamps_ns[0], self.run.truth
+        flown = np.interp(self.truth.stamps_ns - first_ns, whole.stamps_ns - first_ns, distances_m(whole))
+        return np.asarray(flown - flown[0])
+
 
 def pair_run(run: Run, *, max_gap_s: float = MAX_GAP_S) -> PairedRun:
     """Interpolate the truth to the estimate's stamps, but not across longer gaps than `max_gap_s` [s].
@@ -109,7 +121,7 @@ def _figures(run: PairedRun, lengths_m: Sequence[float]) -> Figures:
         "track": run.run.track,
         "poses": len(run.run.estimate),
         "poses_with_truth": len(run.estimate),
-        "distance_m": float(distances_m(run.truth)[-1]),
+        "distance_m": float(run.flown_m[-1]),
         "ate_m": {name: error.ate_m for name, error in absolute.items() if error},
         "end_m": {name: error.end_m for name, error in absolute.items() if error},
         "rotation_rms_deg": {name: math.degrees(error.rotation_rms_rad) for name, error in absolute.items() if error},

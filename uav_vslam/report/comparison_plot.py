@@ -12,7 +12,6 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.comparison import PairedRun, aligned_positions
-from uav_vslam.evaluation.segments import distances_m
 from uav_vslam.report.comparison_table import ALIGNMENT_TITLES
 from uav_vslam.report.style import LINE_COLOURS, STYLES, clean, plain_log, save
 
@@ -40,10 +39,9 @@ def comparison_plot(runs: Sequence[PairedRun], *, alignment: str, title: str) ->
     height, error = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     _draw_truth(runs, plan, height)
     for k, (run, estimate) in enumerate(zip(runs, positions, strict=True)):
-        distance_m = distances_m(run.truth)
         plan.plot(estimate[:, 0], estimate[:, 1], **_line(k))
-        height.plot(distance_m, estimate[:, 2], **_line(k))
-        error.plot(distance_m, _errors_m(run, estimate), **_line(k))
+        height.plot(run.flown_m, estimate[:, 2], **_line(k))
+        error.plot(run.flown_m, _errors_m(run, estimate), **_line(k))
     _finish(runs, positions, plan, height, error)
     figure.suptitle(f"{title} ({ALIGNMENT_TITLES[alignment]})")
     columns = 4 if max(len(run.run.label) for run in runs) <= SHORT_LABEL else 3
@@ -54,15 +52,15 @@ def comparison_plot(runs: Sequence[PairedRun], *, alignment: str, title: str) ->
 def _draw_truth(runs: Sequence[PairedRun], plan: Axes, height: Axes) -> None:
     style = STYLES["truth"]
     for run in runs:
-        x, y, z = run.truth.positions.T
+        x, y, _ = run.true_path.positions.T
         plan.plot(x, y, color=style.colour, linewidth=style.width)
-        height.plot(distances_m(run.truth), z, color=style.colour, linewidth=style.width)
+        height.plot(run.flown_m, run.truth.positions[:, 2], color=style.colour, linewidth=style.width)
         plan.plot(x[0], y[0], marker="o", color="black", markersize=6, markerfacecolor="white", zorder=6)
 
 
 def _finish(runs: Sequence[PairedRun], positions: Sequence[Array], plan: Axes, height: Axes, error: Axes) -> None:
     """Set limits, labels and scales."""
-    low, high = _limits([run.truth.positions for run in runs], positions)
+    low, high = _limits([run.true_path.positions for run in runs], positions)
     x, y = _filling(low[:2], high[:2])
     plan.set(xlim=x, ylim=y, xlabel="x (east) [m]", ylabel="y (north) [m]")
     plan.set_aspect("equal")

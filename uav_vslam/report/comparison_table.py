@@ -12,7 +12,6 @@ from uav_vslam.evaluation.comparison import Figures
 from uav_vslam.report.table import figure_text
 
 WIDTH = 100
-LABEL_WIDTH = 28
 ALIGNMENT_TITLES = {"none": "unaligned", "start-yaw": "start yaw", "yaw": "yaw+pos", "se3": "SE3"}
 NOTES = """\
 unaligned: as given; start yaw: start moved to the true start and turned about the vertical there;
@@ -66,7 +65,7 @@ def _labelled(tree: Figures, table: Table) -> Iterator[tuple[Figures, Text]]:
 
 def _table(first: str, *titles: str) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
-    table.add_column(first, max_width=LABEL_WIDTH, overflow="fold")
+    table.add_column(first, overflow="fold")
     for title in titles:
         table.add_column(Text(title, justify="right"), justify="right", no_wrap=True)  # in a str, [m] would be markup
     return table
