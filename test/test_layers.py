@@ -39,6 +39,7 @@ ALLOWED: dict[str, set[str]] = {
     "calibration": EARLY | {"vision", "datasets"},  # image pairs of files and recordings
     "report": {"types", "evaluation", "calibration"},
     "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found
+    "inspection": EARLY | {"ins", "vision", "datasets"},  # it judges what `datasets` reads, by what the graph allows
     # what puts them together without ROS
     "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation", "processes"},
     "studies": ESTIMATOR
@@ -46,7 +47,8 @@ ALLOWED: dict[str, set[str]] = {
     # the top
     "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes"},
     "cli": ESTIMATOR
-    | {"pipeline", "fleet", "datasets", "calibration", "evaluation", "simulation", "report", "overlay", "offline"},
+    | {"pipeline", "fleet", "datasets", "inspection", "calibration", "evaluation", "simulation", "report"}
+    | {"overlay", "offline"},
 }
 # What starts or watches ROS processes may import `ros`.
 ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "studies/engine/node_graph.py"}
@@ -71,6 +73,7 @@ AT_HOME_FILES = {
         "geometry/camera.py",
         "offline.py",
         "cli/calibrate.py",
+        "cli/check.py",
         "cli/simulate.py",
         "cli/bench.py",
         "studies/bench/compute.py",
@@ -213,8 +216,19 @@ CORE = (
     "slam",
     "cooperation",
 )
-CORE += ("pipeline", "fleet", "simulation", "datasets", "calibration", "evaluation", "report", "overlay", "offline")
-CORE += ("studies", "cli")
+CORE += (
+    "pipeline",
+    "fleet",
+    "simulation",
+    "datasets",
+    "inspection",
+    "calibration",
+    "evaluation",
+    "report",
+    "overlay",
+    "offline",
+)
+CORE += ("overlay", "offline", "studies", "cli")
 
 BLOCKED_IMPORT = """
 import importlib, sys

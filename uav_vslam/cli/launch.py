@@ -75,14 +75,13 @@ def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, m
 
 def _check_recordings(bags: Sequence[Path], vehicles: Mapping[str, VehicleConfig]) -> None:
     """Refuse unusable recordings before anything is started: nodes would only drop their messages."""
-    from uav_vslam.datasets.bag import open_flight
+    from uav_vslam.cli.recordings import open_flights
     from uav_vslam.errors import BagError
 
     for bag in bags:
         if not bag.exists():
             raise BagError(f"{bag}: no such recording; give an existing one in the fleet file or with --bag")
-    for vehicle, config in vehicles.items():
-        open_flight(bags, vehicle, config.input).check_images()
+    open_flights(bags, vehicles)
 
 
 def launch(

@@ -20,6 +20,7 @@ VERBS = (
     "simulate",
     "import",
     "calibrate",
+    "check",
     "run",
     "launch",
     "evaluate",

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from uav_vslam.pipeline import VehicleTrack
 
 FIRST_FRAMES = 20  # that show how far apart the stamps of a pair are
-NOTABLE_OFFSET_NS = 500_000  # at 20 m/s over farmland, a pair so far apart is moved by 10 mm against its baseline
 HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
   uav-vslam run config/fleet_demo.yaml                a fleet file: vehicles, configurations, recordings
@@ -57,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
     import time
     from functools import partial
 
+    from uav_vslam.cli.recordings import open_flights
     from uav_vslam.config import idle_settings, load_link
     from uav_vslam.cooperation.link import link_between
-    from uav_vslam.datasets.bag import open_flight
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
     from uav_vslam.datasets.truth import truth_trajectory
     from uav_vslam.evaluation.output import write_results
@@ -71,10 +70,9 @@ def run(args: argparse.Namespace) -> int:
     for text in dict.fromkeys(text for config in configs.values() for text in idle_settings(config).values()):
         print(f"uav-vslam: warning: {text}", file=sys.stderr)
     links = partial(link_between, load_link(args.link)) if args.link else None
-    flights = {name: open_flight(bags, name, config.input) for name, config in configs.items()}
+    flights = open_flights(bags, configs)
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}
     for flight in flights.values():
-        flight.check_images()
         _report_offset(flight)
         for text in flight.warnings:
             print(f"uav-vslam: warning: {flight.vehicle}: {text}", file=sys.stderr)
@@ -135,6 +133,8 @@ def _report_offset(flight: BagFlight) -> None:
     import sys
 
     import numpy as np
+
+    from uav_vslam.datasets.stereo_sync import NOTABLE_OFFSET_NS
 
     apart, tolerance_ns = flight.stamps_apart_ns(FIRST_FRAMES), flight.pair_tolerance_ns(FIRST_FRAMES)
     if len(apart) and NOTABLE_OFFSET_NS < np.median(apart) <= tolerance_ns:

@@ -117,7 +117,7 @@ class BagFlight:
             samples = [truth_of(decode(raw)) for raw in _readable(iter_raw(self.paths, [topic]))]
         except ValueError as error:
             raise BagError(f"bag {_names(self.paths)}, {topic}: {error}") from None
-        return _track(samples) if samples else None
+        return truth_track(samples) if samples else None
 
     def stamps_apart_ns(self, first: int | None = None) -> NDArray[np.int64]:
         """Return the distance of each left image's stamp to the nearest right one's [ns].
@@ -352,11 +352,12 @@ def _in_stamp_order(events: Iterator[ImuSample | StereoFrame]) -> Iterator[ImuSa
         raise error
 
 
-def _track(samples: list[TruthSample]) -> TruthTrack:
+def truth_track(samples: list[TruthSample]) -> TruthTrack:
+    """Return samples in any order as a track; where only poses were recorded, velocities are differences."""
     samples = sorted({sample.stamp_ns: sample for sample in samples}.values(), key=lambda s: s.stamp_ns)
     stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
     positions = np.array([s.T_world_body.t for s in samples])
     velocities = np.array([s.v_world for s in samples])
-    if np.isnan(velocities).any() and len(samples) > 1:  # poses alone were recorded
+    if np.isnan(velocities).any() and len(samples) > 1:
         velocities = np.gradient(positions, (stamps - stamps[0]) / NS_PER_S, axis=0)
     return TruthTrack(stamps, positions, np.array([s.T_world_body.R for s in samples]), velocities)

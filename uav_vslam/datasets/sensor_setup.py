@@ -82,13 +82,25 @@ class SensorSetup:
         """Return what /tf_static still has to connect, in words."""
         return self._unconnected(self._unplaced_frames())
 
+    def camera(self, index: int) -> PinholeCamera:
+        """Return the intrinsics of a camera, 0 for the left one.
+
+        Raises:
+            CalibrationError: they are unknown.
+        """
+        if index < len(self.files.cameras):
+            return self.files.cameras[index].camera
+        if SIDES[index] not in self.cameras:
+            raise CalibrationError(f"no camera_info of the {SIDES[index]} camera, and no file has its calibration")
+        return self.cameras[SIDES[index]][0]
+
     def rig(self) -> StereoRig:
         """Return the stereo rig.
 
         Raises:
             CalibrationError: a camera is unknown or not connected to the body, or the cameras contradict each other.
         """
-        left, right = (self._camera(k) for k in range(len(SIDES)))
+        left, right = (self.camera(k) for k in range(len(SIDES)))
         T_body_left, T_body_right = (self._T_body_cam(k) for k in range(len(SIDES)))
         return StereoRig(left, right, T_body_left, T_body_right)
 
@@ -179,13 +191,6 @@ class SensorSetup:
 
     def _T_left_right(self) -> Pose | None:
         return self.files.cameras[1].T_left_cam if len(self.files.cameras) > 1 else None
-
-    def _camera(self, index: int) -> PinholeCamera:
-        if index < len(self.files.cameras):
-            return self.files.cameras[index].camera
-        if SIDES[index] not in self.cameras:
-            raise CalibrationError(f"no camera_info of the {SIDES[index]} camera, and no file has its calibration")
-        return self.cameras[SIDES[index]][0]
 
     def _T_body_cam(self, index: int) -> Pose:
         known, T_left_right = self.files.T_body_cam(index), self._T_left_right()

@@ -69,7 +69,7 @@ class FrontendHealth:
         pixels = pixels[np.isfinite(pixels).all(axis=1)]
         if len(pixels) < MIN_POINTS:
             return
-        if self._fit(pixels) < 0.5 * SWAPPED_SHARE and self._fit(pixels[:, [2, 3, 0, 1]]) > SWAPPED_SHARE:
+        if seems_swapped(pixels, self._rig, self.epipolar_px):
             self._set("image order", "left and right images seem to be swapped")
             return
         self._distances.append(float(np.median(self._rig.epipolar_distance(pixels))))
@@ -80,13 +80,20 @@ class FrontendHealth:
             f"points are {usual:.1f} px off their epipolar lines: the rig calibration is off" if wrong else "",
         )
 
-    def _fit(self, pixels: Array) -> float:
-        """Return the share of stereo points on their epipolar lines and in front of both cameras."""
-        ahead = np.isfinite(self._rig.triangulate(pixels, refinements=0)[:, 2])
-        return float(np.mean(ahead & (self._rig.epipolar_distance(pixels) <= self.epipolar_px)))
-
     def _set(self, subject: str, text: str) -> None:
         if text:
             self.alarms[subject] = text
         else:
             self.alarms.pop(subject, None)
+
+
+def seems_swapped(pixels: Array, rig: StereoRig, epipolar_px: float) -> bool:
+    """Return whether (N, 4) undistorted stereo points fit the rig only with left and right exchanged."""
+    exchanged = fitting_share(pixels[:, [2, 3, 0, 1]], rig, epipolar_px)
+    return fitting_share(pixels, rig, epipolar_px) < 0.5 * SWAPPED_SHARE and exchanged > SWAPPED_SHARE
+
+
+def fitting_share(pixels: Array, rig: StereoRig, epipolar_px: float) -> float:
+    """Return the share of (N, 4) undistorted stereo points on their epipolar lines and in front of both cameras."""
+    ahead = np.isfinite(rig.triangulate(pixels, refinements=0)[:, 2])
+    return float(np.mean(ahead & (rig.epipolar_distance(pixels) <= epipolar_px)))

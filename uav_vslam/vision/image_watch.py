@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Grey = NDArray[np.uint8]
 
 STEP_PX = 8  # subsampling for frozen and dark images
-MIN_CONTRAST = 6.0  # grey levels between the 2nd and 98th percentile; less is night, a lens cap, a white-out
+MIN_CONTRAST = 6.0  # see `contrast`; less is night, a lens cap, a white-out
 EXPOSURE_JUMP = 1.4  # of the mean brightness from one image to the next
 BLURRED = 0.5  # of the usual sharpness
 MOTION_BLURRED = 0.7  # of the usual isotropy of fine detail; 5 px of motion blur leave 0.55
@@ -38,10 +38,10 @@ class ImageWatch:
         sample = image[::STEP_PX, ::STEP_PX].copy()
         before, self._before = self._before, sample
         was_blind = self.blind
-        low, high = np.percentile(sample, (2.0, 98.0))
-        if high - low < MIN_CONTRAST:
+        spread = contrast(sample)
+        if spread < MIN_CONTRAST:
             self.blind = True
-            return [f"shows nothing (contrast {high - low:.0f} of 255)"]
+            return [f"shows nothing (contrast {spread:.0f} of 255)"]
         if before is not None and np.array_equal(before, sample):
             self.blind = True
             return ["is frozen: it repeats its last image"]
@@ -56,6 +56,12 @@ class ImageWatch:
         if isotropy is not None:
             return [f"is blurred by motion: detail along it is down to {100.0 * isotropy:.0f} % of the usual"]
         return [] if sharpness is None else [f"is blurred: {100.0 * sharpness:.0f} % of its usual sharpness"]
+
+
+def contrast(image: Grey) -> float:
+    """Return the grey levels between the 2nd and the 98th percentile of an (H, W) image."""
+    low, high = np.percentile(image, (2.0, 98.0))
+    return float(high - low)
 
 
 class RunningBaseline:

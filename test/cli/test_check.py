@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam check` prints a report that fits a terminal, writes it for programs, and tells by its exit code."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+from faulty import FAULTS
+from foreign import rewritten
+
+from uav_vslam.cli.main import main
+from uav_vslam.simulation.recording import record
+from uav_vslam.simulation.scenario import SCENARIOS
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("check") / "flight"
+    record(dataclasses.replace(SCENARIOS["kagaru"], frames=16, scale=0.25, seed=3), path)
+    return path
+
+
+def test_a_sound_recording_of_two_vehicles_can_run(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(flight)]) == 0
+    said = capsys.readouterr().out
+    for vehicle in ("uav1", "uav2"):
+        assert f"{vehicle}: the graph can run: no errors, no warnings" in said
+    assert max(map(len, said.splitlines())) <= 100
+
+
+def test_what_can_not_run_is_told_by_text_file_and_exit_code(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = [one for name in ("no start state", "IMU in g", "stereo stamps 3 ms apart") for one in FAULTS[name][0]()]
+    bag, out = rewritten(flight, tmp_path / "bag", *changes), tmp_path / "check.json"
+    assert main(["check", str(bag), "--json", str(out)]) == 1
+    said = capsys.readouterr().out
+    assert "uav1: the graph can't run: 2 errors, 1 warning" in said
+    assert "uav2: the graph can run" in said
+    assert max(map(len, said.splitlines())) <= 100
+    first, second = json.loads(out.read_text())["vehicles"]
+    assert (first["vehicle"], first["usable"], first["errors"], first["warnings"]) == ("uav1", False, 2, 1)
+    assert second["usable"]
+    wrong = [finding["subject"] for finding in first["findings"] if finding["severity"] == "error"]
+    assert wrong == ["IMU gravity size", "start state"]
+    assert all(finding["remedy"] for finding in first["findings"] if finding["severity"] != "ok")
+
+
+def test_settings_count(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(flight), "--vehicles", "uav1", "--set", "start.method=static"]) == 1
+    assert "the vehicle moves" in capsys.readouterr().out
+
+
+def test_a_fleet_file_names_recordings_and_vehicles(flight: Path, tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(f"vehicles: {{uav2: {{}}}}\nreplay: {{bags: [{flight}]}}\n")
+    assert main(["check", str(fleet), "--json", str(tmp_path / "check.json")]) == 0
+    (only,) = json.loads((tmp_path / "check.json").read_text())["vehicles"]
+    assert only["vehicle"] == "uav2"
+    assert main(["check", str(fleet), "--config", "kagaru"]) == 2
+
+
+@pytest.mark.parametrize(("name", "said"), [("nowhere", "does not exist"), ("notes.txt", "is not a bag")])
+def test_what_is_no_bag_is_wrong_input(
+    name: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "notes.txt").write_text("hello")
+    assert main(["check", str(tmp_path / name)]) == 2
+    assert said in capsys.readouterr().err

@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A small recorded flight of one vehicle with which nothing is wrong."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from uav_vslam.simulation.recording import record
+from uav_vslam.simulation.scenario import SCENARIOS
+
+
+@pytest.fixture(scope="session")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("clean") / "flight"
+    record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=24, scale=0.25, seed=3), path)
+    return path

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every fault planted into a recording is named, in one go, and nothing is found where nothing is wrong."""
+
+import dataclasses
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, missing
+from foreign import kalibr_of, renamed, rewritten, without
+
+from uav_vslam.config import VehicleConfig, load_vehicle
+from uav_vslam.inspection.finding import Finding, Severity
+from uav_vslam.inspection.recording import Inspection, inspect_bags
+from uav_vslam.simulation.recording import record
+from uav_vslam.simulation.scenario import SCENARIOS
+
+pytestmark = pytest.mark.slow
+
+
+def inspected(bag: Path, config: VehicleConfig | None = None) -> Inspection:
+    return inspect_bags((bag,), "uav1", config or VehicleConfig())[1]
+
+
+def faults(found: Iterable[Finding]) -> list[Finding]:
+    return [finding for finding in found if finding.severity is not Severity.OK]
+
+
+def assert_named(found: Inspection, expected: Iterable[Expected]) -> None:
+    for severity, subject, words in expected:
+        named = [f"{f.seen} {f.allowed} {f.remedy}" for f in faults(found.findings) if f.subject == subject]
+        kinds = {f.severity.value for f in found.findings if f.subject == subject}
+        assert severity in kinds, f"{subject!r} is not among {[f.subject for f in faults(found.findings)]}"
+        for word in words:
+            assert word in " ".join(named)
+
+
+def test_a_clean_recording_has_no_fault(clean: Path) -> None:
+    found = inspected(clean)
+    assert faults(found.findings) == []
+    assert found.block == ""
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4, 5])
+def test_neither_have_other_flights(seed: int, tmp_path: Path) -> None:
+    scenario = dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=24, scale=0.25, seed=seed)
+    record(scenario, tmp_path / "flight")
+    assert faults(inspected(tmp_path / "flight").findings) == []
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_named_and_decides_whether_the_graph_can_run(
+    fault: str, clean: Path, tmp_path: Path
+) -> None:
+    changes, expected = FAULTS[fault]
+    found = inspected(rewritten(clean, tmp_path / "bag", *changes()))
+    assert_named(found, expected)
+    if all(severity == "warning" for severity, _, _ in expected) and fault != "saturated accelerometer":
+        assert found.usable
+    if any(severity == "error" for severity, _, _ in expected):
+        assert not found.usable
+
+
+@pytest.mark.parametrize("case", TOGETHER)
+def test_of_several_faults_each_is_named(case: str, clean: Path, tmp_path: Path) -> None:
+    planted = [FAULTS[fault] for fault in TOGETHER[case]]
+    found = inspected(rewritten(clean, tmp_path / "bag", *(one for changes, _ in planted for one in changes())))
+    for _, expected in planted:
+        severity, subject, words = expected[0]  # others may need what another fault spoils: swapped cameras see nothing
+        assert_named(found, [(severity, subject, words[:1])])
+
+
+def test_foreign_topics_are_judged_as_well_and_the_block_makes_the_recording_usable(
+    clean: Path, tmp_path: Path
+) -> None:
+    bag = rewritten(clean, tmp_path / "bag", renamed)
+    found = inspected(bag)
+    (only,) = faults(found.findings)
+    assert only.subject == "topic names"
+    assert "left /camera/infra1/image_rect_raw" in only.seen
+    assert any(finding.subject == "scale" for finding in found.findings)
+    config = tmp_path / "mine.yaml"
+    config.write_text(found.block)
+    again = inspected(bag, load_vehicle(config))
+    assert faults(again.findings) == []
+    assert again.block == ""
+
+
+def test_a_calibration_file_stands_for_camera_info_and_frames(clean: Path, tmp_path: Path) -> None:
+    infos = ("/uav1/left/camera_info", "/uav1/right/camera_info")
+    bag = rewritten(clean, tmp_path / "bag", without("/tf_static", *infos))
+    files = [str(kalibr_of(clean, tmp_path))]
+    assert faults(inspected(bag, load_vehicle(None, overrides={"input.calibration": files})).findings) == []
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("cam0: {camera_model: omni}")
+    found = inspected(bag, load_vehicle(None, overrides={"input.calibration": [str(broken)]}))
+    assert {"calibration files", "left_info topic", "camera frames"} <= {f.subject for f in faults(found.findings)}
+
+
+@pytest.mark.parametrize("topic", ["/tf_static", LEFT, RIGHT, *INFOS, IMU, START, TRUTH])
+@pytest.mark.parametrize("left", [0, 2])
+def test_whatever_is_missing_the_rest_is_judged(topic: str, left: int, clean: Path, tmp_path: Path) -> None:
+    change = missing(topic, range(left, 1000)) if left else without(topic)
+    subjects = {finding.subject for finding in inspected(rewritten(clean, tmp_path / "bag", change)).findings}
+    assert ("start state" in subjects) or ("start time" in subjects)
+    assert {"truth", "truth time"} & subjects
+    assert (topic == IMU and left == 0) or any(subject.startswith("gyroscope") for subject in subjects)
+    assert topic == LEFT or any(subject.startswith("left image") for subject in subjects)
+
+
+def test_a_truncated_recording_is_judged_up_to_the_damage(clean: Path, tmp_path: Path) -> None:
+    (source,) = clean.glob("*.mcap")
+    data = source.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: int(0.6 * len(data))])
+    found = inspected(tmp_path / "cut.mcap")
+    assert "recording" in {finding.subject for finding in faults(found.findings)}
+    assert found.usable

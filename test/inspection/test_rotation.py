@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Unit and axes of a gyroscope are recovered from a reference rotation, for every mounting by right angles."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.inspection.finding import Severity
+from uav_vslam.inspection.rotation import RatePairs, check_rotation, mean_rates, rates_of_rotations
+
+TURNS = [
+    R
+    for order in itertools.permutations(range(3))
+    for sign in itertools.product((1.0, -1.0), repeat=3)
+    if np.linalg.det(R := np.diag(sign) @ np.eye(3)[list(order)]) > 0
+]
+
+
+def pairs(R_imu_body: np.ndarray, scale: float, seed: int = 1) -> RatePairs:
+    rng = np.random.default_rng(seed)
+    true = rng.normal(0.0, [0.3, 0.2, 0.4], (12, 3))
+    gyro = scale * (true @ R_imu_body.T) + rng.normal(0.0, scale * 0.02, (12, 3)) + scale * 0.01
+    return RatePairs(gyro, true, 0.01, "the truth")
+
+
+@pytest.mark.parametrize("scale", [1.0, 180.0 / math.pi])
+@pytest.mark.parametrize("number", range(24))
+def test_each_mounting_and_unit_is_named(number: int, scale: float) -> None:
+    (finding,) = check_rotation(pairs(TURNS[number], scale))
+    right = np.array_equal(TURNS[number], np.eye(3))
+    assert (finding.severity is Severity.OK) == (right and scale == 1.0)
+    assert ("in degrees" in finding.seen) == (scale != 1.0)
+    shown = [f"{'+' if row.sum() > 0 else '-'}{'xyz'[int(np.argmax(abs(row)))]}" for row in TURNS[number]]
+    assert (f"({', '.join(shown)})" in finding.seen) == (not right)
+
+
+def test_a_rotation_that_nothing_explains_is_a_warning() -> None:
+    right, rng = pairs(np.eye(3), 1.0), np.random.default_rng(4)
+    (finding,) = check_rotation(RatePairs(rng.permutation(right.gyro), right.reference, 0.01, "the truth"))
+    assert finding.severity is Severity.WARNING
+
+
+def test_a_vehicle_that_hardly_turns_is_not_judged() -> None:
+    still = RatePairs(np.full((10, 3), 0.5), np.random.default_rng(1).normal(0.0, 0.001, (10, 3)), 0.01, "the truth")
+    (finding,) = check_rotation(still)
+    assert "not judged" in finding.seen
+
+
+def test_mean_rates_are_those_of_the_rotation_between_and_unknown_across_a_gap() -> None:
+    rate = np.array([0.4, -0.2, 0.3])
+    stamps = np.arange(0, 2_000_000_000, 5_000_000)
+    gyro = np.tile(rate, (len(stamps), 1))
+    starts, ends = np.array([100_000_000, 900_000_000]), np.array([300_000_000, 1_100_000_000])
+    np.testing.assert_allclose(mean_rates(stamps, gyro, starts, ends), [rate, rate])
+    seconds = (ends - starts) / 1e9
+    R = so3_exp(rate * seconds[:, None])
+    np.testing.assert_allclose(rates_of_rotations(np.tile(np.eye(3), (2, 1, 1)), R, seconds), [rate, rate])
+    kept = (stamps < 950_000_000) | (stamps > 1_050_000_000)
+    holed = mean_rates(stamps[kept], gyro[kept], starts, ends)
+    np.testing.assert_allclose(holed[0], rate)
+    assert np.isnan(holed[1]).all()
+    assert np.isnan(mean_rates(stamps, gyro, starts - 200_000_000, ends)[0]).all()

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of strangers' recordings are guessed from names and types."""
+
+import pytest
+import yaml
+
+from uav_vslam.config import InputConfig
+from uav_vslam.datasets.rosbag import TopicInfo
+from uav_vslam.inspection.topics import configuration_block, guess_topics, topics_to_set, vehicles_of
+
+IMAGE, IMU = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
+INFO, POSE = "sensor_msgs/msg/CameraInfo", "geometry_msgs/msg/PoseStamped"
+
+
+def recorded(**kinds: list[str]) -> dict[str, TopicInfo]:
+    types = {"images": IMAGE, "imus": IMU, "infos": INFO, "poses": POSE}
+    return {topic: TopicInfo(types[kind], 100, False) for kind, topics in kinds.items() for topic in topics}
+
+
+RECORDINGS = {
+    "realsense": (
+        recorded(
+            images=["/camera/infra2/image_rect_raw", "/camera/depth/image_rect_raw", "/camera/infra1/image_rect_raw"],
+            infos=["/camera/infra1/camera_info", "/camera/infra2/camera_info", "/camera/depth/camera_info"],
+            imus=["/camera/imu"],
+        ),
+        {
+            "left": "/camera/infra1/image_rect_raw",
+            "right": "/camera/infra2/image_rect_raw",
+            "left_info": "/camera/infra1/camera_info",
+            "right_info": "/camera/infra2/camera_info",
+            "imu": "/camera/imu",
+        },
+    ),
+    "euroc": (
+        recorded(images=["/cam1/image_raw", "/cam0/image_raw"], imus=["/imu0"], poses=["/vicon/firefly", "/goal"]),
+        {"left": "/cam0/image_raw", "right": "/cam1/image_raw", "imu": "/imu0", "truth": "/vicon/firefly"},
+    ),
+    "zed": (
+        recorded(
+            images=["/zed/zed_node/left_raw/image_raw_gray", "/zed/zed_node/right_raw/image_raw_gray"],
+            infos=["/zed/zed_node/left_raw/camera_info", "/zed/zed_node/right_raw/camera_info"],
+            imus=["/zed/zed_node/imu/data", "/zed/zed_node/imu/data_raw"],
+        ),
+        {
+            "left": "/zed/zed_node/left_raw/image_raw_gray",
+            "right": "/zed/zed_node/right_raw/image_raw_gray",
+            "left_info": "/zed/zed_node/left_raw/camera_info",
+            "right_info": "/zed/zed_node/right_raw/camera_info",
+            "imu": "/zed/zed_node/imu/data_raw",
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_usual_names_are_recognised(name: str) -> None:
+    topics, expected = RECORDINGS[name]
+    assert guess_topics(topics, "uav1").best == expected
+
+
+def test_the_block_to_paste_is_a_valid_configuration_and_names_alternatives() -> None:
+    topics, expected = RECORDINGS["zed"]
+    guess = guess_topics(topics, "uav1")
+    to_set = topics_to_set(topics, guess, "uav1", InputConfig())
+    block = configuration_block(to_set, guess, {"imu.accel_noise": 0.02})
+    assert "# or /zed/zed_node/imu/data" in block
+    tree = yaml.safe_load(block)["/**"]["ros__parameters"]
+    assert tree == {"input": {"topics": expected}, "imu": {"accel_noise": 0.02}}
+
+
+def test_two_rigs_are_both_named_and_one_camera_is_no_pair() -> None:
+    topics = recorded(images=["/front/cam0/image", "/front/cam1/image", "/down/cam0/image", "/down/cam1/image"])
+    guess = guess_topics(topics, "uav1")
+    assert sorted(guess.stereo) == [
+        ("/down/cam0/image", "/down/cam1/image"),
+        ("/front/cam0/image", "/front/cam1/image"),
+    ]
+    assert guess_topics(recorded(images=["/camera/image_raw"]), "uav1").stereo == []
+
+
+def test_vehicles_are_found_by_any_of_their_topics() -> None:
+    topics = recorded(images=["/uav2/right/image_raw/compressed"], imus=["/uav1/imu/data_raw", "/imu"])
+    assert vehicles_of(topics, InputConfig()) == ["uav1", "uav2"]
+    assert vehicles_of(recorded(imus=["/imu"]), InputConfig()) == ["uav1"]

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam check`: judge recordings before they are run, all faults at once."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from uav_vslam.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from uav_vslam.config import VehicleConfig
+    from uav_vslam.datasets.survey import Survey
+    from uav_vslam.inspection.recording import Inspection
+
+HELP = "judge a recording before it is run: topics, stamps, IMU, calibration, images, start, truth"
+EXAMPLES = """examples:
+  uav-vslam check flight                              every vehicle of a bag, with the default settings
+  uav-vslam check flight --config mine.yaml           with your topics, calibration and IMU noise
+  uav-vslam check config/fleet_demo.yaml              a fleet file: vehicles, configurations, recordings
+  uav-vslam check flight --json check.json            for programs as well
+
+exit codes: 0 the graph can run (warnings allowed), 1 it can't, 2 wrong arguments or no readable bag
+"""
+CANT_RUN = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("inputs", nargs="+", type=Path, metavar="BAG|FLEET.yaml", help="bags, or one fleet file")
+    parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/ (bags only)")
+    parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the findings into a file")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check, print, and return whether the graph can run."""
+    import cv2
+
+    from uav_vslam.inspection.report import text, tree
+
+    cv2.setNumThreads(1)
+    bags, configs = _inputs(args)
+    judged = _judge(bags, configs)
+    print("\n\n".join(text(survey, inspection) for survey, inspection in judged))
+    if args.json:
+        _write_json(args.json, [tree(survey, inspection) for survey, inspection in judged])
+    return 0 if all(inspection.usable for _, inspection in judged) else CANT_RUN
+
+
+def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
+    """Return the bags and each vehicle's configuration."""
+    from uav_vslam.cli.overrides import override
+    from uav_vslam.config import find_config, load_fleet, load_vehicle
+    from uav_vslam.datasets.rosbag import topics_of
+    from uav_vslam.errors import ConfigError
+    from uav_vslam.inspection.topics import vehicles_of
+
+    overrides = dict(override(item) for item in args.set)
+    if args.inputs[0].suffix in {".yaml", ".yml"}:
+        if len(args.inputs) > 1 or args.vehicles or args.config:
+            raise ConfigError(f"{args.inputs[0]} is a fleet file: no other input, --vehicles or --config goes with it")
+        fleet = load_fleet(args.inputs[0], overrides=overrides)
+        if not fleet.replay.bags:
+            raise ConfigError(f"{args.inputs[0]}: replay.bags is empty; name the recordings to check")
+        return fleet.replay.bags, fleet.vehicles
+    config = load_vehicle(find_config(args.config) if args.config else None, overrides=overrides)
+    bags = tuple(args.inputs)
+    return bags, dict.fromkeys(args.vehicles or vehicles_of(topics_of(bags), config.input), config)
+
+
+def _judge(bags: tuple[Path, ...], configs: dict[str, VehicleConfig]) -> list[tuple[Survey, Inspection]]:
+    """Read and judge each vehicle's recording."""
+    from uav_vslam.datasets.rosbag import topics_of
+    from uav_vslam.inspection.recording import inspect_bags
+
+    messages = sum(info.count for info in topics_of(bags).values())
+    with progress_bar("checking", messages) as advance:
+        return [inspect_bags(bags, name, config, advance) for name, config in configs.items()]
+
+
+def _write_json(path: Path, vehicles: list[dict[str, object]]) -> None:
+    import json
+
+    from uav_vslam.errors import UavVslamError
+
+    try:
+        path.write_text(json.dumps({"vehicles": vehicles}, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UavVslamError(f"{path}: can't be written ({error.strerror}); give another --json FILE") from None

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads all of one vehicle's recording in one pass, faults included, for `inspection`: nothing here refuses it."""
+
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import InputConfig
+from uav_vslam.config.input import image_names
+from uav_vslam.datasets.bag import IMAGE_TYPES, TruthTrack, truth_track
+from uav_vslam.datasets.calibration_files import Calibration
+from uav_vslam.datasets.flight_writer import TF_STATIC
+from uav_vslam.datasets.messages import (
+    camera_of,
+    header_stamp_ns,
+    image_of,
+    imu_of,
+    navigation_state_of,
+    transforms_of,
+    truth_of,
+)
+from uav_vslam.datasets.rosbag import RawMessage, TopicInfo, decode, iter_raw, topics_of
+from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
+from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
+
+Array = NDArray[np.float64]
+
+TYPES = {  # that can be read, by role
+    "left": IMAGE_TYPES,
+    "right": IMAGE_TYPES,
+    "left_info": ("sensor_msgs/msg/CameraInfo",),
+    "right_info": ("sensor_msgs/msg/CameraInfo",),
+    "imu": ("sensor_msgs/msg/Imu",),
+    "initial_state": ("uav_vslam_msgs/msg/NavigationState",),
+    "truth": ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped"),
+}
+SAMPLES = 8  # images of each camera, and pairs, that are decoded
+COUPLE_NS = NS_PER_S // 2  # largest time between two pairs that still show the same
+HEADER_BYTES = 12  # CDR header and stamp: all else of two equal images is equal
+
+
+@dataclass(slots=True)
+class Stream:
+    """One topic's messages in recorded order.
+
+    Attributes:
+        topic, msgtype: name and type.
+        stamps_ns: (N,) of the headers [ns].
+        recorded_ns: (N,) when they were recorded [ns].
+        errors: reasons why messages could not be read.
+    """
+
+    topic: str
+    msgtype: str
+    stamps_ns: NDArray[np.int64]
+    recorded_ns: NDArray[np.int64]
+    errors: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def period_ns(self) -> float:
+        """Median distance of increasing stamps [ns]; NaN if there are too few."""
+        steps = np.diff(self.stamps_ns)
+        return float(np.median(steps[steps > 0])) if (steps > 0).any() else float("nan")
+
+
+@dataclass(slots=True)
+class Survey:
+    """One vehicle's recording.
+
+    Attributes:
+        vehicle: name.
+        input: where its data come from.
+        topics: all of the recording.
+        streams: by role, a field of `TopicsConfig`; those that were recorded with a type that can be read.
+        imu: readings in the IMU's own axes.
+        setup: calibration.
+        problems: why the calibration files can't be read.
+        initial: start states.
+        child_frames: by role, the body's frame in the first start state and truth.
+        truth: true motion, or None.
+        repeated: by side, (N,) whether an image equals the one before.
+        images: by side, some decoded images.
+        pair_count: pairs that the graph makes of the images.
+        samples: some pairs that are not frozen, each with the next one if that is soon after.
+        damage: what broke off reading; empty if nothing did.
+    """
+
+    vehicle: str
+    input: InputConfig
+    topics: dict[str, TopicInfo]
+    setup: SensorSetup
+    streams: dict[str, Stream] = field(default_factory=dict)
+    imu: list[ImuSample] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    initial: list[NavEstimate] = field(default_factory=list)
+    child_frames: dict[str, str] = field(default_factory=dict)
+    truth: TruthTrack | None = None
+    repeated: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    images: dict[str, list[NDArray[Any]]] = field(default_factory=lambda: {side: [] for side in SIDES})
+    pair_count: int = 0
+    samples: list[tuple[StereoFrame, StereoFrame | None]] = field(default_factory=list)
+    damage: str = ""
+
+
+def topic_of(topics: Mapping[str, TopicInfo], vehicle: str, config: InputConfig, role: str) -> str | None:
+    """Return the recorded topic of a role that can be read, or None."""
+    name = config.topic(vehicle, role)
+    names = image_names(name) if role in SIDES else (name,)
+    return next((one for one in names if one in topics and topics[one].msgtype in TYPES[role]), None)
+
+
+def survey_flight(
+    paths: Sequence[Path], vehicle: str, config: InputConfig, *, on_message: Callable[[], None] = lambda: None
+) -> Survey:
+    """Read all that is recorded of one vehicle.
+
+    Args:
+        paths: bags that together hold its topics.
+        vehicle: its ROS namespace.
+        config: its topics, frames and calibration files.
+        on_message: called after each message, for a progress bar.
+
+    Raises:
+        BagError: a path is missing or not a bag, or nothing of it can be read.
+    """
+    reader = _Reader(topics_of(paths), vehicle.strip("/"), config)
+    try:
+        for raw in iter_raw(paths, reader.wanted):
+            reader.add(raw)
+            on_message()
+    except BagError as error:
+        reader.found.damage = str(error)
+    return reader.result()
+
+
+class _Reader:
+    """Collects the messages of one vehicle."""
+
+    def __init__(self, topics: dict[str, TopicInfo], vehicle: str, config: InputConfig) -> None:
+        setup, problems = _setup(vehicle, config)
+        self.found = Survey(vehicle, config, topics, setup, problems=problems)
+        roles = {topic_of(topics, vehicle, config, role): role for role in TYPES}
+        self._roles = {topic: role for topic, role in roles.items() if topic is not None}
+        self._stamps: dict[str, list[tuple[int, int]]] = {role: [] for role in self._roles.values()}
+        self._errors: dict[str, list[str]] = {role: [] for role in self._roles.values()}
+        self._truth: list[Any] = []
+        self._checksums: dict[str, list[int]] = {side: [] for side in SIDES}
+        self._pairer: StereoPairer[RawMessage | None] = StereoPairer(
+            tolerance_ns=round(config.pair_tolerance_s * NS_PER_S)
+        )
+        self._last: StereoPair[RawMessage | None] | None = None
+
+    @property
+    def wanted(self) -> list[str]:
+        """Topics to read."""
+        return [*self._roles, TF_STATIC]
+
+    def add(self, raw: RawMessage) -> None:
+        """Add a message; one that can't be read is counted."""
+        if raw.topic == TF_STATIC:
+            self.found.setup.frames.add(transforms_of(decode(raw)))
+            return
+        role = self._roles[raw.topic]
+        try:
+            self._stamps[role].append((header_stamp_ns(raw.data), raw.stamp_ns))
+            self._add_image(role, raw) if role in SIDES else self._add_message(role, decode(raw))
+        except (BagError, CalibrationError, ValueError) as error:
+            self._errors[role].append(str(error))
+
+    def result(self) -> Survey:
+        """Return what was found."""
+        for topic, role in self._roles.items():
+            stamps = np.array(self._stamps[role], np.int64).reshape(-1, 2)
+            info = self.found.topics[topic]
+            self.found.streams[role] = Stream(topic, info.msgtype, stamps[:, 0], stamps[:, 1], self._errors[role])
+        for side, checksums in self._checksums.items():
+            self.found.repeated[side] = np.diff(np.array(checksums, np.int64), prepend=-1) == 0
+        self.found.truth = truth_track(self._truth) if self._truth else None
+        return self.found
+
+    def _add_message(self, role: str, built: Any) -> None:
+        if role == "imu":
+            if self.found.setup.imu_frame is None:
+                self.found.setup.imu_frame = built.header.frame_id
+            self.found.imu.append(imu_of(built))
+        elif role == "truth":
+            self.found.child_frames.setdefault(role, getattr(built, "child_frame_id", ""))
+            self._truth.append(truth_of(built))
+        elif role == "initial_state":
+            self.found.child_frames.setdefault(role, built.child_frame_id)
+            self.found.initial.append(navigation_state_of(built))
+        else:
+            side = role.removesuffix("_info")
+            if side not in self.found.setup.cameras:
+                self.found.setup.cameras[side] = (camera_of(built), built.header.frame_id)
+
+    def _add_image(self, side: str, raw: RawMessage) -> None:
+        number = len(self._checksums[side])
+        self._checksums[side].append(zlib.crc32(memoryview(raw.data)[HEADER_BYTES:]))
+        if number % max(1, self.found.topics[raw.topic].count // SAMPLES) == 0:
+            self.found.images[side].append(image_of(decode(raw)))
+        add = self._pairer.add_left if side == "left" else self._pairer.add_right
+        frozen = number > 0 and self._checksums[side][-1] == self._checksums[side][-2]
+        pair = add(header_stamp_ns(raw.data), None if frozen else raw)
+        if pair is not None:
+            self._add_pair(raw.topic, pair)
+
+    def _add_pair(self, topic: str, pair: StereoPair[RawMessage | None]) -> None:
+        """Count a pair, and keep some of those that are not frozen, preferably where the next one follows soon."""
+        last, self._last = self._last, pair
+        self.found.pair_count += 1
+        step = max(2, self.found.topics[topic].count // SAMPLES)
+        late = self.found.pair_count - len(self.found.samples) * step - 2
+        if late < 0 or last is None:
+            return
+        first, second = (_frame(one, self.found.setup.time_offset_ns) for one in (last, pair))
+        soon = second is not None and pair.stamp_ns - last.stamp_ns <= COUPLE_NS
+        if first is not None and (soon or late >= step // 2):
+            self.found.samples.append((first, second if soon else None))
+
+
+def _setup(vehicle: str, config: InputConfig) -> tuple[SensorSetup, list[str]]:
+    """Return the setup with the calibration files; or without them, and the reason."""
+    try:
+        return SensorSetup.of(vehicle, config), []
+    except CalibrationError as error:
+        return SensorSetup(vehicle, config, Calibration()), [str(error)]
+
+
+def _frame(pair: StereoPair[RawMessage | None], time_offset_ns: int) -> StereoFrame | None:
+    """Return the decoded pair with a stamp of the IMU's clock, None if an image is frozen."""
+    if pair.left is None or pair.right is None:
+        return None
+    return StereoFrame(pair.stamp_ns + time_offset_ns, image_of(decode(pair.left)), image_of(decode(pair.right)))

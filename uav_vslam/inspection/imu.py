@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The checks of the IMU, with what else tells of its axes: start state, truth, cameras."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.datasets.survey import Survey
+from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.mounting import ImuMounting
+from uav_vslam.inspection import imu_readings, limits
+from uav_vslam.inspection.finding import Finding, Severity, count
+from uav_vslam.inspection.imu_noise import NoiseLevels, at_rest, check_noise, noise_levels
+from uav_vslam.inspection.motion import rotations_by_cameras, rotations_by_truth, up_of_truth
+from uav_vslam.inspection.rotation import check_rate_size, check_rotation
+from uav_vslam.inspection.views import Views
+from uav_vslam.types import NS_PER_S, ImuSample
+
+Array = NDArray[np.float64]
+
+START_WINDOW_S = 1.0  # before and after the start state, over which specific force is averaged
+
+
+def readings_in_body(survey: Survey) -> list[ImuSample]:
+    """Return the readings that the graph takes, in the body; in their own axes where the mounting is unknown."""
+    try:
+        mounting = ImuMounting(survey.setup.T_body_imu())
+    except CalibrationError:
+        return _increasing(survey.imu)
+    return [mounting.to_body(one) for one in _increasing(survey.imu)]
+
+
+def check_imu(
+    survey: Survey,
+    readings: list[ImuSample],
+    rig: StereoRig | None,
+    looked: Views,
+    config: VehicleConfig,
+) -> tuple[list[Finding], dict[str, NoiseLevels]]:
+    """Judge units, axes, range and noise of the IMU.
+
+    Args:
+        survey: what was recorded.
+        readings: in the body, in stamp order.
+        rig: calibration, or None.
+        looked: motion by the cameras.
+        config: of the vehicle.
+
+    Returns:
+        The findings, and the noise by sensor; empty where it can't be measured.
+    """
+    if not readings:
+        return [], {}
+    stamps = np.array([one.stamp_ns for one in readings], np.int64)
+    gyro, accel = np.array([one.gyro for one in readings]), np.array([one.accel for one in readings])
+    found: list[Finding] = []
+    raw = {"gyroscope": np.array([one.gyro for one in survey.imu])}
+    raw["accelerometer"] = np.array([one.accel for one in survey.imu])
+    for sensor, unit in imu_readings.SENSORS:
+        found += imu_readings.check_stuck(raw[sensor], sensor)
+        found += imu_readings.check_saturation(raw[sensor], sensor, unit)
+    rate_hz = NS_PER_S / survey.streams["imu"].period_ns
+    units = imu_readings.check_units(accel, gravity=config.imu.gravity, rate_hz=rate_hz)
+    rates = check_rate_size(gyro)
+    if not survey.setup.missing_imu_transforms():  # of unknown axes nothing more can be said
+        found += _check_gravity(survey, stamps, accel, config)
+        rates += _check_rates(survey, stamps, gyro, rig, looked)
+    found += [*units, *rates]
+    if count([*units, *rates], Severity.ERROR):  # noise in other units would mislead
+        return found, {}
+    noise = noise_levels(stamps, gyro, accel, config.imu, at_rest(stamps, gyro, accel))
+    return [*found, *check_noise(noise)], noise
+
+
+def _check_gravity(survey: Survey, stamps: NDArray[np.int64], accel: Array, config: VehicleConfig) -> list[Finding]:
+    """Check gravity's direction against the start state, the truth, or else a level body."""
+    found = []
+    if survey.initial and config.start.method == "given":
+        state = survey.initial[0].state
+        near = np.abs(stamps - state.stamp_ns) <= START_WINDOW_S * NS_PER_S
+        if near.any():
+            found += imu_readings.check_gravity_direction(
+                accel[near].mean(axis=0), state.T_map_body.R[2], known_from="the start state", tilt_deg=limits.TILT_DEG
+            )
+    truth = survey.truth
+    if truth is not None and count(found, Severity.ERROR) == 0:
+        covered = (stamps >= truth.stamps_ns[0]) & (stamps <= truth.stamps_ns[-1])
+        if covered.any() and len(truth) > 2:
+            up = up_of_truth(truth, stamps[covered], config.imu.gravity)
+            found += imu_readings.check_gravity_direction(
+                accel[covered].mean(axis=0), up, known_from="the truth", tilt_deg=limits.MEAN_TILT_DEG
+            )
+    return found or imu_readings.check_gravity_direction(
+        accel.mean(axis=0), None, known_from="the z axis", tilt_deg=limits.TILT_DEG
+    )
+
+
+def _check_rates(
+    survey: Survey, stamps: NDArray[np.int64], gyro: Array, rig: StereoRig | None, looked: Views
+) -> list[Finding]:
+    """Check the gyroscope against truth and cameras."""
+    found: list[Finding] = []
+    if survey.truth is not None and len(survey.truth) > 2:
+        found += check_rotation(rotations_by_truth(survey.truth, stamps, gyro))
+    if rig is not None and looked.steps:
+        found += check_rotation(rotations_by_cameras(looked.steps, rig, stamps, gyro))
+    return found
+
+
+def _increasing(readings: list[ImuSample]) -> list[ImuSample]:
+    """Return the finite readings whose stamps increase."""
+    kept: list[ImuSample] = []
+    for one in readings:
+        finite = np.isfinite(one.gyro).all() and np.isfinite(one.accel).all()
+        if finite and (not kept or one.stamp_ns > kept[-1].stamp_ns):
+            kept.append(one)
+    return kept

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The IMU's noise from its readings, at rest and in flight, against the configured densities.
+
+The density of white noise is sqrt(S / 2), S the one-sided power spectral density. It is taken over the
+upper band of frequencies, where an aircraft does not move: in flight noise and vibration remain. Vibration at a few
+frequencies averages out in part, so its level is the cautious choice for a density.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.ins.alignment import MAX_ACCEL_STD, MAX_RATE_STD
+from uav_vslam.inspection import limits
+from uav_vslam.inspection.finding import Finding, ok, warning
+from uav_vslam.types import NS_PER_S
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SEGMENT = 256  # readings per spectrum
+SETTINGS = {"gyroscope": "imu.gyro_noise", "accelerometer": "imu.accel_noise"}
+UNITS = {"gyroscope": "rad/s/sqrt(Hz)", "accelerometer": "m/s^2/sqrt(Hz)"}
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseLevels:
+    """Noise densities per axis of one sensor.
+
+    Attributes:
+        configured: of all axes.
+        rest, flight: (x, y, z), or None where there was too little of it.
+    """
+
+    configured: float
+    rest: tuple[float, ...] | None
+    flight: tuple[float, ...] | None
+
+    @property
+    def recommended(self) -> float:
+        """The density to configure: the largest measured one, that of flight if there is one."""
+        return max(self.flight or self.rest or (self.configured,))
+
+
+def at_rest(stamps_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Mask:
+    """Return (N,) whether the vehicle rests, judged in windows as `static_alignment` judges."""
+    resting = np.zeros(len(stamps_ns), bool)
+    if len(stamps_ns) == 0:
+        return resting
+    window = ((stamps_ns - stamps_ns[0]) / (limits.REST_WINDOW_S * NS_PER_S)).astype(np.int64)
+    for rows in np.split(np.arange(len(window)), np.flatnonzero(np.diff(window)) + 1):
+        quiet = gyro[rows].std(axis=0).max() <= MAX_RATE_STD and accel[rows].std(axis=0).max() <= MAX_ACCEL_STD
+        resting[rows] = quiet and len(rows) > 1
+    return resting
+
+
+def noise_levels(
+    stamps_ns: NDArray[np.int64], gyro: Array, accel: Array, imu: ImuConfig, resting: Mask
+) -> dict[str, NoiseLevels]:
+    """Return the noise of both sensors.
+
+    Args:
+        stamps_ns: (N,) increasing [ns].
+        gyro, accel: (N, 3) readings [rad/s], [m/s^2].
+        imu: configured densities.
+        resting: (N,) whether the vehicle rests.
+    """
+    levels = {}
+    for sensor, readings, configured in (
+        ("gyroscope", gyro, imu.gyro_noise),
+        ("accelerometer", accel, imu.accel_noise),
+    ):
+        rest, flight = (_density(stamps_ns, readings, mask) for mask in (resting, ~resting))
+        levels[sensor] = NoiseLevels(configured, rest, flight)
+    return levels
+
+
+def check_noise(levels: dict[str, NoiseLevels]) -> list[Finding]:
+    """Compare measured with configured densities; larger configured ones are cautious, so no fault."""
+    found = []
+    for sensor, level in levels.items():
+        if level.rest is None and level.flight is None:
+            continue
+        texts = {"at rest": level.rest, "in flight": level.flight}
+        seen = "; ".join(f"{when} {_per_axis(values)}" for when, values in texts.items() if values is not None)
+        seen += f" {UNITS[sensor]}, configured {level.configured:.2g}"
+        ratios = np.array(level.flight or level.rest) / level.configured
+        loud = [f"{axis} ({ratio:.1f}x)" for axis, ratio in zip("xyz", ratios, strict=True) if _too_loud(ratio)]
+        if not loud:
+            found.append(ok(f"{sensor} noise", seen))
+            continue
+        kind = "vibration" if level.rest is not None and level.flight is not None else "noise"
+        remedy = f"set {SETTINGS[sensor]}: {level.recommended:.2g}"
+        allowed = f"{limits.NOISE_RATIO:g} times the configured density; more {kind} on {', '.join(loud)}"
+        found.append(warning(f"{sensor} noise", seen, allowed, remedy))
+    return found
+
+
+def recommended(levels: dict[str, NoiseLevels]) -> dict[str, float]:
+    """Return the settings to change, by name; empty if the configured densities cover what was measured."""
+    return {
+        SETTINGS[sensor]: float(f"{level.recommended:.2g}")
+        for sensor, level in levels.items()
+        if _too_loud(level.recommended / level.configured)
+    }
+
+
+def _too_loud(ratio: float) -> bool:
+    return ratio > limits.NOISE_RATIO
+
+
+def _per_axis(values: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{value:.2g}" for value in values) + ")"
+
+
+def _density(stamps_ns: NDArray[np.int64], readings: Array, mask: Mask) -> tuple[float, ...] | None:
+    """Return the noise density per axis over the masked readings, None if they are too few."""
+    steps = np.diff(stamps_ns)
+    if not len(steps) or not mask.any():
+        return None
+    period_ns = float(np.median(steps))
+    broken = (steps > limits.MISSING_PERIODS * period_ns) | (mask[1:] != mask[:-1])
+    pieces = [rows for rows in np.split(np.arange(len(mask)), np.flatnonzero(broken) + 1) if mask[rows[0]]]
+    powers, weights = [], []
+    for rows in pieces:
+        if len(rows) >= SEGMENT // 2:
+            frequencies, power = welch(
+                readings[rows], NS_PER_S / period_ns, nperseg=min(SEGMENT, len(rows)), axis=0, detrend="linear"
+            )
+            band = frequencies >= limits.NOISE_BAND[0] * NS_PER_S / period_ns
+            powers.append(power[band].mean(axis=0))
+            weights.append(len(rows))
+    if not powers:
+        return None
+    return tuple(np.sqrt(np.average(powers, axis=0, weights=weights) / 2.0).tolist())

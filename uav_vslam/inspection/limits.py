@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the checks allow, and why. Limits that the graph itself applies are imported from where it applies them."""
+
+import math
+
+# Time
+MISSING_PERIODS = 1.5  # an interval longer than so many periods lacks a message
+LOST_SHARE = 0.01  # of a stream's messages: fewer are lost by any driver now and then
+UNUSABLE_SHARE = 0.5  # if more of a stream is useless, so is the stream
+MIN_IMU_RATE_HZ = 50.0  # small aircraft turn to and fro at up to 10 Hz; the midpoint rule needs five readings a period
+OWN_CLOCK_S = 1.0  # drivers and recorders delay messages by less, so a larger difference is another clock
+UNPAIRED_SHARE = 0.02  # of the left images: a few at both ends have no partner
+
+# IMU
+GRAVITY_SHARE = 0.8, 1.25  # median specific force over gravity: a bank of 37 degrees is 1.25
+REST_FORCE = 0.3  # [m/s^2] from gravity at rest: 3 % of scale, or six times the default bias
+UNITS = {  # what specific force over gravity is in other units
+    "in g, not in m/s^2": 1.0 / 9.80665,
+    "in mg, not in m/s^2": 1000.0 / 9.80665,
+    "in ft/s^2, not in m/s^2": 1.0 / 0.3048,
+}
+UNIT_SPREAD = 0.2  # relative, around such a factor: bias and manoeuvres
+NO_GRAVITY_SHARE = 0.05  # of gravity: less is acceleration from which gravity was removed
+TILT_DEG = 30.0  # between measured and expected direction of gravity: accelerations of 6 m/s^2
+MEAN_TILT_DEG = 10.0  # the same over a whole flight with truth, where accelerations are known
+LARGEST_RATE = math.radians(2000.0)  # [rad/s] largest range of usual gyroscopes
+MEAN_RATE = math.radians(300.0)  # [rad/s] rms: faster an aircraft turns only in aerobatics
+NOISE_RATIO = 2.0  # measured over configured density: with half of the true one, NIS is up to four times too large
+REST_WINDOW_S = 1.0  # rest is looked for in windows of this length
+NOISE_BAND = 1 / 8, 1 / 2  # of the sampling rate: faster than an aircraft moves, so noise and vibration
+EXTREME_LEVELS = 50  # distinct levels of a signal; with fewer, quantisation repeats the extremes as well
+EXTREME_COUNT = 3  # readings at exactly the largest value
+EXTREME_RATIO = 3.0  # over the count at the next largest values
+
+# Rotation of the gyroscope against a reference: truth or cameras
+ROTATION_MISFIT = 0.35  # rms difference over rms rate: bias, noise and a few degrees of mounting leave less
+ROTATION_DETECTED = 5.0  # rms rate over its expected error; below, the vehicle turned too little to tell
+REFERENCE_SIGMA_DEG = 0.1  # attitude noise of truth, and of the rotation between two images
+COUPLE_S = 0.5  # images farther apart in time share too few points
+
+# Cameras
+FIELD_OF_VIEW_DEG = 10.0, 150.0  # of a pinhole camera, full width; fisheyes have up to 200
+FISHEYE_FIELD_DEG = 200.0
+PIXEL_ASPECT = 0.8, 1.25  # fx / fy; pixels of usual sensors are square
+CENTRE_SHARE = 0.25, 0.75  # principal point over image size
+BASELINE_M = 0.01, 5.0  # between finger's breadth and wing span; in millimetres it is 1000 times more
+VIEW_ANGLE_DEG = 45.0  # between the optical axes: beyond it, views of usual lenses do not overlap
+ALONG_AXIS_SHARE = 0.7  # of the baseline along the optical axis: such cameras stand behind each other
+MIN_MATCHES = 30  # stereo matches over all sampled pairs; fewer say nothing about the geometry
+DEPTH_SHARE = 0.5  # of the matches inside the configured depths
+STEP_SIGMA_SHARE = 0.2  # of a step's length: cameras that know it less well can't judge its scale
+MIN_STEPS = 3  # in the median
+SCALE = 0.8, 1.25  # distance flown by stereo over that of the truth
+BLIND_SHARE = 0.25  # of the sampled images without contrast
+REPEATED_SHARE = 0.02  # of the images equal to the one before
+
+# Start and truth
+START_BEFORE_S = 30.0  # `ins.startup_buffer` holds so much
+LARGEST_SPEED = 150.0  # [m/s] of an UAV

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motion by truth and by cameras, for comparison with the IMU and with each other."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.datasets.bag import TruthTrack
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.inspection import limits
+from uav_vslam.inspection.finding import Finding, ok, warning
+from uav_vslam.inspection.rotation import RatePairs, mean_rates, rates_of_rotations
+from uav_vslam.inspection.views import Step
+from uav_vslam.types import NS_PER_S
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+INTERVAL_S = 0.2  # of truth: long enough for its noise, short enough for one axis of rotation
+
+
+def rotations_by_truth(truth: TruthTrack, stamps_ns: Stamps, gyro: Array) -> RatePairs:
+    """Return mean rates of truth and gyroscope over intervals of `INTERVAL_S`.
+
+    Args:
+        truth: three samples or more.
+        stamps_ns: (N,) increasing [ns].
+        gyro: (N, 3) readings in the body [rad/s].
+    """
+    step = max(1, round(INTERVAL_S * NS_PER_S / float(np.median(np.diff(truth.stamps_ns)))))
+    rows = np.arange(0, len(truth), step)
+    starts, ends = truth.stamps_ns[rows[:-1]], truth.stamps_ns[rows[1:]]
+    near = (ends - starts) <= 2.0 * max(INTERVAL_S * NS_PER_S, float(np.median(np.diff(truth.stamps_ns))))
+    starts, ends, rows_start, rows_end = (one[near] for one in (starts, ends, rows[:-1], rows[1:]))
+    seconds = (ends - starts) / NS_PER_S
+    rates = rates_of_rotations(truth.R_world_body[rows_start], truth.R_world_body[rows_end], seconds)
+    return RatePairs(mean_rates(stamps_ns, gyro, starts, ends), rates, _sigma(seconds), "the truth")
+
+
+def rotations_by_cameras(steps: list[Step], rig: StereoRig, stamps_ns: Stamps, gyro: Array) -> RatePairs:
+    """Return mean rates of cameras and gyroscope within couples of pairs; arguments as above."""
+    starts, ends = (np.array([getattr(one, name) for one in steps], np.int64) for name in ("start_ns", "end_ns"))
+    seconds = (ends - starts) / NS_PER_S
+    R_left_start_end = np.array([one.motion.T_start_end.R for one in steps])
+    R_body_left = rig.T_body_left.R
+    R_body_start_end = R_body_left @ R_left_start_end @ R_body_left.T
+    rates = rates_of_rotations(np.broadcast_to(np.eye(3), R_body_start_end.shape), R_body_start_end, seconds)
+    sigma = float(np.median([one.motion.sigma_rotation for one in steps] / seconds))
+    return RatePairs(mean_rates(stamps_ns, gyro, starts, ends), rates, sigma, "the cameras")
+
+
+def up_of_truth(truth: TruthTrack, stamps_ns: Stamps, gravity: float) -> Array:
+    """Return the (3,) direction of the truth's mean specific force R^T (a + g), in the body, over stamps within it."""
+    t = (truth.stamps_ns - truth.stamps_ns[0]) / NS_PER_S
+    accel_world = np.gradient(truth.velocities_world, t, axis=0) + np.array([0.0, 0.0, gravity])
+    force = np.einsum("nji,nj->ni", truth.R_world_body, accel_world)
+    at = (stamps_ns - truth.stamps_ns[0]) / NS_PER_S
+    mean = np.array([np.interp(at, t, force[:, k]).mean() for k in range(3)])
+    return np.asarray(mean / np.linalg.norm(mean))
+
+
+def scale_against_truth(steps: list[Step], truth: TruthTrack, rig: StereoRig) -> list[Finding]:
+    """Check the distance flown between couples of pairs by stereo against that by truth: the baseline's scale."""
+    ratios = []
+    for step in steps:
+        if truth.stamps_ns[0] <= step.start_ns and step.end_ns <= truth.stamps_ns[-1]:
+            flown = float(np.linalg.norm(_position(truth, step.end_ns) - _position(truth, step.start_ns)))
+            T_body = rig.T_body_left @ step.motion.T_start_end @ rig.T_body_left.inverse()
+            if flown > step.motion.sigma_position / limits.STEP_SIGMA_SHARE:
+                ratios.append(float(np.linalg.norm(T_body.t)) / flown)
+    if len(ratios) < limits.MIN_STEPS:
+        return []
+    scale, (low, high) = float(np.median(ratios)), limits.SCALE
+    seen = f"cameras fly {scale:.2f} times the distance of the truth, median of {len(ratios)} steps"
+    if low <= scale <= high:
+        return [ok("scale", seen)]
+    remedy = "check baseline and focal length, and that truth is in metres and at the right time"
+    return [warning("scale", seen, f"{low} to {high}", remedy)]
+
+
+def _position(truth: TruthTrack, stamp_ns: int) -> Array:
+    t = (truth.stamps_ns - truth.stamps_ns[0]) / NS_PER_S
+    at = (stamp_ns - truth.stamps_ns[0]) / NS_PER_S
+    return np.array([np.interp(at, t, truth.positions_world[:, k]) for k in range(3)])
+
+
+def _sigma(seconds: Array) -> float:
+    """Return the standard deviation of a reference rate per axis [rad/s]: both attitudes have noise."""
+    return float(np.radians(limits.REFERENCE_SIGMA_DEG) * np.sqrt(2.0) / np.median(seconds)) if len(seconds) else np.inf

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All checks of one vehicle's recording, in order; one that can't be made does not keep the others from it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig, replaced
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.rosbag import topics_of
+from uav_vslam.datasets.sensor_setup import SIDES, with_noise_of_files
+from uav_vslam.datasets.survey import Survey, survey_flight
+from uav_vslam.errors import CalibrationError, UavVslamError
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.inspection import cameras, start, stereo_stamps, timing, topics, views
+from uav_vslam.inspection.finding import Finding, Severity, count, error, ok
+from uav_vslam.inspection.imu import check_imu, readings_in_body
+from uav_vslam.inspection.imu_noise import NoiseLevels, recommended
+from uav_vslam.inspection.motion import scale_against_truth
+from uav_vslam.inspection.stereo_stamps import OffsetHistogram
+from uav_vslam.vision.tracking.frontend import MAX_GAP_S as TRACKED_GAP_S
+
+Array = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Inspection:
+    """What is known of one vehicle's recording.
+
+    Attributes:
+        vehicle: name.
+        findings: of all checks.
+        offsets: histogram of the stereo stamps, or None.
+        noise: of the IMU, by sensor; empty if there are too few readings.
+        block: configuration to paste; empty if nothing is to be set.
+    """
+
+    vehicle: str
+    findings: list[Finding] = field(default_factory=list)
+    offsets: OffsetHistogram | None = None
+    noise: dict[str, NoiseLevels] = field(default_factory=dict)
+    block: str = ""
+
+    @property
+    def usable(self) -> bool:
+        """Whether the graph can run."""
+        return count(self.findings, Severity.ERROR) == 0
+
+
+def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
+    """Judge what was recorded of one vehicle, by its configuration."""
+    found = Inspection(survey.vehicle)
+    found.findings += topics.check_topics(survey, topics.guess_topics(survey.topics, survey.vehicle))
+    _judge_stamps(survey, config, found)
+    rig = _judge_cameras(survey, found)
+    readings = readings_in_body(survey)
+    looked = _look(survey, rig, config, found)
+    imu_findings, found.noise = check_imu(survey, readings, rig, looked, config)
+    found.findings += imu_findings
+    images_ns = _stamps(survey, "left")
+    found.findings += start.check_start(survey.initial, images_ns, readings, config)
+    found.findings += start.check_truth(survey.truth, images_ns, recorded="truth" in survey.streams)
+    if rig is not None and survey.truth is not None:
+        found.findings += scale_against_truth(looked.steps, survey.truth, rig)
+    return found
+
+
+def inspect_bags(
+    paths: tuple[Path, ...], vehicle: str, config: VehicleConfig, on_message: Callable[[], None] = lambda: None
+) -> tuple[Survey, Inspection]:
+    """Read and judge one vehicle's recording; if images are not under the configured names, the likeliest topics.
+
+    Args:
+        paths: bags that together hold its topics.
+        vehicle: name.
+        config: of the vehicle.
+        on_message: called after each message.
+
+    Raises:
+        BagError: a path is missing or not a bag.
+    """
+    recorded = topics_of(paths)
+    guess = topics.guess_topics(recorded, vehicle)
+    to_set = topics.topics_to_set(recorded, guess, vehicle, config.input)
+    foreign = set(SIDES) <= set(to_set)
+    names = {f"input.topics.{role}": topic for role, topic in to_set.items()} if foreign else {}
+    used = replaced(config, names, where="guessed topics")
+    used = _with_noise(used)
+    survey = survey_flight(paths, vehicle, used.input, on_message=on_message)
+    found = inspect(survey, used)
+    if foreign:
+        found.findings.insert(0, topics.foreign(config.input.topic(vehicle, "left"), guess))
+    if found.usable:
+        found.findings += _refused(paths, vehicle, used)
+    found.block = topics.configuration_block(to_set, guess, recommended(found.noise))
+    return survey, found
+
+
+def _with_noise(config: VehicleConfig) -> VehicleConfig:
+    try:
+        return with_noise_of_files(config)
+    except CalibrationError:  # the survey says so
+        return config
+
+
+def _refused(paths: tuple[Path, ...], vehicle: str, config: VehicleConfig) -> list[Finding]:
+    """Return what the graph itself refuses, should the checks have missed it."""
+    try:
+        open_flight(paths, vehicle, config.input).check_images()
+    except UavVslamError as refused:
+        return [error("graph", str(refused), "a recording that it accepts", "see the text")]
+    return []
+
+
+def _judge_stamps(survey: Survey, config: VehicleConfig, found: Inspection) -> None:
+    left, right, imu = (_stamps(survey, role) for role in ("left", "right", "imu"))
+    for role in (*timing.SENSORS, "truth"):
+        found.findings += timing.check_order(timing.NAMES[role], _stamps(survey, role))
+    clocks = timing.check_clocks(survey.streams)
+    found.findings += clocks
+    if count(clocks, Severity.ERROR) == 0:  # messages of another clock are all late
+        found.findings += timing.check_lateness(survey.streams)
+    tracked_gap_s = TRACKED_GAP_S if config.frontend.method == "klt" else None
+    for side, stamps in (("left", left), ("right", right)):
+        found.findings += timing.check_image_rate(timing.NAMES[side], stamps, tracked_gap_s=tracked_gap_s)
+    found.findings += timing.check_imu_rate(imu)
+    found.findings += timing.check_coverage(imu, left)
+    found.offsets = stereo_stamps.histogram(stereo_stamps.offsets_ns(left, right))
+    tolerance_s = survey.input.pair_tolerance_s
+    found.findings += stereo_stamps.check_pairs(left, right, survey.pair_count, tolerance_s=tolerance_s)
+
+
+def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
+    """Judge calibration and images; return the rig if there is one."""
+    remedy = "correct or replace the file"
+    found.findings += [
+        error("calibration files", text, "files of Kalibr, ROS or EuRoC", remedy) for text in survey.problems
+    ]
+    found.findings += topics.check_frames(survey)
+    for index, side in enumerate(SIDES):
+        try:
+            camera = survey.setup.camera(index)
+        except CalibrationError:  # check_topics says so
+            camera = None
+        if camera is not None:
+            found.findings += cameras.check_camera(f"{side} camera", camera)
+        repeated = survey.repeated.get(side, np.zeros(0, bool))
+        found.findings += cameras.check_images(f"{side}", survey.images[side], repeated, camera)
+    try:
+        rig = survey.setup.rig()
+    except CalibrationError as refused:
+        if not survey.setup.missing_infos and not survey.setup.missing_transforms():
+            found.findings.append(error("rig", str(refused), "two cameras apart, of one size", cameras.CALIBRATE))
+        return None
+    found.findings += cameras.check_rig(rig)
+    return rig
+
+
+def _look(survey: Survey, rig: StereoRig | None, config: VehicleConfig, found: Inspection) -> views.Views:
+    """Judge the geometry of sampled pairs, unless calibration or images are wrong already."""
+    blind = [one for one in found.findings if one.severity is Severity.ERROR and " image" in one.subject]
+    if rig is None or not survey.samples or blind:
+        found.findings.append(ok("stereo geometry", "not judged: no pairs of sound images with a calibration"))
+        return views.Views(np.zeros((0, 4)), [])
+    looked = views.look(survey.samples, rig, config.frontend)
+    found.findings += views.check_geometry(looked.pixels, rig, config.frontend)
+    return looked
+
+
+def _stamps(survey: Survey, role: str) -> NDArray[np.int64]:
+    return survey.streams[role].stamps_ns if role in survey.streams else np.zeros(0, np.int64)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gyroscope against a reference rotation, of truth or cameras: scale and axes.
+
+Mean rates over short intervals are compared, w = s A r + b: s is 1, or that of degrees; A is the identity, a turn by
+multiples of 90 degrees, or a mirror; b is the gyroscope's bias.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.rotation import so3_log
+from uav_vslam.ins.preintegration import MAX_GAP_S
+from uav_vslam.inspection import limits
+from uav_vslam.inspection.finding import Finding, error, ok, warning
+from uav_vslam.types import NS_PER_S
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+SCALES = {1.0: "", 180.0 / math.pi: "in degrees, not in radians", math.pi / 180.0: "in radians taken for degrees"}
+MIN_INTERVALS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class RatePairs:
+    """Mean angular rates of the body over the same intervals [rad/s].
+
+    Attributes:
+        gyro: (K, 3) of the gyroscope.
+        reference: (K, 3) of the reference.
+        sigma: standard deviation of the reference, per axis.
+        source: the reference, in words.
+    """
+
+    gyro: Array
+    reference: Array
+    sigma: float
+    source: str
+
+
+def mean_rates(stamps_ns: Stamps, gyro: Array, starts_ns: Stamps, ends_ns: Stamps) -> Array:
+    """Return (K, 3) mean rates over K intervals, NaN where readings do not cover one, or have a gap in it.
+
+    Args:
+        stamps_ns: (N,) increasing [ns].
+        gyro: (N, 3) readings.
+        starts_ns, ends_ns: (K,) [ns].
+    """
+    if len(stamps_ns) < 2:
+        return np.full((len(starts_ns), 3), np.nan)
+    t = (stamps_ns - stamps_ns[0]) / NS_PER_S
+    angle = np.vstack([np.zeros(3), np.cumsum(0.5 * (gyro[1:] + gyro[:-1]) * np.diff(t)[:, None], axis=0)])
+    start, end = (np.asarray(one - stamps_ns[0], float) / NS_PER_S for one in (starts_ns, ends_ns))
+    turned = np.column_stack([np.interp(end, t, angle[:, k]) - np.interp(start, t, angle[:, k]) for k in range(3)])
+    gaps = np.concatenate([[0], np.cumsum(np.diff(t) > MAX_GAP_S)])
+    inside = gaps[np.searchsorted(t, start, "right") - 1] == gaps[np.searchsorted(t, end).clip(max=len(t) - 1)]
+    turned[(start < t[0]) | (end > t[-1]) | ~inside] = np.nan
+    return np.asarray(turned / (end - start)[:, None])
+
+
+def rates_of_rotations(R_reference_start: Array, R_reference_end: Array, seconds: Array) -> Array:
+    """Return (K, 3) mean body rates of (K, 3, 3) attitudes at both ends of intervals (K,) [s]."""
+    return np.asarray(so3_log(np.swapaxes(R_reference_start, -1, -2) @ R_reference_end) / seconds[:, None])
+
+
+def check_rotation(pairs: RatePairs) -> list[Finding]:
+    """Check scale and axes of the gyroscope."""
+    good = np.isfinite(pairs.gyro).all(axis=1) & np.isfinite(pairs.reference).all(axis=1)
+    gyro, reference = (_centred(one[good]) for one in (pairs.gyro, pairs.reference))
+    subject = f"gyroscope against {pairs.source}"
+    turned = _rms(reference)
+    if good.sum() < MIN_INTERVALS or turned < limits.ROTATION_DETECTED * pairs.sigma:
+        return [ok(subject, "not judged: the vehicle turned too little, or too few intervals")]
+    misfit = _misfit(gyro, reference, 1.0, np.eye(3))
+    seen = f"rms difference {100 * misfit:.0f} % over {good.sum()} intervals of {math.degrees(turned):.1f} deg/s rms"
+    if misfit <= limits.ROTATION_MISFIT:
+        return [ok(subject, seen)]
+    allowed = f"at most {100 * limits.ROTATION_MISFIT:.0f} %"
+    scale, axes = min(
+        itertools.product(SCALES, _axes()), key=lambda one: (round(_misfit(gyro, reference, *one), 2), _changes(*one))
+    )
+    best = _misfit(gyro, reference, scale, axes)
+    if best > limits.ROTATION_MISFIT:
+        remedy = "check the extrinsics of camera and IMU, and the clocks of both"
+        return [warning(subject, f"{seen}; no other unit or axes explain it", allowed, remedy)]
+    said = [SCALES[scale], _axes_text(axes)]
+    seen += f"; {100 * best:.0f} % if it is {' and '.join(one for one in said if one)}"
+    remedy = " and ".join(
+        (["convert the readings to rad/s"] if SCALES[scale] else [])
+        + (["give the IMU's mounting in /tf_static or input.calibration"] if _axes_text(axes) else [])
+    )
+    return [error(subject, seen, allowed, remedy)]
+
+
+def check_rate_size(gyro: Array) -> list[Finding]:
+    """Check that (N, 3) rates are plausible without any reference [rad/s]."""
+    if len(gyro) == 0:
+        return []
+    rms, largest = _rms(gyro), float(np.abs(gyro).max())
+    seen = f"rms {rms:.3g}, largest {largest:.3g} rad/s"
+    if rms <= limits.MEAN_RATE and largest <= limits.LARGEST_RATE:
+        return [ok("gyroscope size", seen)]
+    allowed = f"rms {limits.MEAN_RATE:.1f}, largest {limits.LARGEST_RATE:.0f} rad/s"
+    return [error("gyroscope size", f"{seen}: probably degrees per second", allowed, "convert the readings to rad/s")]
+
+
+def _centred(rates: Array) -> Array:
+    return rates - rates.mean(axis=0) if len(rates) else rates
+
+
+def _rms(rates: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(rates**2, axis=1)))) if len(rates) else 0.0
+
+
+def _misfit(gyro: Array, reference: Array, scale: float, axes: Array) -> float:
+    return _rms(gyro / scale - reference @ axes.T) / _rms(reference)
+
+
+def _axes() -> list[Array]:
+    """Return the 48 signed permutations of the axes."""
+    signs = itertools.product((1.0, -1.0), repeat=3)
+    orders = itertools.permutations(range(3))
+    return [np.diag(sign) @ np.eye(3)[list(order)] for sign, order in itertools.product(signs, orders)]
+
+
+def _changes(scale: float, axes: Array) -> tuple[bool, bool, int]:
+    """Return how much an explanation assumes: of equally good ones, the least is taken."""
+    return scale != 1.0, bool(np.linalg.det(axes) < 0), int((axes != np.eye(3)).sum())
+
+
+def _axes_text(axes: Array) -> str:
+    """Return which axis of the body each of the IMU's shows, in words; empty if they agree."""
+    if np.array_equal(axes, np.eye(3)):
+        return ""
+    shown = [f"{'+' if row.sum() > 0 else '-'}{'xyz'[int(np.argmax(np.abs(row)))]}" for row in axes]
+    text = f"in axes that are the body's ({', '.join(shown)})"
+    if shown == ["+x", "-y", "-z"]:
+        text += ", upside down or NED (FRD)"
+    return text

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Start state and ground truth: present, at the time of the flight, plausible."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.datasets.bag import TruthTrack
+from uav_vslam.errors import UavVslamError
+from uav_vslam.ins.alignment import static_alignment
+from uav_vslam.ins.preintegration import MAX_GAP_S
+from uav_vslam.inspection import limits
+from uav_vslam.inspection.finding import Finding, error, ok, warning
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate
+
+Stamps = NDArray[np.int64]
+
+METHODS = "start.method: static for a vehicle at rest, in_flight for one that flies already"
+
+
+def check_start(
+    initial: list[NavEstimate], images_ns: Stamps, readings: list[ImuSample], config: VehicleConfig
+) -> list[Finding]:
+    """Check that the configured start can work.
+
+    Args:
+        initial: start states recorded.
+        images_ns: (N,) stamps of the left images [ns].
+        readings: of the IMU in the body, in stamp order.
+        config: of the vehicle.
+    """
+    if config.start.method == "in_flight":
+        return [ok("start state", "start.method in_flight: estimated from images and IMU")]
+    if config.start.method == "static":
+        return _check_static(readings, config)
+    if not initial:
+        seen, allowed = "start.method is given, but no start state was recorded", "one message on initial_state"
+        return [error("start state", seen, allowed, f"record one, or set {_method_for(readings, config)}")]
+    return _check_given(initial[0], images_ns, readings)
+
+
+def check_truth(truth: TruthTrack | None, images_ns: Stamps, *, recorded: bool) -> list[Finding]:
+    """Check that ground truth is there during the flight, and plausible.
+
+    Args:
+        truth: true motion, or None.
+        images_ns: (N,) stamps of the left images [ns].
+        recorded: whether its topic is in the recording.
+    """
+    if truth is None or len(truth) == 0:
+        if recorded:
+            remedy = "record the topic again"
+            return [warning("truth", "its topic holds nothing that can be read", "poses", remedy)]
+        return [ok("truth", "none recorded: estimates can't be compared with it")]
+    found = []
+    covered = (images_ns >= truth.stamps_ns[0]) & (images_ns <= truth.stamps_ns[-1])
+    if len(images_ns) and covered.mean() < limits.UNUSABLE_SHARE:
+        later_s = (truth.stamps_ns[0] - images_ns.min()) / NS_PER_S
+        seen = f"{covered.sum()} of {len(images_ns)} images are in its time; it begins {later_s:.2f} s after the first"
+        remedy = "correct its stamps to the sensors' clock: nothing can be evaluated otherwise"
+        found.append(warning("truth time", seen, "truth during the flight", remedy))
+    speed = _speeds(truth)
+    if len(speed) and speed.max() > limits.LARGEST_SPEED:
+        fast = int((speed > limits.LARGEST_SPEED).sum())
+        seen = f"{fast} steps are faster, the fastest {speed.max():.3g} m/s"
+        remedy = "remove outliers and check the unit of its positions"
+        found.append(warning("truth motion", seen, f"at most {limits.LARGEST_SPEED:g} m/s", remedy))
+    length = float(np.linalg.norm(np.diff(truth.positions_world, axis=0), axis=1).sum())
+    return found or [
+        ok("truth", f"{len(truth)} poses, {length:.1f} m, during {covered.sum()} of {len(covered)} images")
+    ]
+
+
+def _check_given(start: NavEstimate, images_ns: Stamps, readings: list[ImuSample]) -> list[Finding]:
+    found = []
+    sigma2 = np.diag(start.covariance)
+    speed = float(np.linalg.norm(start.state.v_map))
+    if not np.isfinite(start.covariance).all() or not (sigma2 > 0).all() or not _positive_definite(start.covariance):
+        remedy = "state how uncertain the start is: variances of zero can't be inverted"
+        found.append(error("start covariance", "not positive definite", "a 15 x 15 covariance", remedy))
+    if not np.isfinite(speed) or speed > limits.LARGEST_SPEED:
+        seen = f"speed {speed:.3g} m/s"
+        found.append(warning("start state", seen, f"{limits.LARGEST_SPEED:g} m/s", "check its velocity"))
+    found += _check_start_time(start.state.stamp_ns, images_ns, readings)
+    return found or [ok("start state", f"given, speed {speed:.2f} m/s")]
+
+
+def _check_start_time(stamp_ns: int, images_ns: Stamps, readings: list[ImuSample]) -> list[Finding]:
+    if len(images_ns) == 0:
+        return []
+    into_s = (stamp_ns - images_ns.min()) / NS_PER_S
+    unused = int((images_ns < stamp_ns).sum())
+    remedy = "give the state at the first image, with the sensors' clock"
+    if unused >= len(images_ns) or into_s < -limits.START_BEFORE_S:
+        seen = f"stamped {into_s:.2f} s after the first image, which leaves {len(images_ns) - unused} images"
+        return [error("start time", seen, f"within the flight, or {limits.START_BEFORE_S:g} s before it", remedy)]
+    if readings and readings[0].stamp_ns - stamp_ns > MAX_GAP_S * NS_PER_S:
+        seen = f"{(readings[0].stamp_ns - stamp_ns) / NS_PER_S:.2f} s before the first reading"
+        return [warning("start time", seen, f"at most {MAX_GAP_S:g} s: the motion between is unknown", remedy)]
+    if unused > 1:
+        seen = f"{unused} of {len(images_ns)} images are before it"
+        return [warning("start time", seen, "at the first image", "they are not used: give an earlier state")]
+    return []
+
+
+def _check_static(readings: list[ImuSample], config: VehicleConfig) -> list[Finding]:
+    try:
+        _static(readings, config)
+    except UavVslamError as refused:
+        return [error("start state", str(refused), f"rest for {config.start.rest_s:g} s", METHODS)]
+    return [ok("start state", f"start.method static: at rest for {config.start.rest_s:g} s")]
+
+
+def _method_for(readings: list[ImuSample], config: VehicleConfig) -> str:
+    try:
+        _static(readings, config)
+    except UavVslamError:
+        return "start.method: in_flight (the vehicle moves at the first readings)"
+    return "start.method: static (the vehicle rests at the first readings)"
+
+
+def _static(readings: list[ImuSample], config: VehicleConfig) -> NavEstimate:
+    first = [r for r in readings if r.stamp_ns - readings[0].stamp_ns <= config.start.rest_s * NS_PER_S]
+    return static_alignment(first, first[-1].stamp_ns if first else 0, config.imu)
+
+
+def _positive_definite(covariance: NDArray[np.float64]) -> bool:
+    try:
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def _speeds(truth: TruthTrack) -> NDArray[np.float64]:
+    seconds = np.diff(truth.stamps_ns) / NS_PER_S
+    return np.asarray(np.linalg.norm(np.diff(truth.positions_world, axis=0), axis=1) / seconds)

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics: which a vehicle needs and has, and which of a stranger's recording they could be."""
+
+import itertools
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from uav_vslam.config import InputConfig
+from uav_vslam.config.input import COMPRESSED, image_names
+from uav_vslam.datasets.bag import DEFAULT_VEHICLE
+from uav_vslam.datasets.flight_writer import TF_STATIC
+from uav_vslam.datasets.rosbag import TopicInfo
+from uav_vslam.datasets.sensor_setup import SIDES
+from uav_vslam.datasets.survey import TYPES, Survey, topic_of
+from uav_vslam.inspection import limits
+from uav_vslam.inspection.finding import Finding, error, ok, warning
+
+WORD_PAIRS = (("left", "right"), ("Left", "Right"), ("_l", "_r"), ("front", "back"), ("front", "rear"))
+NO_CAMERA = ("depth", "disparity", "mask", "label", "rect_color")  # images that are not a camera's
+TRUTH_WORDS = ("truth", "gt", "vicon", "mocap", "optitrack", "leica", "prism", "rtk")
+IMU_WORDS = ("raw", "imu", "data")
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """Topics that could be a vehicle's, by role, the likeliest first.
+
+    Attributes:
+        stereo: (left, right) pairs.
+        others: by role.
+    """
+
+    stereo: list[tuple[str, str]]
+    others: dict[str, list[str]]
+
+    @property
+    def best(self) -> dict[str, str]:
+        """The likeliest topic of each role that has any."""
+        chosen = dict(zip(SIDES, self.stereo[0], strict=True)) if self.stereo else {}
+        return chosen | {role: names[0] for role, names in self.others.items() if names}
+
+    def alternatives(self, role: str) -> list[str]:
+        """Return the other candidates of a role."""
+        if role in SIDES:
+            return [pair[SIDES.index(role)] for pair in self.stereo[1:]]
+        return self.others.get(role, [])[1:]
+
+
+def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[str]:
+    """Return the namespaces that hold any of the configured topics, sorted; `DEFAULT_VEHICLE` if none does."""
+    if config.topics.left.startswith("/"):
+        return [DEFAULT_VEHICLE]
+    names = [name for role in TYPES for name in image_names(getattr(config.topics, role))]
+    endings = tuple(f"/{name}" for name in names if not name.startswith("/"))
+    found = {topic[: -len(end)].strip("/") for topic in topics for end in endings if topic.endswith(end)}
+    return sorted(found - {""}) or [DEFAULT_VEHICLE]
+
+
+def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
+    """Guess a vehicle's topics from names and types: among those in its namespace if it has images, else among all."""
+    own = {topic: info for topic, info in recorded.items() if topic.startswith(f"/{vehicle}/")}
+    topics = own if _of_type(own, "left") else recorded
+    images = sorted({topic.removesuffix(COMPRESSED) for topic in _of_type(topics, "left")})
+    images = [topic for topic in images if not any(word in topic for word in NO_CAMERA)]
+    stereo = sorted(_stereo_pairs(images), key=lambda pair: ("raw" not in pair[0], len(pair[0]), pair))
+    left, right = stereo[0] if stereo else ("", "")
+    infos = _of_type(topics, "left_info")
+    return Guess(
+        stereo,
+        {
+            "left_info": _nearest(left, infos),
+            "right_info": _nearest(right, infos),
+            "imu": sorted(
+                _of_type(topics, "imu"), key=lambda t: (-sum(w in t for w in IMU_WORDS), -topics[t].count, t)
+            ),
+            "initial_state": sorted(_of_type(topics, "initial_state"), key=lambda t: (topics[t].count, t)),
+            "truth": [t for t in sorted(_of_type(topics, "truth")) if any(word in t.lower() for word in TRUTH_WORDS)],
+        },
+    )
+
+
+def topics_to_set(recorded: Mapping[str, TopicInfo], guess: Guess, vehicle: str, config: InputConfig) -> dict[str, str]:
+    """Return the guessed topics, by role, where nothing that can be read is under the configured names."""
+    best = guess.best.items()
+    return {role: topic for role, topic in best if topic_of(recorded, vehicle, config, role) is None}
+
+
+def configuration_block(to_set: Mapping[str, str], guess: Guess, noise: Mapping[str, float]) -> str:
+    """Return a configuration to paste, as text; empty if nothing is to be set.
+
+    Args:
+        to_set: topics by role.
+        guess: other candidates, named in comments.
+        noise: settings of the IMU by name ("imu.gyro_noise").
+    """
+    lines = []
+    if to_set:
+        lines += ["    input:", "      topics:"]
+    for role, topic in to_set.items():
+        others = ", ".join(guess.alternatives(role))
+        lines.append(f"        {role}: {topic}{f'  # or {others}' if others else ''}")
+    if noise:
+        lines += ["    imu:", *(f"      {name.removeprefix('imu.')}: {value:g}" for name, value in noise.items())]
+    return "\n".join(["/**:", "  ros__parameters:", *lines]) if lines else ""
+
+
+def check_topics(survey: Survey, guess: Guess) -> list[Finding]:
+    """Check that all topics are there, hold messages of the right type, and can be read."""
+    needed = ["left", "right", "imu"] + [f"{side}_info" for side in survey.setup.missing_infos]
+    found = [finding for role in needed for finding in _check_presence(survey, role, guess)]
+    for role in TYPES:
+        if role not in needed and topic_of(survey.topics, survey.vehicle, survey.input, role) is None:
+            name = survey.input.topic(survey.vehicle, role)
+            if name in survey.topics:
+                seen, allowed = f"{name} holds {survey.topics[name].msgtype}", " or ".join(TYPES[role])
+                found.append(warning(f"{role} topic", seen, allowed, "it is not read: record that type"))
+    for role, stream in survey.streams.items():
+        if stream.errors:
+            judge = error if len(stream.errors) > limits.UNUSABLE_SHARE * max(1, len(stream)) else warning
+            seen = f"{stream.topic}: {len(stream.errors)} messages can't be used, the first: {stream.errors[0]}"
+            found.append(judge(f"{role} messages", seen, "readable messages", "correct what writes them"))
+    if survey.damage:
+        found.append(warning("recording", survey.damage, "a complete bag", "only what could be read is judged"))
+    return found or [ok("topics", "all that is needed is there")]
+
+
+def _check_presence(survey: Survey, role: str, guess: Guess) -> list[Finding]:
+    name = survey.input.topic(survey.vehicle, role)
+    names = " or ".join(image_names(name)) if role in SIDES else name
+    if role in survey.streams:
+        if survey.topics[survey.streams[role].topic].count or survey.damage:
+            return []
+        return [error(f"{role} topic", f"{name} holds no message", "messages", "record the sensor")]
+    present = next((one for one in image_names(name) if one in survey.topics), None)
+    if present is not None:
+        seen, allowed = f"{present} holds {survey.topics[present].msgtype}", " or ".join(TYPES[role])
+        return [
+            error(f"{role} topic", seen, allowed, f"record that type, or name another topic by input.topics.{role}")
+        ]
+    candidates = [one for one in (guess.best.get(role), *guess.alternatives(role)) if one]
+    other = f"record that topic, or set input.topics.{role}{': ' if candidates else ''}{' or '.join(candidates)}"
+    if role.endswith("_info"):
+        other += ", or give a file with input.calibration"
+    return [error(f"{role} topic", f"{names} was not recorded", " or ".join(TYPES[role]), other)]
+
+
+def foreign(name: str, guess: Guess) -> Finding:
+    """Return the error that topics have other names than configured; the likeliest are judged instead."""
+    best, others = guess.best, guess.stereo[1:]
+    seen = f"{name} was not recorded; judged instead: {', '.join(f'{role} {topic}' for role, topic in best.items())}"
+    if others:
+        seen += f"; also possible: {', '.join(f'{left} with {right}' for left, right in others)}"
+    return error("topic names", seen, "the configured names", "put the block below into a configuration")
+
+
+def check_frames(survey: Survey) -> list[Finding]:
+    """Check that the places of all sensors are known."""
+    setup, recorded = survey.setup, TF_STATIC in survey.topics
+    held = "it does not hold that" if recorded else "it was not recorded"
+    missing = [one for one in setup.missing_transforms() if one not in setup.missing_imu_transforms()]
+    if recorded and any(not setup.camera_frame(side) for side in setup.missing_infos):
+        missing = []  # without camera_info the frames have no names yet
+    found = []
+    if missing:
+        remedy = "publish it, name the frames by input.frames, or give a file with input.calibration"
+        found.append(error("camera frames", f"{TF_STATIC}: {held}", ", ".join(missing), remedy))
+    if setup.missing_imu_transforms():
+        remedy = "publish it, give a file with input.calibration, or set input.frames.imu if the IMU is the body"
+        seen = f"the IMU's header.frame_id is {setup.imu_frame!r}; {TF_STATIC}: {held}"
+        found.append(error("IMU frame", seen, ", ".join(setup.missing_imu_transforms()), remedy))
+    if survey.imu and setup.imu_unnamed:
+        remedy = "set input.frames.imu if it is elsewhere"
+        found.append(warning("IMU frame", "header.frame_id is empty, so the IMU counts as the body", "a name", remedy))
+    for role, judge in (("initial_state", error), ("truth", warning)):
+        if conflict := setup.conflict(survey.child_frames.get(role, "")):
+            found.append(judge(f"{role} frame", f"it {conflict}", "the body frame", "see the text"))
+    return found
+
+
+def _of_type(topics: Mapping[str, TopicInfo], role: str) -> list[str]:
+    return [topic for topic, info in topics.items() if info.msgtype in TYPES[role]]
+
+
+def _stereo_pairs(images: list[str]) -> Iterator[tuple[str, str]]:
+    """Yield pairs of topics that differ by a word for left and right, or by successive numbers."""
+    for left, right in itertools.permutations(images, 2):
+        if any(left != right and left.replace(one, other) == right for one, other in WORD_PAIRS):
+            yield left, right
+            continue
+        numbers = [re.split(r"(\d+)", name) for name in (left, right)]
+        if len(numbers[0]) == len(numbers[1]):
+            unequal = [(a, b) for a, b in zip(*numbers, strict=True) if a != b]
+            if len(set(unequal)) == 1 and _successive(*unequal[0]):
+                yield left, right
+
+
+def _successive(one: str, other: str) -> bool:
+    return one.isdigit() and other.isdigit() and int(other) == int(one) + 1
+
+
+def _nearest(image: str, infos: list[str]) -> list[str]:
+    """Return the camera_info topics of an image's camera: those beside it, or in the nearest folder above."""
+    folder = image
+    while folder.count("/") > 1:
+        folder = folder.rsplit("/", 1)[0]
+        beside = sorted(one for one in infos if one.rsplit("/", 1)[0] == folder)
+        if beside:
+            return beside
+    return []
