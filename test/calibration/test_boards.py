@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from board_scene import HEIGHT, WIDTH, grid_of, imaged, poses, rendered_pair, rig_of
 
-from uav_vslam.calibration.boards import Board, Charuco, Chessboard, Corners, found_size
+from uav_vslam.calibration.boards import Board, Charuco, Chessboard, Corners
 from uav_vslam.errors import CalibrationError
 
 CORNER_PX = 0.1  # of a rendered corner, rms
@@ -71,8 +71,9 @@ def test_a_board_that_tells_its_direction_is_left_as_it_was_found() -> None:
 def test_the_size_of_another_board_is_found() -> None:
     board = BOARDS["chessboard"]
     (pose,) = poses(board, RIG, 1, np.random.default_rng(5))
-    assert found_size(rendered_pair(RIG, board, pose)[0]) == (8, 5)
-    assert found_size(np.full((HEIGHT, WIDTH), 128, np.uint8)) is None
+    sought = Chessboard(9, 6, 0.03)
+    assert sought.size_in(rendered_pair(RIG, board, pose)[0]) == (8, 5)
+    assert sought.size_in(np.full((HEIGHT, WIDTH), 128, np.uint8)) is None
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.calibration.pictures import FilePictures, paired, pictures_of
-from uav_vslam.datasets.messages import image_message
+from uav_vslam.datasets.messages import compressed_image_message, image_message
 from uav_vslam.datasets.rosbag import RawRecorder, encode
 from uav_vslam.errors import BagError, CalibrationError
 
@@ -27,7 +27,7 @@ def pictures(folder: Path, *names: str) -> list[Path]:
 
 
 def found(*inputs: str | Path) -> FilePictures:
-    result = pictures_of([str(item) for item in inputs], topics=TOPICS, most=10)
+    result = pictures_of([str(item) for item in inputs], most=1)
     assert isinstance(result, FilePictures)
     return result
 
@@ -77,19 +77,37 @@ def test_patterns_and_what_a_shell_makes_of_them_are_the_same(tmp_path: Path) ->
     assert len(expected) == 2
 
 
-def test_images_of_a_recording_are_paired_and_thinned(tmp_path: Path) -> None:
-    with RawRecorder(tmp_path / "bag") as recorder:
+def recorded(path: Path, *topics: str) -> str:
+    """Return a bag of twelve pairs, the right images 2 ms later."""
+    with RawRecorder(path) as recorder:
         for k in range(12):
-            for side, topic in enumerate(TOPICS):
-                stamp_ns = k * 100_000_000 + side * 2_000_000
-                built = image_message(stamp_ns, "", image(k))
-                recorder.write(topic, "sensor_msgs/msg/Image", encode(built), stamp_ns)
-    result = pictures_of([str(tmp_path / "bag")], topics=TOPICS, most=5)
+            for side, topic in enumerate(topics):
+                stamp_ns = k * 100_000_000 + side % 2 * 2_000_000
+                if topic.endswith("/compressed"):
+                    png = cv2.imencode(".png", image(k))[1].tobytes()
+                    built = compressed_image_message(stamp_ns, "", png, fmt="png")
+                else:
+                    built = image_message(stamp_ns, "", image(k))
+                recorder.write(topic, built.__msgtype__, encode(built), stamp_ns)
+    return str(path)
+
+
+@pytest.mark.parametrize("kind", ["", "/compressed"])
+@pytest.mark.parametrize("given", [None, TOPICS])
+def test_images_of_a_recording_are_paired_and_thinned(given: tuple[str, str] | None, kind: str, tmp_path: Path) -> None:
+    result = pictures_of([recorded(tmp_path / "bag", *(name + kind for name in TOPICS))], topics=given, most=5)
     read = [(name, int(left[0, 0]), int(right[0, 0])) for name, left, right in result]
     assert read == [(f"{0.3 * k:.3f}", 3 * k, 3 * k) for k in range(4)]
     assert len(result) == 4
-    with pytest.raises(CalibrationError, match=r"has no /a/left; name its images by --topics; it has /uav1/left"):
-        pictures_of([str(tmp_path / "bag")], topics=("/a/left", TOPICS[1]), most=5)
+
+
+def test_a_recording_of_other_topics_or_several_vehicles_is_told_with_its_topics(tmp_path: Path) -> None:
+    bag = recorded(tmp_path / "bag", *TOPICS, "/uav2/left/image_raw", "/uav2/right/image_raw")
+    with pytest.raises(CalibrationError, match=r"has no /a/left; name the images by --topics; it has /uav1/left"):
+        pictures_of([bag], topics=("/a/left", TOPICS[1]), most=99)
+    with pytest.raises(CalibrationError, match="has several vehicles; name the images by --topics; it has /uav1/left"):
+        pictures_of([bag], most=99)
+    assert len(pictures_of([bag], topics=("/uav2/left/image_raw", "/uav2/right/image_raw"), most=99)) == 12
 
 
 def test_what_holds_no_pictures_is_told(tmp_path: Path) -> None:

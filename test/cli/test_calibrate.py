@@ -2,6 +2,8 @@
 """`uav-vslam calibrate` finds the cameras behind rendered pictures, and those behind real ones."""
 
 import json
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -12,6 +14,8 @@ from board_scene import poses, rendered_pair, rig_of
 from uav_vslam.calibration.boards import Board, Charuco, Chessboard
 from uav_vslam.cli.main import main
 from uav_vslam.datasets.calibration_files import read_calibration
+from uav_vslam.datasets.messages import compressed_image_message
+from uav_vslam.datasets.rosbag import RawRecorder, encode
 
 BOARDS: dict[str, tuple[Board, list[str]]] = {
     "chessboard": (Chessboard(8, 5, 0.03), ["--board", "8x5", "--square", "0.03"]),
@@ -21,7 +25,7 @@ BOARDS: dict[str, tuple[Board, list[str]]] = {
     ),
 }
 PAIRS = 12
-BASELINE, FOCAL = 0.005, 0.005  # relative: four times the standard deviation that such corners leave
+BASELINE, FOCAL = 0.002, 0.002  # relative: five times the standard deviations with the ChArUco board
 
 
 def pictures_of(board: Board, folder: Path) -> Path:
@@ -33,9 +37,25 @@ def pictures_of(board: Board, folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def chessboard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """What returns the folder with rendered pictures of a kind of board."""
+    return cache(lambda kind: pictures_of(BOARDS[kind][0], tmp_path_factory.mktemp(kind)))
+
+
+@pytest.fixture
+def chessboard(rendered: Callable[[str], Path]) -> Path:
     """Rendered pictures of a chessboard."""
-    return pictures_of(BOARDS["chessboard"][0], tmp_path_factory.mktemp("boards"))
+    return rendered("chessboard")
+
+
+def recorded(folder: Path, bag: Path) -> Path:
+    """Return a bag of a folder's pictures."""
+    with RawRecorder(bag) as recorder:
+        for k in range(PAIRS):
+            for side in ("left", "right"):
+                built = compressed_image_message(k, "", (folder / f"{side}{k:02}.png").read_bytes(), fmt="png")
+                recorder.write(f"/uav3/{side}/image_raw/compressed", built.__msgtype__, encode(built), k)
+    return bag
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
@@ -46,12 +66,13 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
     return error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", BOARDS)
 def test_rendered_pictures_give_the_cameras_that_took_them(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kind: str, rendered: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    board, arguments = BOARDS[kind]
-    folder, results, true = pictures_of(board, tmp_path), tmp_path / "results", rig_of()
+    _, arguments = BOARDS[kind]
+    folder, results, true = rendered(kind), tmp_path / "results", rig_of()
     patterns = [str(folder / "left*.png"), str(folder / "right*.png")]
     assert main(["calibrate", *patterns, *arguments, "--results", str(results)]) == 0
     latest = results / "latest"
@@ -73,6 +94,18 @@ def test_rendered_pictures_give_the_cameras_that_took_them(
     said = capsys.readouterr().out
     assert "use it:  input: {calibration: [" in said
     assert str(latest.resolve() / "left.yaml") in said
+
+
+@pytest.mark.slow
+def test_a_recording_of_the_pictures_gives_the_same_cameras(chessboard: Path, tmp_path: Path) -> None:
+    baselines = []
+    for k, given in enumerate((chessboard, recorded(chessboard, tmp_path / "bag"))):
+        results = tmp_path / f"results{k}"
+        arguments = [str(given), *BOARDS["chessboard"][1], "--results", str(results), "--no-plots"]
+        assert main(["calibrate", *arguments]) == 0
+        assert not (results / "latest" / "calibration.png").exists()
+        baselines.append(json.loads((results / "latest" / "summary.json").read_text())["baseline_m"])
+    assert baselines[0] == baselines[1]
 
 
 def test_a_wrong_board_is_told_with_the_right_one(chessboard: Path, capsys: pytest.CaptureFixture[str]) -> None:

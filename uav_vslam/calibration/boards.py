@@ -5,7 +5,7 @@ The board's frame: x along its columns, y along its rows, the first inner corner
 """
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import cv2
 import numpy as np
@@ -39,7 +39,9 @@ class Corners:
 
 
 class Board(Protocol):
-    """What can be found in an image."""
+    """What can be found in an image; `ADVICE` says what to check where it is not."""
+
+    ADVICE: ClassVar[str]
 
     @property
     def columns(self) -> int:
@@ -56,6 +58,9 @@ class Board(Protocol):
     def detect(self, image: Image) -> Corners | None:
         """Return the corners in an (H, W) image, or None if the board is not found."""
 
+    def size_in(self, image: Image) -> tuple[int, int] | None:
+        """Return the inner corners of any such board in an image, the longer side first; None where that is unknown."""
+
     def like(self, corners: Corners, reference: Corners) -> Corners:
         """Return the corners, counted as in the other camera's image where the board's symmetry leaves that open."""
 
@@ -64,6 +69,7 @@ class Board(Protocol):
 class Chessboard:
     """A chessboard of `columns` x `rows` inner corners, seen as a whole."""
 
+    ADVICE: ClassVar[str] = "--board counts inner corners, one fewer than squares each way"
     columns: int
     rows: int
     square_m: float
@@ -75,6 +81,11 @@ class Chessboard:
         """See `Board`."""
         found, pixels = cv2.findChessboardCornersSB(image, (self.columns, self.rows), flags=cv2.CALIB_CB_EXHAUSTIVE)
         return Corners(_grid(self), _sharpened(image, pixels, 0.4)) if found else None
+
+    def size_in(self, image: Image) -> tuple[int, int] | None:
+        """See `Board`."""
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(image, (SMALLEST, SMALLEST), cv2.CALIB_CB_LARGER)
+        return (max(meta.shape), min(meta.shape)) if found else None
 
     def like(self, corners: Corners, reference: Corners) -> Corners:
         """See `Board`: a board that looks the same when turned is counted along the reference's directions."""
@@ -102,6 +113,7 @@ class Charuco:
         legacy: first square of boards made by OpenCV before 4.6.
     """
 
+    ADVICE: ClassVar[str] = "--board counts inner corners; is it this --charuco dictionary, or a --legacy board?"
     columns: int
     rows: int
     square_m: float
@@ -140,18 +152,16 @@ class Charuco:
         clear = 0.5 * (1.0 - self.marker_m / self.square_m)
         return Corners(_grid(self)[np.ravel(ids)], _sharpened(image, pixels, clear))
 
+    def size_in(self, image: Image) -> tuple[int, int] | None:
+        """See `Board`: the markers tell nothing without the right dictionary."""
+        return None
+
     def like(self, corners: Corners, reference: Corners) -> Corners:
         """See `Board`: markers leave nothing open."""
         return corners
 
     def _markers(self) -> "cv2.aruco.Dictionary":
         return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
-
-
-def found_size(image: Image) -> tuple[int, int] | None:
-    """Return the inner corners of whatever chessboard is in an image, the longer side first; None without one."""
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(image, (SMALLEST, SMALLEST), cv2.CALIB_CB_LARGER)
-    return (max(meta.shape), min(meta.shape)) if found else None
 
 
 def _grid(board: Board) -> Array:

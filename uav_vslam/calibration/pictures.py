@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.calibration.bundle import SIDES
+from uav_vslam.config.input import image_names
+from uav_vslam.datasets.bag import IMAGE_TYPES, vehicles
 from uav_vslam.datasets.image_sets import SUFFIXES, read_image
 from uav_vslam.datasets.messages import image_of, stamp_ns_of
 from uav_vslam.datasets.rosbag import decode, iter_raw, topics_of
@@ -90,12 +92,12 @@ class BagPictures:
 Pictures = FilePictures | BagPictures
 
 
-def pictures_of(inputs: Sequence[str], *, topics: tuple[str, str], most: int) -> Pictures:
+def pictures_of(inputs: Sequence[str], *, topics: Sequence[str] | None = None, most: int) -> Pictures:
     """Return the pictures that a command line names.
 
     Args:
         inputs: two patterns of files; the files of both, as a shell expands the patterns; a folder; or a bag.
-        topics: of a bag's left and right images.
+        topics: of a bag's left and right images; None for those of its only vehicle.
         most: largest number of pairs to take from a bag.
 
     Raises:
@@ -169,13 +171,17 @@ def _pictures_in(folder: Path) -> list[Path]:
     return [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
 
 
-def _of_bag(path: Path, topics: tuple[str, str], most: int) -> BagPictures:
+def _of_bag(path: Path, topics: Sequence[str] | None, most: int) -> BagPictures:
     recorded = topics_of([path])
-    missing = [topic for topic in topics if topic not in recorded]
-    if missing:
-        images = sorted(topic for topic, info in recorded.items() if info.msgtype.endswith("Image"))
+    names = vehicles([path])
+    wanted = topics or [f"/{names[0] if names else 'uav1'}/{side}/image_raw" for side in SIDES]
+    found = [next((name for name in image_names(topic) if name in recorded), None) for topic in wanted]
+    missing = [topic for topic, name in zip(wanted, found, strict=True) if name is None]
+    left, right = found
+    if left is None or right is None or (topics is None and len(names) > 1):
+        images = sorted(topic for topic, info in recorded.items() if info.msgtype in IMAGE_TYPES)
         raise CalibrationError(
-            f"bag {path} has no {' and '.join(missing)}; name its images by --topics; "
-            f"it has {', '.join(images) or 'none'}"
+            f"bag {path} has {'no ' + ' and '.join(missing) if missing else 'several vehicles'}; name the images by "
+            f"--topics; it has {', '.join(images) or 'none'}"
         )
-    return BagPictures((path,), topics, recorded[topics[0]].count, most)
+    return BagPictures((path,), (left, right), recorded[left].count, most)

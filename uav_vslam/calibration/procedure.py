@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.calibration.boards import Board, found_size
+from uav_vslam.calibration.boards import Board
 from uav_vslam.calibration.bundle import BoardPair
 from uav_vslam.calibration.solve import Lens, StereoSolution, first_rig, reproject, rms, solve
 from uav_vslam.errors import CalibrationError
@@ -116,7 +116,7 @@ def find_boards(
         _check_sizes(name, images, size)
         left, right = (board.detect(image) for image in images)
         if left is None or right is None:
-            other_sizes += [found for found in map(found_size, images) if found is not None]
+            other_sizes += [found for found in map(board.size_in, images) if found is not None]
             where = "both images" if left is right else "the left image" if left is None else "the right image"
             rejected.append(Rejected(name, f"no board found in {where}"))
         else:
@@ -246,8 +246,10 @@ def _too_few(
     size = max(board.columns, board.rows), min(board.columns, board.rows)
     text = f"{len(pairs)} of {count} pairs show the {size[0]}x{size[1]} board in both images; {LEAST_PAIRS} are needed"
     other = [found for found in other_sizes if found != size]
+    if not rejected:
+        return f"{text}; take more pictures"
     if pairs or not other:
-        return f"{text}; --board counts inner corners, one fewer than squares each way"
+        return f"{text}; {board.ADVICE}"
     likely = max(set(other), key=other.count)
     use = f"{likely[0]}x{likely[1]}"
     return f"{text}; {other.count(likely)} images show a board of {use} inner corners: use --board {use}"

@@ -17,6 +17,7 @@ HELP = "calibrate a stereo rig from pictures of a chessboard or ChArUco board"
 EXAMPLES = """examples:
   uav-vslam calibrate 'boards/left*.png' 'boards/right*.png' --board 9x6 --square 0.03
   uav-vslam calibrate boards --board 9x6 --square 0.03        left/ and right/, cam0/ and cam1/, or left*, right*
+  uav-vslam calibrate BAG --board 9x6 --square 0.03           image topics of the only vehicle in a bag
   uav-vslam calibrate BAG --board 9x6 --square 0.03 --topics /camera/infra1/image_rect_raw /camera/infra2/image_rect_raw
   uav-vslam calibrate boards --board 11x8 --square 0.04 --charuco DICT_5X5_100 --marker 0.03
   uav-vslam calibrate boards --board 9x6 --square 0.03 --model equidistant         a fisheye lens
@@ -48,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--topics",
         nargs=2,
         metavar=("LEFT", "RIGHT"),
-        default=["/uav1/left/image_raw", "/uav1/right/image_raw"],
-        help="of a bag's images (default /uav1/left/image_raw /uav1/right/image_raw)",
+        help="of a bag's images (default: left/image_raw and right/image_raw of its only vehicle)",
     )
     parser.add_argument(
         "--most", type=positive, default=60, metavar="N", help="pairs to take from a bag, evenly spread (default 60)"
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
     cv2.setNumThreads(1)
     board, lens = _board(args), Lens(args.model, tuple(FIXED[args.model] if args.fix is None else args.fix))
-    pictures = pictures_of(args.inputs, topics=tuple(args.topics), most=args.most)
+    pictures = pictures_of(args.inputs, topics=args.topics, most=args.most)
     with progress_bar("finding boards", len(pictures)) as advance:
         boards = find_boards(pictures, board, on_pair=advance)
     found = calibrate(boards, lens)
