@@ -9,7 +9,7 @@ from matplotlib.collections import EllipseCollection
 
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.report.contact_sheet import contact_sheet
-from uav_vslam.report.landmark_view import SIGMAS, horizontal_ellipses, landmark_view
+from uav_vslam.report.landmark_view import horizontal_ellipses, landmark_view
 from uav_vslam.report.plots import write_plots
 from uav_vslam.report.quality_plot import COASTED, EVENT, quality_plot
 from uav_vslam.types import FrameQuality, JointInformation
@@ -76,8 +76,8 @@ def test_ellipses_are_those_of_the_horizontal_covariance():
 def test_landmarks_are_drawn_true_to_scale_where_they_can_be_seen(judged):
     axes = landmark_view(judged).axes[0]
     (drawn,) = [one for one in axes.collections if isinstance(one, EllipseCollection)]
-    np.testing.assert_allclose(drawn.get_widths(), 2 * SIGMAS * 2.0)
-    np.testing.assert_allclose(drawn.get_heights(), 2 * SIGMAS * 1.0)
+    np.testing.assert_allclose(drawn.get_widths(), 2 * 2.0)
+    np.testing.assert_allclose(drawn.get_heights(), 2 * 1.0)
     np.testing.assert_allclose(drawn.get_angles() % 180.0, 90.0)
     assert "drawn" not in axes.get_title()
 
@@ -88,8 +88,8 @@ def test_ellipses_too_small_to_be_seen_are_enlarged_and_the_title_says_by_how_mu
     vehicle = dataclasses.replace(judged.vehicles["uav1"], joints=(sharp,))
     axes = landmark_view(dataclasses.replace(judged, vehicles={"uav1": vehicle})).axes[0]
     (drawn,) = [one for one in axes.collections if isinstance(one, EllipseCollection)]
-    np.testing.assert_allclose(drawn.get_widths(), 20 * 2 * SIGMAS * 0.02)
-    assert "drawn 20 times as large" in axes.get_title()
+    np.testing.assert_allclose(drawn.get_widths(), 50 * 2 * 0.02)
+    assert "drawn 50 times as large" in axes.get_title()
 
 
 def test_a_contact_sheet_holds_each_picture_with_its_caption():

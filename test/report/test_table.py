@@ -78,9 +78,9 @@ def test_a_run_without_truth_is_judged_in_sentences(blind):
     frames = [frame(k, coasted=k in (5, 6, 50), dof=100 * (k not in (5, 6, 50))) for k in range(100)]
     frames[20] = frame(20, restarted=True, relocalised=True, closures=7, nis=300.0)
     text = judged(blind, frames, alarms={1: ("left camera",), 2: ("left camera",)}, dropped={"unpaired": 2})
-    assert row(text, "consistent: NIS/dof 1.02 in [0.97, 1.03]; 1 % of frames outside")
+    assert row(text, "innovations consistent: NIS/dof 1.02 in [0.97, 1.03]; 1 % of frames outside")
     assert row(text, "median 90 features, 80 tracked, 25 associated; coasted 3 of 100 frames (longest 2, 0.3 s)")
-    assert row(text, "S-SLAM claims 1 sigma of 0.87 m after 198 m (0.44 m/100 m), heading 28.65 deg")
+    assert row(text, "S-SLAM claims 1 sigma of 0.866 m after 198 m (0.437 m/100 m), heading 28.6 deg")
     assert row(text, "closures 7, re-initialisations 1, relocalisations 1, alarm left camera 2, dropped unpaired 2")
 
 

@@ -13,7 +13,7 @@ from uav_vslam.report.style import LINE_COLOURS, clean
 
 Array = NDArray[np.float64]
 
-SIGMAS = 3.0
+MOST_ELLIPSES = 400  # of a vehicle: more would hide each other
 LEAST_SHARE = 0.008  # of the view: the median ellipse is drawn at least so long
 STRETCHES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 INNER_PERCENTILES = (1.0, 99.0)  # of the landmarks: the few that are badly triangulated don't set the view
@@ -22,8 +22,8 @@ INNER_PERCENTILES = (1.0, 99.0)  # of the landmarks: the few that are badly tria
 def landmark_view(result: FlightResult) -> Figure | None:
     """Return the view from above, north up; None where the map was not recorded.
 
-    A landmark is shown as it was last estimated at an epoch, by S-SLAM. Ellipses too small to be seen are all drawn
-    larger by one factor, which the title states.
+    A landmark is a dot where S-SLAM last estimated it at an epoch. Some of them, evenly over the flight, have their 1-sigma
+    ellipse. Ellipses too small to be seen are all drawn larger by one factor, which the title states.
     """
     maps = {name: mapped_landmarks(vehicle.joints) for name, vehicle in result.vehicles.items()}
     maps = {name: landmarks for name, landmarks in maps.items() if len(landmarks)}
@@ -38,26 +38,29 @@ def landmark_view(result: FlightResult) -> Figure | None:
     axes = figure.add_subplot()
     colours = {name: LINE_COLOURS[k % len(LINE_COLOURS)] for k, name in enumerate(maps)}
     for name, landmarks in maps.items():
-        semi_axes, angles_deg = ellipses[name]
-        lengths = 2.0 * SIGMAS * stretch * semi_axes
+        rows = np.linspace(0, len(landmarks) - 1, min(len(landmarks), MOST_ELLIPSES)).astype(int)
+        semi_axes, angles_deg = (values[rows] for values in ellipses[name])
+        lengths = 2.0 * stretch * semi_axes
         axes.add_collection(
             EllipseCollection(
                 lengths[:, 0],
                 lengths[:, 1],
                 angles_deg,
                 units="xy",
-                offsets=landmarks.positions[:, :2],
+                offsets=landmarks.positions[rows, :2],
                 offset_transform=axes.transData,
                 facecolors="none",
                 edgecolors=colours[name],
                 linewidths=0.6,
             )
         )
-        axes.plot(*paths[name].T, color=colours[name], linewidth=1.8)
+        axes.plot(*landmarks.positions[:, :2].T, ".", color=colours[name], markersize=1.5)
+        axes.plot(*paths[name].T, color="white", linewidth=4.5)  # a rim, so that the path stands out
+        axes.plot(*paths[name].T, color=colours[name], linewidth=2.0)
         axes.plot(*paths[name][0], marker="o", color=colours[name], markerfacecolor="white", markersize=6)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="East [m]", ylabel="North [m]", aspect="equal")
     drawn = "" if stretch == 1 else f" drawn {stretch} times as large"
-    axes.set_title(f"{result.name}: S-SLAM's landmarks, {SIGMAS:.0f}-sigma ellipses{drawn}")
+    axes.set_title(f"{result.name}: S-SLAM's landmarks, 1-sigma ellipses{drawn}")
     clean(axes)
     handles = [
         Line2D([], [], color=colours[name], label=f"{name}: {len(landmarks)} landmarks")
@@ -86,5 +89,5 @@ def _limits(paths: list[Array], landmarks: list[Array]) -> tuple[Array, Array]:
 
 def _stretch(sigma_m: Array, size_m: float) -> int:
     """Return by how much ellipses are enlarged so that the median one is visible."""
-    length = 2.0 * SIGMAS * float(np.median(sigma_m))
+    length = 2.0 * float(np.median(sigma_m))
     return next((factor for factor in STRETCHES if factor * length >= LEAST_SHARE * size_m), STRETCHES[-1])

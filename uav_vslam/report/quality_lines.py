@@ -24,9 +24,9 @@ def innovation_line(quality: Figures) -> str:
     if value is None:
         return "no visual update: nothing can be said about consistency"
     side = SIDES[quality["nis_verdict"]]
-    text = f"{quality['nis_verdict']}: NIS/dof {value:.3g} {side} [{band[0]:.2f}, {band[1]:.2f}]"
+    text = f"innovations {quality['nis_verdict']}: NIS/dof {value:.3g} {side} [{band[0]:.2f}, {band[1]:.2f}]"
     if quality["nis_verdict"] != CONSISTENT:
-        text += f", innovations {math.sqrt(value):.3g} x claimed"
+        text += f", {math.sqrt(value):.3g} x claimed"
     return f"{text}; {100 * quality['nis_outside_share']:.0f} % of frames outside"
 
 
@@ -45,10 +45,10 @@ def claim_line(vehicle: Figures) -> str:
     if track["sigma_end_m"] is None:
         return f"{name} claims nothing of its uncertainty"
     rate = track["sigma_per_100m_m"]
-    growth = "" if rate is None else f" ({rate:.2f} m/100 m)"
+    growth = "" if rate is None else f" ({rate:.3g} m/100 m)"
     return (
-        f"{name} claims 1 sigma of {track['sigma_end_m']:.2f} m after {vehicle['distance_m']:.0f} m{growth}, "
-        f"heading {track['sigma_heading_end_deg']:.2f} deg"
+        f"{name} claims 1 sigma of {track['sigma_end_m']:.3g} m after {vehicle['distance_m']:.0f} m{growth}, "
+        f"heading {track['sigma_heading_end_deg']:.3g} deg"
     )
 
 
