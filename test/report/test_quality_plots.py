@@ -92,6 +92,15 @@ def test_ellipses_too_small_to_be_seen_are_enlarged_and_the_title_says_by_how_mu
     assert "drawn 50 times as large" in axes.get_title()
 
 
+def test_a_dense_map_shows_all_landmarks_but_only_some_ellipses(judged, monkeypatch):
+    monkeypatch.setattr("uav_vslam.report.landmark_view.MOST_ELLIPSES", 20)
+    axes = landmark_view(judged).axes[0]
+    (drawn,) = [one for one in axes.collections if isinstance(one, EllipseCollection)]
+    assert len(drawn.get_widths()) == 20
+    (dots,) = [line for line in axes.lines if line.get_marker() == "."]
+    assert len(dots.get_xdata()) == 50
+
+
 def test_a_contact_sheet_holds_each_picture_with_its_caption():
     images = [np.full((30, 40, 3), (k, 0, 255), np.uint8) for k in range(6)]
     figure = contact_sheet([(image, f"number {k}") for k, image in enumerate(images)], "sheet")

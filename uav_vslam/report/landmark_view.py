@@ -2,12 +2,13 @@
 """Plan view of the landmarks with their ellipses, along the estimated path."""
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.landmarks import mapped_landmarks
+from uav_vslam.evaluation.landmarks import MappedLandmarks, mapped_landmarks
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.style import LINE_COLOURS, clean
 
@@ -22,8 +23,8 @@ INNER_PERCENTILES = (1.0, 99.0)  # of the landmarks: the few that are badly tria
 def landmark_view(result: FlightResult) -> Figure | None:
     """Return the view from above, north up; None where the map was not recorded.
 
-    A landmark is a dot where S-SLAM last estimated it at an epoch. Some of them, evenly over the flight, have their 1-sigma
-    ellipse. Ellipses too small to be seen are all drawn larger by one factor, which the title states.
+    A landmark is a dot where S-SLAM last estimated it at an epoch. Some of them, evenly over the flight, have their
+    1-sigma ellipse. Ellipses too small to be seen are all drawn larger by one factor, which the title states.
     """
     maps = {name: mapped_landmarks(vehicle.joints) for name, vehicle in result.vehicles.items()}
     maps = {name: landmarks for name, landmarks in maps.items() if len(landmarks)}
@@ -38,26 +39,7 @@ def landmark_view(result: FlightResult) -> Figure | None:
     axes = figure.add_subplot()
     colours = {name: LINE_COLOURS[k % len(LINE_COLOURS)] for k, name in enumerate(maps)}
     for name, landmarks in maps.items():
-        rows = np.linspace(0, len(landmarks) - 1, min(len(landmarks), MOST_ELLIPSES)).astype(int)
-        semi_axes, angles_deg = (values[rows] for values in ellipses[name])
-        lengths = 2.0 * stretch * semi_axes
-        axes.add_collection(
-            EllipseCollection(
-                lengths[:, 0],
-                lengths[:, 1],
-                angles_deg,
-                units="xy",
-                offsets=landmarks.positions[rows, :2],
-                offset_transform=axes.transData,
-                facecolors="none",
-                edgecolors=colours[name],
-                linewidths=0.6,
-            )
-        )
-        axes.plot(*landmarks.positions[:, :2].T, ".", color=colours[name], markersize=1.5)
-        axes.plot(*paths[name].T, color="white", linewidth=4.5)  # a rim, so that the path stands out
-        axes.plot(*paths[name].T, color=colours[name], linewidth=2.0)
-        axes.plot(*paths[name][0], marker="o", color=colours[name], markerfacecolor="white", markersize=6)
+        _draw(axes, landmarks, ellipses[name], paths[name], colours[name], stretch)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="East [m]", ylabel="North [m]", aspect="equal")
     drawn = "" if stretch == 1 else f" drawn {stretch} times as large"
     axes.set_title(f"{result.name}: S-SLAM's landmarks, 1-sigma ellipses{drawn}")
@@ -68,6 +50,32 @@ def landmark_view(result: FlightResult) -> Figure | None:
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
     return figure
+
+
+def _draw(
+    axes: Axes, landmarks: MappedLandmarks, ellipses: tuple[Array, Array], path: Array, colour: str, stretch: int
+) -> None:
+    """Draw one vehicle's landmarks, some of their ellipses, and its path."""
+    rows = np.linspace(0, len(landmarks) - 1, min(len(landmarks), MOST_ELLIPSES)).astype(int)
+    semi_axes, angles_deg = (values[rows] for values in ellipses)
+    lengths = 2.0 * stretch * semi_axes
+    axes.add_collection(
+        EllipseCollection(
+            lengths[:, 0],
+            lengths[:, 1],
+            angles_deg,
+            units="xy",
+            offsets=landmarks.positions[rows, :2],
+            offset_transform=axes.transData,
+            facecolors="none",
+            edgecolors=colour,
+            linewidths=0.6,
+        )
+    )
+    axes.plot(*landmarks.positions[:, :2].T, ".", color=colour, markersize=1.5)
+    axes.plot(*path.T, color="white", linewidth=4.5)  # a rim, so that the path stands out
+    axes.plot(*path.T, color=colour, linewidth=2.0)
+    axes.plot(*path[0], marker="o", color=colour, markerfacecolor="white", markersize=6)
 
 
 def horizontal_ellipses(covariances: Array) -> tuple[Array, Array]:
