@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cameras and their relative pose from corners of a board: OpenCV calibrates each, then both are refined at once.
 
-Eq. (3.3.4) of [thesis] needs both cameras and their relative pose. Refining them in one least-squares problem instead
-of the pose alone nearly halves the error of the baseline, on simulated corners, and tells standard deviations.
+Eq. (3.3.4) of [thesis] needs both cameras and their relative pose. Refining them in one least-squares problem, instead
+of the pose alone after the cameras, leaves 0.78 of the baseline's error (0.68 to 0.91 in 95 % of bootstraps over 80
+simulated sets of 25 pairs with 0.15 px of noise), and tells standard deviations.
 """
 
 from collections.abc import Sequence
