@@ -35,7 +35,8 @@ ALLOWED: dict[str, set[str]] = {
     # the side branches
     "simulation": EARLY | {"datasets"},  # a simulated flight is recorded as a bag
     "evaluation": EARLY | {"estimation"},
-    "datasets": EARLY | {"evaluation", "ins"},  # recorded truth becomes a trajectory, readings move to the body
+    # recorded truth becomes a trajectory, readings move to the body, images show which legs overlap
+    "datasets": EARLY | {"evaluation", "ins", "vision"},
     "calibration": EARLY | {"vision", "datasets"},  # image pairs of files and recordings
     "report": {"types", "evaluation", "calibration"},
     "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found

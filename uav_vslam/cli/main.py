@@ -21,6 +21,7 @@ VERBS = (
     "import",
     "calibrate",
     "check",
+    "cut",
     "run",
     "launch",
     "evaluate",

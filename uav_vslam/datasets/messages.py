@@ -87,6 +87,12 @@ def _nanoseconds(sec: int, nanosec: int) -> int:
     return int(sec) * NS_PER_S + int(nanosec)
 
 
+def with_header(built: Any, stamp_ns: int, frame_id: str) -> Any:
+    """Give a message another header; return it."""
+    built.header = _header(stamp_ns, frame_id)
+    return built
+
+
 def image_message(stamp_ns: int, frame_id: str, image: NDArray[Any], *, encoding: str = "") -> Any:
     """Build sensor_msgs/Image from (H, W) grey or (H, W, 3) BGR pixels, or with another encoding of theirs."""
     encoding = encoding or ("bgr8" if image.ndim == 3 else "mono8" if image.dtype == np.uint8 else "mono16")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import ImuConfig, VehicleConfig
+from uav_vslam.datasets.starts import drawn_start
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_log
@@ -14,7 +15,7 @@ from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.recorded_flights import searched
-from uav_vslam.studies.euroc.starts import drawn_start, starts_of, true_start
+from uav_vslam.studies.euroc.starts import start_at_frame, starts_of
 from uav_vslam.types import NavEstimate, NavState, StereoFeatures, StereoFrame
 from uav_vslam.vision.stereo_points import StereoFrontend
 
@@ -80,7 +81,7 @@ def test_the_same_seed_draws_the_same_start_and_another_seed_another(flight):
 
 def test_a_later_start_is_the_truth_with_biases_that_have_walked(flight, vehicle):
     imu = ImuConfig(gyro_bias_walk=1e-3, accel_bias_walk=1e-2)
-    start, recorded = true_start(flight, 4, imu), flight.initial_state
+    start, recorded = start_at_frame(flight, 4, imu), flight.initial_state
     time_s = vehicle.frame_times_s[4]
     assert start.state.stamp_ns == vehicle.frame_stamps_ns[4]
     np.testing.assert_allclose(start.state.T_map_body.t, vehicle.truth.position(time_s), atol=1e-9)
@@ -95,15 +96,15 @@ def test_a_later_start_between_two_truths_has_the_velocity_between_theirs(flight
     every_other = dataclasses.replace(
         flight, truth=flight.truth.select(np.arange(0, 8, 2)), velocities=flight.velocities[::2]
     )
-    start = true_start(every_other, 3, ImuConfig())
+    start = start_at_frame(every_other, 3, ImuConfig())
     np.testing.assert_allclose(start.state.v_map, 0.5 * (flight.velocities[2] + flight.velocities[4]))
     np.testing.assert_allclose(start.state.T_map_body.t, flight.truth.positions[[2, 4]].mean(axis=0))
 
 
 def test_a_later_start_without_a_truth_is_refused(flight):
     short = dataclasses.replace(flight, truth=flight.truth.select(np.arange(3)), velocities=flight.velocities[:3])
-    with pytest.raises(UavVslamError, match="no truth at frame 4"):
-        true_start(short, 4, ImuConfig())
+    with pytest.raises(UavVslamError, match="frame 4: no truth"):
+        start_at_frame(short, 4, ImuConfig())
 
 
 def test_images_are_searched_once_and_readings_stay(vehicle, monkeypatch):

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam cut` makes a bag that `run` takes as it is, and says what it did."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from uav_vslam.cli.main import main
+from uav_vslam.simulation.recording import record
+from uav_vslam.simulation.scenario import Scenario
+
+LEGS = ["--legs", "0-1.5,1.6-3.2"]
+OFTEN = ["--set", "fusion.epoch_s=0.3"]  # several packets in a second and a half
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("source") / "flight"
+    record(Scenario(frames=24, vehicles=1, scale=0.25, seed=5), path)
+    return path
+
+
+def test_a_cut_runs_as_it_is(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["cut", str(bag), str(tmp_path / "pair"), "--config", "kagaru", *OFTEN, *LEGS]) == 0
+    printed = capsys.readouterr().out
+    assert "uav2: 1.7 to 3.1 s of the flight, 11 image pairs" in printed
+    assert "uav1, uav2: overlap " in printed
+    assert "A cut hides: " in printed
+    fleet = tmp_path / "pair" / "fleet.yaml"
+    assert f"uav-vslam run {fleet}" in printed
+    assert main(["run", str(fleet), "--results", str(tmp_path), "--workers", "1", "--no-plots"]) == 0
+    summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
+    for name in ("uav1", "uav2"):
+        assert summary["vehicles"][name]["frames_processed"] >= 11
+        assert summary["vehicles"][name]["s_slam"]["ate_m"] < 0.5  # the start's sigma is 0.05 m and 0.1 m/s over 1.5 s
+    assert sum(vehicle["link"]["packets_used"] for vehicle in summary["vehicles"].values()) > 0
+
+
+def test_legs_are_found(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["cut", str(bag), str(tmp_path / "pair"), "--duration", "1.2"]) == 0
+    assert "uav1: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--legs", "0-1,9-10"], "leg 9-10 s has 0 image pairs"),
+        (["--duration", "5"], "2 legs of 5 s do not fit into a flight of 3 s"),
+        (["--set", "input.topics.truth=nowhere"], "/uav1/nowhere"),
+    ],
+)
+def test_what_can_not_be_cut_is_one_line(
+    bag: Path, tmp_path: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["cut", str(bag), str(tmp_path / "pair"), *options]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "pair").exists()
+
+
+def test_an_existing_folder_is_refused_at_once(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["cut", str(bag), str(bag)]) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("options", [["--legs", "0-1"], ["--legs", "a-b,c-d"], ["--vehicles", "1"], ["--overlap", "2"]])
+def test_arguments_that_mean_nothing_are_refused(
+    bag: Path, tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main(["cut", str(bag), str(tmp_path / "pair"), *options])
+    assert leaving.value.code == 2
+    assert options[0] in capsys.readouterr().err

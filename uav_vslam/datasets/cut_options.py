@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a recording is to be cut, as the command line says it; imported by `--help`, so nothing heavy here."""
+
+import argparse
+from dataclasses import dataclass
+
+MIN_OVERLAP = 0.25
+WITHIN_S = (
+    10.0  # a landmark that one vehicle shows now is soon out of the other's view, and its map is thinned out there
+)
+FORM = "legs must look like 0-60,75-130: start and end in seconds since the first image, two or more"
+
+
+@dataclass(frozen=True, slots=True)
+class CutOptions:
+    """What is asked for.
+
+    Attributes:
+        vehicles: how many legs.
+        legs_s: start and end of each since the first image [s]; None if they are to be found.
+        duration_s: of each leg [s]; None for the longest that overlap enough.
+        min_overlap: least mean overlap of legs without a given duration.
+        within_s: largest time between two vehicles' views of a place that counts as overlap [s].
+    """
+
+    vehicles: int = 2
+    legs_s: tuple[tuple[float, float], ...] | None = None
+    duration_s: float | None = None
+    min_overlap: float = MIN_OVERLAP
+    within_s: float = WITHIN_S
+
+
+def add_cut_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments that `cut_options` reads."""
+    parser.add_argument("--vehicles", type=_several, default=2, metavar="N", help="how many (default 2)")
+    parser.add_argument("--legs", type=_spans, metavar="T0-T1,T2-T3", help="by hand [s since the first image]")
+    parser.add_argument("--duration", type=_positive, metavar="S", help="of each leg (default: see below)")
+    parser.add_argument(
+        "--overlap",
+        type=_share,
+        default=MIN_OVERLAP,
+        metavar="SHARE",
+        help=f"least overlap of legs without --duration, 0 to 1 (default {MIN_OVERLAP})",
+    )
+    parser.add_argument(
+        "--within",
+        type=_positive,
+        default=WITHIN_S,
+        metavar="S",
+        help=f"vehicles pass a place at most so long after each other (default {WITHIN_S:g})",
+    )
+    parser.add_argument("--vehicle", metavar="NAME", help="which of the recording (default the first)")
+
+
+def cut_options(args: argparse.Namespace) -> CutOptions:
+    """Return what the arguments ask for."""
+    count = len(args.legs) if args.legs else args.vehicles
+    return CutOptions(count, args.legs, args.duration, args.overlap, args.within)
+
+
+def _spans(text: str) -> tuple[tuple[float, float], ...]:
+    parts = [part.split("-") for part in text.split(",")]
+    try:
+        spans = tuple((float(start), float(end)) for start, end in parts)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: {FORM}") from None
+    if len(spans) < 2:
+        raise argparse.ArgumentTypeError(f"{text!r}: {FORM}")
+    return spans
+
+
+def _several(text: str) -> int:
+    count = int(text) if text.isdigit() else 0
+    if count < 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of vehicles, 2 or more")
+    return count
+
+
+def _positive(text: str) -> float:
+    return _number(text, float("inf"), "a number of seconds above 0")
+
+
+def _share(text: str) -> float:
+    return _number(text, 1.0, "a share above 0, at most 1")
+
+
+def _number(text: str, most: float, wanted: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value <= most:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
+    return value

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes legs of one recording as a bag of several vehicles that fly at the same time.
+
+Readings and images keep their content, bit for bit; stamps, topics and frames change. The calibration is that which
+the configuration gives the recording, so the new bag has the conventional topics and needs no `input`.
+"""
+
+import dataclasses
+import heapq
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from uav_vslam.config import InputConfig, StartConfig, VehicleConfig, parameter_file
+from uav_vslam.config.input import COMPRESSED
+from uav_vslam.datasets.bag import BagFlight, TruthTrack
+from uav_vslam.datasets.cutting import CutVehicle
+from uav_vslam.datasets.flight_writer import LATCHED_TOPICS, TF_STATIC
+from uav_vslam.datasets.messages import (
+    TruthSample,
+    camera_info_message,
+    header_stamp_ns,
+    navigation_state_message,
+    transforms_message,
+    truth_message,
+    with_header,
+)
+from uav_vslam.datasets.rosbag import RawRecorder, decode, encode, iter_raw
+from uav_vslam.datasets.seen_points import recorded_pairs
+from uav_vslam.datasets.sensor_setup import SIDES
+from uav_vslam.errors import BagError
+from uav_vslam.evaluation.pairing import MAX_GAP_S
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.types import NS_PER_S
+
+FLEET_FILE, CONFIG_FILE = "fleet.yaml", "vehicle.yaml"
+MARGIN_NS = NS_PER_S // 10  # readings begin this long before the first frame and end after the last
+
+Message = tuple[int, str, Any]  # stamp [ns], topic, message
+
+
+def scratch_of(out: Path) -> Path:
+    """Return the folder in which a bag is written before it is moved to its place.
+
+    Raises:
+        BagError: either exists.
+    """
+    scratch = out.with_name(f"{out.name}.partial")
+    for path in (out, scratch):
+        if path.exists():
+            raise BagError(f"{path} exists; remove it, or choose a folder that does not exist yet")
+    return scratch
+
+
+def write_cut(
+    out: Path,
+    flight: BagFlight,
+    vehicles: Sequence[CutVehicle],
+    config: VehicleConfig,
+    on_frame: Callable[[], None] = lambda: None,
+) -> None:
+    """Write the vehicles' bag, with a fleet file for `run` and `launch` inside; an interrupted one leaves nothing.
+
+    Args:
+        out: bag folder to make.
+        flight: the source.
+        vehicles: which legs, and what they become.
+        config: of the source's vehicle.
+        on_frame: called for each image pair written.
+
+    Raises:
+        BagError: the folder exists, or the source is damaged.
+    """
+    scratch = scratch_of(out)
+    scratch.mkdir(parents=True)
+    try:
+        with RawRecorder(scratch / out.name) as recorder:
+            _write_all(recorder, flight, vehicles, on_frame)
+        _write_fleet_file(scratch / out.name, [vehicle.name for vehicle in vehicles], config)
+        (scratch / out.name).rename(out)
+    finally:
+        shutil.rmtree(scratch)
+
+
+def _write_all(
+    recorder: RawRecorder, flight: BagFlight, vehicles: Sequence[CutVehicle], on_frame: Callable[[], None]
+) -> None:
+    truth = flight.truth()
+    streams = [_stream(flight, vehicle, truth) for vehicle in vehicles]
+    first = True
+    for stamp_ns, topic, built in heapq.merge(*streams, key=lambda message: message[0]):
+        if first:
+            _write(recorder, stamp_ns, TF_STATIC, _transforms(flight, vehicles, stamp_ns))
+            first = False
+        _write(recorder, stamp_ns, topic, built)
+        if topic.endswith("left/camera_info"):
+            on_frame()
+
+
+def _write(recorder: RawRecorder, stamp_ns: int, topic: str, built: Any) -> None:
+    recorder.write(topic, built.__msgtype__, encode(built), stamp_ns, latched=topic.endswith(LATCHED_TOPICS))
+
+
+def _transforms(flight: BagFlight, vehicles: Sequence[CutVehicle], stamp_ns: int) -> Any:
+    rig, edges = flight.rig, []
+    for vehicle in vehicles:
+        base = f"{vehicle.name}/base_link"
+        edges.append((base, f"{vehicle.name}/left_optical", rig.T_body_left))
+        edges.append((base, f"{vehicle.name}/right_optical", rig.T_body_right))
+        if _imu_frame(flight, vehicle) != base:
+            edges.append((base, _imu_frame(flight, vehicle), flight.T_body_imu))
+    return transforms_message(stamp_ns, edges)
+
+
+def _imu_frame(flight: BagFlight, vehicle: CutVehicle) -> str:
+    """Return the frame of a vehicle's readings, which stay in the axes of the source's IMU."""
+    is_body = np.array_equal(flight.T_body_imu.matrix, np.eye(4))
+    return f"{vehicle.name}/{'base_link' if is_body else 'imu'}"
+
+
+def _stream(flight: BagFlight, vehicle: CutVehicle, truth: TruthTrack | None) -> Iterator[Message]:
+    """Yield a vehicle's messages, stamped as recorded when they were measured."""
+    streams = [_images(flight, vehicle), _readings(flight, vehicle)]
+    if truth is not None:
+        streams.append(_truth(vehicle, truth))
+    return heapq.merge(*streams, key=lambda message: message[0])
+
+
+def _images(flight: BagFlight, vehicle: CutVehicle) -> Iterator[Message]:
+    """Yield the start state, then each pair with its calibration."""
+    cameras = dict(zip(SIDES, (flight.rig.left, flight.rig.right), strict=True))
+    topic, frame_id = f"/{vehicle.name}", f"{vehicle.name}/{{}}_optical"
+    for pair in recorded_pairs(flight):
+        if not vehicle.first_ns <= pair.stamp_ns <= vehicle.last_ns:
+            continue
+        pair_ns = pair.stamp_ns + vehicle.shift_ns
+        if pair.stamp_ns == vehicle.first_ns:
+            yield pair_ns, f"{topic}/initial_state", _start(vehicle)
+        for side, raw in zip(SIDES, (pair.left, pair.right), strict=True):
+            stamp_ns = header_stamp_ns(raw.data) + flight.time_offset_ns + vehicle.shift_ns
+            frame = frame_id.format(side)
+            yield pair_ns, f"{topic}/{side}/camera_info", camera_info_message(stamp_ns, frame, cameras[side])
+            name = f"{topic}/{side}/image_raw{COMPRESSED if raw.msgtype.endswith('CompressedImage') else ''}"
+            yield pair_ns, name, with_header(decode(raw), stamp_ns, frame)
+
+
+def _start(vehicle: CutVehicle) -> Any:
+    state = dataclasses.replace(vehicle.start.state, stamp_ns=vehicle.first_ns + vehicle.shift_ns)
+    moved = dataclasses.replace(vehicle.start, state=state)
+    return navigation_state_message(moved, frame_id=f"{vehicle.name}/map", child_frame_id=f"{vehicle.name}/base_link")
+
+
+def _readings(flight: BagFlight, vehicle: CutVehicle) -> Iterator[Message]:
+    frame = _imu_frame(flight, vehicle)
+    for raw in iter_raw(flight.paths, [flight.input.topic(flight.vehicle, "imu")]):
+        source_ns = header_stamp_ns(raw.data)
+        stamp_ns = source_ns + vehicle.shift_ns
+        if vehicle.first_ns - MARGIN_NS <= source_ns <= vehicle.last_ns + MARGIN_NS:
+            yield stamp_ns, f"/{vehicle.name}/imu/data_raw", with_header(decode(raw), stamp_ns, frame)
+
+
+def _truth(vehicle: CutVehicle, truth: TruthTrack) -> Iterator[Message]:
+    """Yield the truth as `nav_msgs/Odometry`, whatever it was; its angular rate, which nothing reads, as unknown."""
+    margin_ns = round(MAX_GAP_S * NS_PER_S)
+    first, last = np.searchsorted(truth.stamps_ns, [vehicle.first_ns - margin_ns, vehicle.last_ns + margin_ns])
+    for k in range(first, last):
+        stamp_ns = int(truth.stamps_ns[k]) + vehicle.shift_ns
+        pose = Pose(truth.R_world_body[k], truth.positions_world[k])
+        sample = TruthSample(stamp_ns, pose, truth.velocities_world[k], np.full(3, np.nan))
+        built = truth_message(sample, frame_id="world", child_frame_id=f"{vehicle.name}/base_link")
+        yield stamp_ns, f"/{vehicle.name}/ground_truth/odometry", built
+
+
+def _write_fleet_file(folder: Path, names: list[str], config: VehicleConfig) -> None:
+    """Write the source's settings, without what describes its topics and calibration, for `run` and `launch`."""
+    settings = dataclasses.replace(
+        config, input=InputConfig(pair_tolerance_s=config.input.pair_tolerance_s), start=StartConfig()
+    )
+    fleet = {"vehicles": {name: {"config": CONFIG_FILE} for name in names}, "replay": {"bags": ["."]}}
+    for name, tree in ((CONFIG_FILE, parameter_file({"/**": settings})), (FLEET_FILE, fleet)):
+        (folder / name).write_text(yaml.safe_dump(tree, sort_keys=False), encoding="utf-8")
