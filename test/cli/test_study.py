@@ -81,7 +81,7 @@ def test_every_study_explains_itself_with_examples(study: str, capsys: pytest.Ca
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_every_study_draws_the_seeds_that_it_is_given(study: str) -> None:
-    arguments = ["study", study, *["folder"] * (study == "euroc"), "--seeds", "3", "--first-seed", "1001"]
+    arguments = ["study", study, *["folder"] * (study in {"euroc", "split"}), "--seeds", "3", "--first-seed", "1001"]
     assert seeds_of(command.build_parser(arguments).parse_args(arguments)) == [1001, 1002, 1003]
 
 

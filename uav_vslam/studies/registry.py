@@ -19,6 +19,7 @@ from uav_vslam.studies import (
     recordings,
     revisit,
     rig,
+    split,
     start,
     thesis,
 )
@@ -41,6 +42,7 @@ STUDIES: dict[str, Study] = {
     "front_end": front_end.STUDY,
     "faults": faults.STUDY,
     "euroc": euroc.STUDY,
+    "split": split.STUDY,
     "association": association.STUDY,
     "start": start.STUDY,
     "recordings": recordings.STUDY,

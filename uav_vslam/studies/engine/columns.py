@@ -36,6 +36,7 @@ COLUMNS: dict[str, str] = {
     "ate_worst_m": "largest ATE of a run",
     "end_rms_m": "position error at the end",
     "error_max_m": "largest position error of a frame",
+    "height_rms_m": "error of the height over the flight",
     "drift_before_rms_m": "position error before the loop is closed",
     "rer": "relative error rate of the thesis, SLAM over INS",
     **{f"rer_w{k}": f"the same under noise scale w{k}" for k in range(1, 5)},
@@ -86,6 +87,14 @@ COLUMNS: dict[str, str] = {
     "closed": "runs with a right loop closure",
     "closures": "landmarks re-observed after a long time, per run",
     "false_closures": "wrong ones among them, sum over the runs",
+    # legs of one flight
+    "leg_start_s": "of the leg in the recording",
+    "leg_end_s": "of the leg in the recording",
+    "overlap": "share of a view that the other leg's best view sees, mean",
+    "overlapping_views": "share of the views that share a tenth or more; the medians are over these",
+    "heading_difference_deg": "between such views, median",
+    "view_difference_deg": "between the directions in which common points are seen, median",
+    "passes_apart_s": "between such views in the recording, median",
     # time and memory
     "ms_per_frame": "processor time of the method",
     "ms_per_frame_early": "the same early in the flight",
