@@ -69,7 +69,10 @@ AT_HOME = {
 }
 # OpenCV inverts lens models. cv2.setNumThreads(1) belongs where a process begins; the bench compares with OpenCV.
 AT_HOME_FILES = {
-    "rosbags": {"studies/recordings/ros1.py"},  # writes what strangers record
+    "rosbags": {
+        "studies/recordings/ros1.py",  # writes what strangers record
+        "studies/bench/recordings.py",  # reads without us, as the reference
+    },
     "cv2": {
         "geometry/camera.py",
         "offline.py",
@@ -78,6 +81,7 @@ AT_HOME_FILES = {
         "cli/simulate.py",
         "cli/bench.py",
         "studies/bench/compute.py",
+        "studies/bench/recordings.py",
         "ros/runtime.py",
     },
 }

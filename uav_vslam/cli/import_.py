@@ -27,45 +27,59 @@ are recorded byte for byte, lens distortion included. What can't be read is left
 and listed in OUT.warnings.txt. The bag grows in OUT.partial: an import that was cut short leaves no OUT, and starts
 again.
 """
+FORMATS = {
+    "euroc": "a sequence in EuRoC's ASL layout",
+    "kitti": "a sequence of KITTI's odometry benchmark",
+    "tumvi": "a sequence in TUM-VI's layout, with Kalibr's files",
+    "kagaru": "pictures, frame times and a log in any layout",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     common = _common_arguments()
     formats = parser.add_subparsers(title="formats", metavar="FORMAT", dest="format", required=True)
-    euroc = formats.add_parser("euroc", parents=[common], help="a sequence in EuRoC's ASL layout")
-    euroc.description = "Import a sequence in EuRoC's ASL layout; SOURCE is its mav0 folder."
-    euroc.set_defaults(read=_read_euroc)
-    tumvi = formats.add_parser("tumvi", parents=[common], help="a sequence in TUM-VI's layout, with Kalibr's files")
-    tumvi.description = "Import a sequence in TUM-VI's layout; SOURCE is the folder that holds mav0."
-    tumvi.add_argument(
-        "--calibration",
-        nargs="+",
-        type=Path,
-        metavar="FILE",
-        help="of Kalibr (default: those in SOURCE, dso or mav0)",
+    for name, describe in (("euroc", _euroc), ("kitti", _kitti), ("tumvi", _tumvi), ("kagaru", _kagaru)):
+        describe(formats.add_parser(name, parents=[common], help=FORMATS[name]))
+
+
+def _euroc(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Import a sequence in EuRoC's ASL layout; SOURCE is its mav0 folder."
+    parser.epilog = "example: uav-vslam import euroc V1_01_easy/mav0 v101"
+    parser.set_defaults(read=_read_euroc)
+
+
+def _kitti(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Import a sequence of KITTI's odometry benchmark; SOURCE is its folder sequences/NN."
+    parser.epilog = (
+        "The benchmark has no IMU; with that of the raw drive the graph can run it. Example: uav-vslam import kitti "
+        "dataset/sequences/07 k07 --oxts 2011_09_30/2011_09_30_drive_0027_extract/oxts"
     )
-    tumvi.set_defaults(read=_read_tumvi)
-    kitti = formats.add_parser("kitti", parents=[common], help="a sequence of KITTI's odometry benchmark")
-    kitti.description = "Import a sequence of KITTI's odometry benchmark; SOURCE is its folder sequences/NN."
-    kitti.epilog = "It has no IMU. With that of its raw drive the graph can run it: --oxts DATE/DRIVE_extract/oxts"
-    kitti.add_argument("--colour", action="store_true", help="cameras 2 and 3 even if there are the grey ones")
-    kitti.add_argument("--oxts", type=Path, metavar="DIR", help="folder oxts of the raw drive: adds the IMU")
-    kitti.add_argument("--first-frame", type=non_negative, default=0, metavar="N", help="of the sequence in the drive")
-    kitti.add_argument(
+    parser.add_argument("--colour", action="store_true", help="cameras 2 and 3 even if there are the grey ones")
+    parser.add_argument("--oxts", type=Path, metavar="DIR", help="folder oxts of the raw drive: adds the IMU")
+    parser.add_argument("--first-frame", type=non_negative, default=0, metavar="N", help="of the sequence in the drive")
+    parser.add_argument(
         "--image-times", type=Path, metavar="FILE", help="timestamps.txt of camera 0 (default: DIR/../image_00/)"
     )
-    kitti.set_defaults(read=_read_kitti)
-    kagaru = formats.add_parser("kagaru", parents=[common], help="pictures, frame times and a log in any layout")
-    kagaru.description = "Import a folder of pictures, frame times and a log; a layout file tells what is where."
-    kagaru.add_argument(
-        "--layout",
-        required=True,
-        type=Path,
-        metavar="FILE",
-        help="a copy of config/import/kagaru.yaml, filled in",
+    parser.set_defaults(read=_read_kitti)
+
+
+def _tumvi(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Import a sequence in TUM-VI's layout; SOURCE is the folder that holds mav0."
+    parser.epilog = "example: uav-vslam import tumvi dataset-room1_512_16 room1"
+    parser.add_argument(
+        "--calibration", nargs="+", type=Path, metavar="FILE", help="of Kalibr (default: those in SOURCE, dso or mav0)"
     )
-    kagaru.set_defaults(read=_read_kagaru)
+    parser.set_defaults(read=_read_tumvi)
+
+
+def _kagaru(parser: argparse.ArgumentParser) -> None:
+    parser.description = "Import a folder of pictures, frame times and a log; a layout file tells what is where."
+    parser.epilog = "example: uav-vslam import kagaru flight1 f1 --layout my_copy_of_config_import_kagaru.yaml"
+    parser.add_argument(
+        "--layout", required=True, type=Path, metavar="FILE", help="a copy of config/import/kagaru.yaml, filled in"
+    )
+    parser.set_defaults(read=_read_kagaru)
 
 
 def _common_arguments() -> argparse.ArgumentParser:

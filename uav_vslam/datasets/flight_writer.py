@@ -22,7 +22,7 @@ from uav_vslam.datasets.messages import (
     transforms_message,
     truth_message,
 )
-from uav_vslam.datasets.rosbag import RawRecorder, encode
+from uav_vslam.datasets.rosbag import RawRecorder, encoded_view
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import ImuSample, NavEstimate, StereoFrame
@@ -139,7 +139,7 @@ def write_flights(
 
 
 def _record(recorder: RawRecorder, topic: str, built: Any, stamp_ns: int) -> None:
-    recorder.write(topic, built.__msgtype__, encode(built), stamp_ns, latched=topic.endswith(LATCHED_TOPICS))
+    recorder.write(topic, built.__msgtype__, encoded_view(built), stamp_ns, latched=topic.endswith(LATCHED_TOPICS))
 
 
 def _transforms(flights: list[FlightRecording], stamp_ns: int) -> Any:

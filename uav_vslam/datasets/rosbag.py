@@ -95,7 +95,19 @@ def message(msgtype: str, **fields: Any) -> Any:
 
 def encode(built: Any) -> bytes:
     """Return the CDR bytes of a message made by `message`."""
-    return bytes(typestore().serialize_cdr(built, built.__msgtype__))
+    return bytes(encoded_view(built))
+
+
+def encoded_view(built: Any) -> memoryview:
+    """Return the same without a copy, to be written at once."""
+    return typestore().serialize_cdr(built, built.__msgtype__)
+
+
+@cache
+def _definition(msgtype: str) -> tuple[str, str]:
+    """Return text and hash of a type's definition, which take milliseconds to make."""
+    text, _ = typestore().generate_msgdef(msgtype, ros_version=2)
+    return text, typestore().hash_rihs01(msgtype)
 
 
 def decode(raw: RawMessage) -> Any:
@@ -171,7 +183,9 @@ class RawRecorder:
         except (WriterError, OSError) as error:
             raise BagError(f"can't record to {path}: {error}; choose a folder that does not exist yet") from None
 
-    def write(self, topic: str, msgtype: str, data: bytes, stamp_ns: int, *, latched: bool = False) -> None:
+    def write(
+        self, topic: str, msgtype: str, data: bytes | memoryview, stamp_ns: int, *, latched: bool = False
+    ) -> None:
         """Append one message.
 
         Args:
@@ -207,8 +221,9 @@ class RawRecorder:
 
     def _connect(self, topic: str, msgtype: str, *, latched: bool) -> Connection:
         _require_type(msgtype)
+        text, digest = _definition(msgtype)
         return self._writer.add_connection(
-            topic, msgtype, typestore=typestore(), offered_qos_profiles=[_qos(latched=latched)]
+            topic, msgtype, msgdef=text, rihs01=digest, offered_qos_profiles=[_qos(latched=latched)]
         )
 
 
