@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,7 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run, evaluate, write; return 2 where a recording is truncated, after using what can be read."""
-    import sys
     import time
     from functools import partial
 
@@ -67,15 +67,13 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.table import print_summary
 
     bags, configs = _inputs(args)
-    for text in dict.fromkeys(text for config in configs.values() for text in idle_settings(config).values()):
-        print(f"uav-vslam: warning: {text}", file=sys.stderr)
+    _warn(text for config in configs.values() for text in idle_settings(config).values())
     links = partial(link_between, load_link(args.link)) if args.link else None
     flights = open_flights(bags, configs)
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}
     for flight in flights.values():
         _report_offset(flight)
-        for text in flight.warnings:
-            print(f"uav-vslam: warning: {flight.vehicle}: {text}", file=sys.stderr)
+        _warn(f"{flight.vehicle}: {text}" for text in flight.warnings)
     truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
@@ -94,16 +92,18 @@ def run(args: argparse.Namespace) -> int:
     print_summary(build_summary(result, git=None))
     print(f"results: {folder}")
     for vehicle, track in tracks.items():
-        if track.dropped:
-            reasons = ", ".join(f"{count} {reason}" for reason, count in track.dropped.items())
-            used = f"{len(track.outputs)} of {track.frames_in} frames used"
-            print(f"uav-vslam: warning: {vehicle}: {used}; not used: {reasons}", file=sys.stderr)
-        for text in track.warnings:
-            print(f"uav-vslam: warning: {vehicle}: {text}", file=sys.stderr)
-    broken = sorted({track.broken for track in tracks.values() if track.broken})  # vehicles may share a bag
-    for reason in broken:
-        print(f"uav-vslam: warning: {reason}", file=sys.stderr)
+        _warn(f"{vehicle}: {text}" for text in track.warnings)
+    broken = sorted(track.broken for track in tracks.values() if track.broken)
+    _warn(broken)
     return 2 if broken else 0
+
+
+def _warn(texts: Iterable[str]) -> None:
+    """Print warnings, each once: vehicles may share a bag and a configuration."""
+    import sys
+
+    for text in dict.fromkeys(texts):
+        print(f"uav-vslam: warning: {text}", file=sys.stderr)
 
 
 def _draw(

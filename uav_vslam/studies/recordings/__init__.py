@@ -11,10 +11,9 @@ from uav_vslam.studies.engine.study import Findings, Progress, Study
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Render each seed's flight, record it in every way and fly each recording."""
     from uav_vslam.studies.recordings.compute import NOTES, study_rows
-    from uav_vslam.studies.recordings.ways import WAYS
 
-    advance = progress(len(seeds) * len(WAYS))
-    return Findings(study_rows(seeds, frames=args.frames, workers=args.workers, on_run=advance), NOTES)
+    advance = progress(len(seeds), "flights, each in all ways")
+    return Findings(study_rows(seeds, frames=args.frames, workers=args.workers, on_flight=advance), NOTES)
 
 
 STUDY = Study(

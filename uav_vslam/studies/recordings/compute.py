@@ -61,22 +61,19 @@ class Flown:
     failure: str = ""
 
 
-def study_rows(seeds: Sequence[int], *, frames: int, workers: int, on_run: Callable[[], None]) -> list[Row]:
+def study_rows(seeds: Sequence[int], *, frames: int, workers: int, on_flight: Callable[[], None]) -> list[Row]:
     """Return one row for each way.
 
     Args:
         seeds: of the flights.
         frames: of each flight.
         workers: processes, one a flight.
-        on_run: called when a flight has been flown in one way.
+        on_flight: called when a flight has been flown in all ways.
     """
-    done = in_pool(_flown, [(seed, frames) for seed in seeds], workers)
-    runs = []
-    for of_flight in done:
-        runs += of_flight
-        for _ in of_flight:
-            on_run()
-    return [_row([run for run in runs if run.way == way], {r.seed: r for r in runs if r.way == PLAIN}) for way in WAYS]
+    flights = in_pool(_flown, [(seed, frames) for seed in seeds], workers, on_flight)
+    runs = [run for of_flight in flights for run in of_flight]
+    plain = {run.seed: run for run in runs if run.way == PLAIN}
+    return [_row([run for run in runs if run.way == way], plain) for way in WAYS]
 
 
 def _flown(job: tuple[int, int]) -> list[Flown]:
