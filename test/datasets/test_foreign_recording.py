@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from foreign import T_BODY_IMU, edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
@@ -104,6 +105,32 @@ def test_a_start_state_of_another_body_than_the_files_is_refused_with_the_remedy
     assert_same(list(flight.iter_events()), events(tiny_bag), atol=1e-12)
     np.testing.assert_allclose(flight.rig.T_body_right.matrix, expected.rig.T_body_right.matrix, atol=1e-12)
     assert flight.warnings == ()
+
+
+def test_rectified_images_have_the_rig_of_p_and_r(tiny_bag: Path, tmp_path: Path) -> None:
+    raw = open_flight(tiny_bag, "uav1").rig
+    size = raw.left.width, raw.left.height
+    T = raw.T_right_left
+    R_left, R_right, P_left, P_right, *_ = cv2.stereoRectify(
+        raw.left.K, raw.left.distortion, raw.right.K, raw.right.distortion, size, T.R, T.t
+    )
+
+    def told(R: Any, P: Any) -> Any:
+        return lambda info: dataclasses.replace(info, r=R.ravel(), p=P.ravel())
+
+    changes = [
+        edited("/uav1/left/camera_info", told(R_left, P_left)),
+        edited("/uav1/right/camera_info", told(R_right, P_right)),
+    ]
+    bag = rewritten(tiny_bag, tmp_path / "bag", *changes)
+    rig = open_flight(bag, "uav1", InputConfig(rectified=True)).rig
+    np.testing.assert_allclose(rig.left.K, P_left[:, :3])
+    np.testing.assert_allclose(rig.right.K, P_right[:, :3])
+    np.testing.assert_allclose(rig.T_right_left.R, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(rig.T_right_left.t, P_right[:, 3] / max(P_right[0, 0], 1.0), atol=1e-9)
+    assert_points = np.array([[1.0, 2.0, 40.0], [-3.0, 0.5, 70.0]])  # in the body both rigs see the same directions
+    left = rig.T_body_left.inverse().apply(raw.T_body_left.apply(assert_points))
+    np.testing.assert_allclose(left, assert_points @ R_left.T, atol=1e-9)
 
 
 def test_an_imu_without_a_frame_is_noticed(tiny_bag: Path, tmp_path: Path) -> None:

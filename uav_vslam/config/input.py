@@ -52,6 +52,9 @@ class InputConfig(Settings):
         "calibration files of Kalibr, ROS or EuRoC, relative to the configuration file; what they tell is not taken "
         "from camera_info and /tf_static",
     )
+    rectified: bool = setting(
+        False, "images are rectified (image_rect): P and R of camera_info count instead of K and D"
+    )
     pair_tolerance_s: float = setting(
         0.0,
         "largest difference between the stamps of an image pair; 0: half of the median frame period, at most 0.02",

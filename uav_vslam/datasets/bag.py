@@ -16,7 +16,6 @@ from uav_vslam.config.input import image_names
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.messages import (
     TruthSample,
-    camera_of,
     header_stamp_ns,
     image_of,
     imu_of,
@@ -305,7 +304,7 @@ def _collect(bags: Sequence[Path], topics: dict[str, TopicInfo], setup: SensorSe
             setup.frames.add(transforms_of(built))
         elif sides[raw.topic] not in setup.cameras:
             try:
-                setup.cameras[sides[raw.topic]] = (camera_of(built), built.header.frame_id)
+                setup.add_camera(sides[raw.topic], built)
             except CalibrationError as error:
                 raise CalibrationError(f"{raw.topic}: {error}") from None
         if not setup.missing_infos and not setup.missing_transforms():

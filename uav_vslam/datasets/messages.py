@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.rosbag import message
-from uav_vslam.errors import BagError
+from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
@@ -193,6 +193,19 @@ def camera_of(info: Any) -> PinholeCamera:
         coefficients = np.concatenate([coefficients, np.zeros(5 - len(coefficients))])
     k = np.asarray(info.k).tolist()
     return PinholeCamera(info.width, info.height, k[0], k[4], k[2], k[5], coefficients, model)
+
+
+def rectified_camera_of(info: Any) -> tuple[PinholeCamera, Pose]:
+    """Return the intrinsics of rectified images, from P of a CameraInfo, and T_cam_rectified from R.
+
+    Raises:
+        CalibrationError: P, R or the size is not filled in.
+    """
+    fx, _, cx, _, _, fy, cy = np.asarray(info.p, dtype=float)[:7].tolist()
+    R_rectified_cam = np.asarray(info.r, dtype=float).reshape(3, 3)
+    if not np.allclose(R_rectified_cam @ R_rectified_cam.T, np.eye(3), atol=1e-3):
+        raise CalibrationError("R of camera_info is no rotation; is it filled in? Or leave out input.rectified")
+    return PinholeCamera(info.width, info.height, fx, fy, cx, cy), Pose(R_rectified_cam.T, np.zeros(3))
 
 
 def imu_message(sample: ImuSample, frame_id: str) -> Any:

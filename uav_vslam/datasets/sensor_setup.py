@@ -6,10 +6,12 @@ The bag reader and the nodes collect messages in their own way; what follows fro
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 from uav_vslam.config import InputConfig, VehicleConfig, differences, replaced
 from uav_vslam.datasets.calibration_files import Calibration, read_calibration
 from uav_vslam.datasets.frame_tree import FrameTree
+from uav_vslam.datasets.messages import camera_of, rectified_camera_of
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -28,7 +30,7 @@ class SensorSetup:
         config: of its input.
         files: content of the calibration files.
         frames: static frames received.
-        cameras: calibration and frame of each side received, by side.
+        cameras: calibration and frame of each side received, by side; see `add_camera`.
         imu_frame: header.frame_id of the IMU's messages; None before the first.
     """
 
@@ -37,6 +39,7 @@ class SensorSetup:
     files: Calibration
     frames: FrameTree = field(default_factory=FrameTree)
     cameras: dict[str, tuple[PinholeCamera, str]] = field(default_factory=dict)
+    _T_cam_images: dict[str, Pose] = field(default_factory=dict)  # axes of the images, if they are rectified
     imu_frame: str | None = None
 
     @classmethod
@@ -47,6 +50,18 @@ class SensorSetup:
             CalibrationError: one can't be read.
         """
         return cls(vehicle, config, read_calibration(config.calibration))
+
+    def add_camera(self, side: str, info: Any) -> None:
+        """Take the calibration of a camera's images from its CameraInfo: K and D, or P and R of rectified ones.
+
+        Raises:
+            CalibrationError: it is not filled in, or its lens is not supported.
+        """
+        if self.config.rectified:
+            camera, self._T_cam_images[side] = rectified_camera_of(info)
+        else:
+            camera = camera_of(info)
+        self.cameras[side] = camera, info.header.frame_id
 
     @property
     def time_offset_ns(self) -> int:
@@ -198,7 +213,8 @@ class SensorSetup:
             return self._T_body_files() @ known
         if index > 0 and T_left_right is not None:
             return self._T_body_cam(0) @ T_left_right
-        return self.frames.find(self.config.base_frame(self.vehicle), self.camera_frame(SIDES[index]))
+        T_body_cam = self.frames.find(self.config.base_frame(self.vehicle), self.camera_frame(SIDES[index]))
+        return T_body_cam @ self._T_cam_images.get(SIDES[index], Pose.identity())
 
 
 def with_noise_of_files(config: VehicleConfig) -> VehicleConfig:

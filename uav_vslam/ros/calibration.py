@@ -13,7 +13,7 @@ from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.mounting import ImuMounting
-from uav_vslam.ros.convert import camera_from_msg, imu_from_msg
+from uav_vslam.ros.convert import imu_from_msg
 from uav_vslam.ros.qos import LATCHED_BY_MANY, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode
 from uav_vslam.types import ImuSample
@@ -53,7 +53,10 @@ class RigListener:
 
     def _on_camera(self, side: str, message: CameraInfo) -> None:
         if side not in self._setup.cameras:
-            self._setup.cameras[side] = (camera_from_msg(message), message.header.frame_id)
+            try:
+                self._setup.add_camera(side, message)
+            except CalibrationError as error:
+                raise InvalidMessage("calibration", str(error)) from None
             self._assemble()
 
     def _on_transforms(self, message: TFMessage) -> None:

@@ -14,12 +14,11 @@ from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2, PointField
+from sensor_msgs.msg import CompressedImage, Image, Imu, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from uav_vslam.datasets.messages import camera_of, image_of, imu_of, navigation_state_of, stamp_ns_of, time_ns_of
-from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
-from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.datasets.messages import image_of, imu_of, navigation_state_of, stamp_ns_of, time_ns_of
+from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import (
     NS_PER_S,
@@ -99,14 +98,6 @@ def image_from_msg(message: Image | CompressedImage) -> NDArray[Any]:
         return image_of(message)
     except BagError as error:
         raise InvalidMessage("image", str(error)) from None
-
-
-def camera_from_msg(message: CameraInfo) -> PinholeCamera:
-    """Return intrinsics from K and D; P and R are not used: the rig need not be rectified."""
-    try:
-        return camera_of(message)
-    except (BagError, CalibrationError) as error:
-        raise InvalidMessage("calibration", str(error)) from None
 
 
 def transform_to_msg(pose: Pose, *, stamp_ns: int, parent: str, child: str) -> TransformStamped:
