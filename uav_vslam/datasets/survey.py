@@ -16,7 +16,6 @@ from uav_vslam.datasets.bag import IMAGE_TYPES, TruthTrack, truth_track
 from uav_vslam.datasets.calibration_files import Calibration
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.messages import (
-    camera_of,
     header_stamp_ns,
     image_of,
     imu_of,
@@ -202,7 +201,7 @@ class _Reader:
         else:
             side = role.removesuffix("_info")
             if side not in self.found.setup.cameras:
-                self.found.setup.cameras[side] = (camera_of(built), built.header.frame_id)
+                self.found.setup.add_camera(side, built)
 
     def _add_image(self, side: str, raw: RawMessage) -> None:
         number = len(self._checksums[side])
