@@ -99,6 +99,8 @@ def test_pictures_pair_with_the_nearest_within_the_tolerance() -> None:
     assert [(pair.left.stamp_ns, pair.right.stamp_ns) for pair in pairs] == [(0, 3), (100, 98), (300, 301)]
     assert problems.counts == {"pictures without a partner": 3}
     assert paired([], side(1), problems, tolerance_ns=10) == []
+    (contested,) = paired(side(0, 4), side(3), Problems(), tolerance_ns=10)  # no picture is used twice
+    assert contested.left.stamp_ns == 4
 
 
 @pytest.mark.parametrize(("suffix", "copied"), [(".png", True), (".jpg", True), (".pgm", False), (".tiff", False)])
