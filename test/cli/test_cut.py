@@ -4,9 +4,12 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from uav_vslam.cli.main import main
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.evaluation.files.reading import read_trajectory
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario
 
@@ -42,12 +45,30 @@ def test_legs_are_found(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert "uav1: " in capsys.readouterr().out
 
 
+def test_an_estimate_takes_the_place_of_the_truth(bag: Path, tmp_path: Path) -> None:
+    assert main(["run", str(bag), "--config", "kagaru", "--results", str(tmp_path), "--no-plots"]) == 0
+    estimate = tmp_path / "latest" / "uav1_s_slam.tum"
+    assert main(["cut", str(bag), str(tmp_path / "pair"), "--trajectory", str(estimate), *LEGS]) == 0
+    second, flight = open_flight(tmp_path / "pair", "uav2"), open_flight(bag, "uav1")
+    assert second.truth() is None
+    assert second.initial_state is not None
+    poses, start = read_trajectory(estimate), second.initial_state.state
+    at = int(np.argmin(np.linalg.norm(poses.positions - start.T_map_body.t, axis=1)))
+    np.testing.assert_allclose(start.T_map_body.t, poses.positions[at], atol=1e-6)
+    assert poses.stamps_ns[at] - poses.stamps_ns[0] == pytest.approx(1.68e9, abs=1e7)
+    truth = flight.truth()
+    assert truth is not None
+    k = int(np.searchsorted(truth.stamps_ns, poses.stamps_ns[at]))
+    np.testing.assert_allclose(start.v_map, truth.velocities_world[k], atol=1.5)  # m/s, of differences over 0.14 s
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--legs", "0-1,9-10"], "leg 9-10 s has 0 image pairs"),
         (["--duration", "5"], "2 legs of 5 s do not fit into a flight of 3 s"),
-        (["--set", "input.topics.truth=nowhere"], "/uav1/nowhere"),
+        (["--set", "input.topics.truth=nowhere"], "/uav1/nowhere along which it could be cut"),
+        (["--trajectory", "nowhere.tum"], "nowhere.tum"),
     ],
 )
 def test_what_can_not_be_cut_is_one_line(

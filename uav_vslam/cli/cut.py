@@ -22,6 +22,7 @@ EXAMPLES = """examples:
   uav-vslam cut flight pair --duration 22              the two legs of 22 s that overlap most
   uav-vslam cut flight trio --vehicles 3 --overlap 0.4
   uav-vslam cut flight pair --legs 0-60,75-135         by hand, in seconds since the first image
+  uav-vslam cut flight pair --trajectory results/latest/uav1_s_slam.tum    without ground truth
   uav-vslam run pair/fleet.yaml                        and launch: all vehicles, with the settings of --config
 
 Overlap is measured: stereo points of some frames are projected into the others along the ground truth; it counts where
@@ -29,7 +30,8 @@ the vehicles, flown at once, pass within --within of each other. Taken are the l
 --overlap, or of those of --duration the ones that overlap most. OUT holds images and readings bit for bit, re-stamped
 so that the legs start together, the truth in one frame, the calibration and a fleet file. Each vehicle starts from the
 truth with an error drawn from the covariance of the recorded start (without one, of simulated starts); biases are those
-of the recorded start.
+of the recorded start. --trajectory takes the place of the truth: an estimate from an earlier run, whose errors are then
+those of the starts; OUT holds no truth.
 """
 
 
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="bag folder to make")
     parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/, of the recording")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
+    parser.add_argument("--trajectory", type=Path, metavar="FILE", help="TUM or EuRoC file, in place of the truth")
     add_cut_arguments(parser)
     parser.add_argument("--seed", type=non_negative, default=1, metavar="K", help="of the starts' errors (default 1)")
 
@@ -57,7 +60,8 @@ def run(args: argparse.Namespace) -> int:
     flight = source_of(args.bag, args.vehicle, config.input)
     cut = _planned(args, flight, config)
     with progress_bar("writing", sum(vehicle.frames for vehicle in cut.vehicles)) as advance:
-        write_cut(args.out, flight, with_drawn_starts(cut, args.seed).vehicles, config, advance)
+        started = cut if args.trajectory else with_drawn_starts(cut, args.seed)
+        write_cut(args.out, flight, started.vehicles, config, advance, with_truth=not args.trajectory)
     print("\n".join(cut_lines(cut)))
     print(f"A cut hides: {WHAT_A_CUT_HIDES}.")
     print(f"{args.out}: uav-vslam run {args.out / FLEET_FILE}")
@@ -65,9 +69,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _planned(args: argparse.Namespace, flight: BagFlight, config: VehicleConfig) -> Cut:
-    from uav_vslam.datasets.cutting import plan_cut, poses_of
+    from uav_vslam.datasets.cutting import plan_cut, poses_of, velocities_of
+    from uav_vslam.evaluation.files.reading import read_trajectory
 
-    poses, velocities = poses_of(flight)
+    if args.trajectory:
+        poses = read_trajectory(args.trajectory)
+        velocities = velocities_of(poses)
+    else:
+        poses, velocities = poses_of(flight)
     with progress_bar("measuring overlap", flight.frame_count) as advance:
         return plan_cut(flight, poses, velocities, config, cut_options(args), advance)
 

@@ -62,6 +62,8 @@ def write_cut(
     vehicles: Sequence[CutVehicle],
     config: VehicleConfig,
     on_frame: Callable[[], None] = lambda: None,
+    *,
+    with_truth: bool = True,
 ) -> None:
     """Write the vehicles' bag, with a fleet file for `run` and `launch` inside; an interrupted one leaves nothing.
 
@@ -71,6 +73,7 @@ def write_cut(
         vehicles: which legs, and what they become.
         config: of the source's vehicle.
         on_frame: called for each image pair written.
+        with_truth: copy the ground truth, if the starts are in its frame.
 
     Raises:
         BagError: the folder exists, or the source is damaged.
@@ -79,7 +82,7 @@ def write_cut(
     scratch.mkdir(parents=True)
     try:
         with RawRecorder(scratch / out.name) as recorder:
-            _write_all(recorder, flight, vehicles, on_frame)
+            _write_all(recorder, flight, vehicles, flight.truth() if with_truth else None, on_frame)
         _write_fleet_file(scratch / out.name, [vehicle.name for vehicle in vehicles], config)
         (scratch / out.name).rename(out)
     finally:
@@ -87,9 +90,12 @@ def write_cut(
 
 
 def _write_all(
-    recorder: RawRecorder, flight: BagFlight, vehicles: Sequence[CutVehicle], on_frame: Callable[[], None]
+    recorder: RawRecorder,
+    flight: BagFlight,
+    vehicles: Sequence[CutVehicle],
+    truth: TruthTrack | None,
+    on_frame: Callable[[], None],
 ) -> None:
-    truth = flight.truth()
     streams = [_stream(flight, vehicle, truth) for vehicle in vehicles]
     first = True
     for stamp_ns, topic, built in heapq.merge(*streams, key=lambda message: message[0]):

@@ -90,9 +90,22 @@ def poses_of(flight: BagFlight) -> tuple[Trajectory, Array]:
     truth, track = truth_trajectory(flight), flight.truth()
     if truth is None or track is None:
         raise BagError(
-            f"the recording holds no {flight.input.topic(flight.vehicle, 'truth')}, along which it could be cut"
+            f"the recording holds no {flight.input.topic(flight.vehicle, 'truth')} along which it could be cut; "
+            "`uav-vslam cut --trajectory` takes an estimate instead"
         )
     return truth, track.velocities_world
+
+
+def velocities_of(poses: Trajectory) -> Array:
+    """Return (N, 3) velocities of a trajectory by central differences [m/s].
+
+    Raises:
+        UavVslamError: it has fewer than two poses.
+    """
+    if len(poses) < 2:
+        raise UavVslamError(f"a trajectory of {len(poses)} poses is none along which a recording could be cut")
+    times_s = (poses.stamps_ns - poses.stamps_ns[0]) / NS_PER_S
+    return np.asarray(np.gradient(poses.positions, times_s, axis=0))
 
 
 def plan_cut(
