@@ -43,11 +43,21 @@ def test_vibration_of_one_axis_is_named_with_the_density_to_set() -> None:
     levels = noise_levels(stamps, gyro, accel, IMU, at_rest(stamps, gyro, accel))
     (loud,) = [finding for finding in check_noise(levels) if finding.severity is Severity.WARNING]
     assert loud.subject == "accelerometer noise"
-    assert "on y" in loud.allowed
-    assert "x (" not in loud.allowed
+    assert "too much on y (" in loud.seen
+    assert "x (" not in loud.seen
     setting = recommended(levels)
     assert list(setting) == ["imu.accel_noise"]
     assert setting["imu.accel_noise"] == pytest.approx(np.hypot(0.02, IMU.accel_noise), rel=SHARE)
+
+
+def test_vibration_at_one_frequency_is_measured_but_nothing_to_configure() -> None:
+    stamps, gyro, accel = readings(200.0, 20.0, moving=True)
+    accel[:, 2] += 1.0 * np.sin(2 * np.pi * 73.0 * stamps / NS_PER_S)
+    levels = noise_levels(stamps, gyro, accel, IMU, at_rest(stamps, gyro, accel))
+    flight = levels["accelerometer"].flight
+    assert flight is not None
+    assert flight[2] == pytest.approx(np.sqrt(0.5 / 75.0 / 2.0), rel=0.1)  # its power, spread over the band
+    assert recommended(levels) == {}
 
 
 def test_a_gap_and_a_rest_before_the_flight_do_not_change_the_densities() -> None:

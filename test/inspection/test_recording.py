@@ -9,6 +9,7 @@ import pytest
 from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, missing
 from foreign import kalibr_of, renamed, rewritten, without
 
+from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, load_vehicle
 from uav_vslam.inspection.finding import Finding, Severity
 from uav_vslam.inspection.recording import Inspection, inspect_bags
@@ -16,6 +17,11 @@ from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 
 pytestmark = pytest.mark.slow
+
+# Faults of which `check` says that the graph can run, and those that leave it nothing to run on.
+RUNS = ["gap in the IMU", "gap in the images", "truth of another time", "IMU ends before the images"]
+REFUSED = ["no right images", "no camera_info", "no extrinsics", "images cropped", "baseline of zero"]
+REFUSED += ["IMU frame that nothing connects", "camera_info of another size"]
 
 
 def inspected(bag: Path, config: VehicleConfig | None = None) -> Inspection:
@@ -59,6 +65,17 @@ def test_a_planted_fault_is_named_and_decides_whether_the_graph_can_run(
         assert found.usable
     if any(severity == "error" for severity, _, _ in expected):
         assert not found.usable
+
+
+@pytest.mark.parametrize("fault", [*RUNS, *REFUSED])
+def test_what_can_run_is_run_and_what_lacks_something_is_refused(
+    fault: str, clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = rewritten(clean, tmp_path / "bag", *FAULTS[fault][0]())
+    results = ["--results", str(tmp_path / "results"), "--no-plots"]
+    assert main(["run", str(bag), *results]) == (2 if fault in REFUSED else 0)
+    if fault in REFUSED:
+        assert f"uav-vslam check {bag}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("case", TOGETHER)

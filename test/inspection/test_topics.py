@@ -69,6 +69,12 @@ def test_the_block_to_paste_is_a_valid_configuration_and_names_alternatives() ->
     assert tree == {"input": {"topics": expected}, "imu": {"accel_noise": 0.02}}
 
 
+def test_vehicles_are_no_pair() -> None:
+    names = [f"/{vehicle}/{side}/image" for vehicle in ("uav1", "uav2") for side in ("left", "right")]
+    pairs = [(f"/{vehicle}/left/image", f"/{vehicle}/right/image") for vehicle in ("uav1", "uav2")]
+    assert guess_topics(recorded(images=names), "ghost").stereo == pairs
+
+
 def test_two_rigs_are_both_named_and_one_camera_is_no_pair() -> None:
     topics = recorded(images=["/front/cam0/image", "/front/cam1/image", "/down/cam0/image", "/down/cam1/image"])
     guess = guess_topics(topics, "uav1")

@@ -240,7 +240,7 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
     ),
     "vibration": (
         lambda: [edited(IMU, vibrating)],
-        [("warning", "accelerometer noise", ("on z (30", "set imu.accel_noise: 0.03"))],
+        [("warning", "accelerometer noise", ("too much on z (", "set imu.accel_noise: 0.03"))],
     ),
     "frozen camera": (
         lambda: [frozen(RIGHT, 10)],

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class Severity(enum.Enum):
     """How much a finding matters."""
 
-    ERROR = "error"  # the graph can't run, or its result is certainly wrong
+    ERROR = "error"  # the graph can't run, or its result is certainly wrong, or most of it without images
     WARNING = "warning"  # it runs, with less accuracy, or on a part of the data
     OK = "ok"
 

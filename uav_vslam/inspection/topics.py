@@ -188,6 +188,8 @@ def _stereo_pairs(images: list[str]) -> Iterator[tuple[str, str]]:
         if any(left != right and left.replace(one, other) == right for one, other in WORD_PAIRS):
             yield left, right
             continue
+        if any(word in left for pair in WORD_PAIRS[:2] for word in pair):
+            continue  # its partner differs by that word
         numbers = [re.split(r"(\d+)", name) for name in (left, right)]
         if len(numbers[0]) == len(numbers[1]):
             unequal = [(a, b) for a, b in zip(*numbers, strict=True) if a != b]

@@ -17,7 +17,7 @@ from uav_vslam.inspection.two_views import Motion, motion_between
 from uav_vslam.types import StereoFrame
 from uav_vslam.vision.health import EPIPOLAR_SHARE, SWAPPED_SHARE, fitting_share, seems_swapped
 from uav_vslam.vision.matching import match_descriptors
-from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam.vision.stereo_points import GATED, StereoFrontend
 
 Array = NDArray[np.float64]
 
@@ -58,9 +58,8 @@ def look(
 ) -> Views:
     """Match the sampled pairs, in themselves and from the first to the second of each couple."""
     scale = min(1.0, max(0.1, DETECTION_WIDTH_PX / rig.left.width))
-    frontend = StereoFrontend(
-        rig, dataclasses.replace(config, method="sift", extractor="sift", matcher="gated", scale=scale)
-    )
+    config = dataclasses.replace(config, method="sift", extractor="sift", matcher=GATED, scale=scale)
+    frontend = StereoFrontend(rig, config)
     pixels, steps = [np.zeros((0, 4))], []
     for first, second in samples:
         try:
