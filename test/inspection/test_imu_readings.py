@@ -55,6 +55,14 @@ def test_a_coarse_resolution_is_no_saturation() -> None:
         assert clipped_count(values) == 0
 
 
+def test_a_vibration_that_lingers_at_its_extremes_is_no_saturation() -> None:
+    phase = np.random.default_rng(3).uniform(0.0, 2.0 * np.pi, 20000)
+    values = np.round(100.0 * np.sin(phase))
+    assert (values == values.max()).sum() > 100
+    assert clipped_count(values) == 0
+    assert clipped_count(np.minimum(values, 90.0)) == (values >= 90.0).sum()
+
+
 def test_stuck_axes_and_missing_sensors_are_named() -> None:
     readings = forces()
     assert check_stuck(readings, "accelerometer") == []
