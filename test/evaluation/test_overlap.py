@@ -50,15 +50,20 @@ def test_the_viewing_angle_is_that_at_the_point() -> None:
     assert np.isnan(overlap_of([view(0.0), view(500.0)], CAMERA).view_angle_deg[0, 1])
 
 
-def test_a_point_seen_from_another_side_does_not_count() -> None:
-    point = np.array([[0.0, 0.0, 0.0]])
-    angle = np.deg2rad(LARGEST_VIEW_ANGLE_DEG + 1.0)
-    oblique = Pose(
-        rotation_from_rpy(0.0, angle, 0.0) @ R_DOWN, -HEIGHT_M * np.array([np.sin(angle), 0.0, -np.cos(angle)])
-    )
-    behind = Pose(rotation_from_rpy(0.0, np.pi, 0.0) @ R_DOWN, np.array([0.0, 0.0, HEIGHT_M]))
-    views = [View(0, pose, point) for pose in (view(0.0).T_world_cam, oblique, behind)]
-    np.testing.assert_array_equal(overlap_of(views, CAMERA).share[0], [1.0, 0.0, 0.0])
+@pytest.mark.parametrize(("beyond_deg", "share"), [(-1.0, 1.0), (1.0, 0.0)])
+def test_a_point_seen_from_another_side_does_not_count(beyond_deg: float, share: float) -> None:
+    """A camera that looks obliquely at the point below the other one."""
+    angle = np.deg2rad(LARGEST_VIEW_ANGLE_DEG + beyond_deg)
+    R = rotation_from_rpy(0.0, angle, 0.0) @ R_DOWN
+    oblique = Pose(R, -HEIGHT_M * R[:, 2])
+    views = [View(0, pose, np.zeros((1, 3))) for pose in (view(0.0).T_world_cam, oblique)]
+    np.testing.assert_array_equal(overlap_of(views, CAMERA).share, [[1.0, share], [share, 1.0]])
+
+
+def test_a_point_behind_a_camera_does_not_count() -> None:
+    upward = Pose(rotation_from_rpy(0.0, np.pi, 0.0) @ R_DOWN, np.array([0.0, 0.0, HEIGHT_M]))
+    views = [View(0, pose, np.zeros((1, 3))) for pose in (view(0.0).T_world_cam, upward)]
+    assert overlap_of(views, CAMERA).share[0, 1] == 0.0
 
 
 def test_views_without_points_share_nothing() -> None:
