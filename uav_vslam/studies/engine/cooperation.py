@@ -23,7 +23,6 @@ from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.engine.own_only import prepare
-from uav_vslam.studies.engine.pool import ratio
 from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only, with_mistaken_landmarks
 from uav_vslam.studies.engine.write_back import WRITE_BACK, fly_with_write_back
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
@@ -132,7 +131,9 @@ def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: O
         return [_failed(scenario, setting, name, str(error)) for name in tracks]
     epochs = sum(output.joint is not None for track in tracks.values() for output in track.outputs)
     fusing_s = time.process_time() - started - monitor.overhead_s
-    shared = {"ms_per_epoch": ratio(1e3 * fusing_s, epochs), "lambda_excess": monitor.largest - 1.0}
+    shared = {"lambda_excess": monitor.largest - 1.0}
+    if epochs:  # none in a flight that ends before the first
+        shared["ms_per_epoch"] = 1e3 * fusing_s / epochs
     outcomes = []
     for name, track in tracks.items():
         member = fleet[name]

@@ -105,7 +105,7 @@ def _figures(part: Part, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         row["largest_jump_sigmas"] = max((_largest_jump(o) for o in good), default=None)
         row["recovery_packets"] = max((o.figures["recovery_packets"] for o in good), default=None)
     for key in ("sent_bytes_per_s", "ms_per_epoch"):
-        row[key] = mean([o.figures[key] for o in good if o.figures.get(key) is not None])
+        row[key] = mean([o.figures[key] for o in good if key in o.figures])
     for key in ("packet_bytes_max", "lambda_excess"):
         row[key] = max((o.figures[key] for o in good if key in o.figures), default=None)
     return row
