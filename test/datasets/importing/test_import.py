@@ -18,6 +18,7 @@ from uav_vslam.datasets.importing.problems import SHOWN, Problems
 from uav_vslam.datasets.importing.tables import read_table
 from uav_vslam.datasets.messages import compressed_image_message, image_of
 from uav_vslam.errors import BagError
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import ImuSample, StereoFrame
 
 IMU = [f"{ms * 1_000_000},0.01,0.0,0.0,0.0,0.0,9.81" for ms in range(0, 400, 5)]
@@ -150,6 +151,25 @@ def test_velocities_are_those_of_the_positions_whatever_the_sign_of_the_quaterni
     np.testing.assert_allclose(motion.table.values[:, 7:10], expected, atol=1e-12)
     between = motion.table.at(np.array([505_000_000]))[0, 3:7]
     np.testing.assert_allclose(np.abs(between), [0.6, 0.0, 0.0, 0.8], atol=1e-12)
+
+
+@pytest.mark.parametrize("stamps_ms", [[0, 10, 20, 30, 40, 300], [0, 260, 270, 280, 290, 300], [0, 200, 210, 900]])
+def test_velocities_next_to_a_gap_are_those_of_the_positions(stamps_ms: list[int]) -> None:
+    stamps_ns = np.array(stamps_ms) * 1_000_000
+    velocity = np.array([3.0, -2.0, 0.5])
+    poses = velocity * stamps_ns[:, None] * 1e-9, np.tile([1.0, 0.0, 0.0, 0.0], (len(stamps_ms), 1))
+    motion = motion_of_poses(stamps_ns, *poses, source=Path("gap"))
+    np.testing.assert_allclose(motion.table.values[:, 7:10], np.tile(velocity, (len(stamps_ms), 1)), atol=1e-9)
+
+
+def test_a_start_between_quaternions_of_opposite_sign_has_their_attitude(mav0: Path) -> None:
+    turned = [(row, "0.6,0,0,0.8" if k < 5 else "-0.6,0,0,-0.8") for k, row in enumerate(truth_rows()) if k != 5]
+    rows = [row.replace(",1,0,0,0,4", f",{q},4") for row, q in turned]  # none at the first pair, 100 ms
+    (mav0 / "state_groundtruth_estimate0" / "data.csv").write_text("\n".join(rows))
+    flight = read_euroc(mav0).flight
+    assert flight.initial is not None
+    expected = Pose.from_quaternion_wxyz(np.array([0.6, 0.0, 0.0, 0.8]), np.zeros(3)).R
+    np.testing.assert_allclose(flight.initial.state.T_map_body.R, expected, atol=1e-12)
 
 
 def test_the_written_configuration_is_the_formats_and_one_that_is_there_is_kept(mav0: Path, tmp_path: Path) -> None:

@@ -52,6 +52,13 @@ class Motion:
     source: Path
     gap_ns: int = field(default=GAP_NS, kw_only=True)
 
+    def __post_init__(self) -> None:
+        """Turn the signs of quaternions so that neighbours, between which rows are interpolated, are no antipodes."""
+        values = self.table.values.copy()
+        flips = np.where(np.sum(values[1:, 3:7] * values[:-1, 3:7], axis=1) < 0, -1.0, 1.0)
+        values[1:, 3:7] *= np.cumprod(flips)[:, None]
+        object.__setattr__(self, "table", Table(self.table.stamps_ns, values))
+
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
         """(N,) stamps [ns]."""
@@ -109,10 +116,8 @@ def motion_of_poses(
     """
     if velocities_world is None:
         velocities_world = _differences(stamps_ns, positions_world)
-    flips = np.sign(np.sum(quaternions_wxyz[1:] * quaternions_wxyz[:-1], axis=1))
-    signs = np.cumprod(np.concatenate([[1.0], np.where(flips < 0, -1.0, 1.0)]))  # neighbours must not be antipodes
     biases = np.zeros((len(stamps_ns), 6))
-    rows = np.column_stack([positions_world, signs[:, None] * quaternions_wxyz, velocities_world, biases])
+    rows = np.column_stack([positions_world, quaternions_wxyz, velocities_world, biases])
     return Motion(Table(stamps_ns, rows), source, gap_ns=gap_ns)
 
 
@@ -139,7 +144,10 @@ def _differences(stamps_ns: NDArray[np.int64], positions: Array) -> Array:
     nodes[begins] = np.column_stack([rows, later, later[later.clip(0, last)]])[begins]
     nodes[ends] = np.column_stack([earlier[earlier], earlier, rows])[ends]
     nodes = nodes.clip(0, last)
-    return _slope_of_parabolas(seconds, seconds[nodes], positions[nodes])
+    distinct = (np.diff(nodes) > 0).all(axis=1)  # not where a gap at an end leaves fewer than three
+    velocities = np.gradient(positions, seconds, axis=0)
+    velocities[distinct] = _slope_of_parabolas(seconds[distinct], seconds[nodes[distinct]], positions[nodes[distinct]])
+    return np.asarray(velocities)
 
 
 def _slope_of_parabolas(at: Array, times: Array, values: Array) -> Array:
