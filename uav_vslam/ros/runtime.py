@@ -214,7 +214,7 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
-    node = None
+    node = executor = None
     try:
         _initialise(args)
         node = factory()
@@ -228,6 +228,8 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
     except SystemExit as leaving:
         return int(leaving.code or 0)
     finally:
+        if executor is not None:
+            executor.shutdown(timeout_sec=0)  # the garbage collector may otherwise destroy its parts before itself
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
