@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags that were compressed as a whole are read like the bags themselves."""
 
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 import yaml
 import zstandard
 
+from uav_vslam.datasets.compressed_bag import FOLDER
 from uav_vslam.datasets.rosbag import RawRecorder, iter_raw, topics_of
 from uav_vslam.errors import BagError
 
@@ -47,6 +51,24 @@ def test_a_compressed_file_alone_is_a_bag_and_one_beside_its_plain_copy_is_not_r
     assert list(iter_raw([file])) == expected
     (bag / file.stem).write_bytes((tiny_bag / file.stem).read_bytes())
     assert list(iter_raw([bag])) == expected
+
+
+def test_child_processes_read_the_copy_of_their_parent_which_removes_it(tiny_bag: Path, tmp_path: Path) -> None:
+    bag = compressed(tiny_bag, tmp_path / "bag")
+    child = f"from uav_vslam.datasets.compressed_bag import unpacked; print(unpacked(Path({str(bag)!r})))"
+    script = f"""
+import subprocess, sys
+from pathlib import Path
+from uav_vslam.datasets.compressed_bag import unpacked
+own = unpacked(Path({str(bag)!r}))
+print(own)
+print(subprocess.run([sys.executable, "-c", "from pathlib import Path; " + {child!r}], stdout=-1, text=True).stdout)
+"""
+    environment = {name: value for name, value in os.environ.items() if name != FOLDER}
+    done = subprocess.run([sys.executable, "-c", script], stdout=-1, text=True, check=True, env=environment)
+    own, of_child = done.stdout.split()
+    assert own == of_child
+    assert not Path(own).exists()
 
 
 def test_a_damaged_compressed_file_is_named(tiny_bag: Path, tmp_path: Path) -> None:

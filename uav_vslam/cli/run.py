@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", help="of the results folder (default: that of the input)")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--workers", type=positive, default=2, help="processes, one a vehicle at most (default 2)")
-    parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
+    parser.add_argument("--no-plots", action="store_true", help="draw no pictures")
     parser.add_argument(
         "--sheet", type=positive, default=12, metavar="N", help="images with tracks on the contact sheet (default 12)"
     )

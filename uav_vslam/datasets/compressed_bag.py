@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags whose storage files were compressed as a whole (`ros2 bag record --compression-mode file`): x.mcap.zstd."""
+"""Bags whose storage files were compressed as a whole (`ros2 bag record --compression-mode file`): x.mcap.zstd.
+
+They are unpacked into a folder for temporary files, which child processes share and the first process removes.
+"""
 
 import atexit
+import hashlib
+import os
 import shutil
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +22,7 @@ from uav_vslam.errors import BagError
 SUFFIX = ".zstd"
 METADATA = "metadata.yaml"
 INFORMATION = "rosbag2_bagfile_information"
+FOLDER = "UAV_VSLAM_UNPACKED"  # environment variable with the folder, for child processes
 
 
 def compressed_files(path: Path) -> list[Path]:
@@ -27,7 +34,7 @@ def compressed_files(path: Path) -> list[Path]:
 
 @cache
 def unpacked(path: Path) -> Path:
-    """Return a copy of a bag with its files unpacked; it lasts as long as the process.
+    """Return a copy of a bag with its files unpacked; it lasts as long as the process that first unpacked any.
 
     Args:
         path: bag folder or storage file, of which `compressed_files` finds some.
@@ -35,15 +42,25 @@ def unpacked(path: Path) -> Path:
     Raises:
         BagError: a file is damaged, or there is no room.
     """
-    folder = Path(tempfile.mkdtemp(prefix="uav_vslam_bag_"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    packed = compressed_files(path)
-    for file in packed:
-        _unpack(file, folder / file.stem)
-    if path.is_file():
-        return folder / path.stem
-    _link_the_rest(path, folder, packed)
-    return folder
+    folder = _folder() / hashlib.sha256(bytes(path.resolve())).hexdigest()[:16]
+    if not folder.exists():
+        scratch = Path(tempfile.mkdtemp(dir=_folder()))
+        packed = compressed_files(path)
+        for file in packed:
+            _unpack(file, scratch / file.stem)
+        if path.is_dir():
+            _link_the_rest(path, scratch, packed)
+        with suppress(OSError):  # another process was first
+            scratch.rename(folder)
+    return folder if path.is_dir() else folder / path.stem
+
+
+def _folder() -> Path:
+    """Return the folder of all copies, which the process that makes it removes."""
+    if FOLDER not in os.environ:
+        os.environ[FOLDER] = tempfile.mkdtemp(prefix="uav_vslam_unpacked_")
+        atexit.register(shutil.rmtree, os.environ[FOLDER], ignore_errors=True)
+    return Path(os.environ[FOLDER])
 
 
 def _unpack(file: Path, out: Path) -> None:
