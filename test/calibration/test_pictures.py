@@ -77,6 +77,39 @@ def test_patterns_and_what_a_shell_makes_of_them_are_the_same(tmp_path: Path) ->
     assert len(expected) == 2
 
 
+def test_a_shells_patterns_are_split_by_camera_and_not_by_count(tmp_path: Path) -> None:
+    left = pictures(tmp_path, *(f"left{k:02}.png" for k in range(3)))
+    right = pictures(tmp_path, *(f"right{k:02}.png" for k in range(5)))
+    with pytest.raises(
+        CalibrationError, match=r"3 left and 5 right pictures; without a partner: .*right03\.png, .*right04"
+    ):
+        found(*left, *right)
+    with pytest.raises(CalibrationError, match=r"without a partner: .*left02\.png;"):
+        found(*left, *right[:2])
+    assert found(*left, *right[:3]) == paired(left, right[:3])
+
+
+@pytest.mark.parametrize("name", ["{}.png", "cam_{}.png", "left_{}.png"])
+def test_a_shells_patterns_are_split_by_folder_where_names_do_not_tell_the_camera(name: str, tmp_path: Path) -> None:
+    names = [name.format(k) for k in range(12)]
+    left, right = (pictures(tmp_path / side, *names) for side in ("b", "a"))
+    result = found(*left, *right)
+    assert [path.name for path in result.left] == [path.name for path in result.right]
+    assert {path.parent.name for path in result.left} == {"b"}
+    assert len(result) == 12
+
+
+def test_pictures_that_could_be_of_one_pair_are_refused(tmp_path: Path) -> None:
+    left, right = (pictures(tmp_path, f"day1/{side}1.png", f"day2/{side}1.png") for side in ("left", "right"))
+    with pytest.raises(CalibrationError, match=r"day1/left1\.png and .*day2/left1\.png could both be of pair '1'"):
+        found(*left, *right)
+
+
+def test_pictures_whose_camera_nothing_tells_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match="neither names nor folders tell the two cameras of 4 pictures"):
+        found(*pictures(tmp_path, "p1.png", "p2.png", "q1.png", "q2.png"))
+
+
 def recorded(path: Path, *topics: str) -> str:
     """Return a bag of twelve pairs, the right images 2 ms later."""
     with RawRecorder(path) as recorder:

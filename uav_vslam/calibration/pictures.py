@@ -24,7 +24,7 @@ Image = NDArray[np.uint8]
 
 SIDE_FOLDERS = (("left", "right"), ("cam0", "cam1"), ("cam0/data", "cam1/data"), ("image_0", "image_1"))
 # What tells a camera in the name of a file; the rest of the name tells the pair.
-SIDE_WORDS = re.compile(r"left|right|cam(?:era)?_?[0-9]|(?<![a-z])[lr](?![a-z])", re.IGNORECASE)
+SIDE_WORDS = re.compile(r"left|right|cam(?:era)?(?:[0-9]|_[0-9](?![0-9]))|(?<![a-z])[lr](?![a-z])", re.IGNORECASE)
 NAMED = 5  # files that an error lists
 
 
@@ -112,8 +112,7 @@ def pictures_of(inputs: Sequence[str], *, topics: Sequence[str] | None = None, m
     if len(inputs) == 2:
         left, right = (_files_like(pattern) for pattern in inputs)
         return paired(left, right)
-    half = len(inputs) // 2
-    return paired([Path(name) for name in inputs[:half]], [Path(name) for name in inputs[half:]])
+    return paired(*_sides_among([Path(name) for name in inputs]))
 
 
 def paired(left: Sequence[Path], right: Sequence[Path]) -> FilePictures:
@@ -122,10 +121,10 @@ def paired(left: Sequence[Path], right: Sequence[Path]) -> FilePictures:
     If no names have anything in common, files pair up in sorted order.
 
     Raises:
-        CalibrationError: files have no partner.
+        CalibrationError: files have no partner, or several that could be it.
     """
-    by_key = [{_key(path): path for path in sorted(files)} for files in (left, right)]
-    if len(by_key[0]) < len(left) or len(by_key[1]) < len(right) or not by_key[0].keys() & by_key[1].keys():
+    by_key = _by_key(left, right)
+    if not by_key[0].keys() & by_key[1].keys():
         by_key = [{f"{k:03}": path for k, path in enumerate(sorted(files), 1)} for files in (left, right)]
     alone = sorted(by_key[0].keys() ^ by_key[1].keys())
     if alone:
@@ -139,8 +138,44 @@ def paired(left: Sequence[Path], right: Sequence[Path]) -> FilePictures:
     return FilePictures(tuple(keys), tuple(by_key[0][key] for key in keys), tuple(by_key[1][key] for key in keys))
 
 
+def _by_key(left: Sequence[Path], right: Sequence[Path]) -> list[dict[str, Path]]:
+    """Return the files of each side by what tells their pair: the name without the camera, else a name both share."""
+    by_key = [{_key(path): path for path in files} for files in (left, right)]
+    if len(by_key[0]) == len(left) and len(by_key[1]) == len(right):
+        return by_key
+    by_name = [{path.stem: path for path in files} for files in (left, right)]
+    if len(by_name[0]) == len(left) and len(by_name[1]) == len(right) and by_name[0].keys() & by_name[1].keys():
+        return by_name  # cam_1.png and cam_2.png of two folders number the pictures
+    same = next(
+        (path, kept[_key(path)])
+        for files, kept in zip((left, right), by_key, strict=True)
+        for path in files
+        if kept[_key(path)] != path
+    )
+    raise CalibrationError(f"{same[0]} and {same[1]} could both be of pair {_key(same[0])!r}; rename one or remove it")
+
+
 def _key(path: Path) -> str:
     return SIDE_WORDS.sub("", path.stem).strip("_-. ")
+
+
+def _side_words(path: Path) -> str:
+    return " ".join(SIDE_WORDS.findall(path.stem)).lower()
+
+
+def _sides_among(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Return the files of two cameras, told by the words in their names or by their folders; the first is left."""
+    for camera_of in (_side_words, lambda path: str(path.parent)):
+        cameras: dict[str, list[Path]] = {}
+        for path in files:
+            cameras.setdefault(camera_of(path), []).append(path)
+        if len(cameras) == 2:
+            left, right = cameras.values()
+            return left, right
+    raise CalibrationError(
+        f"neither names nor folders tell the two cameras of {len(files)} pictures; give two patterns in quotes: "
+        "'LEFT*.png' 'RIGHT*.png'"
+    )
 
 
 def _files_like(pattern: str) -> list[Path]:
