@@ -57,3 +57,11 @@ def test_a_map_of_all_tracks_needs_a_datum(results: Path, tmp_path: Path, datum:
 
 def test_nothing_is_overwritten(results: Path, capsys) -> None:
     assert "uav1_truth.tum is there already" in refused(capsys, "export", results, "--format", "tum")
+
+
+@pytest.mark.parametrize("out", ["a file", "a file/below"])
+def test_where_nothing_can_be_written_is_told(results: Path, tmp_path: Path, out: str, capsys) -> None:
+    (tmp_path / "a file").touch()
+    said = refused(capsys, "export", results, "--format", "csv", "--out", tmp_path / out)
+    assert "can't be written" in said
+    assert "choose another folder by --out" in said

@@ -49,8 +49,13 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--format {args.format} {need} --datum LAT LON ALT")
     tracks = _tracks(args)
     folder = args.out or (args.source if args.source.is_dir() else args.source.parent)
-    folder.mkdir(parents=True, exist_ok=True)
-    written = _write_map(tracks, folder, args) if args.format in MAPS else _write_each(tracks, folder, args)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        written = _write_map(tracks, folder, args) if args.format in MAPS else _write_each(tracks, folder, args)
+    except OSError as error:
+        raise ConfigError(
+            f"{error.filename or folder}: can't be written ({error.strerror}); choose another folder by --out"
+        ) from None
     for path in written:
         print(path)
     return 0
