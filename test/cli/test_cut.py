@@ -69,6 +69,10 @@ def test_an_estimate_takes_the_place_of_the_truth(bag: Path, tmp_path: Path) -> 
         (["--duration", "5"], "2 legs of 5 s do not fit into a flight of 3 s"),
         (["--set", "input.topics.truth=nowhere"], "/uav1/nowhere along which it could be cut"),
         (["--trajectory", "nowhere.tum"], "nowhere.tum"),
+        (["--vehicles", "121"], "121 legs are too many"),
+        ([*LEGS, "--vehicles", "2", "--overlap", "0.5"], "leave out --vehicles, --overlap"),
+        ([*LEGS, "--duration", "1"], "leave out --duration"),
+        (["--trajectory", "x.tum", "--seed", "1"], "leave out --seed"),
     ],
 )
 def test_what_can_not_be_cut_is_one_line(
@@ -86,7 +90,19 @@ def test_an_existing_folder_is_refused_at_once(bag: Path, capsys: pytest.Capture
     assert "exists" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("options", [["--legs", "0-1"], ["--legs", "a-b,c-d"], ["--vehicles", "1"], ["--overlap", "2"]])
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--legs", "0-1"],
+        ["--legs", "a-b,c-d"],
+        ["--legs", "0-10,20-inf"],
+        ["--legs", "0-1,2-1e300"],
+        ["--vehicles", "1"],
+        ["--overlap", "2"],
+        ["--within", "inf"],
+        ["--duration", "inf"],
+    ],
+)
 def test_arguments_that_mean_nothing_are_refused(
     bag: Path, tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import non_negative
 from uav_vslam.cli.progress import progress_bar
-from uav_vslam.datasets.cut_options import add_cut_arguments, cut_options
+from uav_vslam.datasets.cut_options import CutOptions, add_cut_arguments, cut_options
+from uav_vslam.errors import UavVslamError
 
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
@@ -33,6 +34,7 @@ truth with an error drawn from the covariance of the recorded start (without one
 of the recorded start. --trajectory takes the place of the truth: an estimate from an earlier run, whose errors are then
 those of the starts; OUT holds no truth.
 """
+SEED = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
     parser.add_argument("--trajectory", type=Path, metavar="FILE", help="TUM or EuRoC file, in place of the truth")
     add_cut_arguments(parser)
-    parser.add_argument("--seed", type=non_negative, default=1, metavar="K", help="of the starts' errors (default 1)")
+    parser.add_argument("--seed", type=non_negative, metavar="K", help=f"of the starts' errors (default {SEED})")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,13 +56,16 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.datasets.cutting import WHAT_A_CUT_HIDES, source_of, with_drawn_starts
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
 
+    options = cut_options(args)
+    if args.trajectory and args.seed is not None:
+        raise UavVslamError("--trajectory: starts have the errors of the estimate, none are drawn: leave out --seed")
     scratch_of(args.out)  # before any work
     file = find_config(args.config) if args.config else None
     config = with_noise_of_files(load_vehicle(file, overrides=dict(override(item) for item in args.set)))
     flight = source_of(args.bag, args.vehicle, config.input)
-    cut = _planned(args, flight, config)
+    cut = _planned(args, flight, config, options)
     with progress_bar("writing", sum(vehicle.frames for vehicle in cut.vehicles)) as advance:
-        started = cut if args.trajectory else with_drawn_starts(cut, args.seed)
+        started = cut if args.trajectory else with_drawn_starts(cut, SEED if args.seed is None else args.seed)
         write_cut(args.out, flight, started.vehicles, config, advance, with_truth=not args.trajectory)
     print("\n".join(cut_lines(cut)))
     print(f"A cut hides: {WHAT_A_CUT_HIDES}.")
@@ -68,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _planned(args: argparse.Namespace, flight: BagFlight, config: VehicleConfig) -> Cut:
+def _planned(args: argparse.Namespace, flight: BagFlight, config: VehicleConfig, options: CutOptions) -> Cut:
     from uav_vslam.datasets.cutting import plan_cut, poses_of, velocities_of
     from uav_vslam.evaluation.files.reading import read_trajectory
 
@@ -78,7 +83,7 @@ def _planned(args: argparse.Namespace, flight: BagFlight, config: VehicleConfig)
     else:
         poses, velocities = poses_of(flight)
     with progress_bar("measuring overlap", flight.frame_count) as advance:
-        return plan_cut(flight, poses, velocities, config, cut_options(args), advance)
+        return plan_cut(flight, poses, velocities, config, options, advance)
 
 
 def cut_lines(cut: Cut) -> list[str]:

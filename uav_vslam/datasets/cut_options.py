@@ -4,11 +4,16 @@
 import argparse
 from dataclasses import dataclass
 
+from uav_vslam.errors import UavVslamError
+
+VEHICLES = 2
 MIN_OVERLAP = 0.25
 WITHIN_S = (
     10.0  # a landmark that one vehicle shows now is soon out of the other's view, and its map is thinned out there
 )
+LONGEST_S = 1e6  # any recording is shorter
 FORM = "legs must look like 0-60,75-130: start and end in seconds since the first image, two or more"
+BY_HAND = ("vehicles", "duration", "overlap")  # what legs by hand leave nothing to say about
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +28,7 @@ class CutOptions:
         within_s: largest time between two vehicles' views of a place that counts as overlap [s].
     """
 
-    vehicles: int = 2
+    vehicles: int = VEHICLES
     legs_s: tuple[tuple[float, float], ...] | None = None
     duration_s: float | None = None
     min_overlap: float = MIN_OVERLAP
@@ -32,13 +37,12 @@ class CutOptions:
 
 def add_cut_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments that `cut_options` reads."""
-    parser.add_argument("--vehicles", type=_several, default=2, metavar="N", help="how many (default 2)")
+    parser.add_argument("--vehicles", type=_several, metavar="N", help=f"how many (default {VEHICLES})")
     parser.add_argument("--legs", type=_spans, metavar="T0-T1,T2-T3", help="by hand [s since the first image]")
     parser.add_argument("--duration", type=_positive, metavar="S", help="of each leg (default: see below)")
     parser.add_argument(
         "--overlap",
         type=_share,
-        default=MIN_OVERLAP,
         metavar="SHARE",
         help=f"least overlap of legs without --duration, 0 to 1 (default {MIN_OVERLAP})",
     )
@@ -53,9 +57,17 @@ def add_cut_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def cut_options(args: argparse.Namespace) -> CutOptions:
-    """Return what the arguments ask for."""
-    count = len(args.legs) if args.legs else args.vehicles
-    return CutOptions(count, args.legs, args.duration, args.overlap, args.within)
+    """Return what the arguments ask for.
+
+    Raises:
+        UavVslamError: one of them leaves another without effect.
+    """
+    if not args.legs:
+        return CutOptions(args.vehicles or VEHICLES, None, args.duration, args.overlap or MIN_OVERLAP, args.within)
+    idle = [f"--{name}" for name in BY_HAND if getattr(args, name) is not None]
+    if idle:
+        raise UavVslamError(f"--legs says which legs there are: leave out {', '.join(idle)}, or --legs")
+    return CutOptions(len(args.legs), args.legs, within_s=args.within)
 
 
 def _spans(text: str) -> tuple[tuple[float, float], ...]:
@@ -64,7 +76,7 @@ def _spans(text: str) -> tuple[tuple[float, float], ...]:
         spans = tuple((float(start), float(end)) for start, end in parts)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}: {FORM}") from None
-    if len(spans) < 2:
+    if len(spans) < 2 or not all(0.0 <= second <= LONGEST_S for span in spans for second in span):
         raise argparse.ArgumentTypeError(f"{text!r}: {FORM}")
     return spans
 
@@ -77,7 +89,7 @@ def _several(text: str) -> int:
 
 
 def _positive(text: str) -> float:
-    return _number(text, float("inf"), "a number of seconds above 0")
+    return _number(text, LONGEST_S, f"a number of seconds above 0, at most {LONGEST_S:g}")
 
 
 def _share(text: str) -> float:

@@ -88,7 +88,7 @@ def choose_legs(
         min_overlap: least mean overlap where no duration is given.
 
     Raises:
-        UavVslamError: legs of that duration do not fit in, or none overlap so much.
+        UavVslamError: so many legs or legs of that duration do not fit in, or none overlap so much.
     """
     flight_s = (last_ns - first_ns) / NS_PER_S
     length_ns = last_ns + 1 - first_ns
@@ -145,6 +145,8 @@ def _median(values: Array) -> float:
 def _durations(flight_s: float, vehicles: int, duration_s: float | None) -> list[int]:
     """Return the numbers of slots to try, longest first."""
     longest = SLOTS // vehicles
+    if longest < 1:
+        raise UavVslamError(f"{vehicles} legs are too many for one flight; use at most {SLOTS}")
     if duration_s is not None:
         slots = max(round(duration_s / flight_s * SLOTS), 1)
         if slots > longest:

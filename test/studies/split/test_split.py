@@ -130,6 +130,11 @@ def test_the_study_leaves_its_table_and_picture(bag: Path, tmp_path: Path, capsy
     assert cv2.imread(str(tmp_path / "latest" / "split.png")).std() > 5
 
 
+def test_options_that_would_have_no_effect_are_refused(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "split", str(bag), "--legs", "0-1.5,1.6-3.2", "--vehicles", "3"]) == 2
+    assert "leave out --vehicles" in capsys.readouterr().err
+
+
 def test_a_setting_reaches_the_runs(legs: list[RecordedFlight], cut: Cut, outcomes: list[Outcome]) -> None:
     config: VehicleConfig = dataclasses.replace(CONFIG, fusion=dataclasses.replace(CONFIG.fusion, min_common=60))
     alone = run_starts(legs, cut, config, [1])[0]

@@ -26,12 +26,13 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     from uav_vslam.studies.split.plot import draw_split
     from uav_vslam.studies.split.rows import error_rows, failure_note, leg_rows, series_of
 
+    options = cut_options(args)
     file = find_config(args.config) if args.config else None
     config = with_noise_of_files(load_vehicle(file, overrides=args.set))
     flight = source_of(args.bag, args.vehicle, config.input)
     poses, velocities = poses_of(flight)
     advance = progress(flight.frame_count, "measuring overlap")
-    cut = plan_cut(flight, poses, velocities, config, cut_options(args), advance)
+    cut = plan_cut(flight, poses, velocities, config, options, advance)
     advance = progress(sum(vehicle.frames for vehicle in cut.vehicles), "searching images")
     legs = searched_legs(flight, cut, poses, config, advance)
     outcomes = run_starts(legs, cut, config, seeds, workers=args.workers, on_run=progress(len(seeds), "flying"))
