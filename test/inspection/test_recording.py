@@ -20,6 +20,7 @@ pytestmark = pytest.mark.slow
 
 # Faults of which `check` says that the graph can run, and those that leave it nothing to run on.
 RUNS = ["gap in the IMU", "gap in the images", "truth of another time", "IMU ends before the images"]
+RUNS += ["a few IMU readings of NaN"]
 REFUSED = ["no right images", "no camera_info", "no extrinsics", "images cropped", "baseline of zero"]
 REFUSED += ["IMU frame that nothing connects", "camera_info of another size"]
 
@@ -65,6 +66,11 @@ def test_a_planted_fault_is_named_and_decides_whether_the_graph_can_run(
         assert found.usable
     if any(severity == "error" for severity, _, _ in expected):
         assert not found.usable
+
+
+def test_readings_of_nan_are_no_other_fault(clean: Path, tmp_path: Path) -> None:
+    found = inspected(rewritten(clean, tmp_path / "bag", *FAULTS["a few IMU readings of NaN"][0]()))
+    assert [fault.subject for fault in faults(found.findings)] == ["IMU readings"]
 
 
 @pytest.mark.parametrize("fault", [*RUNS, *REFUSED])

@@ -78,6 +78,12 @@ def scaled(sensor: str, factor: float) -> Change:
     return edited(IMU, edit)
 
 
+def not_a_number(sensor: str, numbers: range) -> Change:
+    """Let some readings of `angular_velocity` or `linear_acceleration` be NaN."""
+    change = scaled(sensor, float("nan"))
+    return _counted(IMU, lambda number, raw: change(raw) if number in numbers else raw)
+
+
 def upside_down(message: Any) -> Any:
     """Turn the readings, but leave the body's frame in the header."""
     frame_id = message.header.frame_id
@@ -179,6 +185,14 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
             ("error", "gyroscope against the truth", ("in degrees", "convert the readings to rad/s")),
             ("error", "gyroscope against the cameras", ("in degrees",)),
         ],
+    ),
+    "a few IMU readings of NaN": (
+        lambda: [not_a_number("linear_acceleration", range(200, 205))],
+        [("warning", "IMU readings", ("5 of 685", "0 of the gyroscope, 5 of the accelerometer"))],
+    ),
+    "an IMU of NaN": (
+        lambda: [not_a_number("angular_velocity", range(1000))],
+        [("error", "IMU readings", ("685 of 685", "685 of the gyroscope, 0 of"))],
     ),
     "IMU upside down": (
         lambda: [edited(IMU, upside_down)],

@@ -38,7 +38,7 @@ def check_imu(
     looked: Views,
     config: VehicleConfig,
 ) -> tuple[list[Finding], dict[str, NoiseLevels]]:
-    """Judge units, axes, range and noise of the IMU.
+    """Judge values, units, axes, range and noise of the IMU.
 
     Args:
         survey: what was recorded.
@@ -50,16 +50,16 @@ def check_imu(
     Returns:
         The findings, and the noise by sensor; empty where it can't be measured.
     """
+    raw = [np.array([getattr(one, name) for one in survey.imu]).reshape(-1, 3) for name in ("gyro", "accel")]
+    found = imu_readings.check_finite(*raw)
     if not readings:
-        return [], {}
+        return found, {}
+    finite = np.isfinite(np.hstack(raw)).all(axis=1)
+    for (sensor, unit), values in zip(imu_readings.SENSORS, raw, strict=True):
+        found += imu_readings.check_stuck(values[finite], sensor)
+        found += imu_readings.check_saturation(values[finite], sensor, unit)
     stamps = np.array([one.stamp_ns for one in readings], np.int64)
     gyro, accel = np.array([one.gyro for one in readings]), np.array([one.accel for one in readings])
-    found: list[Finding] = []
-    raw = {"gyroscope": np.array([one.gyro for one in survey.imu])}
-    raw["accelerometer"] = np.array([one.accel for one in survey.imu])
-    for sensor, unit in imu_readings.SENSORS:
-        found += imu_readings.check_stuck(raw[sensor], sensor)
-        found += imu_readings.check_saturation(raw[sensor], sensor, unit)
     rate_hz = NS_PER_S / survey.streams["imu"].period_ns
     units = imu_readings.check_units(accel, gravity=config.imu.gravity, rate_hz=rate_hz)
     rates = check_rate_size(gyro)

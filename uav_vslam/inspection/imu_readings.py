@@ -14,6 +14,18 @@ AVERAGED_S = 0.5  # over which vibration averages out, and manoeuvres do not
 SENSORS = (("gyroscope", "rad/s"), ("accelerometer", "m/s^2"))
 
 
+def check_finite(gyro: Array, accel: Array) -> list[Finding]:
+    """Check that (N, 3) rates and (N, 3) specific forces are numbers; the graph drops a reading if one is not."""
+    bad = [~np.isfinite(values).all(axis=1) for values in (gyro, accel)]
+    dropped = int((bad[0] | bad[1]).sum())
+    if not dropped:
+        return []
+    where = ", ".join(f"{rows.sum()} of the {sensor}" for rows, (sensor, _) in zip(bad, SENSORS, strict=True))
+    judge = error if dropped > limits.UNUSABLE_SHARE * len(gyro) else warning
+    seen = f"{dropped} of {len(gyro)} are NaN or infinite: {where}"
+    return [judge("IMU readings", seen, "finite numbers", "such readings are dropped: correct the driver")]
+
+
 def check_units(accel: Array, *, gravity: float, rate_hz: float) -> list[Finding]:
     """Check the size of (N, 3) specific forces, vibration averaged out; in steady flight it is near gravity [m/s^2]."""
     count = max(1, round(len(accel) / max(1.0, AVERAGED_S * rate_hz)))
