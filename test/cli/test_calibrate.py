@@ -120,6 +120,8 @@ def test_a_wrong_board_is_told_with_the_right_one(chessboard: Path, capsys: pyte
         (["--charuco", "DICT_4X4_50"], "--charuco needs --marker"),
         (["--marker", "0.02"], "name its dictionary by --charuco"),
         (["--model", "equidistant", "--fix", "p1"], "equidistant has no coefficient p1"),
+        (["--most", "5"], "--topics and --most belong to a bag"),
+        (["--topics", "/left", "/right"], "--topics and --most belong to a bag"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

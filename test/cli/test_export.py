@@ -65,3 +65,20 @@ def test_where_nothing_can_be_written_is_told(results: Path, tmp_path: Path, out
     said = refused(capsys, "export", results, "--format", "csv", "--out", tmp_path / out)
     assert "can't be written" in said
     assert "choose another folder by --out" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("", ["--yaw", "0"], "--format csv has no place for --yaw"),
+        ("", ["--times", "nothing.txt"], "latest is a results folder"),
+        ("uav1_truth.tum", ["--times", "nothing.txt"], "uav1_truth.tum has stamps of its own"),
+        ("uav1_truth.tum", ["--tracks", "ins"], "--tracks belongs to a results folder"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    results: Path, tmp_path: Path, name: str, options: list[str], said: str, capsys
+) -> None:
+    out = tmp_path / "out"
+    assert said in refused(capsys, "export", results / name, "--format", "csv", *options, "--out", out)
+    assert not out.exists()

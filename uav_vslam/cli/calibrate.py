@@ -12,6 +12,7 @@ from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from uav_vslam.calibration.boards import Board
+    from uav_vslam.calibration.pictures import Pictures
 
 HELP = "calibrate a stereo rig from pictures of a chessboard or ChArUco board"
 EXAMPLES = """examples:
@@ -27,6 +28,7 @@ left.yaml and right.yaml (ROS camera_info) and camchain.yaml (Kalibr), either of
 summary.json and calibration.png into a new folder below results/, to which results/latest leads.
 """
 FIXED = {"plumb_bob": ["k3"], "rational_polynomial": [], "equidistant": []}  # by default
+MOST = 60  # pairs of a bag, by default
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a bag's images (default: left/image_raw and right/image_raw of its only vehicle)",
     )
     parser.add_argument(
-        "--most", type=positive, default=60, metavar="N", help="pairs to take from a bag, evenly spread (default 60)"
+        "--most", type=positive, metavar="N", help=f"pairs to take from a bag, evenly spread (default {MOST})"
     )
     parser.add_argument("--name", help="of the results folder (default: that of the pictures' folder)")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
@@ -66,7 +68,6 @@ def run(args: argparse.Namespace) -> int:
     import cv2
 
     from uav_vslam.calibration.files import write_calibration
-    from uav_vslam.calibration.pictures import pictures_of
     from uav_vslam.calibration.procedure import calibrate, find_boards
     from uav_vslam.calibration.solve import Lens
     from uav_vslam.calibration.summary import build_summary
@@ -77,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
     cv2.setNumThreads(1)
     board, lens = _board(args), Lens(args.model, tuple(FIXED[args.model] if args.fix is None else args.fix))
-    pictures = pictures_of(args.inputs, topics=args.topics, most=args.most)
+    pictures = _pictures(args)
     with progress_bar("finding boards", len(pictures)) as advance:
         boards = find_boards(pictures, board, on_pair=advance)
     found = calibrate(boards, lens)
@@ -94,6 +95,16 @@ def run(args: argparse.Namespace) -> int:
     for text in found.warnings:
         print(f"uav-vslam: warning: {text}", file=sys.stderr)
     return 0
+
+
+def _pictures(args: argparse.Namespace) -> Pictures:
+    from uav_vslam.calibration.pictures import FilePictures, pictures_of
+    from uav_vslam.errors import CalibrationError
+
+    pictures = pictures_of(args.inputs, topics=args.topics, most=args.most or MOST)
+    if isinstance(pictures, FilePictures) and (args.topics or args.most):
+        raise CalibrationError(f"--topics and --most belong to a bag; {args.inputs[0]} is of pictures")
+    return pictures
 
 
 def _board(args: argparse.Namespace) -> Board:

@@ -34,9 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--datum", nargs="+", metavar=("LAT", "LON ALT"), help="of the map's origin [deg, deg, m] (maps)"
     )
-    parser.add_argument("--yaw", type=float, default=0.0, metavar="DEG", help="of the map's x axis from east (maps)")
+    parser.add_argument("--yaw", type=float, metavar="DEG", help="of the map's x axis from east (maps; default 0)")
     parser.add_argument("--times", type=Path, metavar="FILE", help="stamps [s] of a KITTI file, one a line")
-    parser.add_argument("--tracks", nargs="+", choices=TRACKS, default=TRACKS, help="of a results folder (default all)")
+    parser.add_argument("--tracks", nargs="+", choices=TRACKS, help="of a results folder (default all)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write to (default: that of the source)")
 
 
@@ -44,9 +44,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the files and print their names."""
     from uav_vslam.errors import ConfigError
 
-    if (args.datum is None) == (args.format in MAPS):
-        need = "needs" if args.format in MAPS else "has no place for"
-        raise ConfigError(f"--format {args.format} {need} --datum LAT LON ALT")
+    _refuse_useless(args)
     tracks = _tracks(args)
     folder = args.out or (args.source if args.source.is_dir() else args.source.parent)
     try:
@@ -61,23 +59,42 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _refuse_useless(args: argparse.Namespace) -> None:
+    """Refuse options that the format or the kind of source leaves without effect."""
+    from uav_vslam.errors import ConfigError
+
+    if (args.datum is None) == (args.format in MAPS):
+        need = "needs" if args.format in MAPS else "has no place for"
+        raise ConfigError(f"--format {args.format} {need} --datum LAT LON ALT")
+    if args.yaw is not None and args.format not in MAPS:
+        raise ConfigError(f"--format {args.format} has no place for --yaw DEG")
+    if args.times is not None and args.source.is_dir():
+        raise ConfigError(f"--times belongs to a KITTI file; {args.source} is a results folder")
+    if args.tracks is not None and not args.source.is_dir():
+        raise ConfigError(f"--tracks belongs to a results folder; {args.source} is none")
+
+
 def _tracks(args: argparse.Namespace) -> dict[str, Trajectory]:
     """Return the trajectories by the name of their file."""
-    from uav_vslam.errors import TrajectoryFileError
-    from uav_vslam.evaluation.files.reading import read_trajectory
+    from uav_vslam.errors import ConfigError, TrajectoryFileError
+    from uav_vslam.evaluation.files.reading import is_kitti, read_trajectory
     from uav_vslam.evaluation.files.results_folder import read_results
 
     if not args.source.is_dir():
         on_map = args.format in MAPS  # a line on a map has no stamps
-        return {args.source.stem: read_trajectory(args.source, times=args.times, numbered=on_map)}
+        track = read_trajectory(args.source, times=args.times, numbered=on_map)
+        if args.times is not None and not is_kitti(args.source):
+            raise ConfigError(f"--times belongs to a KITTI file; {args.source} has stamps of its own")
+        return {args.source.stem: track}
+    wanted = args.tracks or TRACKS
     found = {
         f"{vehicle}_{name}": track
         for vehicle, tracks in read_results(args.source).items()
         for name, track in tracks.items()
-        if name in args.tracks
+        if name in wanted
     }
     if not found:
-        raise TrajectoryFileError(f"{args.source} holds none of the tracks {', '.join(args.tracks)}")
+        raise TrajectoryFileError(f"{args.source} holds none of the tracks {', '.join(wanted)}")
     return found
 
 
@@ -114,4 +131,4 @@ def _datum(args: argparse.Namespace) -> Datum:
         latitude_deg, longitude_deg, altitude_m = map(float, numbers)
     except ValueError:
         raise ConfigError(f"--datum {' '.join(args.datum)} is not LAT LON ALT in degrees and metres") from None
-    return Datum(latitude_deg, longitude_deg, altitude_m, args.yaw)
+    return Datum(latitude_deg, longitude_deg, altitude_m, args.yaw or 0.0)

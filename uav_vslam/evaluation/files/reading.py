@@ -43,7 +43,7 @@ def read_trajectory(
         TrajectoryFileError: the file is missing or malformed, or nothing tells its stamps; the text names the line.
     """
     rows = read_rows(path)
-    if not rows.commas and rows.columns == KITTI_COLUMNS:
+    if _has_kitti_columns(rows):
         return _kitti(rows, _kitti_stamps(rows, times, reference, numbered=numbered))
     if not rows.commas and rows.columns == TUM_COLUMNS:
         return _poses(rows, rows.stamps_ns(seconds=True), wxyz=False)
@@ -53,6 +53,15 @@ def read_trajectory(
         f"{rows.at(0)}: {rows.columns} columns are no pose; expected 8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI), or "
         "8 or more with commas (EuRoC: stamp,x,y,z,qw,qx,qy,qz,...)"
     )
+
+
+def is_kitti(path: Path) -> bool:
+    """Return whether a trajectory file is KITTI's, which has no stamps of its own."""
+    return _has_kitti_columns(read_rows(path))
+
+
+def _has_kitti_columns(rows: Rows) -> bool:
+    return not rows.commas and rows.columns == KITTI_COLUMNS
 
 
 def _csv(rows: Rows) -> Trajectory:
