@@ -4,11 +4,13 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
 
+from uav_vslam.cli.main import main
 from uav_vslam.config import ImuConfig, InputConfig, VehicleConfig, load_fleet
 from uav_vslam.config.input import TopicsConfig
 from uav_vslam.datasets.bag import BagFlight, open_flight
@@ -16,7 +18,7 @@ from uav_vslam.datasets.cut_options import CutOptions
 from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut
 from uav_vslam.datasets.cutting import Cut, plan_cut, poses_of, source_of, with_drawn_starts
 from uav_vslam.datasets.rosbag import decode, iter_raw
-from uav_vslam.datasets.starts import SIGMA_POSITION_M
+from uav_vslam.datasets.starts import SIGMA_POSITION_M, true_start
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.recording import record
@@ -175,6 +177,37 @@ def test_a_start_is_the_truth_with_the_recorded_uncertainty(source: Path) -> Non
     grown = np.diag(cut.vehicles[1].start.covariance - cut.vehicles[0].start.covariance)[9:12]
     since_s = (cut.vehicles[1].first_ns - cut.vehicles[0].first_ns) * 1e-9
     np.testing.assert_allclose(grown, 1e-4 * since_s)
+
+
+def test_biases_are_as_uncertain_before_the_recorded_start_as_after_it(source: Path) -> None:
+    flight = open_flight(source, "uav1")
+    recorded, imu = flight.initial_state, ImuConfig(gyro_bias_walk=1e-2, accel_bias_walk=1e-1)
+    assert recorded is not None
+    truth, velocities = poses_of(flight)
+    stamp_ns = int(truth.stamps_ns[len(truth) // 2])
+    around = [
+        dataclasses.replace(recorded, state=dataclasses.replace(recorded.state, stamp_ns=stamp_ns + offset_ns))
+        for offset_ns in (-1_000_000_000, 1_000_000_000)
+    ]
+    earlier, later = (true_start(truth, velocities, stamp_ns, start, imu).covariance for start in around)
+    np.testing.assert_array_equal(earlier, later)
+    assert np.linalg.eigvalsh(later).min() > 0
+
+
+def test_a_start_without_bias_variances_is_refused_by_name(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def without_bias_variances(start: Any) -> Any:
+        covariance = np.array(start.covariance).reshape(15, 15)
+        covariance[9:] = 0.0
+        return dataclasses.replace(start, covariance=covariance.ravel())
+
+    bag = rewritten(source, tmp_path / "bag", edited("/uav1/initial_state", without_bias_variances))
+    for command in (["cut", str(bag), str(tmp_path / "pair")], ["study", "split", str(bag)]):
+        assert main([*command, "--legs", "0-1,1.5-3"]) == 2
+        error = capsys.readouterr().err
+        assert "the covariance of the start state at" in error
+        assert error.count("\n") == 1
 
 
 def test_without_a_recorded_start_it_is_as_uncertain_as_a_simulated_one(source: Path, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def true_start(
 ) -> NavEstimate:
     """Return the true pose and velocity at a stamp, with the uncertainty of the recorded start.
 
-    No recording holds true biases: they are those of the recorded start, with the variance of their walk since then.
+    No recording holds true biases: they are those of the recorded start, with the variance of their walk in between.
 
     Args:
         truth: true poses.
@@ -44,7 +44,7 @@ def true_start(
     since_ns = truth.stamps_ns - stamp_ns
     velocity = np.array([np.interp(0.0, since_ns, component) for component in velocities_world.T])
     before = recorded or _unknown(stamp_ns, imu)
-    dt_s = (stamp_ns - before.state.stamp_ns) / NS_PER_S
+    dt_s = abs(stamp_ns - before.state.stamp_ns) / NS_PER_S  # a leg may begin before the recorded start
     P = before.covariance.copy()
     P[GYRO_BIAS, GYRO_BIAS] += imu.gyro_bias_walk**2 * dt_s * np.eye(3)
     P[ACCEL_BIAS, ACCEL_BIAS] += imu.accel_bias_walk**2 * dt_s * np.eye(3)
@@ -59,8 +59,18 @@ def drawn_start(centre: NavEstimate, rng: np.random.Generator, *, biases: bool =
         centre: the true start.
         rng: draws the error.
         biases: give the biases errors too; not where the centre's are estimates already.
+
+    Raises:
+        UavVslamError: the covariance is not positive definite.
     """
-    error = np.linalg.cholesky(centre.covariance) @ rng.standard_normal(len(centre.covariance))
+    try:
+        root = np.linalg.cholesky(centre.covariance)
+    except np.linalg.LinAlgError:
+        raise UavVslamError(
+            f"the covariance of the start state at {centre.state.stamp_ns} ns is not positive definite; record an "
+            "initial_state whose variances, those of the biases too, are above zero"
+        ) from None
+    error = root @ rng.standard_normal(len(centre.covariance))
     state, T = centre.state, centre.state.T_map_body
     moved = dataclasses.replace(
         state,
