@@ -90,3 +90,9 @@ def test_a_study_that_is_not_known_is_wrong_input(capsys: pytest.CaptureFixture[
         command.main(["study", "clouds"])
     assert leaving.value.code == 2
     assert "filters" in capsys.readouterr().err
+
+
+def test_a_study_of_flights_needs_a_seed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        command.main(["study", "recordings", "--seeds", "0"])
+    assert "--seeds: '0' is not a count of at least 1" in capsys.readouterr().err

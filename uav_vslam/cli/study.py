@@ -56,7 +56,11 @@ def _add_common(parser: argparse.ArgumentParser, study: Study) -> None:
     if study.settings:
         parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
     parser.add_argument(
-        "--seeds", type=non_negative, default=study.seeds, metavar="N", help=f"how many (default {study.seeds})"
+        "--seeds",
+        type=non_negative if study.seedless else positive,
+        default=study.seeds,
+        metavar="N",
+        help=f"how many (default {study.seeds})",
     )
     parser.add_argument("--first-seed", type=non_negative, default=1, metavar="K", help="the first of them (default 1)")
     if study.workers:

@@ -92,7 +92,7 @@ def check_noise(levels: dict[str, NoiseLevels]) -> list[Finding]:
             continue
         texts = {"at rest": level.rest, "in flight": level.flight}
         seen = "; ".join(f"{when} {_per_axis(values)}" for when, values in texts.items() if values is not None)
-        seen += f" {UNITS[sensor]}, configured {level.configured:.2g}"
+        seen += f"; white {_per_axis(level.white)} {UNITS[sensor]}, configured {level.configured:.2g}"
         ratios = np.array(level.white) / level.configured
         loud = [f"{axis} ({ratio:.1f}x)" for axis, ratio in zip("xyz", ratios, strict=True) if _too_loud(ratio)]
         if not loud:

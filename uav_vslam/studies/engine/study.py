@@ -53,6 +53,7 @@ class Study:
         run: runs it; given the arguments, the seeds and the progress display.
         add_arguments: declares the study's own arguments.
         seeds: how many by default.
+        seedless: it may be run without any, on recordings alone.
         workers: processes by default; 0 for a study that is one process at a time.
         frames: of each flight by default; 0 where the study has no such argument.
         variants: which settings are compared where `--variant` names none; empty where the study has no such argument.
@@ -66,6 +67,7 @@ class Study:
     run: Callable[[argparse.Namespace, list[int], Progress], Findings]
     add_arguments: Callable[[argparse.ArgumentParser], None] = lambda parser: None
     seeds: int = 20
+    seedless: bool = False
     workers: int = 2
     frames: int = 0
     variants: str = ""

@@ -45,5 +45,6 @@ STUDY = Study(
     run=run,
     add_arguments=add_arguments,
     seeds=5,
+    seedless=True,
     settings=True,
 )

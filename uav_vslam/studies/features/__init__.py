@@ -55,5 +55,6 @@ those of rendered flights.
     run=run,
     add_arguments=add_arguments,
     seeds=1,
+    seedless=True,
     workers=0,
 )
