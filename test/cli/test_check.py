@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """`uav-vslam check` prints a report that fits a terminal, writes it for programs, and tells by its exit code."""
 
+import contextlib
 import dataclasses
 import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from faulty import FAULTS
-from foreign import rewritten
+from foreign import renamed, rewritten
 
+from uav_vslam.cli import check
 from uav_vslam.cli.main import main
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
@@ -47,6 +50,23 @@ def test_what_can_not_run_is_told_by_text_file_and_exit_code(
     wrong = [finding["subject"] for finding in first["findings"] if finding["severity"] == "error"]
     assert wrong == ["IMU gravity size", "start state"]
     assert all(finding["remedy"] for finding in first["findings"] if finding["severity"] != "ok")
+
+
+def test_the_progress_ends_at_its_total(flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    totals, steps = [], []
+
+    @contextlib.contextmanager
+    def counting(_: str, total: int) -> Iterator[Callable[[], None]]:
+        totals.append(total)
+        yield lambda: steps.append(1)
+
+    monkeypatch.setattr(check, "progress_bar", counting)
+    foreign = rewritten(flight, tmp_path / "bag", renamed)
+    for bag, vehicles in ((flight, ["uav1", "uav2"]), (flight, ["uav2"]), (foreign, ["uav1"])):
+        totals.clear(), steps.clear()
+        main(["check", str(bag), "--vehicles", *vehicles])
+        assert totals == [len(steps)]
+        assert steps
 
 
 def test_settings_count(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -74,9 +74,10 @@ def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, Vehic
 def _judge(bags: tuple[Path, ...], configs: dict[str, VehicleConfig]) -> list[tuple[Survey, Inspection]]:
     """Read and judge each vehicle's recording."""
     from uav_vslam.datasets.rosbag import topics_of
-    from uav_vslam.inspection.recording import inspect_bags
+    from uav_vslam.inspection.recording import inspect_bags, messages_to_read
 
-    messages = sum(info.count for info in topics_of(bags).values())
+    recorded = topics_of(bags)
+    messages = sum(messages_to_read(recorded, name, config) for name, config in configs.items())
     with progress_bar("checking", messages) as advance:
         return [inspect_bags(bags, name, config, advance) for name, config in configs.items()]
 

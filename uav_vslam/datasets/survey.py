@@ -118,6 +118,18 @@ def topic_of(topics: Mapping[str, TopicInfo], vehicle: str, config: InputConfig,
     return next((one for one in names if one in topics and topics[one].msgtype in TYPES[role]), None)
 
 
+def roles_of(topics: Mapping[str, TopicInfo], vehicle: str, config: InputConfig) -> dict[str, str]:
+    """Return the role of each recorded topic of a vehicle that can be read."""
+    found = {topic_of(topics, vehicle, config, role): role for role in TYPES}
+    return {topic: role for topic, role in found.items() if topic is not None}
+
+
+def message_count(topics: Mapping[str, TopicInfo], vehicle: str, config: InputConfig) -> int:
+    """Return how many messages `survey_flight` reads."""
+    wanted = {*roles_of(topics, vehicle.strip("/"), config), TF_STATIC}
+    return sum(info.count for topic, info in topics.items() if topic in wanted)
+
+
 def survey_flight(
     paths: Sequence[Path], vehicle: str, config: InputConfig, *, on_message: Callable[[], None] = lambda: None
 ) -> Survey:
@@ -148,8 +160,7 @@ class _Reader:
     def __init__(self, topics: dict[str, TopicInfo], vehicle: str, config: InputConfig) -> None:
         setup, problems = _setup(vehicle, config)
         self.found = Survey(vehicle, config, topics, setup, problems=problems)
-        roles = {topic_of(topics, vehicle, config, role): role for role in TYPES}
-        self._roles = {topic: role for topic, role in roles.items() if topic is not None}
+        self._roles = roles_of(topics, vehicle, config)
         self._stamps: dict[str, list[tuple[int, int]]] = {role: [] for role in self._roles.values()}
         self._errors: dict[str, list[str]] = {role: [] for role in self._roles.values()}
         self._truth: list[Any] = []

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All checks of one vehicle's recording, in order; one that can't be made does not keep the others from it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig, replaced
 from uav_vslam.datasets.bag import open_flight
-from uav_vslam.datasets.rosbag import topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, topics_of
 from uav_vslam.datasets.sensor_setup import SIDES, with_noise_of_files
-from uav_vslam.datasets.survey import Survey, survey_flight
+from uav_vslam.datasets.survey import Survey, message_count, survey_flight
 from uav_vslam.errors import CalibrationError, UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.inspection import cameras, start, stereo_stamps, timing, topics, views
@@ -85,10 +85,8 @@ def inspect_bags(
     recorded = topics_of(paths)
     guess = topics.guess_topics(recorded, vehicle)
     to_set = topics.topics_to_set(recorded, guess, vehicle, config.input)
-    foreign = set(SIDES) <= set(to_set)
-    names = {f"input.topics.{role}": topic for role, topic in to_set.items()} if foreign else {}
-    used = replaced(config, names, where="guessed topics")
-    used = _with_noise(used)
+    foreign = _is_foreign(to_set)
+    used = _with_noise(_with_topics(config, to_set))
     survey = survey_flight(paths, vehicle, used.input, on_message=on_message)
     found = inspect(survey, used)
     if foreign:
@@ -97,6 +95,22 @@ def inspect_bags(
         found.findings += _refused(paths, vehicle, used)
     found.block = topics.configuration_block(to_set, guess, recommended(found.noise))
     return survey, found
+
+
+def messages_to_read(recorded: Mapping[str, TopicInfo], vehicle: str, config: VehicleConfig) -> int:
+    """Return how often `inspect_bags` calls `on_message`, if the recording is not damaged."""
+    to_set = topics.topics_to_set(recorded, topics.guess_topics(recorded, vehicle), vehicle, config.input)
+    return message_count(recorded, vehicle, _with_topics(config, to_set).input)
+
+
+def _is_foreign(to_set: Mapping[str, str]) -> bool:
+    """Return whether images are not under the configured names."""
+    return set(SIDES) <= set(to_set)
+
+
+def _with_topics(config: VehicleConfig, to_set: Mapping[str, str]) -> VehicleConfig:
+    names = {f"input.topics.{role}": topic for role, topic in to_set.items()} if _is_foreign(to_set) else {}
+    return replaced(config, names, where="guessed topics")
 
 
 def _with_noise(config: VehicleConfig) -> VehicleConfig:
