@@ -9,13 +9,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.kalibr_camchain import camchain, kalibr_knows
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.stereo import StereoRig
 
 Array = NDArray[np.float64]
-
-KALIBR_LENSES = {"plumb_bob": "radtan", "equidistant": "equidistant"}
-KALIBR_COEFFICIENTS = 4
 
 
 def write_calibration(rig: StereoRig, folder: Path) -> list[Path]:
@@ -31,7 +29,7 @@ def write_calibration(rig: StereoRig, folder: Path) -> list[Path]:
     written = []
     for name, camera, R, P in zip(("left", "right"), (rig.left, rig.right), *rectification(rig), strict=True):
         written.append(_write(folder / f"{name}.yaml", camera_info(name, camera, R, P)))
-    if _kalibr_knows(rig.left) and _kalibr_knows(rig.right):
+    if kalibr_knows(rig):
         written.append(_write(folder / "camchain.yaml", camchain(rig)))
     return written
 
@@ -63,25 +61,6 @@ def camera_info(name: str, camera: PinholeCamera, R: Array, P: Array) -> dict[st
         "rectification_matrix": _matrix(R),
         "projection_matrix": _matrix(P),
     }
-
-
-def camchain(rig: StereoRig) -> dict[str, Any]:
-    """Return what Kalibr writes for two cameras."""
-    left, right = (
-        {
-            "camera_model": "pinhole",
-            "intrinsics": [float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)],
-            "distortion_model": KALIBR_LENSES[camera.model],
-            "distortion_coeffs": camera.distortion[:KALIBR_COEFFICIENTS].tolist(),
-            "resolution": [camera.width, camera.height],
-        }
-        for camera in (rig.left, rig.right)
-    )
-    return {"cam0": left, "cam1": right | {"T_cn_cnm1": rig.T_right_left.matrix.tolist()}}
-
-
-def _kalibr_knows(camera: PinholeCamera) -> bool:
-    return camera.model in KALIBR_LENSES and not camera.distortion[KALIBR_COEFFICIENTS:].any()
 
 
 def _matrix(values: Array) -> dict[str, Any]:

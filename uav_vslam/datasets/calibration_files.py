@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.kalibr_camchain import KALIBR_LENSES
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -28,9 +29,9 @@ Tree = Mapping[str, Any]
 LENS_MODELS = {
     "": "plumb_bob",
     "none": "plumb_bob",
-    "radtan": "plumb_bob",
     "radial-tangential": "plumb_bob",
     "fisheye": "equidistant",
+    **KALIBR_LENSES,
 }
 NOISE = {  # of Kalibr and EuRoC: settings of ours
     "gyroscope_noise_density": "imu.gyro_noise",

@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.kalibr_camchain import camchain
 from uav_vslam.datasets.messages import transforms_message
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw, topics_of
 from uav_vslam.geometry.pose import Pose
@@ -31,7 +32,6 @@ NAMES = {
 }
 IMU_FRAME = "imu_link"
 UPSIDE_DOWN = Pose(so3_exp([np.pi, 0.0, 0.0]), np.zeros(3))  # of the IMU in the body
-KALIBR_LENSES = {"plumb_bob": ("radtan", 4), "equidistant": ("equidistant", 4)}  # name and number of coefficients
 
 
 def rewritten(source: Path, out: Path, *changes: Change, volatile: Collection[str] = (), storage: str = "mcap") -> Path:
@@ -105,19 +105,7 @@ def kalibr_of(
 
 def write_kalibr(rig: StereoRig, folder: Path, *, timeshift_s: float = 0.0, T_body_imu: Pose | None = None) -> Path:
     """Write a rig as Kalibr does; with another pose of the IMU in the body than the identity."""
-    T_imu_body = (T_body_imu or Pose.identity()).inverse()
-    tree = {}
-    for k, (camera, T_body_cam) in enumerate(((rig.left, rig.T_body_left), (rig.right, rig.T_body_right))):
-        lens, count = KALIBR_LENSES[camera.model]
-        tree[f"cam{k}"] = {
-            "camera_model": "pinhole",
-            "distortion_model": lens,
-            "distortion_coeffs": camera.distortion[:count].tolist(),
-            "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
-            "resolution": [camera.width, camera.height],
-            "T_cam_imu": (T_imu_body @ T_body_cam).inverse().matrix.tolist(),
-            "timeshift_cam_imu": timeshift_s,
-        }
+    tree = camchain(rig, T_body_imu=T_body_imu or Pose.identity(), time_offset_s=timeshift_s)
     path = folder / "camchain-imucam.yaml"
     path.write_text(yaml.safe_dump(tree), encoding="utf-8")
     return path
