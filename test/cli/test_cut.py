@@ -90,6 +90,26 @@ def test_an_existing_folder_is_refused_at_once(bag: Path, capsys: pytest.Capture
     assert "exists" in capsys.readouterr().err
 
 
+def test_a_folder_that_can_not_be_made_is_refused_before_the_recording_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    assert main(["cut", str(tmp_path / "no_bag"), str(tmp_path / "file" / "pair")]) == 2
+    error = capsys.readouterr().err
+    assert "can't be made" in error
+    assert error.count("\n") == 1
+
+
+def test_a_cut_that_was_killed_starts_again(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = tmp_path / "pair.partial" / "pair"
+    left.mkdir(parents=True)
+    (left / "pair.mcap").write_bytes(b"begun")
+    assert main(["cut", str(bag), str(tmp_path / "pair"), *LEGS]) == 0
+    assert "cut short, is removed" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["pair"]
+    assert open_flight(tmp_path / "pair", "uav2").frame_count == 11
+
+
 @pytest.mark.parametrize(
     "options",
     [

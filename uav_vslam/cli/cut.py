@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,8 @@ the vehicles, flown at once, pass within --within of each other. Taken are the l
 so that the legs start together, the truth in one frame, the calibration and a fleet file. Each vehicle starts from the
 truth with an error drawn from the covariance of the recorded start (without one, of simulated starts); biases are those
 of the recorded start. --trajectory takes the place of the truth: an estimate from an earlier run, whose errors are then
-those of the starts; OUT holds no truth.
+those of the starts; OUT holds no truth. The bag grows in OUT.partial: a cut that was killed leaves no OUT, and can be
+started again.
 """
 SEED = 1
 
@@ -52,14 +54,16 @@ def run(args: argparse.Namespace) -> int:
     """Cut; return the exit status."""
     from uav_vslam.cli.overrides import override
     from uav_vslam.config import find_config, load_vehicle
-    from uav_vslam.datasets.cut_writer import FLEET_FILE, scratch_of, write_cut
+    from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut
     from uav_vslam.datasets.cutting import WHAT_A_CUT_HIDES, source_of, with_drawn_starts
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
+    from uav_vslam.datasets.unfinished import require_new
 
     options = cut_options(args)
     if args.trajectory and args.seed is not None:
         raise UavVslamError("--trajectory: starts have the errors of the estimate, none are drawn: leave out --seed")
-    scratch_of(args.out)  # before any work
+    if require_new(args.out):  # before any work
+        print(f"uav-vslam: warning: {args.out}.partial, left by work that was cut short, is removed", file=sys.stderr)
     file = find_config(args.config) if args.config else None
     config = with_noise_of_files(load_vehicle(file, overrides=dict(override(item) for item in args.set)))
     flight = source_of(args.bag, args.vehicle, config.input)

@@ -103,7 +103,8 @@ def _common_arguments() -> argparse.ArgumentParser:
 def run(args: argparse.Namespace) -> int:
     """Import and record; return the exit status."""
     from uav_vslam.datasets.importing.problems import Problems
-    from uav_vslam.datasets.importing.source import require_new, write_source
+    from uav_vslam.datasets.importing.source import write_source
+    from uav_vslam.datasets.unfinished import require_new
 
     if require_new(args.out):
         _warn(f"{args.out}.partial, left by an import that was cut short, is removed; starting again")

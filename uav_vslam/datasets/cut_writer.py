@@ -7,7 +7,6 @@ the configuration gives the recording, so the new bag has the conventional topic
 
 import dataclasses
 import heapq
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ from uav_vslam.datasets.messages import (
 from uav_vslam.datasets.rosbag import RawRecorder, decode, encode, iter_raw
 from uav_vslam.datasets.seen_points import recorded_pairs
 from uav_vslam.datasets.sensor_setup import SIDES
-from uav_vslam.errors import BagError
+from uav_vslam.datasets.unfinished import unfinished
 from uav_vslam.evaluation.pairing import MAX_GAP_S
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import NS_PER_S
@@ -41,19 +40,6 @@ FLEET_FILE, CONFIG_FILE = "fleet.yaml", "vehicle.yaml"
 MARGIN_NS = NS_PER_S // 10  # readings begin this long before the first frame and end after the last
 
 Message = tuple[int, str, Any]  # stamp [ns], topic, message
-
-
-def scratch_of(out: Path) -> Path:
-    """Return the folder in which a bag is written before it is moved to its place.
-
-    Raises:
-        BagError: either exists.
-    """
-    scratch = out.with_name(f"{out.name}.partial")
-    for path in (out, scratch):
-        if path.exists():
-            raise BagError(f"{path} exists; remove it, or choose a folder that does not exist yet")
-    return scratch
 
 
 def write_cut(
@@ -76,17 +62,12 @@ def write_cut(
         with_truth: copy the ground truth, if the starts are in its frame.
 
     Raises:
-        BagError: the folder exists, or the source is damaged.
+        BagError: the folder exists or can't be made, or the source is damaged.
     """
-    scratch = scratch_of(out)
-    scratch.mkdir(parents=True)
-    try:
-        with RawRecorder(scratch / out.name) as recorder:
+    with unfinished(out) as folder:
+        with RawRecorder(folder) as recorder:
             _write_all(recorder, flight, vehicles, flight.truth() if with_truth else None, on_frame)
-        _write_fleet_file(scratch / out.name, [vehicle.name for vehicle in vehicles], config)
-        (scratch / out.name).rename(out)
-    finally:
-        shutil.rmtree(scratch)
+        _write_fleet_file(folder, [vehicle.name for vehicle in vehicles], config)
 
 
 def _write_all(

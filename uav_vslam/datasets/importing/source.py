@@ -1,11 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every importer yields, and how it becomes a bag and a configuration to run it.
+"""What every importer yields, and how it becomes a bag and a configuration to run it."""
 
-The bag is written into OUT.partial and moved to OUT when it is complete, so that OUT is a whole recording or does not
-exist. An import that was cut short starts again.
-"""
-
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +10,8 @@ import yaml
 
 from uav_vslam.config import difference_file, find_config, load_vehicle, replaced
 from uav_vslam.datasets.flight_writer import FlightRecording, write_flights
-from uav_vslam.errors import BagError
+from uav_vslam.datasets.unfinished import unfinished
 
-PARTIAL = ".partial"
 IN_FLIGHT = {"start.method": "in_flight"}  # settings of a recording without ground truth
 
 
@@ -44,26 +38,6 @@ class Source:
     runnable: bool = True
 
 
-def require_new(out: Path) -> bool:
-    """Prepare for writing: remove what an import that was cut short has left.
-
-    Returns:
-        Whether there was any.
-
-    Raises:
-        BagError: `out` exists, or something else has its place.
-    """
-    if out.exists():
-        raise BagError(f"{out} exists already; remove it to import again, or choose another name")
-    partial = _partial(out)
-    if not partial.exists():
-        return False
-    if not partial.is_dir() or {path.name for path in partial.iterdir()} - {out.name}:
-        raise BagError(f"{partial} holds other things than an unfinished import; remove or rename it")
-    shutil.rmtree(partial)
-    return True
-
-
 def write_source(
     source: Source, out: Path, *, storage: str = "mcap", zstd: bool = False, on_frame: Callable[[], None] | None = None
 ) -> Path | None:
@@ -82,16 +56,8 @@ def write_source(
     Raises:
         BagError: `out` exists or can't be made.
     """
-    partial = _partial(out)
-    try:
-        partial.mkdir(parents=True)
-    except OSError as error:
-        raise BagError(f"{partial}: can't be made ({error.strerror}); choose another place") from None
-    try:
-        write_flights(partial / out.name, [source.flight], storage=storage, zstd=zstd, on_frame=on_frame)
-        (partial / out.name).rename(out)
-    finally:
-        shutil.rmtree(partial)
+    with unfinished(out) as folder:
+        write_flights(folder, [source.flight], storage=storage, zstd=zstd, on_frame=on_frame)
     return write_configuration(source, out) if source.runnable else None
 
 
@@ -103,7 +69,3 @@ def write_configuration(source: Source, out: Path) -> Path:
         config = replaced(base, dict(source.settings), where=str(path))
         path.write_text(yaml.safe_dump(difference_file(config), sort_keys=False), encoding="utf-8")
     return path
-
-
-def _partial(out: Path) -> Path:
-    return out.with_name(out.name + PARTIAL)

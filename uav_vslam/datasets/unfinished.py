@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag is written into OUT.partial and moved to OUT when it is complete: OUT is a whole recording or does not exist.
+
+Work that was cut short starts again.
+"""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from uav_vslam.errors import BagError
+
+PARTIAL = ".partial"
+
+
+def require_new(out: Path) -> bool:
+    """Prepare for writing: remove what work that was cut short has left, and see whether a folder can be made.
+
+    Returns:
+        Whether there was any.
+
+    Raises:
+        BagError: `out` exists, something else has its place, or nothing can be written there.
+    """
+    try:
+        if out.exists():
+            raise BagError(f"{out} exists already; remove it, or choose another name")
+        partial = _partial(out)
+        left = partial.exists()
+        if left:
+            _remove(partial, out.name)
+        partial.mkdir(parents=True)
+        partial.rmdir()
+    except OSError as error:
+        raise BagError(f"{out}: can't be made ({error.strerror}); choose another place") from None
+    return left
+
+
+@contextmanager
+def unfinished(out: Path) -> Iterator[Path]:
+    """Yield the bag folder to make, which becomes `out` unless an exception is raised; that leaves nothing.
+
+    Raises:
+        BagError: see `require_new`.
+    """
+    require_new(out)
+    partial = _partial(out)
+    partial.mkdir()
+    try:
+        yield partial / out.name
+        (partial / out.name).rename(out)
+    finally:
+        shutil.rmtree(partial)
+
+
+def _remove(partial: Path, name: str) -> None:
+    if not partial.is_dir() or {path.name for path in partial.iterdir()} - {name}:
+        raise BagError(f"{partial} holds other things than an unfinished bag; remove or rename it")
+    shutil.rmtree(partial)
+
+
+def _partial(out: Path) -> Path:
+    return out.with_name(out.name + PARTIAL)
