@@ -110,10 +110,17 @@ def run(args: argparse.Namespace) -> int:
         _warn(f"{args.out}.partial, left by an import that was cut short, is removed; starting again")
     problems = Problems(_warn)
     source: Source = args.read(args, problems)
+    written = 0
     with progress_bar("importing", source.frame_count) as advance:
-        config = write_source(source, args.out, storage=args.storage, zstd=args.zstd, on_frame=advance)
+
+        def on_frame() -> None:
+            nonlocal written
+            written += 1
+            advance()
+
+        config = write_source(source, args.out, storage=args.storage, zstd=args.zstd, on_frame=on_frame)
     size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
-    print(f"{args.out}: {source.frame_count} image pairs of {source.flight.vehicle}, {size_mb:.1f} MB")
+    print(f"{args.out}: {written} image pairs of {source.flight.vehicle}, {size_mb:.1f} MB")
     _report(args.out, source, problems)
     if config:
         print(f"run it: uav-vslam run {args.out} --config {config}")

@@ -129,6 +129,17 @@ def test_a_picture_that_turns_out_to_be_none_is_left_out(tmp_path: Path) -> None
     assert problems.counts == {"missing pictures": 2}
 
 
+def test_only_pairs_that_were_written_are_counted(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (mav0 / "cam0" / "data" / "200000000.pgm").write_bytes(b"P5 no more")
+    listed = mav0 / "cam0" / "data.csv"
+    listed.write_text(listed.read_text().replace("200000000.png", "200000000.pgm"))
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
+    assert f"{tmp_path / 'out'}: 4 image pairs of uav1" in capsys.readouterr().out
+    assert open_flight(tmp_path / "out", "uav1").frame_count == 4
+
+
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
 def test_a_compressed_bayer_mosaic_is_read_as_colour(pattern: str) -> None:
     at = {"r": 200, "g": 90, "b": 40}
