@@ -243,6 +243,20 @@ def test_the_fleet_file_names_the_vehicles_and_keeps_the_settings(source: Path, 
     assert open_flight(fleet.replay.bags, "uav2").frame_count == FRAMES[1]
 
 
+def test_pairs_without_a_pose_within_a_leg_are_counted_as_written(source: Path, tmp_path: Path) -> None:
+    """The poses of the second leg have a gap of 0.8 s, too long to interpolate."""
+    flight = open_flight(source, "uav1")
+    (poses, velocities), config = poses_of(flight), VehicleConfig()
+    since_s = (poses.stamps_ns - next(e.stamp_ns for e in flight.iter_events() if isinstance(e, StereoFrame))) * 1e-9
+    kept = (since_s < 1.8) | (since_s > 2.6)
+    cut = plan_cut(flight, poses.select(kept), velocities[kept], config, LEGS)
+    written: list[None] = []
+    write_cut(tmp_path / "cut", flight, cut.vehicles, config, lambda: written.append(None))
+    counts = [vehicle.frames for vehicle in cut.vehicles]
+    assert counts == [open_flight(tmp_path / "cut", vehicle.name).frame_count for vehicle in cut.vehicles]
+    assert len(written) == sum(counts) == sum(FRAMES)
+
+
 def test_an_interrupted_cut_leaves_nothing(source: Path, tmp_path: Path) -> None:
     flight = open_flight(source, "uav1")
 

@@ -40,7 +40,7 @@ class CutVehicle:
     Attributes:
         name: ROS namespace.
         first_ns, last_ns: stamps of its first and of its last image pair in the source [ns].
-        frames: number of image pairs.
+        frames: number of image pairs from the one to the other, with a pose or without.
         shift_ns: added to all stamps, so that all vehicles start at once [ns].
         start: state at the first image pair, with the source's stamp.
     """
@@ -148,7 +148,7 @@ def plan_cut(
     inside = [_frames_of(leg, stamps_ns) for leg in legs]
     starts = [true_start(poses, velocities_world, int(f[0]), flight.initial_state, config.imu) for f in inside]
     vehicles = [
-        CutVehicle(f"uav{k}", int(f[0]), int(f[-1]), len(f), int(inside[0][0] - f[0]), start)
+        CutVehicle(f"uav{k}", int(f[0]), int(f[-1]), _count(seen.pairs_ns, f), int(inside[0][0] - f[0]), start)
         for k, (f, start) in enumerate(zip(inside, starts, strict=True), start=1)
     ]
     flown = {vehicle.name: Leg(vehicle.first_ns, vehicle.last_ns + 1) for vehicle in vehicles}
@@ -168,8 +168,13 @@ def with_drawn_starts(cut: Cut, seed: int) -> Cut:
     return dataclasses.replace(cut, vehicles=tuple(vehicles))
 
 
+def _count(pairs_ns: list[int], found: NDArray[np.int64]) -> int:
+    """Return how many image pairs lie between the first and the last of a leg's frames, both included."""
+    return sum(int(found[0]) <= stamp_ns <= int(found[-1]) for stamp_ns in pairs_ns)
+
+
 def _frames_of(leg: Leg, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the stamps of a leg's frames."""
+    """Return the stamps of a leg's frames that have a pose."""
     found = stamps_ns[(stamps_ns >= leg.start_ns) & (stamps_ns < leg.end_ns)]
     if len(found) < 2:
         since_s = [(ns - int(stamps_ns[0])) / NS_PER_S for ns in (leg.start_ns, leg.end_ns)]

@@ -31,10 +31,12 @@ class SeenFlight:
     """What a recording shows.
 
     Attributes:
-        stamps_ns: of all image pairs with a pose, in order [ns].
-        views: some of them.
+        pairs_ns: stamps of all image pairs, in order [ns].
+        stamps_ns: of those with a pose [ns].
+        views: some of these.
     """
 
+    pairs_ns: list[int]
     stamps_ns: list[int]
     views: list[View]
 
@@ -56,9 +58,10 @@ def seen_flight(
     """
     every = -(-flight.frame_count // MAX_VIEWS)
     frontend = _frontend(flight.rig, config)
-    seen = SeenFlight([], [])
+    seen = SeenFlight([], [], [])
     for number, pair in enumerate(recorded_pairs(flight)):
         on_frame()
+        seen.pairs_ns.append(pair.stamp_ns)
         at, found = interpolate(poses, np.array([pair.stamp_ns], np.int64), max_gap_s=MAX_GAP_S)
         if len(found) == 0:
             continue
