@@ -21,7 +21,7 @@ from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.studies.split.compute import C_SLAM, INS, METHODS, S_SLAM, Outcome, run_starts, searched_legs
-from uav_vslam.studies.split.rows import error_rows, failure_note
+from uav_vslam.studies.split.rows import error_rows, failure_note, series_of
 
 LEGS = CutOptions(legs_s=((0.0, 1.5), (1.6, 3.2)))
 CONFIG = load_vehicle(find_config("kagaru"), overrides={"fusion.epoch_s": 0.3})  # several packets in a leg
@@ -100,6 +100,22 @@ def test_the_rows_are_the_errors_against_the_truth(legs: list[RecordedFlight], o
         expected = [0.5, 0.5, 0.5] if fused else [None] * 3
         assert [row[key] for key in ("ratio_to_s_slam", "ratio_low", "ratio_high")] == pytest.approx(expected)
     assert [row["packets_used"] for row in rows[-2:]] == [15, 15]
+
+
+@pytest.mark.parametrize("lost", [slice(0, 3), slice(4, 6), slice(8, None)])
+def test_errors_are_averaged_at_equal_stamps(legs: list[RecordedFlight], outcomes: list[Outcome], lost: slice) -> None:
+    """A track of one seed, whichever, lacks some poses: the curves of all seeds are those without these."""
+    full = series_of(legs, outcomes)
+    kept = np.delete(np.arange(len(outcomes[0].tracks[S_SLAM]["uav1"])), lost)
+    for seed in range(3):
+        changed = list(outcomes)
+        short = outcomes[seed].tracks[S_SLAM]["uav1"].select(kept)
+        tracks = outcomes[seed].tracks | {S_SLAM: {**outcomes[seed].tracks[S_SLAM], "uav1": short}}
+        changed[seed] = dataclasses.replace(outcomes[seed], tracks=tracks)
+        for curve, whole in zip(series_of(legs, changed), full, strict=True):
+            rows = kept if (curve["method"], curve["condition"]) == (S_SLAM, "uav1") else slice(None)
+            for key in ("time_s", "east_m", "error_up_rms_m"):
+                np.testing.assert_allclose(curve[key], np.array(whole[key])[rows])
 
 
 def test_a_failed_run_is_counted_and_explained(legs: list[RecordedFlight], outcomes: list[Outcome]) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables and curves of a cut flight."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -99,16 +100,21 @@ def failure_note(outcomes: Sequence[Outcome]) -> dict[str, str]:
 
 
 def series_of(legs: list[RecordedFlight], outcomes: Sequence[Outcome]) -> list[Row]:
-    """Return for plots: the tracks of the first seed, and the root mean square of the errors over the seeds."""
+    """Return for plots: the tracks of the first seed, and the root mean square of the errors over the seeds.
+
+    Both are given where the tracks of all seeds have a pose.
+    """
     good = [outcome for outcome in outcomes if not outcome.failure]
     series: list[Row] = []
     for leg in legs if good else []:
         for label in METHODS:
-            track, truth = pair_with_truth(good[0].tracks[label][leg.vehicle], leg.truth)
+            pairs = [pair_with_truth(outcome.tracks[label][leg.vehicle], leg.truth) for outcome in good]
+            stamps_ns = functools.reduce(np.intersect1d, [track.stamps_ns for track, _ in pairs])
+            track, truth = (one.select(np.isin(one.stamps_ns, stamps_ns)) for one in pairs[0])
             if label == INS:
                 series.append(_curve("Truth", leg, truth.stamps_ns, truth.positions, np.zeros_like(truth.positions)))
-            squares = [_score(leg, outcome, label).error ** 2 for outcome in good]
-            error = np.sqrt(np.mean([of_seed[: len(track)] for of_seed in squares], axis=0))
+            errors = [(own.positions - true.positions)[np.isin(own.stamps_ns, stamps_ns)] for own, true in pairs]
+            error = np.sqrt(np.mean(np.square(errors), axis=0))
             series.append(_curve(label, leg, track.stamps_ns, track.positions, error))
     return series
 
