@@ -13,7 +13,6 @@ UNPAIRED_SHARE = 0.02  # of the left images: a few at both ends have no partner
 
 # IMU
 GRAVITY_SHARE = 0.8, 1.25  # median specific force over gravity: a bank of 37 degrees is 1.25
-REST_FORCE = 0.3  # [m/s^2] from gravity at rest: 3 % of scale, or six times the default bias
 UNITS = {  # what specific force over gravity is in other units
     "in g, not in m/s^2": 1.0 / 9.80665,
     "in mg, not in m/s^2": 1000.0 / 9.80665,
@@ -36,7 +35,6 @@ EXTREME_RATIO = 3.0  # over the count at the next largest values
 ROTATION_MISFIT = 0.35  # rms difference over rms rate: bias, noise and a few degrees of mounting leave less
 ROTATION_DETECTED = 5.0  # rms rate over its expected error; below, the vehicle turned too little to tell
 REFERENCE_SIGMA_DEG = 0.1  # attitude noise of truth, and of the rotation between two images
-COUPLE_S = 0.5  # images farther apart in time share too few points
 
 # Cameras
 FIELD_OF_VIEW_DEG = 10.0, 150.0  # of a pinhole camera, full width; fisheyes have up to 200

@@ -3,7 +3,6 @@
 
 import dataclasses
 import textwrap
-from collections.abc import Sequence
 from typing import Any
 
 from uav_vslam.datasets.survey import Survey
@@ -110,9 +109,3 @@ def _bars(shape: OffsetHistogram) -> list[str]:
 
 def _number(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
-
-
-def summary(inspections: Sequence[Inspection]) -> str:
-    """Return one line on all vehicles."""
-    broken = [one.vehicle for one in inspections if not one.usable]
-    return f"can't run: {', '.join(broken)}" if broken else f"can run: {', '.join(one.vehicle for one in inspections)}"
