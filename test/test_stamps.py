@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A single stamp from the future is rejected; a real time jump is accepted at the second stamp."""
+"""A single stamp from the future is rejected, a real time jump accepted at the second stamp; the nearest stamp."""
 
+import numpy as np
 import pytest
 
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard
+from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard, nearest
 from uav_vslam.types import NS_PER_S
 
 JUMP_NS = round(IMU_TIME_JUMP_S * NS_PER_S)
@@ -50,3 +51,10 @@ def test_a_keyframe_recording_loses_no_image() -> None:
     guard = TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
     for seconds in (0, 8, 16, 40):
         guard.check(seconds * NS_PER_S)
+
+
+def test_the_nearest_stamp_is_found_before_between_and_after_all() -> None:
+    others_ns = np.array([10, 20, 40], np.int64)
+    stamps_ns = np.array([41, -5, 14, 15, 16, 20, 31], np.int64)  # 15 is as near to 10 as to 20
+    assert nearest(stamps_ns, others_ns).tolist() == [2, 0, 0, 0, 1, 1, 2]
+    assert nearest(stamps_ns, others_ns[:1]).tolist() == [0] * len(stamps_ns)

@@ -1,11 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time-jump detection: one accepted stamp far in the future would make all later ones seem too old."""
+"""Nearest stamps, and time-jump detection: one accepted stamp far ahead would make all later ones seem too old."""
+
+import numpy as np
+from numpy.typing import NDArray
 
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.types import NS_PER_S
 
 IMU_TIME_JUMP_S = 5.0  # a working IMU is never silent for so long
 IMAGE_TIME_JUMP_S = 30.0  # recordings reduced to keyframes have gaps of many seconds
+
+
+def nearest(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return the index of the nearest other stamp to each one; of two as near, that of the earlier.
+
+    Args:
+        stamps_ns: (N,) in any order [ns].
+        others_ns: (M,) ascending, at least one [ns].
+    """
+    after = np.searchsorted(others_ns, stamps_ns).clip(0, len(others_ns) - 1)
+    before = (after - 1).clip(0)
+    nearer = np.abs(others_ns[before] - stamps_ns) <= np.abs(others_ns[after] - stamps_ns)
+    return np.asarray(np.where(nearer, before, after))
 
 
 class TimeJumpGuard:

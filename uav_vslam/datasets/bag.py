@@ -31,6 +31,7 @@ from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.mounting import ImuMounting
+from uav_vslam.stamps import nearest
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
 
 __all__ = ["BagFlight", "RawMessage", "RawRecorder", "TruthTrack", "iter_raw", "open_flight", "topics_of", "vehicles"]
@@ -127,9 +128,7 @@ class BagFlight:
         left, right = (self._stamps_ns(topic, first) for topic in (self.left_topic, self.right_topic))
         if len(right) == 0:
             return np.zeros(0, np.int64)
-        after = np.searchsorted(right, left).clip(0, len(right) - 1)
-        before = (after - 1).clip(0)
-        return np.asarray(np.minimum(abs(right[after] - left), abs(left - right[before])))
+        return np.asarray(abs(right[nearest(left, right)] - left))
 
     def pair_tolerance_ns(self, first: int | None = None) -> int:
         """Return the largest difference between the stamps of a pair [ns], after the first so many left images."""

@@ -4,6 +4,7 @@
 import numpy as np
 
 from uav_vslam.evaluation.trajectory import Trajectory, interpolate
+from uav_vslam.stamps import nearest
 
 ASSOCIATIONS = ("interpolate", "nearest")
 MAX_GAP_S = 0.5  # ground truth isn't interpolated across a longer gap
@@ -39,13 +40,10 @@ def pair_with_truth(
 
 def _nearest(estimate: Trajectory, truth: Trajectory, max_difference_ns: int) -> tuple[Trajectory, Trajectory]:
     """Pair each estimate with the nearest truth; of estimates that share one, the nearest keeps it."""
-    after = np.searchsorted(truth.stamps_ns, estimate.stamps_ns).clip(0, len(truth) - 1)
-    before = (after - 1).clip(0)
-    gap_after = np.abs(truth.stamps_ns[after] - estimate.stamps_ns)
-    gap_before = np.abs(truth.stamps_ns[before] - estimate.stamps_ns)
-    nearest, gap = np.where(gap_before <= gap_after, before, after), np.minimum(gap_before, gap_after)
-    order = np.lexsort((gap, nearest))
-    _, first = np.unique(nearest[order], return_index=True)
+    partners = nearest(estimate.stamps_ns, truth.stamps_ns)
+    gap = np.abs(truth.stamps_ns[partners] - estimate.stamps_ns)
+    order = np.lexsort((gap, partners))
+    _, first = np.unique(partners[order], return_index=True)
     rows = np.sort(order[first])
     rows = rows[gap[rows] <= max_difference_ns]
-    return estimate.select(rows), truth.select(nearest[rows])
+    return estimate.select(rows), truth.select(partners[rows])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.stereo_sync import NOTABLE_OFFSET_NS, PairTolerance
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
+from uav_vslam.stamps import nearest
 from uav_vslam.types import NS_PER_S
 
 Stamps = NDArray[np.int64]
@@ -38,9 +39,7 @@ def offsets_ns(left_ns: Stamps, right_ns: Stamps) -> Stamps:
     right_ns = np.unique(right_ns)
     if len(right_ns) == 0:
         return np.zeros(0, np.int64)
-    after = right_ns[np.searchsorted(right_ns, left_ns).clip(0, len(right_ns) - 1)] - left_ns
-    before = right_ns[(np.searchsorted(right_ns, left_ns) - 1).clip(0)] - left_ns
-    return np.where(np.abs(after) < np.abs(before), after, before)
+    return np.asarray(right_ns[nearest(left_ns, right_ns)] - left_ns)
 
 
 def histogram(offsets: Stamps) -> OffsetHistogram | None:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import DISORDERED, UNREADABLE, numbered_lines
 from uav_vslam.datasets.messages import decoded
+from uav_vslam.stamps import nearest
 
 COPIED = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 MISSING, UNPAIRED = "missing pictures", "pictures without a partner"
@@ -87,7 +87,7 @@ def paired(
     if not left or not right:
         return []
     left_ns, right_ns = (np.array([picture.stamp_ns for picture in side], np.int64) for side in (left, right))
-    nearest_right, nearest_left = _nearest(left_ns, right_ns), _nearest(right_ns, left_ns)
+    nearest_right, nearest_left = nearest(left_ns, right_ns), nearest(right_ns, left_ns)
     apart = np.abs(right_ns[nearest_right] - left_ns)
     mutual = nearest_left[nearest_right] == np.arange(len(left))
     chosen = np.flatnonzero(mutual & (apart <= tolerance_ns)).tolist()
@@ -96,14 +96,6 @@ def paired(
         for k in (k for k in range(len(side)) if k not in used):
             problems.add(UNPAIRED, side[k].path, f"no picture of the other camera within {tolerance_ns / 1e6:g} ms")
     return [PicturePair(left[i], right[j]) for i, j in zip(chosen, partners, strict=True)]
-
-
-def _nearest(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each stamp the index of the nearest one among the others, which are sorted."""
-    after = np.searchsorted(others_ns, stamps_ns).clip(0, len(others_ns) - 1)
-    before = (after - 1).clip(0)
-    nearer = np.abs(others_ns[before] - stamps_ns) <= np.abs(others_ns[after] - stamps_ns)
-    return np.asarray(np.where(nearer, before, after))
 
 
 def shifted(pairs: list[PicturePair], offset_ns: int) -> list[PicturePair]:
