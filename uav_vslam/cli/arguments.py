@@ -3,6 +3,7 @@
 
 import argparse
 import os
+import re
 from pathlib import Path
 
 
@@ -24,6 +25,18 @@ def positive_seconds(text: str) -> float:
 def lengths_m(text: str) -> tuple[float, ...]:
     """Return lengths above zero [m], separated by commas."""
     return tuple(_above_zero(part, "a length in metres above 0") for part in text.split(","))
+
+
+def positive_number(text: str) -> float:
+    """Return a number above zero."""
+    return _above_zero(text, "a number above 0")
+
+
+def namespace(text: str) -> str:
+    """Return a vehicle's name, which is its ROS namespace: letters, digits and underscores, and no digit first."""
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no ROS namespace: use letters, digits and _, and no digit first")
+    return text
 
 
 def results_folder(text: str) -> Path:

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import non_negative
+from uav_vslam.cli.arguments import namespace, non_negative, positive_number
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -87,11 +88,11 @@ def _common_arguments() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("source", type=Path, metavar="SOURCE", help="folder of the data set")
     common.add_argument("out", type=Path, metavar="OUT", help="bag folder to make")
-    common.add_argument("--vehicle", default="uav1", help="ROS namespace (default uav1)")
+    common.add_argument("--vehicle", type=namespace, default="uav1", help="ROS namespace (default uav1)")
     common.add_argument(
         "--initial-sigma",
         nargs=5,
-        type=float,
+        type=positive_number,
         metavar=("M", "M/S", "DEG", "RAD/S", "M/S2"),
         help="stated sigma of the start's position, velocity, attitude, gyro and accelerometer bias",
     )
@@ -101,11 +102,18 @@ def _common_arguments() -> argparse.ArgumentParser:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import and record; return the exit status."""
+    """Import and record; return the exit status.
+
+    Raises:
+        ConfigError: options exclude each other.
+    """
     from uav_vslam.datasets.importing.problems import Problems
     from uav_vslam.datasets.importing.source import write_source
     from uav_vslam.datasets.unfinished import require_new
+    from uav_vslam.errors import ConfigError
 
+    if args.zstd and args.storage != "mcap":
+        raise ConfigError(f"--zstd compresses mcap files; leave it out, or --storage {args.storage}")
     if require_new(args.out):
         _warn(f"{args.out}.partial, left by an import that was cut short, is removed; starting again")
     problems = Problems(_warn)
@@ -123,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"{args.out}: {written} image pairs of {source.flight.vehicle}, {size_mb:.1f} MB")
     _report(args.out, source, problems)
     if config:
-        print(f"run it: uav-vslam run {args.out} --config {config}")
+        print(f"run it: {shlex.join(['uav-vslam', 'run', str(args.out), '--config', str(config)])}")
     return 0
 
 

@@ -38,6 +38,7 @@ from uav_vslam.errors import BagError
 MESSAGE_PACKAGE = "uav_vslam_msgs"
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 STORAGE_FILES = (".mcap", ".db3", ros1_bag.SUFFIX)
+DATA_SETS = ("mav0", "cam0", "image_0")  # folders inside of EuRoC's and KITTI's
 UNLIMITED = QosTime(9223372036, 854775807)  # how ROS writes "no deadline"
 
 
@@ -266,7 +267,8 @@ def _files(paths: Sequence[Path]) -> list[Path]:
             path = unpacked(path)
         files_inside = sorted(p for p in path.iterdir() if p.suffix in STORAGE_FILES) if path.is_dir() else [path]
         if not files_inside or (path.is_file() and path.suffix not in STORAGE_FILES):
-            raise BagError(f"{path} is not a bag: no .mcap, .db3 or .bag file; give a bag folder or such a file")
+            hint = "; import it: uav-vslam import --help" if any((path / name).is_dir() for name in DATA_SETS) else ""
+            raise BagError(f"{path} is not a bag: no .mcap, .db3 or .bag file; give a bag folder or such a file{hint}")
         whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(is_truncated, files_inside))
         files += [path] if whole else files_inside
     return files

@@ -98,7 +98,7 @@ def test_only_images_with_equal_stamps_pair(tmp_path: Path) -> None:
 
 
 def test_errors_name_what_is_wrong_with_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match=r"cam0.*data.csv|sensor.yaml: can't be read"):
+    with pytest.raises(BagError, match="has no folder cam0"):
         read_euroc(tmp_path / "nowhere")
     with pytest.raises(CalibrationError, match="equidistant"):
         read_euroc(write_sequence(tmp_path / "fisheye", model="equidistant"))

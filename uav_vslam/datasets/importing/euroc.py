@@ -39,6 +39,8 @@ def read_euroc(
         CalibrationError: the cameras' calibrations contradict each other.
     """
     problems = problems or Problems()
+    if not (mav0 / "cam0").is_dir():
+        raise BagError(f"{mav0} has no folder cam0; give the sequence's mav0 folder")
     left, T_body_left = _camera(mav0 / "cam0")
     right, T_body_right = _camera(mav0 / "cam1")
     imu = read_table(mav0 / "imu0" / "data.csv", 6, problems)
