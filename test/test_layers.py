@@ -38,7 +38,7 @@ ALLOWED: dict[str, set[str]] = {
     # recorded truth becomes a trajectory, readings move to the body, images show which legs overlap
     "datasets": EARLY | {"evaluation", "ins", "vision"},
     "calibration": EARLY | {"vision", "datasets"},  # image pairs of files and recordings
-    "report": {"types", "evaluation", "calibration"},
+    "report": {"types", "geometry", "evaluation", "calibration"},
     "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found
     "inspection": EARLY | {"ins", "vision", "datasets"},  # it judges what `datasets` reads, by what the graph allows
     # what puts them together without ROS

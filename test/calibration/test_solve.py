@@ -8,9 +8,9 @@ from board_scene import HEIGHT, WIDTH, corner_pairs, rig_of
 from scipy.stats import chi2
 
 from uav_vslam.calibration.boards import Chessboard
-from uav_vslam.calibration.bundle import SIDES
 from uav_vslam.calibration.solve import Lens, reproject, rms, solve
 from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.stereo import SIDES
 
 BOARD = Chessboard(9, 6, 0.03)
 SIZE = WIDTH, HEIGHT

@@ -18,7 +18,7 @@ from uav_vslam.calibration.boards import Corners
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import SIDES, StereoRig
 
 Array = NDArray[np.float64]
 Columns = NDArray[np.intp]
@@ -31,7 +31,6 @@ FIRST_DAMPING, DAMPING_STEP, LEAST_DAMPING, MOST_DAMPING = 1e-3, 10.0, 1e-10, 1e
 LEAST_EIGENVALUE = 1e-13  # of the scaled normal matrix: what is less well determined has no smaller variance
 MOST_STEPS = 100
 LEAST_GAIN = 1e-10  # relative, of the cost, in the last step
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)

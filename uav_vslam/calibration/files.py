@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.datasets.kalibr_camchain import camchain, kalibr_knows
 from uav_vslam.geometry.camera import PinholeCamera
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import SIDES, StereoRig
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def write_calibration(rig: StereoRig, folder: Path) -> list[Path]:
         The files; the first two, or the last one alone, tell all of the rig.
     """
     written = []
-    for name, camera, R, P in zip(("left", "right"), (rig.left, rig.right), *rectification(rig), strict=True):
+    for name, camera, R, P in zip(SIDES, (rig.left, rig.right), *rectification(rig), strict=True):
         written.append(_write(folder / f"{name}.yaml", camera_info(name, camera, R, P)))
     if kalibr_knows(rig):
         written.append(_write(folder / "camchain.yaml", camchain(rig)))

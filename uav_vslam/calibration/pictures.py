@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.calibration.bundle import SIDES
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import IMAGE_TYPES, vehicles
 from uav_vslam.datasets.image_sets import SUFFIXES, read_image
@@ -18,6 +17,7 @@ from uav_vslam.datasets.messages import image_of, stamp_ns_of
 from uav_vslam.datasets.rosbag import decode, iter_raw, topics_of
 from uav_vslam.datasets.stereo_sync import StereoPairer
 from uav_vslam.errors import CalibrationError
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.vision.images import to_grey8
 
 Image = NDArray[np.uint8]

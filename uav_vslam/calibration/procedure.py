@@ -12,7 +12,7 @@ from uav_vslam.calibration.bundle import BoardPair
 from uav_vslam.calibration.solve import Lens, StereoSolution, first_rig, reproject, rms, solve
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import SIDES, StereoRig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -69,7 +69,7 @@ class HalfCheck:
     @property
     def focal_difference(self) -> float:
         """Of the halves, relative: the larger one of the two cameras."""
-        left, right = ([getattr(half.rig, side).fx for half in self.halves] for side in ("left", "right"))
+        left, right = ([getattr(half.rig, side).fx for half in self.halves] for side in SIDES)
         return max(_difference(*left), _difference(*right))
 
 
@@ -231,7 +231,7 @@ def _difference(first: float, second: float) -> float:
 
 
 def _check_sizes(name: str, images: Sequence[Image], size: tuple[int, int]) -> None:
-    for side, image in zip(("left", "right"), images, strict=True):
+    for side, image in zip(SIDES, images, strict=True):
         if image.shape[::-1] != size:
             raise CalibrationError(
                 f"the {side} picture of pair {name} is {image.shape[1]}x{image.shape[0]} px but the first picture "

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.calibration.boards import Corners
-from uav_vslam.calibration.bundle import LINEAR, SIDES, BoardPair, Bundle
+from uav_vslam.calibration.bundle import LINEAR, BoardPair, Bundle
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import SIDES, StereoRig
 
 Array = NDArray[np.float64]
 Residuals = list[tuple[Array, Array]]  # of each pair, (N, 2) left and right [px], measured minus predicted

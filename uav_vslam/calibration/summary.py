@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from uav_vslam.calibration.boards import Board
-from uav_vslam.calibration.bundle import SIDES
 from uav_vslam.calibration.procedure import StereoCalibration, coverage
 from uav_vslam.calibration.solve import StereoSolution, rms
+from uav_vslam.geometry.stereo import SIDES
 
 Figures = dict[str, Any]
 

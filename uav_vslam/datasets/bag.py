@@ -25,11 +25,11 @@ from uav_vslam.datasets.messages import (
     truth_of,
 )
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, TopicInfo, decode, iter_raw, topics_of
-from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
+from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import PairTolerance, StereoPairer
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.stamps import nearest
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame

@@ -30,10 +30,10 @@ from uav_vslam.datasets.messages import (
 )
 from uav_vslam.datasets.rosbag import RawRecorder, decode, encode, iter_raw
 from uav_vslam.datasets.seen_points import recorded_pairs
-from uav_vslam.datasets.sensor_setup import SIDES
 from uav_vslam.datasets.unfinished import unfinished
 from uav_vslam.evaluation.pairing import MAX_GAP_S
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.types import NS_PER_S
 
 FLEET_FILE, CONFIG_FILE = "fleet.yaml", "vehicle.yaml"

@@ -15,10 +15,8 @@ from uav_vslam.datasets.messages import camera_of, rectified_camera_of
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.types import NS_PER_S
-
-SIDES = ("left", "right")
 
 
 @dataclass(slots=True)

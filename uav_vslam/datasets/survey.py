@@ -24,9 +24,10 @@ from uav_vslam.datasets.messages import (
     truth_of,
 )
 from uav_vslam.datasets.rosbag import RawMessage, TopicInfo, decode, iter_raw, topics_of
-from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
+from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
 
 Array = NDArray[np.float64]

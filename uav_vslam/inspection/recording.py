@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from uav_vslam.config import VehicleConfig, replaced
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.rosbag import TopicInfo, topics_of
-from uav_vslam.datasets.sensor_setup import SIDES, with_noise_of_files
+from uav_vslam.datasets.sensor_setup import with_noise_of_files
 from uav_vslam.datasets.survey import Survey, message_count, survey_flight
 from uav_vslam.errors import CalibrationError, UavVslamError
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.inspection import cameras, start, stereo_stamps, timing, topics, views
 from uav_vslam.inspection.finding import Finding, Severity, count, error, ok
 from uav_vslam.inspection.imu import check_imu, readings_in_body

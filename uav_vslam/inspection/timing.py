@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.bag import REORDER_NS
-from uav_vslam.datasets.sensor_setup import SIDES
 from uav_vslam.datasets.survey import Stream
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning

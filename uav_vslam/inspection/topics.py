@@ -11,8 +11,8 @@ from uav_vslam.config.input import COMPRESSED, image_names
 from uav_vslam.datasets.bag import DEFAULT_VEHICLE
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo
-from uav_vslam.datasets.sensor_setup import SIDES
 from uav_vslam.datasets.survey import TYPES, Survey, topic_of
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
 

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from uav_vslam.calibration.procedure import CELLS, StereoCalibration, cells, coverage
 from uav_vslam.calibration.solve import rms
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.report.style import LINE_COLOURS, clean, save
 
 Array = NDArray[np.float64]
 
 ARROW_SHARE = 0.03  # of the image width: length of a vector of RMS size
 EMPTY = "#e6e6e6"  # cells of the image without a corner
-SIDES = ("left", "right")
 
 
 def write_calibration_plot(found: StereoCalibration, name: str, folder: Path) -> Path:

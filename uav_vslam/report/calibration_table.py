@@ -8,8 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from uav_vslam.calibration.summary import Figures
-
-SIDES = ("left", "right")
+from uav_vslam.geometry.stereo import SIDES
 
 
 def print_calibration(summary: Figures, console: Console | None = None) -> None:

@@ -9,9 +9,9 @@ from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
 from uav_vslam.datasets.messages import transforms_of
-from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
+from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.ros.convert import imu_from_msg
 from uav_vslam.ros.qos import LATCHED_BY_MANY, SENSOR, STATE

@@ -10,8 +10,9 @@ from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import vehicles as vehicles_of
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawMessage, iter_raw, topics_of
-from uav_vslam.datasets.sensor_setup import SIDES, SensorSetup
+from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import BagError
+from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.ros.pacing import FRAME_PARTS, FrameShape, Kind, Recorded
 from uav_vslam.types import NS_PER_S
 
