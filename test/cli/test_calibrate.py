@@ -145,3 +145,8 @@ def test_real_pictures_are_calibrated_to_a_fifth_of_a_pixel_and_both_halves_agre
     assert summary["reprojection_px"]["stereo"] <= 0.20
     assert summary["halves"]["baseline_difference"] < 0.01
     assert summary["warnings"] == []
+
+
+def test_a_square_in_millimetres_is_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, tmp_path, "--board", "8x5", "--square", "30")
+    assert "--square 30 is in metres; if millimetres, give 0.03" in line

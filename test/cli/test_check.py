@@ -52,6 +52,22 @@ def test_what_can_not_run_is_told_by_text_file_and_exit_code(
     assert all(finding["remedy"] for finding in first["findings"] if finding["severity"] != "ok")
 
 
+def test_a_vehicle_that_was_not_recorded_is_refused(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(flight), "--vehicles", "nobody"]) == 2
+    assert "--vehicles nobody: not recorded; the bag holds uav1, uav2" in capsys.readouterr().err
+
+
+def test_the_block_to_paste_has_the_start_that_the_report_advises(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = rewritten(flight, tmp_path / "bag", *FAULTS["no start state"][0]())
+    assert main(["check", str(bag), "--vehicles", "uav1"]) == 1
+    _, _, block = capsys.readouterr().out.partition("To put into a configuration")
+    config = tmp_path / "mine.yaml"
+    config.write_text("\n".join(line[4:] for line in block.splitlines() if line.startswith("    ")))
+    assert main(["check", str(bag), "--vehicles", "uav1", "--config", str(config)]) == 0
+
+
 def test_the_progress_ends_at_its_total(flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     totals, steps = [], []
 

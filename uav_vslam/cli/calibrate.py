@@ -28,6 +28,7 @@ left.yaml and right.yaml (ROS camera_info) and camchain.yaml (Kalibr), either of
 summary.json and calibration.png into a new folder below results/, to which results/latest leads.
 """
 FIXED = {"plumb_bob": ["k3"], "rational_polynomial": [], "equidistant": []}  # by default
+LARGEST_SQUARE_M = 1.0  # of a board that can be held before a camera
 MOST = 60  # pairs of a bag, by default
 
 
@@ -112,6 +113,8 @@ def _board(args: argparse.Namespace) -> Board:
     from uav_vslam.errors import CalibrationError
 
     columns, rows = args.board
+    if args.square > LARGEST_SQUARE_M:
+        raise CalibrationError(f"--square {args.square:g} is in metres; if millimetres, give {args.square / 1000:g}")
     if args.charuco is None:
         if args.marker is not None or args.legacy:
             raise CalibrationError("--marker and --legacy belong to a ChArUco board; name its dictionary by --charuco")

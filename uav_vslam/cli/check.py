@@ -68,7 +68,13 @@ def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, Vehic
         return fleet.replay.bags, fleet.vehicles
     config = load_vehicle(find_config(args.config) if args.config else None, overrides=overrides)
     bags = tuple(args.inputs)
-    return bags, dict.fromkeys(args.vehicles or vehicles_of(topics_of(bags), config.input), config)
+    topics = topics_of(bags)
+    found = vehicles_of(topics, config.input)
+    recorded = [name for name in found if any(topic.startswith(f"/{name}/") for topic in topics)]
+    unknown = sorted(set(args.vehicles or ()) - set(recorded))
+    if recorded and unknown:
+        raise ConfigError(f"--vehicles {' '.join(unknown)}: not recorded; the bag holds {', '.join(recorded)}")
+    return bags, dict.fromkeys(args.vehicles or found, config)
 
 
 def _judge(bags: tuple[Path, ...], configs: dict[str, VehicleConfig]) -> list[tuple[Survey, Inspection]]:

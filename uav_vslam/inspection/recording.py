@@ -35,6 +35,7 @@ class Inspection:
         findings: of all checks.
         offsets: histogram of the stereo stamps, or None.
         noise: of the IMU, by sensor; empty if there are too few readings.
+        start_method: start.method to set where no start state was recorded; empty to leave it.
         block: configuration to paste; empty if nothing is to be set.
     """
 
@@ -42,6 +43,7 @@ class Inspection:
     findings: list[Finding] = field(default_factory=list)
     offsets: OffsetHistogram | None = None
     noise: dict[str, NoiseLevels] = field(default_factory=dict)
+    start_method: str = ""
     block: str = ""
 
     @property
@@ -62,6 +64,8 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     found.findings += imu_findings
     images_ns = _stamps(survey, "left")
     found.findings += start.check_start(survey.initial, images_ns, readings, config)
+    if config.start.method == "given" and not survey.initial and readings:
+        found.start_method = start.method_for(readings, config)
     found.findings += start.check_truth(survey.truth, images_ns, recorded="truth" in survey.streams)
     if rig is not None and survey.truth is not None:
         found.findings += scale_against_truth(looked.steps, survey.truth, rig)
@@ -93,7 +97,8 @@ def inspect_bags(
         found.findings.insert(0, topics.foreign(config.input.topic(vehicle, "left"), guess))
     if found.usable:
         found.findings += _refused(paths, vehicle, used)
-    found.block = topics.configuration_block(to_set, guess, recommended(found.noise))
+    noise = recommended(found.noise)
+    found.block = topics.configuration_block(to_set, guess, noise, start_method=found.start_method)
     return survey, found
 
 

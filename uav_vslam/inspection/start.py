@@ -15,6 +15,10 @@ from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate
 
 Stamps = NDArray[np.int64]
 
+_METHODS = {
+    "in_flight": "start.method: in_flight (the vehicle moves at the first readings)",
+    "static": "start.method: static (the vehicle rests at the first readings)",
+}
 METHODS = "start.method: static for a vehicle at rest, in_flight for one that flies already"
 
 
@@ -35,7 +39,7 @@ def check_start(
         return _check_static(readings, config)
     if not initial:
         seen, allowed = "start.method is given, but no start state was recorded", "one message on initial_state"
-        return [error("start state", seen, allowed, f"record one, or set {_method_for(readings, config)}")]
+        return [error("start state", seen, allowed, f"record one, or set {_METHODS[method_for(readings, config)]}")]
     return _check_given(initial[0], images_ns, readings)
 
 
@@ -111,12 +115,13 @@ def _check_static(readings: list[ImuSample], config: VehicleConfig) -> list[Find
     return [ok("start state", f"start.method static: at rest for {config.start.rest_s:g} s")]
 
 
-def _method_for(readings: list[ImuSample], config: VehicleConfig) -> str:
+def method_for(readings: list[ImuSample], config: VehicleConfig) -> str:
+    """Return the start.method that suits a recording without a start state."""
     try:
         _static(readings, config)
     except UavVslamError:
-        return "start.method: in_flight (the vehicle moves at the first readings)"
-    return "start.method: static (the vehicle rests at the first readings)"
+        return "in_flight"
+    return "static"
 
 
 def _static(readings: list[ImuSample], config: VehicleConfig) -> NavEstimate:

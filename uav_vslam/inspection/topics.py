@@ -86,13 +86,16 @@ def topics_to_set(recorded: Mapping[str, TopicInfo], guess: Guess, vehicle: str,
     return {role: topic for role, topic in best if topic_of(recorded, vehicle, config, role) is None}
 
 
-def configuration_block(to_set: Mapping[str, str], guess: Guess, noise: Mapping[str, float]) -> str:
+def configuration_block(
+    to_set: Mapping[str, str], guess: Guess, noise: Mapping[str, float], *, start_method: str = ""
+) -> str:
     """Return a configuration to paste, as text; empty if nothing is to be set.
 
     Args:
         to_set: topics by role.
         guess: other candidates, named in comments.
         noise: settings of the IMU by name ("imu.gyro_noise").
+        start_method: value of start.method; empty to leave it.
     """
     lines = []
     if to_set:
@@ -102,6 +105,8 @@ def configuration_block(to_set: Mapping[str, str], guess: Guess, noise: Mapping[
         lines.append(f"        {role}: {topic}{f'  # or {others}' if others else ''}")
     if noise:
         lines += ["    imu:", *(f"      {name.removeprefix('imu.')}: {value:g}" for name, value in noise.items())]
+    if start_method:
+        lines += ["    start:", f"      method: {start_method}"]
     return "\n".join(["/**:", "  ros__parameters:", *lines]) if lines else ""
 
 
