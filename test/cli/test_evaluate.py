@@ -81,7 +81,7 @@ def run(*arguments) -> int:
 
 
 def test_known_errors_come_out_as_figures(pair, tmp_path, capsys):
-    assert run(pair / "estimates", pair / "inputs", "--root", tmp_path, "--name", "made up") == 0
+    assert run(pair / "estimates", pair / "inputs", "--results", tmp_path, "--name", "made up") == 0
     summary = json.loads((tmp_path / "latest" / "summary.json").read_text())
     vehicle = summary["vehicles"]["uav2"]
     assert (vehicle["frames_in"], vehicle["frames_processed"]) == (FRAMES, FRAMES)
@@ -102,13 +102,13 @@ def test_known_errors_come_out_as_figures(pair, tmp_path, capsys):
 
 
 def test_plots_and_tracks_are_written(pair, tmp_path):
-    run(pair / "estimates", pair / "inputs", "--root", tmp_path)
+    run(pair / "estimates", pair / "inputs", "--results", tmp_path)
     names = {path.name for path in (tmp_path / "latest").iterdir()}
     assert {"plan_view.png", "view_3d.png", "errors.png", "uav1_c_slam.tum", "uav2_truth.tum", "config.yaml"} <= names
 
 
 def test_estimates_alone_are_evaluated_without_truth(pair, tmp_path):
-    assert run(pair / "estimates", "--root", tmp_path, "--no-plots") == 0
+    assert run(pair / "estimates", "--results", tmp_path, "--no-plots") == 0
     vehicle = json.loads((tmp_path / "latest" / "summary.json").read_text())["vehicles"]["uav1"]
     assert vehicle["s_slam"]["ate_m"] is None
     assert vehicle["frames_in"] is None
@@ -118,7 +118,7 @@ def test_estimates_alone_are_evaluated_without_truth(pair, tmp_path):
 @pytest.mark.parametrize(("fleet", "mode"), [(("uav1", "uav2"), "none"), (("uav1",), "wideband")])
 def test_a_vehicle_without_peer_has_no_cooperative_track(tmp_path, fleet, mode):
     write_flight(tmp_path, fleet, mode)
-    run(tmp_path / "estimates", tmp_path / "inputs", "--root", tmp_path / "results", "--no-plots")
+    run(tmp_path / "estimates", tmp_path / "inputs", "--results", tmp_path / "results", "--no-plots")
     summary = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())
     assert summary["vehicles"]["uav1"]["c_slam"] is None
     assert summary["pooled"]["c_slam"] is None
@@ -138,7 +138,7 @@ def test_recorded_frames_are_judged_without_truth(tmp_path, capsys):
                 events=["lost"] * (k == 12),
             )  # fmt: skip
             bag.write("/uav1/slam/quality", "uav_vslam_msgs/msg/FrameQuality", encode(quality), stamp_ns)
-    assert run(tmp_path / "estimates", "--root", tmp_path / "results", "--no-plots") == 0
+    assert run(tmp_path / "estimates", "--results", tmp_path / "results", "--no-plots") == 0
     vehicle = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())["vehicles"]["uav1"]
     quality = vehicle["quality"]
     assert (vehicle["closures"], quality["closures"], quality["restarts"]) == (2, 2, 1)
@@ -159,7 +159,7 @@ def test_a_truncated_recording_is_evaluated_up_to_the_damage_and_reported(pair, 
     whole = next((pair / "estimates").glob("*.mcap")).read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 5 // 8])  # uav1 was written first
-    assert run(cut, pair / "inputs", "--root", tmp_path / "results", "--no-plots") == 2
+    assert run(cut, pair / "inputs", "--results", tmp_path / "results", "--no-plots") == 2
     assert "up to a break" in capsys.readouterr().err
     vehicle = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())["vehicles"]["uav2"]
     assert 0 < vehicle["frames_processed"] < FRAMES

@@ -35,7 +35,7 @@ def files(tmp_path: Path) -> dict[str, Path]:
 
 def evaluate(root: Path, *arguments: str | Path) -> dict:
     """Run the verb, and return what it wrote."""
-    assert main(["evaluate", *map(str, arguments), "--root", str(root), "--no-plots"]) == 0
+    assert main(["evaluate", *map(str, arguments), "--results", str(root), "--no-plots"]) == 0
     (folder,) = root.glob("*_comparison")
     return json.loads((folder / "comparison.json").read_text())
 
@@ -87,7 +87,7 @@ def test_the_same_poses_give_the_same_figures_in_every_format(files: dict[str, P
 def test_evaluating_results_leaves_latest_where_it_is_and_draws(results: Path, capsys) -> None:
     before = results.resolve()
     for _ in range(2):  # the same command works twice
-        assert main(["evaluate", str(results), "--root", str(results.parent), "--alignment", "start-yaw"]) == 0
+        assert main(["evaluate", str(results), "--results", str(results.parent), "--alignment", "start-yaw"]) == 0
     assert results.resolve() == before
     assert len(list(results.parent.glob("*_comparison*/comparison.png"))) == 2
     assert "C-SLAM" in capsys.readouterr().out

@@ -29,7 +29,7 @@ def compare_files(args: argparse.Namespace) -> int:
     name = args.name or "comparison"
     tree = compare(runs, name=name, git=git_revision(), lengths_m=args.segments)
     plot = partial(write_comparison_plot, runs, alignment=args.alignment, title=name)
-    folder = write_comparison(tree, args.root, plot=None if args.no_plots else plot)
+    folder = write_comparison(tree, args.results, plot=None if args.no_plots else plot)
     print_comparison(tree)
     print(f"written to {folder}")
     return 0

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate (default wideband)"
     )
     parser.add_argument("--rate", type=float, metavar="R", help="multiple of real time (default 0: lock-step)")
-    parser.add_argument("--root", type=results_folder, default="results", help="where results go (default results/)")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep estimates and output in this new folder")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
     parser.add_argument("--verbose", action="store_true", help="print all output of all processes")
@@ -69,7 +69,7 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
             inputs=[estimates, *fleet.replay.bags],
             name="demo",
             alignment="none",
-            root=args.root,
+            root=args.results,
             no_plots=args.no_plots,
         ),
         config=parameter_file({f"/{name}/**": config for name, config in fleet.vehicles.items()}),

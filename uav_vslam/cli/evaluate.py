@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="none",
         help="of the estimates to the truth: in the plot of files and results folders, in all of a bag (default none)",
     )
-    parser.add_argument("--root", type=results_folder, default="results", help="where results go (default results/)")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
 
 
@@ -90,7 +90,7 @@ def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, 
     config = config or {"evaluated": [str(bag) for bag in args.inputs]}
     result = flight_result(args.name or args.inputs[0].stem, outputs, config=config, wall_s=wall_s)
     plot = None if args.no_plots else write_plots
-    folder = write_results(result, args.root, plot=plot, alignment=args.alignment)
+    folder = write_results(result, args.results, plot=plot, alignment=args.alignment)
     print_summary(build_summary(result, git=None, alignment=args.alignment))
     print(f"written to {folder}")
     if damage is not None:

@@ -178,7 +178,9 @@ def _frames_of(leg: Leg, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     found = stamps_ns[(stamps_ns >= leg.start_ns) & (stamps_ns < leg.end_ns)]
     if len(found) < 2:
         since_s = [(ns - int(stamps_ns[0])) / NS_PER_S for ns in (leg.start_ns, leg.end_ns)]
+        whole_s = (int(stamps_ns[-1]) - int(stamps_ns[0])) / NS_PER_S
         raise UavVslamError(
-            f"leg {since_s[0]:g}-{since_s[1]:g} s has {len(found)} image pairs with a pose; use longer ones"
+            f"leg {since_s[0]:g}-{since_s[1]:g} s has {len(found)} image pairs with a pose; use longer ones within the "
+            f"flight of {whole_s:.1f} s"
         )
     return found
