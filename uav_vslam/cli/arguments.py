@@ -2,8 +2,8 @@
 """Argument types: invalid values are refused before any work starts."""
 
 import argparse
-import os
 import re
+import tempfile
 from pathlib import Path
 
 
@@ -46,8 +46,11 @@ def results_folder(text: str) -> Path:
 
     folder = Path(text)
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        raise argparse.ArgumentTypeError(f"nothing can be written to {there}; choose another folder")
+    try:
+        with tempfile.TemporaryFile(dir=there):  # permissions tell nothing of file systems that are read-only
+            pass
+    except OSError:
+        raise argparse.ArgumentTypeError(f"nothing can be written to {there}; choose another folder") from None
     try:
         latest_link(folder)
     except UavVslamError as error:
