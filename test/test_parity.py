@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import load_fleet
@@ -24,6 +23,7 @@ from uav_vslam.offline import flight_result, fly
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
+from uav_vslam.studies.recordings.foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge
 from uav_vslam.types import PoseEstimate
 
 ROOT = Path(__file__).parents[1]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foreign import shifted
+from command import refused
 
 from uav_vslam.cli.main import main
 from uav_vslam.datasets.outputs import read_outputs
@@ -17,6 +17,7 @@ from uav_vslam.datasets.rosbag import RawRecorder, decode, encode, iter_raw, top
 from uav_vslam.evaluation.output import LATEST
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
+from uav_vslam.studies.recordings.foreign import shifted
 
 FRAMES = 8
 CUT = 0.6  # of the file's bytes
@@ -72,15 +73,6 @@ def fleet_file(folder: Path, text: str) -> Path:
     path = folder / "fleet.yaml"
     path.write_text(text)
     return path
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
-    """Run the command, which must refuse with exit code 2 and a single line; return the line."""
-    assert main([str(argument) for argument in arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("uav-vslam: ")
-    assert error.count("\n") == 1, error
-    return error
 
 
 BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {

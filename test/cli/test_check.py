@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 from faulty import FAULTS
-from foreign import renamed, rewritten
 
 from uav_vslam.cli import check
 from uav_vslam.cli.main import main
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
+from uav_vslam.studies.recordings.foreign import renamed, rewritten
 
 pytestmark = pytest.mark.slow
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import refused
 from made_up_flight import FLIGHT, TRUTH, VEHICLE
 
 from uav_vslam.cli.main import main
@@ -38,15 +39,6 @@ def evaluate(root: Path, *arguments: str | Path) -> dict:
     assert main(["evaluate", *map(str, arguments), "--results", str(root), "--no-plots"]) == 0
     (folder,) = root.glob("*_comparison")
     return json.loads((folder / "comparison.json").read_text())
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
-    """Run the command, which must refuse with exit code 2 and a single line; return the line."""
-    assert main([str(argument) for argument in arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("uav-vslam: ")
-    assert error.count("\n") == 1, error
-    return error
 
 
 def test_a_results_folder_has_the_figures_of_its_own_summary(results: Path, tmp_path: Path) -> None:

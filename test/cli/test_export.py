@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import refused
 from made_up_flight import FLIGHT, TRUTH, VEHICLE
 
 from uav_vslam.cli.main import main
@@ -18,15 +19,6 @@ def results(tmp_path: Path) -> Path:
     """The link to the results of the flight."""
     write_results(FLIGHT, tmp_path / "results")
     return tmp_path / "results" / "latest"
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
-    """Run the command, which must refuse with exit code 2 and a single line; return the line."""
-    assert main([str(argument) for argument in arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("uav-vslam: ")
-    assert error.count("\n") == 1, error
-    return error
 
 
 def test_results_are_exported_and_read_back(results: Path, tmp_path: Path, capsys) -> None:

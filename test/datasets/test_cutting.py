@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foreign import edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import ImuConfig, InputConfig, VehicleConfig, load_fleet
-from uav_vslam.config.input import TopicsConfig
 from uav_vslam.datasets.bag import BagFlight, open_flight
 from uav_vslam.datasets.cut_options import CutOptions
 from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut
@@ -23,20 +21,23 @@ from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.studies.recordings.foreign import (
+    FOREIGN_TOPICS,
+    edited,
+    kalibr_of,
+    renamed,
+    rewritten,
+    shifted,
+    turned,
+    with_imu_edge,
+    without,
+)
 from uav_vslam.types import ImuSample, StereoFrame
 
 FLIGHT = Scenario(frames=24, vehicles=1, scale=0.125, seed=5)  # 3.2 s
 LEGS = CutOptions(legs_s=((0.1, 1.0), (1.5, 3.0)))
 FRAMES = 7, 11
-FOREIGN = TopicsConfig(
-    left="/camera/infra1/image_rect_raw",
-    right="/camera/infra2/image_rect_raw",
-    left_info="/camera/infra1/camera_info",
-    right_info="/camera/infra2/camera_info",
-    imu="/imu",
-    initial_state="/start",
-    truth="/uav1/ground_truth/odometry",
-)
+FOREIGN = dataclasses.replace(FOREIGN_TOPICS, truth="/uav1/ground_truth/odometry")
 
 
 @pytest.fixture(scope="module")

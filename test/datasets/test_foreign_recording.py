@@ -9,23 +9,25 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from foreign import T_BODY_IMU, edited, kalibr_of, renamed, rewritten, shifted, turned, with_imu_edge, without
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import FramesConfig, TopicsConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.datasets.rosbag import RawMessage, decode, encode, message
 from uav_vslam.errors import CalibrationError
-from uav_vslam.types import ImuSample, StereoFrame
-
-FOREIGN = TopicsConfig(
-    left="/camera/infra1/image_rect_raw",
-    right="/camera/infra2/image_rect_raw",
-    left_info="/camera/infra1/camera_info",
-    right_info="/camera/infra2/camera_info",
-    imu="/imu",
-    initial_state="/start",
+from uav_vslam.studies.recordings.foreign import (
+    FOREIGN_TOPICS,
+    UPSIDE_DOWN,
+    edited,
+    kalibr_of,
+    renamed,
+    rewritten,
+    shifted,
+    turned,
+    with_imu_edge,
+    without,
 )
+from uav_vslam.types import ImuSample, StereoFrame
 
 
 def events(bag: Path, config: InputConfig | None = None) -> list[ImuSample | StereoFrame]:
@@ -45,7 +47,7 @@ def assert_same(found: Sequence[Any], expected: Sequence[Any], *, atol: float = 
 
 def test_topics_of_any_name(tiny_bag: Path, tmp_path: Path) -> None:
     bag = rewritten(tiny_bag, tmp_path / "bag", renamed)
-    flight = open_flight(bag, "uav1", InputConfig(topics=FOREIGN))
+    flight = open_flight(bag, "uav1", InputConfig(topics=FOREIGN_TOPICS))
     assert flight.frame_count == 6
     assert flight.initial_state is not None
     assert_same(list(flight.iter_events()), events(tiny_bag))
@@ -97,7 +99,7 @@ def test_a_start_state_of_another_body_than_the_files_is_refused_with_the_remedy
 ) -> None:
     changes = [edited("/uav1/imu/data_raw", turned), edited("/tf_static", with_imu_edge)]
     bag = rewritten(tiny_bag, tmp_path / "bag", *changes)
-    calibration = (kalibr_of(tiny_bag, tmp_path, T_body_imu=T_BODY_IMU),)
+    calibration = (kalibr_of(tiny_bag, tmp_path, T_body_imu=UPSIDE_DOWN),)
     with pytest.raises(CalibrationError, match=r"initial_state is of uav1/base_link.*input\.frames\.base"):
         open_flight(bag, "uav1", InputConfig(calibration=calibration))
     named = InputConfig(calibration=calibration, frames=FramesConfig(base="uav1/base_link", imu="imu_link"))

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, missing
-from foreign import kalibr_of, renamed, rewritten, without
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, load_vehicle
@@ -15,6 +14,7 @@ from uav_vslam.inspection.finding import Finding, Severity
 from uav_vslam.inspection.recording import Inspection, inspect_bags
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
+from uav_vslam.studies.recordings.foreign import kalibr_of, renamed, rewritten, without
 
 pytestmark = pytest.mark.slow
 

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from foreign import edited, shifted, turned, without
 
 from uav_vslam.datasets.rosbag import RawMessage
-from uav_vslam.studies.recordings.foreign import Change
+from uav_vslam.studies.recordings.foreign import Change, edited, shifted, turned, without
 
 LEFT, RIGHT = "/uav1/left/image_raw", "/uav1/right/image_raw"
 INFOS = ("/uav1/left/camera_info", "/uav1/right/camera_info")

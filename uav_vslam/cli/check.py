@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.recordings import bags_and_configs
 
 if TYPE_CHECKING:
-    from uav_vslam.config import VehicleConfig
+    from uav_vslam.config import InputConfig, VehicleConfig
     from uav_vslam.datasets.survey import Survey
     from uav_vslam.inspection.recording import Inspection
 
@@ -42,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.inspection.report import text, tree
 
     cv2.setNumThreads(1)
-    bags, configs = _inputs(args)
+    bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles))
     judged = _judge(bags, configs)
     print("\n\n".join(text(survey, inspection) for survey, inspection in judged))
     if args.json:
@@ -50,31 +53,19 @@ def run(args: argparse.Namespace) -> int:
     return 0 if all(inspection.usable for _, inspection in judged) else CANT_RUN
 
 
-def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
-    """Return the bags and each vehicle's configuration."""
-    from uav_vslam.cli.overrides import override
-    from uav_vslam.config import find_config, load_fleet, load_vehicle
+def _vehicles(requested: Sequence[str] | None, bags: tuple[Path, ...], config: InputConfig) -> list[str]:
+    """Return the vehicles to check: those requested, or all in the bags."""
     from uav_vslam.datasets.rosbag import topics_of
     from uav_vslam.errors import ConfigError
     from uav_vslam.inspection.topics import vehicles_of
 
-    overrides = dict(override(item) for item in args.set)
-    if args.inputs[0].suffix in {".yaml", ".yml"}:
-        if len(args.inputs) > 1 or args.vehicles or args.config:
-            raise ConfigError(f"{args.inputs[0]} is a fleet file: no other input, --vehicles or --config goes with it")
-        fleet = load_fleet(args.inputs[0], overrides=overrides)
-        if not fleet.replay.bags:
-            raise ConfigError(f"{args.inputs[0]}: replay.bags is empty; name the recordings to check")
-        return fleet.replay.bags, fleet.vehicles
-    config = load_vehicle(find_config(args.config) if args.config else None, overrides=overrides)
-    bags = tuple(args.inputs)
     topics = topics_of(bags)
-    found = vehicles_of(topics, config.input)
+    found = vehicles_of(topics, config)
     recorded = [name for name in found if any(topic.startswith(f"/{name}/") for topic in topics)]
-    unknown = sorted(set(args.vehicles or ()) - set(recorded))
+    unknown = sorted(set(requested or ()) - set(recorded))
     if recorded and unknown:
         raise ConfigError(f"--vehicles {' '.join(unknown)}: not recorded; the bag holds {', '.join(recorded)}")
-    return bags, dict.fromkeys(args.vehicles or found, config)
+    return list(requested or found)
 
 
 def _judge(bags: tuple[Path, ...], configs: dict[str, VehicleConfig]) -> list[tuple[Survey, Inspection]]:

@@ -1,15 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens recordings before a run; one that can't be run is refused with the command that names all its faults."""
+"""Recordings and vehicles as the command line names them; a refused recording comes with what tells all its faults."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import argparse
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from uav_vslam.config import VehicleConfig
+    from uav_vslam.config import InputConfig, VehicleConfig
     from uav_vslam.datasets.bag import BagFlight
+
+
+def bags_and_configs(
+    args: argparse.Namespace,
+    vehicles: Callable[[tuple[Path, ...], InputConfig], list[str]],
+    overrides: Mapping[str, object] = MappingProxyType({}),
+) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
+    """Return the bags and each vehicle's configuration: of a fleet file, or of bags with one configuration for all.
+
+    Args:
+        args: inputs, config, vehicles and set, as of `run`.
+        vehicles: returns the names of the vehicles of bags.
+        overrides: settings that the verb's other options stand for, by dotted name.
+
+    Raises:
+        ConfigError: a fleet file comes with other inputs, or a file, key or value is wrong.
+    """
+    from uav_vslam.cli.overrides import override
+    from uav_vslam.config import find_config, load_fleet, load_vehicle
+    from uav_vslam.errors import ConfigError
+
+    overrides = dict(override(item) for item in args.set) | dict(overrides)
+    first = args.inputs[0]
+    if first.suffix in {".yaml", ".yml"}:
+        if len(args.inputs) > 1 or args.vehicles or args.config:
+            raise ConfigError(
+                f"{first} is a fleet file: it names the recordings, the vehicles and their configurations, so "
+                "no other input, --vehicles or --config goes with it; change the file, or use --set"
+            )
+        fleet = load_fleet(first, overrides=overrides)
+        if not fleet.replay.bags:
+            raise ConfigError(f"{first}: replay.bags is empty; name the recordings")
+        return fleet.replay.bags, fleet.vehicles
+    bags = tuple(args.inputs)
+    config = load_vehicle(find_config(args.config) if args.config else None, overrides=overrides)
+    return bags, dict.fromkeys(vehicles(bags, config.input), config)
 
 
 def open_flights(bags: Sequence[Path], configs: Mapping[str, VehicleConfig]) -> dict[str, BagFlight]:

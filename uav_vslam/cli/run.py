@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from uav_vslam.cli.arguments import positive, results_folder
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from uav_vslam.config import VehicleConfig
+    from uav_vslam.config import InputConfig
     from uav_vslam.datasets.bag import BagFlight
     from uav_vslam.evaluation.result import FlightResult
     from uav_vslam.evaluation.trajectory import Trajectory
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     import time
     from functools import partial
 
-    from uav_vslam.cli.recordings import open_flights
+    from uav_vslam.cli.recordings import bags_and_configs, open_flights
     from uav_vslam.config import idle_settings, load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
@@ -66,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.offline import flight_result, fly
     from uav_vslam.report.table import print_summary
 
-    bags, configs = _inputs(args)
+    more = {"fusion.mode": args.mode} if args.mode else {}
+    bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles), more)
     _warn(text for config in configs.values() for text in idle_settings(config).values())
     links = partial(link_between, load_link(args.link)) if args.link else None
     flights = open_flights(bags, configs)
@@ -145,35 +146,17 @@ def _report_offset(flight: BagFlight) -> None:
         )
 
 
-def _inputs(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
-    """Return the bags and each vehicle's configuration."""
-    from uav_vslam.cli.overrides import override
-    from uav_vslam.config import find_config, load_fleet, load_vehicle
+def _vehicles(requested: Sequence[str] | None, bags: tuple[Path, ...], config: InputConfig) -> list[str]:
+    """Return the vehicles to run: those requested, or all in the bags."""
     from uav_vslam.datasets.bag import vehicles
     from uav_vslam.errors import BagError, ConfigError
 
-    overrides = dict(override(item) for item in args.set)
-    if args.mode:
-        overrides["fusion.mode"] = args.mode
-    if args.inputs[0].suffix in {".yaml", ".yml"}:
-        if len(args.inputs) > 1 or args.vehicles or args.config:
-            raise ConfigError(
-                f"{args.inputs[0]} is a fleet file: it names the recordings, the vehicles and their configurations, so "
-                "no other input, --vehicles or --config goes with it; change the file, or use --set"
-            )
-        fleet = load_fleet(args.inputs[0], overrides=overrides)
-        if not fleet.replay.bags:
-            raise ConfigError(f"{args.inputs[0]}: replay.bags is empty; name the recordings to run")
-        return fleet.replay.bags, fleet.vehicles
-    bags = tuple(args.inputs)
-    file = find_config(args.config) if args.config else None
-    config = load_vehicle(file, overrides=overrides)
-    names = args.vehicles or vehicles(bags, config.input)
+    names = list(requested or vehicles(bags, config))
     if not names:
         raise BagError(
-            f"bag {', '.join(map(str, bags))} holds no <vehicle>/{config.input.topics.left}; name its topics by "
+            f"bag {', '.join(map(str, bags))} holds no <vehicle>/{config.topics.left}; name its topics by "
             "input.topics, or record or remap the images"
         )
     if len(set(names)) < len(names):
         raise ConfigError(f"--vehicles {' '.join(names)} names one twice; each vehicle has one namespace")
-    return bags, dict.fromkeys(names, config)
+    return names

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from uav_vslam.config.input import TopicsConfig
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.kalibr_camchain import camchain
 from uav_vslam.datasets.messages import transforms_message
@@ -30,6 +31,19 @@ NAMES = {
     "/uav1/left/image_raw/compressed": "/camera/infra1/image_rect_raw/compressed",
     "/uav1/right/image_raw/compressed": "/camera/infra2/image_rect_raw/compressed",
 }
+FOREIGN_TOPICS = TopicsConfig(
+    **{
+        role: NAMES[f"/uav1/{topic}"]
+        for role, topic in (
+            ("left", "left/image_raw"),
+            ("right", "right/image_raw"),
+            ("left_info", "left/camera_info"),
+            ("right_info", "right/camera_info"),
+            ("imu", "imu/data_raw"),
+            ("initial_state", "initial_state"),
+        )
+    }
+)
 IMU_FRAME = "imu_link"
 UPSIDE_DOWN = Pose(so3_exp([np.pi, 0.0, 0.0]), np.zeros(3))  # of the IMU in the body
 

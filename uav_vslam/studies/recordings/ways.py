@@ -11,7 +11,6 @@ import numpy as np
 import zstandard
 
 from uav_vslam.config import InputConfig
-from uav_vslam.config.input import TopicsConfig
 from uav_vslam.datasets.flight_writer import FlightRecording, ImageCoding, write_flights
 from uav_vslam.datasets.messages import image_message, image_of, stamp_ns_of
 from uav_vslam.datasets.rosbag import RawMessage, decode, encode
@@ -22,7 +21,7 @@ from uav_vslam.simulation.recording import recording_of
 from uav_vslam.simulation.scenario import SimulatedVehicle
 from uav_vslam.simulation.terrain import Ground
 from uav_vslam.studies.recordings.foreign import (
-    NAMES,
+    FOREIGN_TOPICS,
     UPSIDE_DOWN,
     Change,
     edited,
@@ -44,19 +43,6 @@ LEVER_ARM_BODY_M = (0.2, -0.1, 0.2)  # 0.3 m
 T_BODY_IMU = Pose(UPSIDE_DOWN.R, np.array(LEVER_ARM_BODY_M))
 FISHEYE = np.array([0.05, -0.02, 0.01, -0.003])  # k1 to k4 of an equidistant lens
 RATE_STEP_S = 1e-4  # of the difference that gives the angular acceleration
-FOREIGN_TOPICS = TopicsConfig(
-    **{
-        role: NAMES[f"/uav1/{topic}"]
-        for role, topic in (
-            ("left", "left/image_raw"),
-            ("right", "right/image_raw"),
-            ("left_info", "left/camera_info"),
-            ("right_info", "right/camera_info"),
-            ("imu", "imu/data_raw"),
-            ("initial_state", "initial_state"),
-        )
-    }
-)
 
 
 @dataclass(frozen=True, slots=True)
