@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from uav_vslam.evaluation.alignment import align_se3, align_start_yaw, align_yaw
+from uav_vslam.evaluation.alignment import align_se3, align_start_pose, align_start_yaw, align_yaw
 from uav_vslam.geometry.rotation import rpy_from_rotation, so3_exp
 
 RNG = np.random.default_rng(4)
@@ -36,14 +36,15 @@ def test_a_mirrored_shape_is_not_mirrored_back():
     assert np.linalg.det(R) == pytest.approx(1.0)
 
 
-def test_start_yaw_joins_the_starts_and_no_other_heading_there_is_better():
-    T = align_start_yaw(ESTIMATE, TRUTH)
-    np.testing.assert_allclose(T.apply(ESTIMATE[0]), TRUTH[0], atol=1e-12)
+@pytest.mark.parametrize(("align", "start"), [(align_start_yaw, ESTIMATE[0]), (align_start_pose, TRUTH[0])])
+def test_the_start_stays_or_joins_the_true_one_and_no_other_heading_there_is_better(align, start):
+    T = align(ESTIMATE, TRUTH)
+    np.testing.assert_allclose(T.apply(ESTIMATE[0]), start, atol=1e-12)
     roll, pitch, _ = rpy_from_rotation(T.R)
     assert max(abs(roll), abs(pitch)) < 1e-12
 
     def squares(R):
-        return float(np.sum(((ESTIMATE - ESTIMATE[0]) @ R.T - (TRUTH - TRUTH[0])) ** 2))
+        return float(np.sum(((ESTIMATE - ESTIMATE[0]) @ R.T + start - TRUTH) ** 2))
 
     for angle in (-1e-3, 1e-3):
         assert squares(so3_exp([0.0, 0.0, angle]) @ T.R) > squares(T.R)

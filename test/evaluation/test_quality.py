@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.frame_table import COLUMNS, write_frames
 from uav_vslam.evaluation.quality import (
     claimed_figures,
@@ -128,3 +129,18 @@ def test_the_table_of_frames_holds_what_the_filter_reported(tmp_path: Path) -> N
             assert float(row["band_low"]) < 1.0 < float(row["band_high"])
     assert float(rows[-1]["sigma_up_m"]) == pytest.approx(np.sqrt(vehicle.s_slam.covariance[-1, 2, 2]), rel=1e-5)
     assert [row["alarms"] for row in rows[2:5]] == ["", "left camera", ""]
+    assert {row["nees_position"] for row in rows} == {""}  # there is no truth
+
+
+def test_the_table_of_frames_has_the_nees_of_those_with_truth(flight, tmp_path: Path) -> None:
+    vehicle = flight.vehicles["uav1"]
+    stamps_ns = vehicle.s_slam.stamps_ns.tolist()
+    frames = tuple(dataclasses.replace((flown(1).frames or ())[0], stamp_ns=stamp_ns) for stamp_ns in stamps_ns)
+    half = vehicle.truth.select(np.arange(60))
+    write_frames(dataclasses.replace(vehicle, frames=frames, truth=half), tmp_path / "frames.csv")
+    with (tmp_path / "frames.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    expected = nees(vehicle.s_slam, half)
+    for column, values in (("nees_position", expected.position), ("nees_rotation", expected.rotation)):
+        np.testing.assert_allclose([float(row[column]) for row in rows[:60]], values, rtol=1e-5)
+        assert {row[column] for row in rows[60:]} == {""}

@@ -118,7 +118,7 @@ def test_without_common_time_there_is_no_error(truth, estimate):
 
 @pytest.mark.parametrize("key", ["alignment", "association"])
 def test_unknown_names_are_refused_with_the_known_ones(truth, key):
-    with pytest.raises(ValueError, match=r"use one of (none|interpolate), (se3|nearest)"):
+    with pytest.raises(ValueError, match=r"use one of (none|interpolate), (start-yaw|nearest)"):
         absolute_error(truth, truth, **{key: "wrong"})
 
 

@@ -18,7 +18,7 @@ def lines(axes, name):
 
 def test_every_plot_is_a_valid_image(pair, tmp_path):
     paths = write_plots(pair, tmp_path)
-    assert [path.name for path in paths] == ["plan_view.png", "view_3d.png", "errors.png"]
+    assert [path.name for path in paths] == ["plan_view.png", "view_3d.png", "errors.png", "nees.png"]
     for path in paths:
         picture = cv2.imread(str(path))
         assert min(picture.shape[:2]) > 400

@@ -69,7 +69,7 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
             inputs=[estimates, *fleet.replay.bags],
             name="demo",
             alignment="none",
-            root=args.results,
+            results=args.results,
             no_plots=args.no_plots,
         ),
         config=parameter_file({f"/{name}/**": config for name, config in fleet.vehicles.items()}),

@@ -19,7 +19,8 @@ EXAMPLES = """examples:
 
 Files of TUM, KITTI and EuRoC are told apart by their content. Truth and estimate must be poses of the same body frame
 (of the IMU, say). The table names what each ATE removes: nothing (unaligned), heading about the start (start yaw),
-heading and position (yaw+pos), rotation and position (SE3). NEES needs the covariance that results folders hold.
+the start's position too (start pose), heading and position (yaw+pos), rotation and position (SE3). NEES needs the
+covariance that results folders hold.
 
 Files and results folders: comparison.json and comparison.png go into a new folder below results/, and results/latest
 stays where it is. Bags: summary.json, trajectories and plots go into a new folder, to which results/latest leads. ATE
@@ -48,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", help="of the results (default: name of the first bag, or comparison)")
     parser.add_argument(
         "--alignment",
-        choices=["none", "start-yaw", "yaw", "se3"],
+        choices=["none", "start-yaw", "start-pose", "yaw", "se3"],
         default="none",
         help="of the estimates to the truth: in the plot of files and results folders, in all of a bag (default none)",
     )

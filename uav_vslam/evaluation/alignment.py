@@ -3,7 +3,8 @@
 
 Source of `se3`: Umeyama, "Least-squares estimation of transformation parameters between two point patterns" (1991),
 without scale. `yaw` is its restriction to the four directions that a visual-inertial system can't observe; `start-yaw`
-fits the heading alone, so that the error grows from zero as it does in flight.
+fits the heading alone, for an estimate whose start position is known in the frame of the ground truth; `start-pose`
+moves the start as well, so that the error grows from zero as it does in flight.
 """
 
 from collections.abc import Callable
@@ -37,6 +38,12 @@ def align_yaw(estimate: Array, truth: Array) -> Pose:
 
 
 def align_start_yaw(estimate: Array, truth: Array) -> Pose:
+    """Return the T_truth_estimate that rotates about z through the first position, which it keeps [m]."""
+    R = _best_yaw(estimate - estimate[0], truth - estimate[0])
+    return Pose(R, estimate[0] - R @ estimate[0])
+
+
+def align_start_pose(estimate: Array, truth: Array) -> Pose:
     """Return the T_truth_estimate that maps the first position to the true one, with the best rotation about z."""
     R = _best_yaw(estimate - estimate[0], truth - truth[0])
     return Pose(R, truth[0] - R @ estimate[0])
@@ -54,7 +61,8 @@ def _through_centres(R: Array, estimate: Array, truth: Array) -> Pose:
 
 ALIGNMENTS: dict[str, Callable[[Array, Array], Pose]] = {
     "none": align_none,
-    "se3": align_se3,
     "start-yaw": align_start_yaw,
+    "start-pose": align_start_pose,
     "yaw": align_yaw,
+    "se3": align_se3,
 }

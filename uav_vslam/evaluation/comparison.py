@@ -17,6 +17,7 @@ from uav_vslam.evaluation.alignment import ALIGNMENTS
 from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import MAX_GAP_S, pair_with_truth
 from uav_vslam.evaluation.plain import plain
+from uav_vslam.evaluation.scores import relative_scores
 from uav_vslam.evaluation.segments import SegmentError, default_lengths_m, distances_m, pooled, segment_errors
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
@@ -124,7 +125,9 @@ def _figures(run: PairedRun, lengths_m: Sequence[float]) -> Figures:
         "distance_m": float(run.flown_m[-1]),
         "ate_m": {name: error.ate_m for name, error in absolute.items() if error},
         "end_m": {name: error.end_m for name, error in absolute.items() if error},
+        "height_rms_m": absolute["none"].height_rms_m if absolute["none"] else None,
         "rotation_rms_deg": {name: math.degrees(error.rotation_rms_rad) for name, error in absolute.items() if error},
+        **relative_scores(run.estimate, run.truth),
         "rpe": _drift(pooled(errors)),
         "rpe_by_segment": [_drift(error) for error in errors],
         "nees_position": position.mean if position else None,

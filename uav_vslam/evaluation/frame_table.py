@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from uav_vslam.evaluation.consistency import nees
+from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.quality import HEADING, innovation_bands
 from uav_vslam.evaluation.result import VehicleResult
 from uav_vslam.types import NS_PER_S, FrameQuality
@@ -15,12 +17,13 @@ COUNTS = ("features", "tracked", "associated", "downweighted", "landmarks", "clo
 FLAGS = ("coasted", "relocalised", "restarted")
 SIGMAS = ("sigma_east_m", "sigma_north_m", "sigma_up_m", "sigma_heading_deg")  # claimed by S-SLAM
 NIS = ("nis", "dof", "nis_per_dof", "band_low", "band_high")  # empty for a frame without an update
-COLUMNS = ("stamp_ns", "time_s", *COUNTS, *FLAGS, *NIS, *SIGMAS, "alarms", "events")
+NEES = ("nees_position", "nees_rotation")  # over 3, of S-SLAM; empty without ground truth
+COLUMNS = ("stamp_ns", "time_s", *COUNTS, *FLAGS, *NIS, *SIGMAS, *NEES, "alarms", "events")
 
 
 def write_frames(vehicle: VehicleResult, path: Path) -> None:
     """Write the frames of a vehicle that were recorded."""
-    frames, sigmas = vehicle.frames or (), _sigmas(vehicle)
+    frames, sigmas, errors = vehicle.frames or (), _sigmas(vehicle), _nees(vehicle)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
@@ -34,6 +37,7 @@ def write_frames(vehicle: VehicleResult, path: Path) -> None:
                     *(int(getattr(frame, name)) for name in FLAGS),
                     *_innovation(frame),
                     *sigmas.get(frame.stamp_ns, [""] * len(SIGMAS)),
+                    *errors.get(frame.stamp_ns, [""] * len(NEES)),
                     "; ".join(alarms),
                     "; ".join(frame.events),
                 ]
@@ -56,3 +60,13 @@ def _sigmas(vehicle: VehicleResult) -> dict[int, list[str]]:
     sigma[:, 3] = np.degrees(sigma[:, 3])
     rows = zip(track.stamps_ns.tolist(), sigma, strict=True)
     return {stamp_ns: [f"{value:.6g}" for value in row] for stamp_ns, row in rows}
+
+
+def _nees(vehicle: VehicleResult) -> dict[int, list[str]]:
+    """Return the NEES of position and attitude as text by stamp."""
+    values = None if vehicle.truth is None else nees(vehicle.s_slam, vehicle.truth)
+    if vehicle.truth is None or values is None:
+        return {}
+    stamps_ns = pair_with_truth(vehicle.s_slam, vehicle.truth)[0].stamps_ns.tolist()
+    rows = zip(stamps_ns, values.position, values.rotation, strict=True)
+    return {stamp_ns: [f"{position:.6g}", f"{rotation:.6g}"] for stamp_ns, position, rotation in rows}

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drift per distance: relative errors over segments of the true path, which need no alignment.
+"""Relative errors over segments of the true path, which need no alignment: drift per distance, and by direction.
 
-As in the KITTI odometry benchmark (Geiger, Lenz, Urtasun 2012), the mean over segments of the error of the relative
-motion, per metre of the segment. Deviations: segments begin at every pose, end at the nearest pose instead of the next,
-and count only if their true length is within a tenth of the wanted one (`evo` pairs so, the tests' reference); they
-are divided by that true length.
+Drift (`segment_errors`): as in the KITTI odometry benchmark (Geiger, Lenz, Urtasun 2012), the mean over segments of
+the error of the relative motion, per metre of the segment. Deviations: segments begin at every pose, end at the nearest
+pose instead of the next, and count only if their true length is within a tenth of the wanted one (`evo` pairs so, the
+tests' reference); they are divided by that true length.
+
+By direction (`motion_error`), over the same segments: the error of the relative motion, as the toolbox of Zhang and
+Scaramuzza (2018) has it, in the axes of the true world: along and across the segment's true chord, and in height.
 """
 
 from collections.abc import Sequence
@@ -14,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.evaluation.trajectory_error import angles, motion
+from uav_vslam.evaluation.trajectory_error import angles, motion, rms
 
 Array = NDArray[np.float64]
 
@@ -37,6 +40,25 @@ class SegmentError:
     length_m: float
     translation: float
     rotation: float
+    segments: int
+
+
+@dataclass(frozen=True, slots=True)
+class MotionError:
+    """Root mean square errors of the motion over segments of one length; NaN without segments.
+
+    Attributes:
+        length_m: wanted length of the segments [m].
+        along_m, across_m, height_m: of the displacement: along the true one's horizontal part, to its left, up [m].
+        attitude_rad: angle of the relative rotation's error [rad].
+        segments: number of segments.
+    """
+
+    length_m: float
+    along_m: float
+    across_m: float
+    height_m: float
+    attitude_rad: float
     segments: int
 
 
@@ -67,6 +89,36 @@ def pooled(errors: Sequence[SegmentError]) -> SegmentError:
     values = [(error.length_m, error.translation, error.rotation) for error in counted]
     length_m, translation, rotation = np.average(values, axis=0, weights=segments).tolist()
     return SegmentError(length_m, translation, rotation, sum(segments))
+
+
+def motion_error(paired: Trajectory, truth: Trajectory, length_m: float) -> MotionError:
+    """Return the errors by direction over segments of one length.
+
+    Args:
+        paired, truth: the estimates and the true pose of each, from `pair_with_truth`; z is up in the truth.
+        length_m: length of the segments, positive [m].
+    """
+    first, second = _segments(distances_m(truth), length_m)
+    if len(first) == 0:
+        nan = float("nan")
+        return MotionError(length_m, nan, nan, nan, nan, 0)
+    R_moved, t_moved = motion(paired, first, second)
+    R_true, t_true = motion(truth, first, second)
+    error = np.einsum("nij,nj->ni", truth.rotations[first], t_moved - t_true)
+    along, across, height = _by_direction(error, truth.positions[second] - truth.positions[first]).T
+    attitude = angles(R_true.transpose(0, 2, 1) @ R_moved)
+    return MotionError(length_m, rms(along), rms(across), rms(height), rms(attitude), len(first))
+
+
+def _by_direction(errors: Array, moved: Array) -> Array:
+    """Return (N, 3) world vectors as parts along the horizontal motion, to its left, and up.
+
+    A motion with no horizontal part counts as one along x.
+    """
+    heading = np.arctan2(moved[:, 1], moved[:, 0])
+    c, s = np.cos(heading), np.sin(heading)
+    x, y, z = errors.T
+    return np.column_stack([c * x + s * y, c * y - s * x, z])
 
 
 def distances_m(truth: Trajectory) -> Array:

@@ -11,17 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import MAX_GAP_S
 from uav_vslam.evaluation.plain import plain
 from uav_vslam.evaluation.quality import claimed_figures, quality_figures
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
+from uav_vslam.evaluation.scores import ERROR_KEYS, NEES_KEYS, error_scores, track_scores
 from uav_vslam.evaluation.trajectory import Trajectory, interpolate
-from uav_vslam.evaluation.trajectory_error import absolute_error, relative_error
 
 Figures = dict[str, Any]
 
-RPE_DELTA_S = 5.0
 TRACKS = ("ins", "s_slam", "c_slam")
 
 
@@ -59,8 +57,9 @@ def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
         "frames_in": vehicle.frames_in,
         "frames_processed": vehicle.frames_processed,
         "closures": vehicle.closures,
-        "ins": _errors(ins, vehicle.truth, alignment) | claimed_figures(_ins_at_end(vehicle), distance_m),
-        "s_slam": _errors_and_nees(vehicle.s_slam, vehicle.truth, alignment)
+        "ins": error_scores(ins, vehicle.truth, alignment=alignment)
+        | claimed_figures(_ins_at_end(vehicle), distance_m),
+        "s_slam": track_scores(vehicle.s_slam, vehicle.truth, alignment=alignment)
         | claimed_figures(vehicle.s_slam, distance_m),
         "c_slam": _cooperative(vehicle, alignment, distance_m),
         "quality": quality_figures(vehicle),
@@ -86,33 +85,7 @@ def _cooperative(vehicle: VehicleResult, alignment: str, distance_m: float) -> F
     if vehicle.c_slam is None:
         return None
     common = vehicle.c_slam.select(np.isin(vehicle.c_slam.stamps_ns, vehicle.s_slam.stamps_ns))
-    return _errors_and_nees(common, vehicle.truth, alignment) | claimed_figures(common, distance_m)
-
-
-def _errors(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figures:
-    absolute = None if truth is None else absolute_error(track, truth, alignment=alignment)
-    relative = None if truth is None else relative_error(track, truth, delta=RPE_DELTA_S)
-    return {
-        "ate_m": absolute.ate_m if absolute else None,
-        "end_m": absolute.end_m if absolute else None,
-        "rpe_5s_m": relative.translation_rms_m if relative else None,
-        "rpe_5s_deg": math.degrees(relative.rotation_rms_rad) if relative else None,
-        "poses": absolute.pairs if absolute else len(track),
-    }
-
-
-def _errors_and_nees(track: Trajectory, truth: Trajectory | None, alignment: str) -> Figures:
-    values = nees(track, truth) if truth is not None and alignment == "none" else None  # P does not fit aligned errors
-    position = summarise(values.position) if values else None
-    rotation = summarise(values.rotation) if values else None
-    return {
-        **_errors(track, truth, alignment),
-        "nees_position": position.mean if position else None,
-        "nees_position_end": position.end if position else None,
-        "nees_rotation": rotation.mean if rotation else None,
-        "nees_rotation_end": rotation.end if rotation else None,
-        "nees_invalid": position.invalid if position else None,
-    }
+    return track_scores(common, vehicle.truth, alignment=alignment) | claimed_figures(common, distance_m)
 
 
 def _link(link: LinkCounters) -> Figures:
@@ -130,10 +103,8 @@ def _pool(figures: Iterable[Figures | None]) -> Figures | None:
     present = [figure for figure in figures if figure is not None]
     if not present:
         return None
-    pooled = {key: _pooled(present, key, _rms) for key in ("ate_m", "end_m", "sigma_end_m")}
-    if "nees_position" in present[0]:
-        pooled["nees_position"] = _pooled(present, "nees_position", _mean)
-    return pooled
+    pooled = {key: _pooled(present, key, _rms) for key in (*ERROR_KEYS, "sigma_end_m")}
+    return pooled | {key: _pooled(present, key, _mean) for key in NEES_KEYS if key in present[0]}
 
 
 def _pooled(figures: list[Figures], key: str, pool: Callable[[list[float]], float]) -> float | None:

@@ -27,6 +27,7 @@ class AbsoluteError:
         ate_m: root mean square of the distances [m].
         end_m: distance at the last pair [m].
         max_m: largest distance [m].
+        height_rms_m: root mean square of the errors of the height, z [m].
         rotation_rms_rad: root mean square of the angles [rad].
         pairs: number of estimates with ground truth.
         alignment, association: how frames and stamps were matched.
@@ -35,6 +36,7 @@ class AbsoluteError:
     ate_m: float
     end_m: float
     max_m: float
+    height_rms_m: float
     rotation_rms_rad: float
     pairs: int
     alignment: str
@@ -78,13 +80,15 @@ def absolute_error(
     if len(paired) == 0:
         return None
     T_truth_estimate = ALIGNMENTS[alignment](paired.positions, reference.positions)
-    distance = np.linalg.norm(T_truth_estimate.apply(paired.positions) - reference.positions, axis=1)
+    error = T_truth_estimate.apply(paired.positions) - reference.positions
+    distance = np.linalg.norm(error, axis=1)
     angle = angles(reference.rotations.transpose(0, 2, 1) @ T_truth_estimate.R @ paired.rotations)
     return AbsoluteError(
-        ate_m=_rms(distance),
+        ate_m=rms(distance),
         end_m=float(distance[-1]),
         max_m=float(distance.max()),
-        rotation_rms_rad=_rms(angle),
+        height_rms_m=rms(error[:, 2]),
+        rotation_rms_rad=rms(angle),
         pairs=len(paired),
         alignment=alignment,
         association=association,
@@ -114,8 +118,8 @@ def relative_error(
     R_moved, t_moved = motion(paired, first, second)
     R_true, t_true = motion(reference, first, second)
     return RelativeError(
-        translation_rms_m=_rms(np.linalg.norm(t_moved - t_true, axis=1)),  # R_true^T doesn't change a length
-        rotation_rms_rad=_rms(angles(R_true.transpose(0, 2, 1) @ R_moved)),
+        translation_rms_m=rms(np.linalg.norm(t_moved - t_true, axis=1)),  # R_true^T doesn't change a length
+        rotation_rms_rad=rms(angles(R_true.transpose(0, 2, 1) @ R_moved)),
         delta=delta,
         unit=unit,
         pairs=len(first),
@@ -152,5 +156,6 @@ def angles(R: Array) -> Array:
     return np.asarray(np.linalg.norm(so3_log(R), axis=-1))
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.comparison import PairedRun, aligned_positions
-from uav_vslam.report.comparison_table import ALIGNMENT_TITLES
+from uav_vslam.report.layout import ALIGNMENT_TITLES
 from uav_vslam.report.style import LINE_COLOURS, STYLES, clean, plain_log, save
 
 Array = NDArray[np.float64]

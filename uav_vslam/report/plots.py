@@ -6,6 +6,7 @@ from pathlib import Path
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.error_plot import error_plot
 from uav_vslam.report.landmark_view import landmark_view
+from uav_vslam.report.nees_plot import nees_plot
 from uav_vslam.report.quality_plot import quality_plot
 from uav_vslam.report.style import save
 from uav_vslam.report.views import plan_view, view_3d
@@ -14,6 +15,7 @@ DRAWINGS = {
     "plan_view.png": plan_view,
     "view_3d.png": view_3d,
     "errors.png": error_plot,
+    "nees.png": nees_plot,
     "quality.png": quality_plot,
     "landmarks.png": landmark_view,
 }

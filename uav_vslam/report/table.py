@@ -1,33 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight's results as a table for the terminal."""
-
-from typing import Any
+"""A flight's results as tables for the terminal."""
 
 from rich.console import Console
 from rich.table import Table
-from rich.text import Text
 
+from uav_vslam.evaluation.scores import ATE_KEYS
 from uav_vslam.evaluation.summary import TRACKS, Figures
+from uav_vslam.report.layout import NEES_TITLES, RELATIVE_TITLES, ate_title, figure_text, new_table, wide
 from uav_vslam.report.quality_lines import quality_lines
 
 NAMES = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
-ERRORS = {"ATE [m]": "ate_m", "End [m]": "end_m", "Position NEES": "nees_position"}
 CLAIMS = {
-    "1σ at end [m]": "sigma_end_m",
-    "per 100 m [m]": "sigma_per_100m_m",
-    "Heading 1σ [deg]": "sigma_heading_end_deg",
+    "1σ at\nend [m]": "sigma_end_m",
+    "per 100 m\n[m]": "sigma_per_100m_m",
+    "heading\n1σ [deg]": "sigma_heading_end_deg",
 }
-ABSENT = "–"
 
 
 def print_summary(summary: Figures, console: Console | None = None) -> None:
-    """Print the table of a `build_summary` result, and lines about each vehicle's radio link and quality."""
-    console = console or Console()
+    """Print the tables of a `build_summary` result, and lines about each vehicle's radio link and quality."""
+    console = wide(console)
     console.print(_title(summary), style="bold", markup=False, highlight=False, soft_wrap=True)
     console.print(summary_table(summary))
+    if is_scored(summary):
+        console.print(relative_table(summary))
     for name, vehicle in summary["vehicles"].items():
         for line in (link_line(name, vehicle), *(f"  {line}" for line in quality_lines(vehicle))):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def is_scored(summary: Figures) -> bool:
+    """Return whether there is ground truth."""
+    return any(pooled["ate_m"] is not None for pooled in summary["pooled"].values() if pooled)
 
 
 def summary_table(summary: Figures) -> Table:
@@ -35,15 +39,25 @@ def summary_table(summary: Figures) -> Table:
 
     Pooled rows come last, with ground truth only.
     """
-    scored = any(summary["pooled"][track]["ate_m"] is not None for track in TRACKS if summary["pooled"][track])
-    columns = {**ERRORS, "1σ at end [m]": CLAIMS["1σ at end [m]"]} if scored else CLAIMS
-    table = Table()
-    table.add_column("Vehicle")
-    table.add_column("Estimate")
-    for heading in columns:
-        table.add_column(Text(heading), justify="right")  # in a str, [m] would be markup
+    return _rows(summary, score_titles(summary["alignment"]) if is_scored(summary) else CLAIMS)
+
+
+def score_titles(alignment: str) -> dict[str, str]:
+    """Return the key of each column of scores, by its title."""
+    aligned = {ate_title(name): key for name, key in ATE_KEYS.items() if name != alignment}
+    errors = {"Height\n[m]": "height_rms_m", "End\n[m]": "end_m"}
+    return {ate_title(alignment): "ate_m"} | aligned | errors | NEES_TITLES | {"1σ at\nend [m]": "sigma_end_m"}
+
+
+def relative_table(summary: Figures) -> Table:
+    """Return the same rows with the relative errors, which are root mean squares over segments of the path."""
+    return _rows(summary, RELATIVE_TITLES)
+
+
+def _rows(summary: Figures, columns: dict[str, str]) -> Table:
+    table = new_table(("Vehicle", "Estimate"), columns)
     rows = dict(summary["vehicles"])
-    if scored and len(rows) > 1:
+    if is_scored(summary) and len(rows) > 1:
         rows["pooled"] = summary["pooled"]
     for name, tracks in rows.items():
         present = [track for track in TRACKS if tracks[track] is not None]
@@ -79,10 +93,3 @@ def _title(summary: Figures) -> str:
     if summary["alignment"] != "none":
         parts.append(f"aligned ({summary['alignment']})")
     return ", ".join(parts)
-
-
-def figure_text(value: Any) -> str:
-    """Return a number with three decimals, or one from 10 on; a dash for None."""
-    if value is None:
-        return ABSENT
-    return f"{value:.3f}" if abs(value) < 10 else f"{value:.1f}"

@@ -31,7 +31,7 @@ COLUMNS: dict[str, str] = {
     "reference": "timed alternately with it",
     # errors, root mean square over the runs
     "ate_rms_m": "position error over the flight",
-    "ate_yaw_aligned_rms_m": "the same, position and yaw of the start aligned",
+    "ate_yaw_aligned_rms_m": "the same after the best turn about the vertical and the best shift",
     "ate_mean_m": "mean of the runs' ATE",
     "ate_worst_m": "largest ATE of a run",
     "end_rms_m": "position error at the end",

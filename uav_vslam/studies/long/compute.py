@@ -29,7 +29,7 @@ NOTES = {
     "their ratio within each run, and of all these the median over the runs",
     "Memory": f"growth_mb is the process's memory after the last frame less that after frame {SPAN}, median "
     "over the runs; the study itself keeps a pose of each frame, about 1 kB",
-    "Alignment": "ate_yaw_aligned_rms_m aligns position and yaw of the start, which no landmark observes: the rest is "
+    "Alignment": "ate_yaw_aligned_rms_m removes the best yaw and shift, which no landmark observes: the rest is "
     "the drift that retention can prevent",
 }
 

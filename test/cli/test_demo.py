@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo from its start to the report, with the real node graph."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from uav_vslam.cli.main import main
+
+
+@pytest.mark.slow
+def test_the_demo_flies_both_vehicles_and_reports_on_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--results", str(tmp_path), "--no-plots"]) == 0
+    vehicles = json.loads((tmp_path / "latest" / "summary.json").read_text())["vehicles"]
+    assert {name: figures["frames_processed"] for name, figures in vehicles.items()} == {"uav1": 64, "uav2": 64}
+    assert all(figures["c_slam"]["ate_m"] < figures["ins"]["ate_m"] for figures in vehicles.values())
+    assert "start yaw" in capsys.readouterr().out
