@@ -54,6 +54,8 @@ def inverse_of_triangle(L: Array) -> Array:
 
     Nearly all of the work is then matrix products: half the time of LAPACK's dtrtri.
     """
+    if len(L) == 0:
+        return np.zeros((0, 0))
     if len(L) <= SMALL_TRIANGLE:
         return np.asarray(dtrtri(L, lower=1)[0])
     k = len(L) // 2
@@ -90,10 +92,18 @@ def submatrix(A: Array, rows: NDArray[np.int64], columns: NDArray[np.int64] | No
     return np.asarray(A.take(rows, 0).take(rows if columns is None else columns, 1))
 
 
-def marginalise_information(Y: Array, keep: NDArray[np.int64], drop: NDArray[np.int64], what: str) -> Array:
-    """Return the information over `keep`, Y_kk - Y_kd Y_dd^-1 Y_dk (Schur complement)."""
+def marginalise_information(
+    Y: Array, keep: NDArray[np.int64], drop: NDArray[np.int64], what: str
+) -> tuple[Array, float]:
+    """Marginalise by the Schur complement.
+
+    Returns:
+        The information over `keep`, Y_kk - Y_kd Y_dd^-1 Y_dk, and log det Y_dd.
+    """
     if len(drop) == 0:
-        return submatrix(Y, keep)
+        return submatrix(Y, keep), 0.0
     L = cholesky(submatrix(Y, drop), what)
     W = solve_triangular(L, submatrix(Y, drop, keep), lower=True, check_finite=False)
-    return np.asarray(submatrix(Y, keep) - W.T @ W)  # numpy's A^T A is symmetric to the last bit
+    Y_kept = submatrix(Y, keep)
+    Y_kept -= W.T @ W  # numpy's A^T A is symmetric to the last bit
+    return Y_kept, log_det_of(L)

@@ -22,10 +22,20 @@ from hypothesis.stateful import (
 from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.belief import Belief, Observation, Update, add_normal_equations, landmark_rows, state_rows
+from uav_vslam.estimation import information
+from uav_vslam.estimation.belief import (
+    Belief,
+    Marginals,
+    Observation,
+    Update,
+    add_normal_equations,
+    landmark_rows,
+    state_rows,
+)
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.estimation.square_root import SquareRootBelief
+from uav_vslam.numerics import cholesky
 
 Array = NDArray[np.float64]
 
@@ -106,6 +116,18 @@ def assert_holds(belief: Belief, dense: Dense) -> None:
     error = copy.copy(belief).covariance(NONE) - dense.P[:m, :m]
     np.testing.assert_allclose(error / np.outer(sigma, sigma)[:m, :m], 0.0, rtol=0, atol=SCALED)
     assert (belief.vehicle, belief.size) == (dense.vehicle, len(dense.P))
+
+
+def assert_marginals(found: Marginals, dense: Dense, landmarks: NDArray[np.int64]) -> None:
+    """Compare the marginals of the vehicle and some landmarks."""
+    sigma, m = np.sqrt(np.diag(dense.P)), dense.vehicle
+    own = landmark_rows(m, landmarks).reshape(-1, 3)
+    error = found.vehicle - dense.P[:m, :m]
+    np.testing.assert_allclose(error / np.outer(sigma[:m], sigma[:m]), 0.0, rtol=0, atol=SCALED)
+    error = found.cross - dense.P[:m, own].transpose(1, 0, 2)
+    np.testing.assert_allclose(error / (sigma[:m, None] * sigma[own][:, None, :]), 0.0, rtol=0, atol=SCALED)
+    error = found.landmarks - dense.P[own[:, :, None], own[:, None, :]]
+    np.testing.assert_allclose(error / (sigma[own][:, :, None] * sigma[own][:, None, :]), 0.0, rtol=0, atol=SCALED)
 
 
 def updated_like(belief: Belief, dense: Dense, observation: Observation) -> tuple[Belief, Dense]:
@@ -284,13 +306,7 @@ def test_marginals_are_the_blocks_of_the_covariance_in_the_requested_order(
     belief, dense = draw.belief(form, m, n)
     for _ in range(3):  # the information form caches the first and serves subsets from it
         chosen = draw.choice(n)
-        found = belief.marginals(chosen)
-        assert (found.cross.shape, found.landmarks.shape) == ((len(chosen), m, 3), (len(chosen), 3, 3))
-        np.testing.assert_allclose(found.vehicle, dense.P[:m, :m], rtol=SCALED, atol=1e-8)
-        for k, landmark in enumerate(chosen):
-            own = m + 3 * landmark + np.arange(3)
-            np.testing.assert_allclose(found.cross[k], dense.P[:m, own], rtol=SCALED, atol=1e-8)
-            np.testing.assert_allclose(found.landmarks[k], dense.P[np.ix_(own, own)], rtol=SCALED, atol=1e-8)
+        assert_marginals(belief.marginals(chosen), dense, chosen)
 
 
 @FEW
@@ -378,6 +394,34 @@ def test_operations_modify_neither_the_belief_nor_their_arguments(
         np.testing.assert_array_equal(now, then)
 
 
+def test_one_factor_of_the_whole_serves_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest landmarks leave view and are removed, new ones are added; none is needed that was out of use."""
+    draw, factorised = Draw(1), []
+
+    def counted(A: Array, what: str) -> Array:
+        factorised.append(len(A))
+        return cholesky(A, what)
+
+    monkeypatch.setattr(information, "cholesky", counted)
+    belief, dense = draw.belief(InformationBelief, 4, 8)
+    for frame in range(3):
+        in_view = np.arange(3, 8)
+        assert_marginals(belief.marginals(in_view), dense, in_view)
+        factorised.clear()
+        belief, dense = updated_like(belief, dense, draw.observation(dense, in_view))
+        steps = (
+            ("coordinates_changed", draw.chart_transport(dense)),
+            ("marginalised", (np.array([0, 2]),)),
+            ("appended", draw.fresh(dense, 2)),
+            ("predicted", draw.process(4)),
+        )
+        for name, arguments in steps:
+            belief, dense = getattr(belief, name)(*arguments), getattr(dense, name)(*arguments)
+        in_use = np.arange(1, 8)
+        assert_marginals(belief.marginals(in_use), dense, in_use)
+        assert [size for size in factorised if size > belief.size // 2] == [belief.size], frame
+
+
 def test_an_indefinite_matrix_is_rejected(form: type[Belief]) -> None:
     with pytest.raises(FilterDivergence, match="smallest eigenvalue -1"):
         form.from_covariance(np.diag([1.0, -1.0, 1.0]))
@@ -454,9 +498,7 @@ class Sequences(RuleBasedStateMachine):
         for belief in self.beliefs:
             error = belief.covariance(chosen) - self.dense.P[np.ix_(rows, rows)]
             np.testing.assert_allclose(error / np.outer(sigma, sigma), 0.0, rtol=0, atol=SCALED)
-            own = sigma[self.dense.vehicle :].reshape(-1, 3)
-            variance = np.diagonal(belief.marginals(chosen).landmarks, axis1=1, axis2=2)
-            np.testing.assert_allclose(variance / own**2, 1.0, rtol=0, atol=SCALED)
+            assert_marginals(belief.marginals(chosen), self.dense, chosen)
 
     @rule()
     def update(self) -> None:
@@ -466,10 +508,13 @@ class Sequences(RuleBasedStateMachine):
 
     @invariant()
     def all_hold_the_same(self) -> None:
+        every = np.arange(self.dense.landmarks)
         for belief in self.beliefs:
             assert_holds(belief, self.dense)
-        information = self.beliefs[0]
-        assert_holds(InformationBelief(information.Y, information.vehicle), self.dense)
+            for some in (every, every[-2:]):  # the information form may know the newest only
+                assert_marginals(copy.copy(belief).marginals(some), self.dense, some)
+        alone = self.beliefs[0]
+        assert_holds(InformationBelief(alone.Y, alone.vehicle), self.dense)
 
 
 def test_sequences_of_operations_agree_with_the_textbook() -> None:

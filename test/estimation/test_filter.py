@@ -267,7 +267,8 @@ def test_an_update_without_observations_changes_nothing(course, name: str, model
     f = course.flown(model, name)
     P, nav, landmarks = f.covariance(), f.nav, f.landmarks.copy()
     innovation = f.update(np.zeros(0, np.int64), np.zeros((0, 4)))
-    assert (innovation.nis, innovation.dof, innovation.log_likelihood) == (0.0, 0, 0.0)
+    assert (innovation.nis, innovation.dof) == (0.0, 0)
+    assert innovation.log_likelihood == pytest.approx(0.0, abs=1e-9)  # the difference of two factors' determinants
     assert innovation.accepted
     assert_same_covariance(f.covariance(), P, 1e-8)
     assert_same_mean(f, nav, landmarks, 1e-13)

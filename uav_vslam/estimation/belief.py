@@ -15,6 +15,8 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.numerics import symmetrise
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -57,14 +59,57 @@ class Marginals:
 
     @classmethod
     def of_factor(cls, G_vehicle: Array, G_landmarks: Array) -> "Marginals":
-        """Return G G^T for the rows of the vehicle (vehicle, k) and of the landmarks (M, 3, k)."""
-        cross = (G_vehicle @ G_landmarks.reshape(-1, G_vehicle.shape[1]).T).reshape(len(G_vehicle), -1, 3)
+        """Return G G^T.
+
+        Args:
+            G_vehicle: (vehicle, k) rows of G.
+            G_landmarks: (M, 3, j <= k) rows of G, whose first k - j columns are zero.
+        """
+        count, _, k = G_landmarks.shape
+        shared = G_vehicle[:, G_vehicle.shape[1] - k :]
+        cross = (shared @ G_landmarks.reshape(3 * count, k).T).reshape(len(shared), count, 3)
         own = np.einsum("mik,mjk->mij", G_landmarks, G_landmarks)
         return cls(G_vehicle @ G_vehicle.T, cross.transpose(1, 0, 2), own)
 
     def chosen(self, landmarks: Indices) -> "Marginals":
         """Return the marginals of some of the M landmarks."""
         return Marginals(self.vehicle.copy(), self.cross[landmarks], self.landmarks[landmarks])
+
+    def predicted(self, F: Array, Q: Array) -> "Marginals":
+        """Return those after `Belief.predicted`."""
+        return Marginals(symmetrise(F @ self.vehicle @ F.T + Q), F @ self.cross, self.landmarks)
+
+    def reset_rows(self, rows: Indices, variance: float) -> "Marginals":
+        """Return those after `Belief.reset_rows`."""
+        vehicle, cross = self.vehicle.copy(), self.cross.copy()
+        vehicle[rows], vehicle[:, rows], cross[:, rows] = 0.0, 0.0, 0.0
+        vehicle[rows, rows] = variance
+        return Marginals(vehicle, cross, self.landmarks)
+
+    def appended(self, H_vehicle: Array, H_landmark: Array) -> "Marginals":
+        """Return those after `Belief.appended`: the new landmarks' errors are A e_vehicle + H_landmark^-1 noise."""
+        Hl_inv = np.linalg.inv(H_landmark)
+        A = -Hl_inv @ H_vehicle
+        cross = self.vehicle @ A.transpose(0, 2, 1)
+        own = A @ cross + Hl_inv @ Hl_inv.transpose(0, 2, 1)
+        return Marginals(
+            self.vehicle, np.concatenate([self.cross, cross]), np.concatenate([self.landmarks, symmetrise(own)])
+        )
+
+    def coordinates_changed(self, B_vehicle: Array, B_landmarks: Array, columns: slice) -> "Marginals":
+        """Return those after `Belief.coordinates_changed`, e <- e - B e_columns.
+
+        Args:
+            B_vehicle: (vehicle, 3) and B_landmarks (M, 3, 3), the rows of B.
+            columns: those of the vehicle that B refers to.
+        """
+        B_T = B_landmarks.transpose(0, 2, 1)
+        pulled = B_landmarks @ self.cross[:, columns]
+        own = self.landmarks - pulled - pulled.transpose(0, 2, 1) + B_landmarks @ self.vehicle[columns, columns] @ B_T
+        cross = self.cross - self.vehicle[:, columns] @ B_T
+        vehicle = self.vehicle - B_vehicle @ self.vehicle[columns]
+        vehicle = vehicle - vehicle[:, columns] @ B_vehicle.T
+        return Marginals(vehicle, cross - B_vehicle @ cross[:, columns], own)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The information form: Eq. (4.5.1) to (4.5.8) of [thesis], without inverting the full matrix.
+"""The information form: Eq. (4.5.1) to (4.5.8) of [thesis], with one Cholesky factor a frame.
 
-Observations concern the few landmarks in view. The others are eliminated once a frame (Schur complement by a Cholesky
-factor); gate, update and the vehicle's covariance all use this *active* marginal (a) without the rest (r):
+An update factorises the posterior, Y = L L^T. The correction follows from the factor, and so do the marginals that the
+next gate needs: P = G G^T with G = L^-T. Until the next update all operations carry the marginals on in closed form.
 
-    [Y_rr  Y_ra] [e_r]          Y_active = Y_aa - W^T W,   W = L^-1 Y_ra,   Y_rr = L L^T
-    [Y_ar  Y_aa] [e_a]          delta_r = -L^-T W delta_a
-
-An update adds to Y_aa only, so the elimination stays valid.
+Landmarks are in the order of their first observation, so those in view are mostly the last rows. The trailing columns
+of L^-1 are the inverse of the trailing triangle of L: nothing is inverted for older landmarks, out of view.
 """
 
 from dataclasses import dataclass
@@ -31,50 +29,42 @@ from uav_vslam.numerics import (
     cholesky,
     inverse_from_cholesky,
     inverse_of_triangle,
-    inverse_spd,
     log_det_of,
     marginalise_information,
     square_root,
-    submatrix,
     symmetrise,
 )
 
 Array = NDArray[np.float64]
 
 
-@dataclass(slots=True)
-class _ActiveMarginal:
-    """The marginal over the vehicle and the active landmarks.
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What one factor of Y tells.
 
     Attributes:
-        landmarks: (K,) active ones.
-        rows, rest: rows of the active states and of all others.
-        L: factor of the rest's information, W: (rest, active) as above.
-        Y: (vehicle + 3K, ...) marginal information.
-        factor: lower Cholesky factor of Y.
-        marginals: cached.
+        log_det: log det Y.
+        first: index of the oldest landmark with known marginals.
+        marginals: of the landmarks from `first` on.
     """
 
-    landmarks: Indices
-    rows: Indices
-    rest: Indices
-    L: Array
-    W: Array
-    Y: Array
-    factor: Array
-    marginals: Marginals | None = None
+    log_det: float
+    first: int
+    marginals: Marginals
+
+    def then(self, marginals: Marginals, log_det: float = 0.0, *, gone: int = 0) -> Self:
+        """Return what is known after log det Y has changed by `log_det` and `gone` older landmarks were removed."""
+        return type(self)(self.log_det + log_det, self.first - gone, marginals)
 
 
 class InformationBelief:
-    """Holds `Y`; an update is a sum, cubic in the landmarks in view rather than in the whole map.
+    """Holds `Y`; an update is a sum. Its factor and what is known from it are caches: `Y` alone is the belief."""
 
-    The active marginal and the vehicle's covariance are caches: `Y` alone is the belief.
-    """
-
-    def __init__(self, Y: Array, vehicle: int, P_vehicle: Array | None = None) -> None:
+    def __init__(self, Y: Array, vehicle: int, known: _Known | None = None) -> None:
         self.Y, self.vehicle = Y, vehicle
-        self._active: _ActiveMarginal | None = None
-        self._P_vehicle = P_vehicle
+        self._factor: Array | None = None
+        self._known = known
+        self._first_in_use = 0 if known is None else known.first  # oldest landmark asked for
 
     @property
     def size(self) -> int:
@@ -82,27 +72,25 @@ class InformationBelief:
 
     @classmethod
     def from_covariance(cls, P: Array) -> Self:
-        return cls(inverse_spd(P, "initial covariance"), len(P), P.copy())
+        L, m = cholesky(P, "initial covariance"), len(P)
+        alone = Marginals(P.copy(), np.zeros((0, m, 3)), np.zeros((0, 3, 3)))
+        return cls(inverse_from_cholesky(L), m, _Known(-log_det_of(L), 0, alone))
 
     def covariance(self, landmarks: Indices) -> Array:
         if len(landmarks) == 0:
-            if self._P_vehicle is None:
-                self._P_vehicle = _vehicle_covariance(self._active_marginal(landmarks).factor, self.vehicle)
-            self._P_vehicle.flags.writeable = False
-            return self._P_vehicle
-        active = self._active_marginal(landmarks)
-        return submatrix(inverse_from_cholesky(active.factor), state_rows(self.vehicle, _places(active, landmarks)))
+            return self.marginals(landmarks).vehicle
+        G = inverse_of_triangle(self._cholesky()).T[state_rows(self.vehicle, landmarks)]
+        return np.asarray(G @ G.T)
 
     def marginals(self, landmarks: Indices) -> Marginals:
-        active = self._active_marginal(landmarks)
-        if active.marginals is None:
-            G = inverse_of_triangle(active.factor).T
-            active.marginals = Marginals.of_factor(G[: self.vehicle], G[self.vehicle :].reshape(-1, 3, len(G)))
-        return active.marginals.chosen(_places(active, landmarks))
+        if len(landmarks):
+            self._first_in_use = int(landmarks.min())
+        known = self._known_from(self._first_in_use)
+        return known.marginals.chosen(landmarks - known.first)
 
     def information(self, rows: Indices) -> Array:
         rest = np.delete(np.arange(self.size), rows)
-        return marginalise_information(self.Y, rows, rest, "information")
+        return marginalise_information(self.Y, rows, rest, "information")[0]
 
     def predicted(self, F: Array, Q: Array) -> Self:
         """Apply the matrix inversion lemma to the vehicle; Q = B B^T may be singular and is not inverted.
@@ -119,15 +107,18 @@ class InformationBelief:
         lost = solve_triangular(L, YB.T, lower=True, check_finite=False)
         Y = dgemm(-1.0, lost, lost, 1.0, Y.T, trans_a=True, overwrite_c=True).T  # Y -= lost^T lost, in place
         Y[:m, :m] = symmetrise(Y[:m, :m])
-        P_vehicle = None if self._P_vehicle is None else symmetrise(F @ self._P_vehicle @ F.T + Q)
-        return type(self)(Y, m, P_vehicle)
+        log_det = -2.0 * float(np.linalg.slogdet(F)[1]) - log_det_of(L)
+        known = self._carried()
+        return type(self)(Y, m, known and known.then(known.marginals.predicted(F, Q), log_det))
 
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         keep = np.delete(np.arange(self.size), rows)
         Y = np.zeros_like(self.Y)
-        Y[np.ix_(keep, keep)] = marginalise_information(self.Y, keep, rows, "information of reset rows")
+        Y[np.ix_(keep, keep)], log_det = marginalise_information(self.Y, keep, rows, "information of reset rows")
         Y[rows, rows] = 1.0 / variance
-        return type(self)(Y, self.vehicle)
+        log_det += len(rows) * float(np.log(variance))
+        known = self._carried()
+        return type(self)(Y, self.vehicle, known and known.then(known.marginals.reset_rows(rows, variance), -log_det))
 
     def information_removed(self, B: Array) -> Self:
         Y = self.Y.copy()
@@ -136,21 +127,14 @@ class InformationBelief:
 
     def updated(self, observation: Observation) -> Update:
         """Y <- Y + H^T H, delta = Y^-1 H^T nu."""
-        active = self._active_marginal(observation.landmarks)
-        Y_active = active.Y.copy()
-        i = add_normal_equations(Y_active, observation, _places(active, observation.landmarks))
-        factor = cholesky(Y_active, "information in view")
-        delta = np.zeros(self.size)
-        delta[active.rows] = cho_solve((factor, True), i, check_finite=False)
-        Y = Y_active
-        if len(active.rest) or not np.array_equal(active.rows, np.arange(self.size)):
-            pulled = active.W @ delta[active.rows]
-            delta[active.rest] = -solve_triangular(active.L, pulled, lower=True, trans="T", check_finite=False)
-            Y = self.Y.copy()
-            add_normal_equations(Y, observation, observation.landmarks)
-        nis = float(np.sum(observation.nu**2) - i @ delta[active.rows])
-        log_det = log_det_of(factor) - log_det_of(active.factor)
-        after = type(self)(Y, self.vehicle, _vehicle_covariance(factor, self.vehicle))
+        Y = self.Y.copy()
+        i = add_normal_equations(Y, observation, observation.landmarks)
+        factor = cholesky(Y, "information")
+        delta = cho_solve((factor, True), i, check_finite=False)
+        nis = float(np.sum(observation.nu**2) - i @ delta)
+        log_det = log_det_of(factor) - self._log_det()
+        after = type(self)(Y, self.vehicle)
+        after._factor, after._first_in_use = factor, self._first_in_use
         return Update(after, delta, nis, log_det)
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
@@ -159,13 +143,22 @@ class InformationBelief:
         Y = np.zeros((n + 3 * count,) * 2)
         Y[:n, :n] = self.Y
         add_normal_equations(Y, Observation(fresh, H_vehicle, H_landmark, np.zeros(H_vehicle.shape[:2])), fresh)
-        return type(self)(Y, self.vehicle, self._P_vehicle)
+        log_det = 2.0 * float(np.linalg.slogdet(H_landmark)[1].sum())
+        known = self._carried()
+        return type(self)(
+            Y, self.vehicle, known and known.then(known.marginals.appended(H_vehicle, H_landmark), log_det)
+        )
 
     def marginalised(self, landmarks: Indices) -> Self:
         gone = landmark_rows(self.vehicle, landmarks)
         keep = np.delete(np.arange(self.size), gone)
-        Y = marginalise_information(self.Y, keep, gone, "information of marginalised landmarks")
-        return type(self)(Y, self.vehicle, self._P_vehicle)
+        Y, log_det = marginalise_information(self.Y, keep, gone, "information of marginalised landmarks")
+        known = self._carried()
+        if known is not None:
+            older = landmarks < known.first
+            left = np.delete(np.arange(len(known.marginals.landmarks)), landmarks[~older] - known.first)
+            known = known.then(known.marginals.chosen(left), -log_det, gone=int(older.sum()))
+        return type(self)(Y, self.vehicle, known)
 
     def coordinates_changed(self, B: Array, columns: slice) -> Self:
         """Y <- T^-T Y T^-1 with T^-1 = I + B E^T."""
@@ -174,38 +167,32 @@ class InformationBelief:
         Y[:, columns] += YB
         Y[columns, :] += YB.T
         Y[columns, columns] += B.T @ YB
-        P = self._P_vehicle
-        if P is not None:
-            P = P - B[: self.vehicle] @ P[columns]
-            P = P - P[:, columns] @ B[: self.vehicle].T
-        return type(self)(Y, self.vehicle, P)
+        known = self._carried()
+        if known is not None:
+            m = self.vehicle
+            B_landmarks = B[m + 3 * known.first :].reshape(-1, 3, 3)
+            known = known.then(known.marginals.coordinates_changed(B[:m], B_landmarks, columns))  # det T = 1
+        return type(self)(Y, self.vehicle, known)
 
-    def _active_marginal(self, landmarks: Indices) -> _ActiveMarginal:
-        """Return a marginal that contains the landmarks; the cached one if it does."""
-        if self._active is None or not np.isin(landmarks, self._active.landmarks).all():
-            self._active = self._eliminated(landmarks)
-        return self._active
+    def _cholesky(self) -> Array:
+        if self._factor is None:
+            self._factor = cholesky(self.Y, "information")
+        return self._factor
 
-    def _eliminated(self, landmarks: Indices) -> _ActiveMarginal:
-        rows = state_rows(self.vehicle, landmarks)
-        rest = np.delete(np.arange(self.size), rows)
-        whole = np.array_equal(rows, np.arange(self.size))
-        Y = self.Y if whole else submatrix(self.Y, rows)
-        L, W = np.zeros((0, 0)), np.zeros((0, len(rows)))
-        if len(rest):
-            L = cholesky(submatrix(self.Y, rest), "information out of view")
-            W = solve_triangular(L, submatrix(self.Y, rest, rows), lower=True, check_finite=False)
-            Y -= W.T @ W
-        return _ActiveMarginal(landmarks, rows, rest, L, W, Y, cholesky(Y, "information"))
+    def _log_det(self) -> float:
+        return log_det_of(self._cholesky()) if self._known is None else self._known.log_det
 
+    def _carried(self) -> _Known | None:
+        """Return what is known for the next belief; nothing if it would take another factor."""
+        if self._factor is not None:
+            self._known_from(self._first_in_use)
+        return self._known
 
-def _places(active: _ActiveMarginal, landmarks: Indices) -> Indices:
-    """Return the indices of landmarks within a marginal."""
-    order = np.argsort(active.landmarks, kind="stable")
-    return np.asarray(order[np.searchsorted(active.landmarks, landmarks, sorter=order)], dtype=np.int64)
-
-
-def _vehicle_covariance(factor: Array, vehicle: int) -> Array:
-    """Return the leading block of (L L^T)^-1."""
-    columns = solve_triangular(factor, np.eye(len(factor), vehicle), lower=True, check_finite=False)
-    return np.asarray(columns.T @ columns)
+    def _known_from(self, first: int) -> _Known:
+        """Return what is known, with the marginals of the landmarks from `first` on."""
+        if self._known is None or first < self._known.first:
+            L, row = self._cholesky(), self.vehicle + 3 * first
+            G_vehicle = solve_triangular(L, np.eye(self.size, self.vehicle), lower=True, check_finite=False).T
+            G_landmarks = inverse_of_triangle(L[row:, row:]).T.reshape((self.size - row) // 3, 3, self.size - row)
+            self._known = _Known(log_det_of(L), first, Marginals.of_factor(G_vehicle, G_landmarks))
+        return self._known
