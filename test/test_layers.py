@@ -32,6 +32,7 @@ ALLOWED: dict[str, set[str]] = {
     "cooperation": EARLY | {"estimation", "vision", "association", "slam"},
     "pipeline": ESTIMATOR,
     "fleet": ESTIMATOR | {"pipeline"},
+    "smoothing": EARLY | {"ins", "estimation", "slam"},  # a finished flight; the estimator does not know it
     # the side branches
     "simulation": EARLY | {"datasets"},  # a simulated flight is recorded as a bag
     "evaluation": EARLY | {"estimation"},
@@ -224,6 +225,7 @@ CORE = (
 CORE += (
     "pipeline",
     "fleet",
+    "smoothing",
     "simulation",
     "datasets",
     "inspection",

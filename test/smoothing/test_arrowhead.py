@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The block recursions against dense linear algebra."""
+
+import numpy as np
+import pytest
+
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.smoothing.arrowhead import Arrowhead, factorise, marginal_covariances
+
+TOLERANCE = 1e-10  # rounding, at a condition number of some thousand
+
+
+def filled(blocks: int, size: int, border: int, rng: np.random.Generator) -> tuple[Arrowhead, np.ndarray, np.ndarray]:
+    """Return a random system and the same as dense H and g."""
+    system = Arrowhead.zeros(blocks, size, border)
+    chain, total = blocks * size, blocks * size + border
+    H = np.zeros((total, total))
+    for k in range(blocks):
+        rows = np.r_[k * size : min(k + 2, blocks) * size, chain:total]
+        J = rng.normal(size=(3 * len(rows), len(rows)))
+        H[np.ix_(rows, rows)] += J.T @ J
+    g = rng.normal(size=total)
+    for k in range(blocks):
+        here = slice(k * size, (k + 1) * size)
+        system.diagonal[k], system.coupling[k], system.rhs[k] = H[here, here], H[here, chain:], g[here]
+        if k + 1 < blocks:
+            system.below[k] = H[(k + 1) * size : (k + 2) * size, here]
+    system.border[:], system.border_rhs[:] = H[chain:, chain:], g[chain:]
+    return system, H, g
+
+
+@pytest.mark.parametrize(("blocks", "border"), [(1, 0), (1, 4), (2, 0), (5, 0), (5, 4)])
+def test_solution_and_marginals_equal_those_of_the_dense_system(blocks: int, border: int) -> None:
+    size, rng = 6, np.random.default_rng(blocks + 10 * border)
+    system, H, g = filled(blocks, size, border, rng)
+    factor = factorise(system)
+    x, P = np.linalg.solve(H, g), np.linalg.inv(H)
+    chain = blocks * size
+    assert np.allclose(factor.solution.ravel(), x[:chain], rtol=0, atol=TOLERANCE * np.abs(x).max())
+    assert np.allclose(factor.border_solution, x[chain:], rtol=0, atol=TOLERANCE * np.abs(x).max())
+    assert np.allclose(factor.border_covariance, P[chain:, chain:], rtol=0, atol=TOLERANCE * P.max())
+    for k, marginal in enumerate(marginal_covariances(factor)):
+        here = slice(k * size, (k + 1) * size)
+        assert np.allclose(marginal, P[here, here], rtol=0, atol=TOLERANCE * P.max())
+
+
+def test_the_system_is_not_modified() -> None:
+    system, _, _ = filled(3, 4, 2, np.random.default_rng(1))
+    before = [system.diagonal.copy(), system.coupling.copy(), system.border.copy(), system.border_rhs.copy()]
+    marginal_covariances(factorise(system))
+    after = [system.diagonal, system.coupling, system.border, system.border_rhs]
+    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+def test_an_indefinite_system_names_its_block() -> None:
+    system, _, _ = filled(3, 4, 0, np.random.default_rng(2))
+    system.diagonal[1] -= 1e6 * np.eye(4)
+    with pytest.raises(FilterDivergence, match="block 1 of 3"):
+        factorise(system)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The smoother is the optimum of the measurements, with an honest covariance."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import VehicleConfig, load_vehicle
+from uav_vslam.evaluation.consistency import chi_square_band, nees
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.geometry.rotation import so3_log
+from uav_vslam.ins.propagation import propagate, transition
+from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
+from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
+from uav_vslam.smoothing.flight import FilteredFlight, FilteredFrame
+from uav_vslam.smoothing.smoother import SETTLED, Smoothed, smooth
+from uav_vslam.studies.engine.flights import true_trajectory
+from uav_vslam.studies.engine.own_only import dead_reckon
+from uav_vslam.studies.engine.smoothers import batch_optimum
+from uav_vslam.types import StereoFeatures
+
+FRAMES = 25
+PER_FRAME = 20
+SAME_SIGMA = 0.01  # GTSAM integrates the noise of the motion otherwise
+SIGMA_TOLERANCE = 0.05  # of a median over some 100 points
+Seen = list[tuple[StereoFeatures, np.ndarray]]
+
+
+@functools.cache
+def simulated(seed: int) -> tuple[SimulatedVehicle, Seen]:
+    vehicle = simulate_vehicle(Scenario(vehicles=1, frames=FRAMES, seed=seed), 0)
+    return vehicle, list(observe(vehicle, scatter_landmarks([vehicle], per_frame=PER_FRAME), noise=LandmarkNoise()))
+
+
+def config_of(vehicle: SimulatedVehicle) -> VehicleConfig:
+    return dataclasses.replace(load_vehicle(None), imu=vehicle.scenario.imu_config)
+
+
+def dead_reckoned(vehicle: SimulatedVehicle, seen: Seen) -> FilteredFlight:
+    """Return a flight whose landmarks are the simulated ones, to be smoothed from dead reckoning."""
+    imu, state = vehicle.scenario.imu_config, vehicle.initial.state
+    increments, _ = dead_reckon(vehicle.initial, imu, vehicle.imu.samples(), vehicle.frame_stamps_ns.tolist())
+    frames = []
+    for (features, identities), increment in zip(seen, increments, strict=True):
+        state = state if increment is None else propagate(state, increment, gravity=imu.gravity)
+        known = np.flatnonzero(identities >= 0)
+        frames.append(FilteredFrame(state, increment, features, np.column_stack([identities[known] + 1, known])))
+    return FilteredFlight.of(vehicle.initial, frames)
+
+
+def smoothed(vehicle: SimulatedVehicle, seen: Seen) -> Smoothed:
+    return smooth(dead_reckoned(vehicle, seen), vehicle.rig, config_of(vehicle))
+
+
+def trajectory(result: Smoothed) -> Trajectory:
+    return Trajectory.from_estimates([estimate.pose for estimate in result.estimates])
+
+
+def test_it_equals_the_batch_optimum_of_gtsam() -> None:
+    vehicle, seen = simulated(1)
+    found = smoothed(vehicle, seen)
+    optimum = batch_optimum(
+        vehicle.initial,
+        seen,
+        vehicle.imu.samples(),
+        rig=vehicle.rig,
+        imu=vehicle.scenario.imu_config,
+        sigma_px=found.noise.white_px,
+    )
+    assert found.dropped == 0
+    ours = trajectory(found)
+    sigma = np.sqrt(np.diagonal(optimum.covariance, axis1=1, axis2=2))
+    apart = np.hstack(
+        [ours.positions - optimum.positions, so3_log(ours.rotations @ optimum.rotations.transpose(0, 2, 1))]
+    )
+    ratio = np.sqrt(np.diagonal(ours.covariance, axis1=1, axis2=2)) / sigma
+    assert np.abs(apart / sigma).max() < SETTLED
+    assert np.abs(ratio - 1.0).max() < SAME_SIGMA
+    assert found.noise.white_px == pytest.approx(1.0, abs=SIGMA_TOLERANCE)  # the simulation's
+
+
+def test_a_track_that_jumps_does_not_move_the_flight() -> None:
+    vehicle, seen = simulated(1)
+    clean = trajectory(smoothed(vehicle, seen))
+    jumping = int(np.bincount(seen[3][1]).argmax())
+    spoiled = [(_moved(features, ids == jumping, 15.0 * (k > 4)), ids) for k, (features, ids) in enumerate(seen)]
+    found = smoothed(vehicle, spoiled)
+    assert found.dropped == 1
+    sigma = np.sqrt(np.diagonal(clean.covariance, axis1=1, axis2=2))
+    assert (np.abs(trajectory(found).positions - clean.positions) < 0.5 * sigma[:, :3]).all()
+
+
+def _moved(features: StereoFeatures, rows: np.ndarray, shift_px: float) -> StereoFeatures:
+    pixels = features.pixels + np.float32(shift_px) * rows[:, None] * np.array([1.0, 0.3, 1.0, 0.3], np.float32)
+    return dataclasses.replace(features, pixels=pixels)
+
+
+def test_a_landmark_seen_again_ties_the_end_to_the_start() -> None:
+    vehicle, seen = simulated_circuit()
+    closed = smoothed(vehicle, seen)
+    half = len(seen) // 2
+    again = [(features, ids if k < half else ids + 100_000) for k, (features, ids) in enumerate(seen)]
+    opened = smoothed(vehicle, again)
+    assert opened.landmarks == 0 < closed.landmarks
+    truth = true_trajectory(vehicle)
+    end_open, end_closed = (abs_end(trajectory(result), truth) for result in (opened, closed))
+    claimed_open, claimed_closed = (result.estimates[-1].covariance[:3, :3].trace() for result in (opened, closed))
+    assert end_closed < 0.5 * end_open
+    assert claimed_closed < 0.25 * claimed_open
+    scores = nees(trajectory(closed), truth)
+    assert scores.position[-1] < chi_square_band(1, probability=0.999)[1]
+
+
+@functools.cache
+def simulated_circuit() -> tuple[SimulatedVehicle, Seen]:
+    """Return a circuit flown twice, seen so rarely that half of it is soon smoothed."""
+    vehicle = simulate_vehicle(Scenario(vehicles=1, frames=164, frame_rate_hz=1.5, pattern="circuit", seed=3), 0)
+    return vehicle, list(observe(vehicle, scatter_landmarks([vehicle], per_frame=PER_FRAME), noise=LandmarkNoise()))
+
+
+def abs_end(found: Trajectory, truth: Trajectory) -> float:
+    return float(np.linalg.norm(found.positions[-1] - truth.positions[-1]))
+
+
+def test_equal_flights_give_equal_bytes() -> None:
+    vehicle, seen = simulated(2)
+    first, second = trajectory(smoothed(vehicle, seen)), trajectory(smoothed(vehicle, seen))
+    assert first.positions.tobytes() == second.positions.tobytes()
+    assert first.covariance.tobytes() == second.covariance.tobytes()
+
+
+def test_without_features_it_is_dead_reckoning_with_its_covariance() -> None:
+    vehicle, seen = simulated(1)
+    flight = dead_reckoned(vehicle, [(StereoFeatures.empty(features.stamp_ns), ids[:0]) for features, ids in seen])
+    found = smooth(flight, vehicle.rig, config_of(vehicle))
+    P, imu, state = vehicle.initial.covariance, vehicle.scenario.imu_config, vehicle.initial.state
+    for frame, estimate in zip(flight.frames, found.estimates, strict=True):
+        if frame.increment is not None:
+            F, Q = transition(state, frame.increment, imu)
+            P = F @ P @ F.T + Q
+        state = frame.state
+        assert np.allclose(estimate.state.T_map_body.t, state.T_map_body.t, rtol=0, atol=1e-6)
+        scale = np.sqrt(np.outer(np.diagonal(P), np.diagonal(P)))
+        assert np.abs((estimate.covariance - P) / scale).max() < 1e-6
+
+
+def test_the_flight_is_consistent_over_seeds() -> None:
+    seeds = range(201, 221)
+    first, last = [], []
+    for seed in seeds:
+        vehicle, seen = simulated(seed)
+        scores = nees(trajectory(smoothed(vehicle, seen)), true_trajectory(vehicle))
+        first.append([scores.position[10], scores.rotation[10]])
+        last.append([scores.position[-1], scores.rotation[-1]])
+    low, high = chi_square_band(len(seeds), probability=0.999)
+    for values in (*np.transpose(first), *np.transpose(last)):
+        assert low < np.mean(values) < high

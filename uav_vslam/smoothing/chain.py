@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The states of a flight and the measured motion between them as least squares.
+
+The error of a state is that of `NavEstimate`: position, velocity, rotation xi (R_true = Exp(xi) R) and biases, all in
+the map frame. The motion between neighbours has the transition F and noise Q of the filter, `ins.propagation`: with the
+residual r = x[k+1] - f(x[k]), the term is |L^-1 (r + d[k+1] - F d[k])|^2 with L L^T = Q.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp, so3_log
+from uav_vslam.ins.propagation import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    NAV_DIM,
+    POSITION,
+    ROTATION,
+    VELOCITY,
+    propagate,
+    transition,
+)
+from uav_vslam.numerics import cholesky
+from uav_vslam.smoothing.arrowhead import Arrowhead
+from uav_vslam.types import ImuIncrement, NavEstimate, NavState
+
+Array = NDArray[np.float64]
+
+
+def moved(states: Sequence[NavState], step: Array) -> list[NavState]:
+    """Return the states after corrections (N, 15)."""
+    return [
+        dataclasses.replace(
+            state,
+            T_map_body=Pose(so3_exp(d[ROTATION]) @ state.T_map_body.R, state.T_map_body.t + d[POSITION]),
+            v_map=state.v_map + d[VELOCITY],
+            gyro_bias=state.gyro_bias + d[GYRO_BIAS],
+            accel_bias=state.accel_bias + d[ACCEL_BIAS],
+        )
+        for state, d in zip(states, step, strict=True)
+    ]
+
+
+def between(state: NavState, state_to: NavState) -> Array:
+    """Return the (15,) correction that moves `state` to `state_to`."""
+    return np.concatenate(
+        [
+            state_to.T_map_body.t - state.T_map_body.t,
+            state_to.v_map - state.v_map,
+            so3_log(state_to.T_map_body.R @ state.T_map_body.R.T),
+            state_to.gyro_bias - state.gyro_bias,
+            state_to.accel_bias - state.accel_bias,
+        ]
+    )
+
+
+def add_start(system: Arrowhead, start: NavEstimate, state: NavState) -> float:
+    """Add the prior of the first state; return its cost |L^-1 r|^2."""
+    whiten = _whitening(start.covariance, "covariance of the start state")
+    first = slice(0, NAV_DIM)
+    residual = whiten @ between(state, start.state)
+    system.diagonal[0, first, first] += whiten.T @ whiten
+    system.rhs[0, first] += whiten.T @ residual
+    return float(residual @ residual)
+
+
+def add_motion(
+    system: Arrowhead, states: Sequence[NavState], increments: Sequence[ImuIncrement], imu: ImuConfig
+) -> float:
+    """Add the motion between all neighbours and return its cost; state k is row k % K of block k // K."""
+    size, cost = system.diagonal.shape[1] // NAV_DIM, 0.0
+    for k, increment in enumerate(increments):
+        F, Q = transition(states[k], increment, imu)
+        whiten = _whitening(Q, f"noise of the motion that ends at {increment.stamp_ns} ns")
+        residual = whiten @ between(states[k + 1], propagate(states[k], increment, gravity=imu.gravity))
+        before = -whiten @ F
+        (block, rows), (block_to, rows_to) = _place(k, size), _place(k + 1, size)
+        system.diagonal[block, rows, rows] += before.T @ before
+        system.diagonal[block_to, rows_to, rows_to] += whiten.T @ whiten
+        if block == block_to:
+            system.diagonal[block, rows_to, rows] += whiten.T @ before
+            system.diagonal[block, rows, rows_to] += before.T @ whiten
+        else:
+            system.below[block, rows_to, rows] += whiten.T @ before
+        system.rhs[block, rows] += before.T @ residual
+        system.rhs[block_to, rows_to] += whiten.T @ residual
+        cost += float(residual @ residual)
+    return cost
+
+
+def fill_up(system: Arrowhead, states: int) -> None:
+    """Give the rows of the last block that no state has a unit diagonal, so that they are zero."""
+    rest = np.arange(states * NAV_DIM - (len(system.diagonal) - 1) * system.diagonal.shape[1], system.diagonal.shape[1])
+    system.diagonal[-1, rest, rest] = 1.0
+
+
+def _place(state: int, size: int) -> tuple[int, slice]:
+    block, row = divmod(state, size)
+    return block, slice(row * NAV_DIM, (row + 1) * NAV_DIM)
+
+
+def _whitening(covariance: Array, what: str) -> Array:
+    """Return the inverse of the Cholesky factor, scaled to unit variances in between: units differ by far."""
+    scale = np.sqrt(np.diagonal(covariance))
+    L = cholesky(covariance / np.outer(scale, scale), what)
+    return np.asarray(solve_triangular(L, np.diag(1.0 / scale), lower=True))

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The most likely states of a whole flight and their covariance: Gauss-Newton from the filter's estimates.
+
+The noise of the pixels is measured from the residuals, so it need not be known for new cameras or another ground.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.estimation.models import POSE
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.propagation import NAV_DIM
+from uav_vslam.smoothing.arrowhead import Arrowhead, Factor, factorise, marginal_covariances
+from uav_vslam.smoothing.cameras import Cameras, PixelNoise
+from uav_vslam.smoothing.chain import add_motion, add_start, fill_up, moved
+from uav_vslam.smoothing.flight import FilteredFlight
+from uav_vslam.smoothing.points import fitting, residual_px, revisited, tie_sigma_m, ties, triangulated
+from uav_vslam.smoothing.sightings import Sightings, gather
+from uav_vslam.smoothing.views import Eliminated, add_views, eliminate, linearise
+from uav_vslam.types import NavEstimate, NavState
+
+Array = NDArray[np.float64]
+
+MAX_STEPS = 10  # five are usual
+SETTLED = 0.2  # standard deviations by which the last step may move the states, in any direction (Newton decrement)
+GATED_AFTER = 2  # steps: before, the residuals say little about noise and outliers
+GATE_PROBABILITY = 0.9999  # of the chi-square gate on all residuals of a track
+SMALLEST_BLOCK = 8  # states: smaller blocks of the normal equations are not faster
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothed:
+    """A smoothed flight.
+
+    Attributes:
+        estimates: one for each frame, in stamp order.
+        steps: of Gauss-Newton.
+        points, dropped: used, and refused by the gate.
+        landmarks: seen again after long, that close loops.
+        noise: of the pixels, as measured.
+    """
+
+    estimates: tuple[NavEstimate, ...]
+    steps: int
+    points: int
+    dropped: int
+    landmarks: int
+    noise: PixelNoise
+
+
+class _Problem:
+    """What Gauss-Newton moves, and what it fits: states, points (P, 7) and revisited landmarks (L, 3)."""
+
+    def __init__(self, flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> None:
+        self._flight, self._rig, self._config = flight, rig, config
+        self.states: list[NavState] = flight.states
+        self.sightings: Sightings = gather(flight)
+        self.points = triangulated(self.sightings, self._cameras)
+        self.landmarks = np.zeros((0, 3))
+        self._noise_of = PixelNoise.of_tracks if self.sightings.tracked else PixelNoise.of_detections
+        self.noise = self._noise_of(config.backend.sigma_px)
+        self.keep(np.asarray(np.isfinite(self.points).all(axis=1)))
+
+    def keep(self, chosen: NDArray[np.bool_]) -> None:
+        """Drop all other points."""
+        self.sightings, self.points = self.sightings.chosen(chosen), self.points[chosen]
+        self.landmarks = revisited(self.sightings, self.points)
+
+    def gate(self) -> None:
+        """Measure the noise of the pixels, and drop points that don't fit."""
+        found = residual_px(self.sightings, self._cameras, self.points, self.noise)
+        if found is not None:
+            self.noise = self._noise_of(found)
+        self.keep(fitting(self.sightings, self._cameras, self.points, self.noise, probability=GATE_PROBABILITY))
+
+    def step(self) -> tuple[Factor, float]:
+        """Take a step; return the factors of the normal equations before it, and its Newton decrement."""
+        size = max(self.sightings.longest, SMALLEST_BLOCK)
+        system = Arrowhead.zeros(-(-len(self.states) // size), size * NAV_DIM, 3 * len(self.landmarks))
+        add_start(system, self._flight.start, self.states[0])
+        add_motion(system, self.states, self._flight.increments, self._config.imu)
+        fill_up(system, len(self.states))
+        batches = self._add_points(system, size)
+        factor = factorise(system)
+        steps = factor.solution.reshape(-1, NAV_DIM)[: len(self.states)]
+        border = factor.border_solution.reshape(-1, 3)
+        of_points = np.vstack([border, np.zeros((1, 3))])[self.sightings.landmarks]  # the last row: of no landmark
+        for own, eliminated in batches:
+            self.points[own] += eliminated.corrections(steps[:, POSE], of_points[own])
+        self.states = moved(self.states, steps)
+        self.landmarks = self.landmarks + border
+        decrement = float(np.sum(factor.solution * system.rhs) + factor.border_solution @ system.border_rhs)
+        return factor, max(decrement, 0.0) ** 0.5
+
+    def _add_points(self, system: Arrowhead, size: int) -> list[tuple[slice, Eliminated]]:
+        cameras, batches = self._cameras, []
+        redetection_px = max(self._config.backend.redetection_px, self.noise.white_px)
+        sigma_m = tie_sigma_m(self.sightings, cameras, self.points, redetection_px)
+        for block, own, part in self.sightings.by_block(size):
+            tied = ties(part.landmarks, self.points[own], self.landmarks, sigma_m[own])
+            view = linearise(part, cameras, self.points[own], self.noise)
+            eliminated = eliminate(part, view, self.points[own], self.noise, tied)
+            add_views(system, block, view, eliminated, tied)
+            batches.append((own, eliminated))
+        return batches
+
+    @property
+    def _cameras(self) -> Cameras:
+        return Cameras.of(self._rig, self.states)
+
+
+def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> Smoothed:
+    """Smooth a flight.
+
+    Args:
+        flight: measurements, and estimates to start from.
+        rig: calibration, corrected by what the filter found at last.
+        config: of the vehicle; `backend.sigma_px` counts only where points are too few to measure it.
+
+    Raises:
+        FilterDivergence: the normal equations are not positive definite.
+    """
+    problem = _Problem(flight, rig, config)
+    found = len(problem.points)
+    for step in range(1, MAX_STEPS + 1):
+        if step == GATED_AFTER + 1:
+            problem.gate()
+        factor, decrement = problem.step()
+        if decrement < SETTLED and step > GATED_AFTER:
+            break
+    P = marginal_covariances(factor)
+    size = P.shape[1] // NAV_DIM
+    estimates = []
+    for row in flight.state_rows.tolist():
+        block, place = divmod(row, size)
+        own = slice(place * NAV_DIM, (place + 1) * NAV_DIM)
+        estimates.append(NavEstimate(problem.states[row], P[block, own, own].copy()))
+    return Smoothed(
+        tuple(estimates), step, len(problem.points), found - len(problem.points), len(problem.landmarks), problem.noise
+    )
