@@ -14,6 +14,7 @@ from uav_vslam.studies.registry import STUDIES
 SMALL = {
     "frames": ["--seeds", "1", "--frames", "12"],
     "models": ["--seeds", "1", "--frames", "12"],
+    "flights": ["--seeds", "1", "--frames", "4", "--vehicles", "1", "--rate", "20", "--imu", "consumer"],
     "fusion": ["--parts", "fleets", "--seeds", "1", "--frames", "12"],
     "thesis": ["--seeds", "1", "--frames", "12"],
     "filters": ["--seeds", "1", "--vehicles", "1", "--frames", "5", "--runs", "1", "--steps", "4"],
@@ -25,7 +26,8 @@ SMALL = {
 }
 PICTURES = {
     "frames": set(),
-    "models": set(),
+    "models": {"nees.png"},
+    "flights": {"nees.png"},
     "fusion": {"fleets.png", "three_in_a_row.png"},
     "thesis": {f"{px}_px{what}.png" for px in (6, 10) for what in ("", "_trajectory", "_errors", "_covariance")},
     "filters": {"consistency.png", "noise_scales_sift.png", "noise_scales_surf.png"},
@@ -64,6 +66,18 @@ def test_a_wrong_variant_is_one_line_and_exit_code_2(
     variant: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command.main(["study", "long", "--variant", variant]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("option", "message"), [("--pattern", "pattern 'wrong' is not known"), ("--imu", "imu grade 'wrong' is not known")]
+)
+def test_a_flight_that_can_not_be_simulated_is_refused_in_one_line(
+    option: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.main(["study", "flights", option, "wrong"]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1

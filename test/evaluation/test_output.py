@@ -89,8 +89,12 @@ def test_a_study_is_kept_as_data_and_as_a_table(tmp_path):
     assert tree["rows"][1]["end_rms_m"] is None
     table = (folder / "study.md").read_text().splitlines()
     assert "2 seeds: 1, 2" in table[2]
-    assert table[4] == "| method | condition | end_rms_m | failures | ms_per_frame |"
-    assert table[6:] == ["| eif | calm | 1.23 | 0 | – |", "| ukf | gap | – | 2 | 123 |"]
+    assert table[4:] == [
+        "| method | condition | end_rms_m | failures | ms_per_frame |",
+        "| ------ | --------- | --------- | -------- | ------------ |",
+        "| eif    | calm      | 1.23      | 0        | –            |",
+        "| ukf    | gap       | –         | 2        | 123          |",
+    ]
     assert (tmp_path / "latest").resolve() == folder.resolve()
 
 
@@ -106,12 +110,30 @@ def test_a_study_of_several_tables_has_a_heading_and_columns_for_each(tmp_path):
         "## Consistency",
         "",
         "| method | nees_position |",
-        "| --- | --- |",
-        "| eif | 0.9 |",
-        "| ukf | 1.1 |",
+        "| ------ | ------------- |",
+        "| eif    | 0.9           |",
+        "| ukf    | 1.1           |",
     ]
-    assert page[11:15] == ["## Noise", "", "| run | w1 |", "| --- | --- |"]
+    assert page[11:15] == ["## Noise", "", "| run | w1  |", "| --- | --- |"]
     assert page[-1] == "**RER**: SLAM over INS"
+
+
+def test_a_wide_table_is_divided_into_tables_that_fit_and_keep_the_labels(tmp_path):
+    figures = {f"a_figure_with_a_long_name_{k}": 0.1 * k for k in range(9)}
+    rows = [{"method": name, "condition": "calm", **figures} for name in ("eif", "ukf")]
+    page = (write_study("filters", rows, [1], tmp_path) / "study.md").read_text().splitlines()[4:]
+    assert max(map(len, page)) <= 120
+    heads = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page if line.startswith("| method")]
+    assert all(head[:2] == ["method", "condition"] and len(head) > 2 for head in heads)
+    assert [name for head in heads for name in head[2:]] == list(figures)
+    assert sum(line.startswith("| ukf ") for line in page) == len(heads) == 3
+
+
+def test_a_column_wider_than_the_page_has_a_table_of_its_own(tmp_path):
+    rows = [{"method": "eif", "figures": "x" * 150, "runs": 3}]
+    page = (write_study("filters", rows, [1], tmp_path) / "study.md").read_text().splitlines()
+    heads = [line.split() for line in page if line.startswith("| method")]
+    assert [head[3] for head in heads] == ["figures", "runs"]
 
 
 def test_a_study_is_drawn_from_what_was_written(tmp_path):

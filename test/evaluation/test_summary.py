@@ -47,7 +47,7 @@ def test_pooling_takes_the_rms_of_errors_and_the_mean_of_nees(flight):
     pooled = summary["pooled"]["c_slam"]
     assert pooled["ate_m"] == pytest.approx(np.sqrt((one["ate_m"] ** 2 + two["ate_m"] ** 2) / 2))
     assert pooled["end_m"] == pytest.approx(np.sqrt((one["end_m"] ** 2 + two["end_m"] ** 2) / 2))
-    key = "relative_100m_across_m"
+    key = "rpe_100m_across_m"
     assert pooled[key] == pytest.approx(np.sqrt((one[key] ** 2 + two[key] ** 2) / 2))
     for key in NEES_KEYS:
         assert pooled[key] == pytest.approx((one[key] + two[key]) / 2)

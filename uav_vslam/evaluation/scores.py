@@ -24,7 +24,7 @@ DIRECTIONS = ("along_m", "across_m", "height_m", "attitude_mrad")  # of a relati
 
 def relative_key(length_m: float, what: str) -> str:
     """Return the key of a relative error: of one of `DIRECTIONS`, or "segments", their number."""
-    return f"relative_{length_m:g}m_{what}"
+    return f"rpe_{length_m:g}m_{what}"
 
 
 RELATIVE_KEYS = tuple(relative_key(length_m, what) for length_m in RELATIVE_LENGTHS_M for what in DIRECTIONS)

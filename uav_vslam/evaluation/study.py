@@ -9,6 +9,8 @@ from uav_vslam.evaluation.plain import plain
 Row = dict[str, Any]
 
 TABLE = "table"  # a row's key that holds its table's heading
+LABELS = ("method", "condition")  # columns that are repeated where a table is divided
+WIDTH = 120  # of a page: wider tables are divided
 
 
 def study_tree(
@@ -47,14 +49,14 @@ def tables_of(tree: dict[str, Any]) -> dict[str, list[Row]]:
 
 
 def study_markdown(tree: dict[str, Any]) -> str:
-    """Return the study as a Markdown page: tables with a column per key that any of their rows has."""
+    """Return the study as a Markdown page: tables with a column per key that any of their rows has.
+
+    Columns are padded, and tables wider than the page are divided, so that they are read easily as plain text too.
+    """
     lines = [f"# {tree['study']}", "", f"Code {tree['git'] or 'of unknown revision'}, {_seeds(tree['seeds'])}.", ""]
     for heading, rows in tables_of(tree).items():
         lines += [f"## {heading}", ""] if heading else []
-        columns = list(dict.fromkeys(key for row in rows for key in row))
-        lines += [_line(columns), _line(["---"] * len(columns))]
-        lines += [_line([_cell(row.get(column)) for column in columns]) for row in rows]
-        lines.append("")
+        lines += _table(rows)
     for subject, note in tree.get("notes", {}).items():
         lines += [f"**{subject}**: {note}", ""]
     return "\n".join(lines).rstrip("\n") + "\n"
@@ -62,6 +64,40 @@ def study_markdown(tree: dict[str, Any]) -> str:
 
 def _seeds(seeds: list[int]) -> str:
     return f"{len(seeds)} seed{'s' if len(seeds) != 1 else ''}: {', '.join(map(str, seeds))}" if seeds else "no seeds"
+
+
+def _table(rows: list[Row]) -> list[str]:
+    """Return the lines of a table, or of several with the same labels, each followed by an empty line."""
+    names = dict.fromkeys(key for row in rows for key in row)
+    columns = {name: [name, *(_cell(row.get(name)) for row in rows)] for name in names}
+    padded = {name: _padded(cells) for name, cells in columns.items()}
+    lines = []
+    for block in _blocks({name: len(cells[0]) for name, cells in padded.items()}):
+        head, *body = zip(*(padded[name] for name in block), strict=True)
+        rule = ["-" * len(cell) for cell in head]
+        lines += [_line(list(head)), _line(rule), *(_line(list(cells)) for cells in body), ""]
+    return lines
+
+
+def _blocks(widths: dict[str, int]) -> list[list[str]]:
+    """Return which columns of these widths go into one table: the labels and as many others as fit, one at least."""
+    labels = [name for name in widths if name in LABELS]
+    room = WIDTH - 1 - sum(widths[name] + 3 for name in labels)
+    blocks, left = [list(labels)], room
+    for name in widths:
+        if name in LABELS:
+            continue
+        if widths[name] + 3 > left and len(blocks[-1]) > len(labels):
+            blocks.append(list(labels))
+            left = room
+        blocks[-1].append(name)
+        left -= widths[name] + 3
+    return blocks
+
+
+def _padded(cells: list[str]) -> list[str]:
+    width = max(3, *map(len, cells))
+    return [cell.ljust(width) for cell in cells]
 
 
 def _line(cells: list[str]) -> str:

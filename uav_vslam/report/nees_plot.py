@@ -48,10 +48,9 @@ def draw_band(axes: Axes, *, runs: int = 1, label: str = "95 % of a consistent f
     clean(axes)
 
 
-def nees_axis(axes: Axes) -> None:
+def nees_axis(axes: Axes, *, lowest: float = LOWEST) -> None:
     """Make the y axis logarithmic and wide enough for the band."""
-    highest = max(axes.get_ylim()[1], HIGHEST)
-    axes.set_ylim(LOWEST, highest)
+    axes.set_ylim(lowest, max(axes.get_ylim()[1], HIGHEST))
     plain_log(axes, "y")
 
 

@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 
 from uav_vslam import studies
+from uav_vslam.evaluation.scores import ERROR_KEYS, NEES_KEYS
 from uav_vslam.studies.engine.columns import COLUMNS, TRACKS, check_rows, legend
+from uav_vslam.studies.engine.score_columns import COLUMN_OF, pooled_scores
 from uav_vslam.studies.engine.study import Findings
 from uav_vslam.studies.registry import STUDIES
 
@@ -39,6 +41,16 @@ def test_the_legend_explains_each_column_once() -> None:
 
 def test_the_columns_that_were_agreed_are_there() -> None:
     assert set(AGREED) <= set(COLUMNS)
+
+
+def test_every_score_of_a_run_has_its_column() -> None:
+    assert {COLUMN_OF.get(key, key) for key in (*ERROR_KEYS, *NEES_KEYS)} <= set(COLUMNS)
+
+
+def test_scores_of_many_runs_are_pooled_by_their_kind() -> None:
+    pooled = pooled_scores([{"ate_m": 3.0, "nees_position": 1.0}, {"ate_m": 4.0, "nees_position": 2.0, "end_m": None}])
+    assert (pooled["ate_rms_m"], pooled["nees_position"]) == pytest.approx((12.5**0.5, 1.5))
+    assert (pooled["end_rms_m"], pooled["nees_rotation"]) == (None, None)
 
 
 def test_every_study_has_a_folder_and_every_folder_is_a_study() -> None:

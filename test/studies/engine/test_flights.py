@@ -1,24 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from uav_vslam.config import FrontendConfig, VehicleConfig
+from uav_vslam.evaluation.scores import ERROR_KEYS, NEES_KEYS
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.studies.engine.flights import TRACKS, Method, Outcome, _rows, run_study, with_backend
+from uav_vslam.studies.engine.flight_rows import flight_rows, fly_all, method_rows, nees_series
+from uav_vslam.studies.engine.flights import TRACKS, Method, NeesCurve, Outcome, with_backend
+from uav_vslam.studies.engine.score_columns import COLUMN_OF
 
 SHORT = Scenario(frames=25)
 FIELDS = {
     "method",
     "condition",
-    "end_rms_m",
-    "ate_rms_m",
+    *(COLUMN_OF.get(key, key) for key in ERROR_KEYS),
     "ratio_to_s_slam",
     "end_ratio_to_ins",
-    "nees_position",
+    *NEES_KEYS,
     "processed_share",
     "failures",
     "runs",
+    "ms_front_end",
     "ms_per_frame",
 }
 
@@ -29,7 +34,7 @@ def rows():
         Method("ri15", "landmarks", SHORT),
         Method("euler9", "landmarks", SHORT, with_backend(VehicleConfig(), model="euler9")),
     ]
-    return run_study(methods, [1, 2], workers=1)
+    return flight_rows(methods, fly_all(methods, [1, 2], workers=1))
 
 
 def test_each_track_has_a_row_and_the_ins_only_one(rows):
@@ -52,10 +57,36 @@ def test_ratio_and_nees_have_their_interval_over_the_seeds():
         return Outcome(method, seed, {name: {"uav1": of} for name, of in tracks.items()}, ms_per_frame=1.0)
 
     outcomes = [outcome(1, 1.0, 0.5), outcome(2, 1.6, 0.5), outcome(3, 1.0, 2.0)]
-    ins, _, fused = _rows(method, outcomes, TRACKS)
+    ins, _, fused = method_rows(method, outcomes, TRACKS)
     assert (fused["ratio_low"], fused["ratio_high"]) == pytest.approx((0.5, 0.8))  # all draws of one seed
     assert (fused["nees_position_low"], fused["nees_position_high"]) == pytest.approx((0.5, 2.0))
     assert "nees_position_low" not in ins
+
+
+def test_nees_over_time_is_the_mean_of_the_runs_that_lost_no_frame():
+    method, times = Method("ri15", "landmarks", Scenario(frames=3, vehicles=2)), 0.14 * np.arange(3)
+
+    def outcome(seed: int, *values: float, frames: int = 3) -> Outcome:
+        of_vehicles = [NeesCurve(times[:frames], np.full(frames, v), np.full(frames, 2 * v)) for v in values]
+        return Outcome(method, seed, None, 1.0, curves={"s_slam": of_vehicles, "c_slam": of_vehicles[:1]})
+
+    own, fused = nees_series([method], [outcome(1, 1.0, 2.0), outcome(2, 3.0, 4.0), outcome(3, 9.0, frames=2)])
+    assert own["nees_position"] == [2.5] * 3
+    assert own["nees_rotation"] == [5.0] * 3
+    assert fused["nees_position"] == [2.0] * 3
+    assert own["time_s"] == pytest.approx(times, abs=1e-3)
+    assert (own["runs"], fused["runs"]) == (4, 2)
+
+
+def test_a_vehicle_on_its_own_has_no_row_of_a_fused_track():
+    method = Method("ri15", "landmarks", dataclasses.replace(SHORT, vehicles=1))
+    outcomes = fly_all([method], [1], workers=1)
+    ins, own = flight_rows([method], outcomes)
+    assert (ins["method"], own["method"]) == ("INS", "S-SLAM ri15")
+    assert "ratio_to_s_slam" not in own
+    assert own["ms_front_end"] is None
+    (curve,) = nees_series([method], outcomes)
+    assert np.mean(curve["nees_position"][20:]) == pytest.approx(own["nees_position"], abs=1e-3)
 
 
 def test_every_frame_is_processed_and_nothing_fails(rows):
@@ -72,6 +103,7 @@ def test_rendered_images_are_searched_once_for_both_inertial_grades(monkeypatch)
     config = VehicleConfig(frontend=FrontendConfig(method="sift"))
     grades = ("adis16480", "consumer")
     methods = [Method("ri15", imu, Scenario(imu=imu, **small), config, rendered=True) for imu in grades]
-    rows = run_study(methods, [1], workers=1)
+    rows = flight_rows(methods, fly_all(methods, [1], workers=1))
+    assert all(row["ms_front_end"] > 0 for row in rows if row["method"] != "INS")
     assert len(searched) == 3
     assert {row["condition"] for row in rows} == {"adis16480", "consumer"}

@@ -31,12 +31,24 @@ COLUMNS: dict[str, str] = {
     "reference": "timed alternately with it",
     # errors, root mean square over the runs
     "ate_rms_m": "position error over the flight",
+    "ate_start_yaw_rms_m": "the same after the best turn about the vertical through the start",
+    "ate_se3_rms_m": "the same after the best rigid alignment",
     "ate_yaw_aligned_rms_m": "the same after the best turn about the vertical and the best shift",
     "ate_mean_m": "mean of the runs' ATE",
     "ate_worst_m": "largest ATE of a run",
     "end_rms_m": "position error at the end",
     "error_max_m": "largest position error of a frame",
     "height_rms_m": "error of the height over the flight",
+    **{
+        f"rpe_{length_m}m_{what}": f"relative error over {length_m} m of the path, {text}"
+        for length_m in (14, 100)
+        for what, text in {
+            "along_m": "along it",
+            "across_m": "across it",
+            "height_m": "in height",
+            "attitude_mrad": "angle of the rotation",
+        }.items()
+    },
     "drift_before_rms_m": "position error before the loop is closed",
     "rer": "relative error rate of the thesis, SLAM over INS",
     **{f"rer_w{k}": f"the same under noise scale w{k}" for k in range(1, 5)},
@@ -97,6 +109,7 @@ COLUMNS: dict[str, str] = {
     "passes_apart_s": "between such views in the recording, median",
     # time and memory
     "ms_per_frame": "processor time of the method",
+    "ms_front_end": "processor time of the front end for a frame",
     "ms_per_frame_early": "the same early in the flight",
     "ms_per_frame_late": "and late in it",
     "late_to_early": "ratio of the two",

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES, chi_square_band, nees, summarise
+from uav_vslam.evaluation.scores import track_scores
 from uav_vslam.evaluation.study import Row
-from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.studies.engine.own_only import INS, Run
 from uav_vslam.studies.engine.pool import CONFIDENCE, mean, mean_interval, median, rms
+from uav_vslam.studies.engine.score_columns import pooled_scores
 
 Array = NDArray[np.float64]
 
@@ -27,12 +28,11 @@ FAILURE_RULE = (
 def pooled(runs: Sequence[Run]) -> Row:
     """Return the figures of one candidate under one condition: root mean squares of errors, means of NEES."""
     finished = [run for run in runs if is_finished(run)]
-    errors = [error for run in finished if (error := absolute_error(run.track.estimate, run.truth))]
+    scores = [track_scores(run.track.estimate, run.truth) for run in finished]
     found = [(run.seed, of.position) for run in finished if (of := nees(run.track.estimate, run.truth))]
     frame_ms = [ms for run in runs for ms in run.track.frame_ms]
     return {
-        "end_rms_m": rms([error.end_m for error in errors]),
-        "ate_rms_m": rms([error.ate_m for error in errors]),
+        **pooled_scores(scores),
         **nees_figures(found),
         "nees_position_end": mean([summarise(values).end for _, values in found]),
         "failures": failures(runs),

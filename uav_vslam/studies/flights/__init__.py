@@ -7,22 +7,44 @@ import argparse
 
 from uav_vslam.studies.engine.study import Findings, Progress, Study
 
+GRADES = ("adis16480", "consumer")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what is flown."""
+    parser.add_argument("--vehicles", type=int, default=2, metavar="N", help="of each flight (default 2)")
+    parser.add_argument("--pattern", default="leg", metavar="NAME", help="of the flight path (default leg)")
+    parser.add_argument("--rate", type=float, default=7.14, metavar="HZ", help="of the images (default 7.14)")
+    text = f"classes of inertial unit (default {' '.join(GRADES)})"
+    parser.add_argument("--imu", nargs="+", default=list(GRADES), metavar="NAME", help=text)
+
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
-    """Fly with both grades of inertial unit."""
-    from uav_vslam.studies.engine.flights import run_study
-    from uav_vslam.studies.flights.compute import methods
+    """Fly with each grade of inertial unit and each variant of the configuration."""
+    from uav_vslam.studies.engine.flight_rows import flight_rows, fly_all, nees_series
+    from uav_vslam.studies.engine.nees_time_plot import draw_nees
+    from uav_vslam.studies.flights.compute import methods, notes, scenario_of
 
-    return Findings(run_study(methods(args.frames), seeds, workers=args.workers, on_seed=progress(len(seeds))))
+    scenario = scenario_of(args)
+    compared = methods(scenario, args.imu, args.variant)
+    outcomes = fly_all(compared, seeds, workers=args.workers, on_seed=progress(len(seeds)))
+    return Findings(flight_rows(compared, outcomes), notes(scenario), nees_series(compared, outcomes), draw_nees)
 
 
 STUDY = Study(
-    help="rendered images through the front end, with two grades of inertial unit",
-    takes="an hour",
+    help="rendered images through the front end, with two grades of inertial unit: errors, NEES over time, cost",
+    takes="minutes",
     examples="""examples:
-  uav-vslam study flights --seeds 8        about a quarter of an hour
+  uav-vslam study flights --seeds 8
   uav-vslam study flights --seeds 1 --frames 60
+  uav-vslam study flights --seeds 6 --vehicles 1                    one vehicle on its own
+  uav-vslam study flights --seeds 3 --vehicles 1 --frames 300 --rate 20 --imu adis16480
+  uav-vslam study flights --seeds 6 --vehicles 1 --variant backend.sigma_px=0.3 --variant backend.sigma_px=0.15
+
+Times are per frame of one vehicle. Variants share the images, and the features where the front end is the same.
 """,
     run=run,
+    add_arguments=add_arguments,
     frames=160,
+    variants="the configuration kagaru as it is",
 )

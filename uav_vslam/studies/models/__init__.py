@@ -10,10 +10,13 @@ from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Fly the default and each variation of it."""
-    from uav_vslam.studies.engine.flights import run_study
+    from uav_vslam.studies.engine.flight_rows import flight_rows, fly_all, nees_series
+    from uav_vslam.studies.engine.nees_time_plot import draw_nees
     from uav_vslam.studies.models.compute import methods
 
-    return Findings(run_study(methods(args.frames), seeds, workers=args.workers, on_seed=progress(len(seeds))))
+    compared = methods(args.frames)
+    outcomes = fly_all(compared, seeds, workers=args.workers, on_seed=progress(len(seeds)))
+    return Findings(flight_rows(compared, outcomes), {}, nees_series(compared, outcomes), draw_nees)
 
 
 STUDY = Study(

@@ -12,7 +12,8 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.evaluation.study import Row
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.flights import LABELS, Method, Outcome, run_seed
-from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
+from uav_vslam.studies.engine.pool import in_pool, mean, ratio
+from uav_vslam.studies.engine.score_columns import pooled_scores
 
 INS, S_SLAM = "ins", "s_slam"  # the tracks of interest
 RIGID = "rigid"
@@ -98,12 +99,11 @@ def _rows(flown: Mapping[Method, Sequence[Outcome]]) -> list[Row]:
 def _figures(outcomes: Sequence[Outcome], track: str) -> Row:
     """Pool one track over the seeds; the INS's covariance is not scored, and it leaves no frame out."""
     good = [outcome for outcome in outcomes if outcome.figures]
-    figures = {"end_rms_m": rms(_values(good, track, "end_m")), "ate_rms_m": rms(_values(good, track, "ate_m"))}
+    figures = pooled_scores([report for outcome in good for report in (outcome.figures or {})[track].values()])
     if track == INS:
         return figures
     return {
         **figures,
-        "nees_position": mean(_values(good, track, "nees_position")),
         "nees_position_end": mean(_values(good, track, "nees_position_end")),
         "processed_share": mean([outcome.processed for outcome in good]),
         "failures": len(outcomes) - len(good),

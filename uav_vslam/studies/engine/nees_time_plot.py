@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws the mean NEES of many runs over time, of position and attitude, with the chi-square band of that mean."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from uav_vslam.report.nees_plot import ROWS, draw_band, nees_axis
+from uav_vslam.report.style import LINE_COLOURS, save
+
+LOWEST_MEAN = 0.05  # means over many runs scatter less than a run
+DASHES = ("-", "--", ":", "-.")
+
+
+def draw_nees(tree: dict[str, Any], folder: Path) -> list[Path]:
+    """Draw the NEES curves of a study into its folder and return the path."""
+    curves = tree.get("series", [])
+    return [save(nees_over_time(curves), folder / "nees.png")] if curves else []
+
+
+def nees_over_time(curves: list[dict[str, Any]]) -> Figure:
+    """Return position and attitude downwards, a column per condition, a line per method.
+
+    Args:
+        curves: dicts with method, condition, runs, and lists under time_s, nees_position and nees_rotation.
+    """
+    conditions = list(dict.fromkeys(curve["condition"] for curve in curves))
+    methods = list(dict.fromkeys(curve["method"] for curve in curves))
+    figure = Figure(figsize=(2.0 + 5.5 * len(conditions), 6.2), layout="constrained")
+    grid = figure.subplots(len(ROWS), len(conditions), sharex="col", sharey=True, squeeze=False)
+    for column, condition in zip(grid.T, conditions, strict=True):
+        found = [curve for curve in curves if curve["condition"] == condition]
+        runs = min(curve["runs"] for curve in found)  # the widest band; more runs scatter less
+        for axes, part in zip(column, ROWS.values(), strict=True):
+            draw_band(axes, runs=runs)
+            for curve in found:
+                number = methods.index(curve["method"])
+                colour, dashes = LINE_COLOURS[number % len(LINE_COLOURS)], DASHES[number // len(LINE_COLOURS) % 4]
+                line = {"color": colour, "linestyle": dashes, "linewidth": 1.4}
+                axes.plot(curve["time_s"], curve[f"nees_{part}"], label=curve["method"], **line)
+        column[0].set_title(f"{condition}\n(95 % band of the mean of {runs} runs)", fontsize=10)
+        column[-1].set_xlabel("Time [s]")
+    for axes, label in zip(grid[:, 0], ROWS, strict=True):
+        axes.set_ylabel(f"{label}, mean")
+        nees_axis(axes, lowest=LOWEST_MEAN)
+    entries = {
+        label: handle for axes in grid[0] for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=4, frameon=False)
+    return figure
