@@ -43,7 +43,7 @@ ALLOWED: dict[str, set[str]] = {
     "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found
     "inspection": EARLY | {"ins", "vision", "datasets"},  # it judges what `datasets` reads, by what the graph allows
     # what puts them together without ROS
-    "offline": ESTIMATOR | {"pipeline", "fleet", "evaluation", "processes"},
+    "offline": ESTIMATOR | {"pipeline", "fleet", "smoothing", "evaluation", "processes"},
     "studies": ESTIMATOR
     | {"pipeline", "fleet", "evaluation", "datasets", "simulation", "offline", "processes", "report"},
     # the top

@@ -8,7 +8,8 @@ import pytest
 
 from uav_vslam.config import StartConfig, VehicleConfig
 from uav_vslam.errors import UavVslamError
-from uav_vslam.offline import flight_result, track_vehicle
+from uav_vslam.evaluation.scores import error_scores, relative_key
+from uav_vslam.offline import flight_result, fly, track_vehicle
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
@@ -49,6 +50,27 @@ def test_a_given_start_is_compared_in_the_world(source: SimulatedSource) -> None
     result = flight_result("x", {source.vehicle: track}, {}, truths, settings).vehicles[source.vehicle]
     assert result.truth is truths[source.vehicle]
     assert abs(result.s_slam.positions[0, 2] - 70.0) < 5.0
+
+
+@pytest.mark.parametrize("start", [StartConfig(), IN_FLIGHT])
+def test_a_smoothed_flight_is_nearer_to_the_truth_and_leaves_the_filter_alone(
+    source: SimulatedSource, start: StartConfig
+) -> None:
+    settings = {source.vehicle: config(source, start)}
+    tracks, fleet = fly([source], settings, smoothing=True)
+    track = tracks[source.vehicle]
+    assert track.features == {}  # nobody asked to keep them
+    alone = track_vehicle(source, settings[source.vehicle])
+    assert [o.report.pose.T_map_body.t.tolist() for o in track.outputs] == [
+        o.report.pose.T_map_body.t.tolist() for o in alone.outputs
+    ]
+    truths = {source.vehicle: true_trajectory(source.simulated)}
+    result = flight_result("x", tracks, fleet, truths, settings).vehicles[source.vehicle]
+    assert result.smoothed is not None
+    np.testing.assert_array_equal(result.smoothed.stamps_ns, result.s_slam.stamps_ns)
+    causal, smoothed = (error_scores(found, result.truth) for found in (result.s_slam, result.smoothed))
+    key = relative_key(14.0, "height_m")
+    assert smoothed[key] < 0.5 * causal[key]
 
 
 def test_a_failed_in_flight_initialisation_says_why(source: SimulatedSource) -> None:

@@ -9,12 +9,13 @@ import multiprocessing
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from functools import partial
 from typing import Any, Protocol
 
 import cv2
 
 from uav_vslam.config import VehicleConfig, parameter_file
-from uav_vslam.errors import BagError, UavVslamError
+from uav_vslam.errors import BagError, FilterDivergence, UavVslamError
 from uav_vslam.evaluation.result import FlightResult, LinkCounters, VehicleResult
 from uav_vslam.evaluation.start_frame import in_start_frame
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -23,6 +24,8 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.processes import worker_pool
+from uav_vslam.smoothing.flight import FilteredFlight
+from uav_vslam.smoothing.smoother import smooth
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures, StereoFrame
 
 POLL_S = 0.2
@@ -60,6 +63,7 @@ def track_vehicle(
     on_frame: Callable[[], None] = lambda: None,
     *,
     keep_features: bool = False,
+    smoothing: bool = False,
 ) -> VehicleTrack:
     """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the damage.
 
@@ -68,6 +72,7 @@ def track_vehicle(
         config: of the vehicle.
         on_frame: called after each frame.
         keep_features: in the track, for pictures.
+        smoothing: smooth the whole flight afterwards.
 
     Raises:
         UavVslamError: the source has no start state and the configuration does not set how to find one, or none was
@@ -75,7 +80,11 @@ def track_vehicle(
     """
     cv2.setNumThreads(1)
     pipeline = VehiclePipeline(
-        _start(source, config), rig=source.rig, config=config, vehicle=source.vehicle, keep_features=keep_features
+        _start(source, config),
+        rig=source.rig,
+        config=config,
+        vehicle=source.vehicle,
+        keep_features=keep_features or smoothing,
     )
     try:
         for _ in pipeline.run(source.iter_events()):
@@ -88,7 +97,23 @@ def track_vehicle(
             f"the last: {pipeline.missing_start}"
         )
     _count_unpaired(source, pipeline.track)
+    if smoothing:
+        _smooth(pipeline, source.rig, config)
+    if not keep_features:
+        pipeline.track.features.clear()
     return pipeline.track
+
+
+def _smooth(pipeline: VehiclePipeline, rig: StereoRig, config: VehicleConfig) -> None:
+    """Add the smoothed poses to a track; without them, why there are none."""
+    track, start = pipeline.track, pipeline.start
+    if start is None or not track.outputs:
+        return
+    try:
+        flight = FilteredFlight.of_outputs(start, track.outputs, track.features)
+        track.smoothed = [estimate.pose for estimate in smooth(flight, rig, config).estimates]
+    except FilterDivergence as error:
+        track.warnings.append(f"the flight could not be smoothed: {error}")
 
 
 def _count_unpaired(source: FlightSource, track: VehicleTrack) -> None:
@@ -116,6 +141,7 @@ def fly(
     on_frame: Callable[[int], None] = lambda _: None,
     links: Callable[[str, str], PacketLink] | None = None,
     keep_features: bool = False,
+    smoothing: bool = False,
 ) -> tuple[dict[str, VehicleTrack], dict[str, CooperativeTrack]]:
     """Run a fleet.
 
@@ -126,13 +152,13 @@ def fly(
         on_frame: called with the number of frames processed since the last call.
         links: makes the radio link from a sender to a receiver; without it packets arrive at once.
         keep_features: in the tracks, for pictures.
+        smoothing: smooth each whole flight afterwards.
     """
+    track = partial(track_vehicle, keep_features=keep_features, smoothing=smoothing)
     if workers == 1 or len(sources) == 1:
-        tracks = [
-            track_vehicle(s, configs[s.vehicle], lambda: on_frame(1), keep_features=keep_features) for s in sources
-        ]
+        tracks = [track(source, configs[source.vehicle], lambda: on_frame(1)) for source in sources]
     else:
-        tracks = _track_in_workers(sources, configs, workers, on_frame, keep_features)
+        tracks = _track_in_workers(track, sources, configs, workers, on_frame)
     by_name = {track.vehicle: track for track in tracks}
     return by_name, cooperate(by_name, configs, links)
 
@@ -195,6 +221,7 @@ def _vehicle_result(
         ins=Trajectory.from_estimates([output.dead_reckoning.pose for output in track.outputs]),
         s_slam=Trajectory.from_estimates(own),
         c_slam=Trajectory.from_estimates(member.poses) if member else None,
+        smoothed=Trajectory.from_estimates(track.smoothed) if track.smoothed else None,
         frames_in=track.frames_in,
         frames_processed=len(track.outputs),
         closures=sum(output.report.closures for output in track.outputs),
@@ -239,21 +266,21 @@ def _init_worker(queue: Any) -> None:
     _progress = queue
 
 
-def _track_for_pool(source: FlightSource, config: VehicleConfig, keep_features: bool) -> VehicleTrack:
-    return track_vehicle(source, config, lambda: _progress.put(1), keep_features=keep_features)
+def _track_for_pool(track: Callable[..., VehicleTrack], source: FlightSource, config: VehicleConfig) -> VehicleTrack:
+    return track(source, config, lambda: _progress.put(1))
 
 
 def _track_in_workers(
+    track: Callable[..., VehicleTrack],
     sources: list[FlightSource],
     configs: dict[str, VehicleConfig],
     workers: int,
     on_frame: Callable[[int], None],
-    keep_features: bool,
 ) -> list[VehicleTrack]:
     queue = multiprocessing.get_context("spawn").Queue()
     with worker_pool(min(workers, len(sources)), _init_worker, queue) as pool:
         futures: list[Future[VehicleTrack]] = [
-            pool.submit(_track_for_pool, s, configs[s.vehicle], keep_features) for s in sources
+            pool.submit(_track_for_pool, track, s, configs[s.vehicle]) for s in sources
         ]
         while not all(future.done() for future in futures):
             time.sleep(POLL_S)

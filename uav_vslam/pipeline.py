@@ -11,7 +11,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegrator import ImuPreintegrator
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.stamps import IMU_TIME_JUMP_S, TimeJumpGuard
-from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, StereoFeatures, StereoFrame
+from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, PoseEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 
 
@@ -27,6 +27,7 @@ class VehicleTrack:
         alarms: frames with a camera or rig fault, by subject.
         alarms_at: subjects of such faults by the frame's stamp [ns].
         features: found in each frame, by its stamp [ns] and without descriptors; empty unless they are kept.
+        smoothed: the most likely poses given the whole flight, one per output; empty unless it was smoothed.
         broken: why the recording ended early; empty if complete.
         warnings: problems for the user.
     """
@@ -38,6 +39,7 @@ class VehicleTrack:
     alarms: Counter[str] = field(default_factory=Counter)
     alarms_at: dict[int, tuple[str, ...]] = field(default_factory=dict)
     features: dict[int, StereoFeatures] = field(default_factory=dict)
+    smoothed: list[PoseEstimate] = field(default_factory=list)
     broken: str = ""
     warnings: list[str] = field(default_factory=list)
 
@@ -57,7 +59,7 @@ class VehiclePipeline:
     ) -> None:
         """Start at a state; with `start.method: in_flight` it may be None and is estimated.
 
-        The track keeps its features, for pictures, if asked to: some 10 kB a frame.
+        The track keeps its features, for pictures and smoothing, if asked to: some 10 kB a frame.
         """
         self._keep_features = keep_features
         self._frontend = make_frontend(rig, config.frontend, config.rig)
@@ -69,6 +71,11 @@ class VehiclePipeline:
             self._slam.start(initial)
         self._refused: Counter[str] = Counter()
         self.track = VehicleTrack(vehicle)
+
+    @property
+    def start(self) -> NavEstimate | None:
+        """Start state; None until there is one."""
+        return self._slam.initial
 
     @property
     def missing_start(self) -> str:

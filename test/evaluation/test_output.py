@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.files.results_folder import read_results
 from uav_vslam.evaluation.output import write_results, write_study
 from uav_vslam.evaluation.revision import git_revision
 
@@ -58,6 +59,16 @@ def test_plots_are_drawn_into_the_folder(flight, tmp_path):
 def test_a_missing_track_has_no_file(single_flight, tmp_path):
     names = {path.name for path in write_results(single_flight, tmp_path).glob("*.tum")}
     assert names == {"uav1_ins.tum", "uav1_s_slam.tum"}
+
+
+def test_a_smoothed_track_is_scored_and_read_again_with_its_covariance(single_flight, tmp_path):
+    vehicle = single_flight.vehicles["uav1"]
+    smoothed = dataclasses.replace(vehicle, smoothed=vehicle.s_slam)
+    folder = write_results(dataclasses.replace(single_flight, vehicles={"uav1": smoothed}), tmp_path)
+    figures = json.loads((folder / "summary.json").read_text())["vehicles"]["uav1"]
+    assert figures["smoothed"] == figures["s_slam"]
+    read = read_results(folder)["uav1"]["smoothed"]
+    assert np.abs(read.covariance - vehicle.s_slam.covariance).max() < 1e-9
 
 
 def git(folder, *arguments):

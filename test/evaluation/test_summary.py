@@ -22,7 +22,7 @@ def test_the_summary_has_exactly_the_documented_keys(flight):
     assert {"ate_m", "end_m"} <= set(vehicle["ins"])
     assert {"ate_m", "end_m", "nees_position"} <= set(vehicle["s_slam"])
     assert set(vehicle["c_slam"]) == set(vehicle["s_slam"])
-    assert set(summary["pooled"]) == {"ins", "s_slam", "c_slam"}
+    assert set(summary["pooled"]) == {"ins", "s_slam", "c_slam", "smoothed"}
     assert (summary["git"], summary["seed"], summary["realtime_factor"]) == ("abc1234", 3, 0.5)
 
 

@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", help="of the results folder (default: that of the input)")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--workers", type=positive, default=2, help="processes, one a vehicle at most (default 2)")
+    parser.add_argument("--no-smoothing", action="store_true", help="do not smooth each whole flight afterwards")
     parser.add_argument("--no-plots", action="store_true", help="draw no pictures")
     parser.add_argument(
         "--sheet", type=positive, default=12, metavar="N", help="images with tracks on the contact sheet (default 12)"
@@ -86,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
             on_frame=advance,
             links=links,
             keep_features=args.video or not args.no_plots,
+            smoothing=not args.no_smoothing,
         )
     name = args.name or args.inputs[0].stem
     result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started)

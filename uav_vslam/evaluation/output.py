@@ -26,8 +26,8 @@ FolderPlotter = Callable[[Path], Path]
 
 DEFAULT_ROOT = Path("results")
 LATEST = "latest"
-ALL_TRACKS = ("truth", "ins", "s_slam", "c_slam")
-WITH_COVARIANCE = ("s_slam", "c_slam")  # for NEES, which TUM has no place for
+ALL_TRACKS = ("truth", "ins", "s_slam", "c_slam", "smoothed")
+WITH_COVARIANCE = ("s_slam", "c_slam", "smoothed")  # for NEES, which TUM has no place for
 
 
 def write_results(

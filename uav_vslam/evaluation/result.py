@@ -36,6 +36,7 @@ class VehicleResult:
         ins: dead reckoning from the start state, never corrected.
         s_slam: own-only SLAM; all tracks are scored at its stamps.
         c_slam: fused with peers; None for a vehicle without peers.
+        smoothed: own-only poses given the whole flight, made afterwards; None if it was not smoothed.
         frames_in: stereo pairs offered, or None if not counted.
         frames_processed: stereo pairs that became an estimate.
         closures: landmarks recognised after a long absence, or None if not counted.
@@ -53,6 +54,7 @@ class VehicleResult:
     c_slam: Trajectory | None
     frames_in: int | None
     frames_processed: int
+    smoothed: Trajectory | None = None
     closures: int | None = None
     frames: tuple[FrameQuality, ...] | None = None
     alarms: dict[int, tuple[str, ...]] | None = None

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Computes the content of `summary.json`: errors are null without ground truth, quality and claims are not.
 
-Everything is scored at the stamps of the own-only track, so that the three estimates are compared at equal
-times: the INS is interpolated to them, the fused track has them.
+Everything is scored at the stamps of the own-only track, so that all estimates are compared at equal
+times: the INS is interpolated to them, the fused and the smoothed track have them.
 """
 
 import math
@@ -20,7 +20,7 @@ from uav_vslam.evaluation.trajectory import Trajectory, interpolate
 
 Figures = dict[str, Any]
 
-TRACKS = ("ins", "s_slam", "c_slam")
+TRACKS = ("ins", "s_slam", "c_slam", "smoothed")
 
 
 def build_summary(result: FlightResult, *, git: str | None, alignment: str = "none") -> Figures:
@@ -61,7 +61,8 @@ def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
         | claimed_figures(_ins_at_end(vehicle), distance_m),
         "s_slam": track_scores(vehicle.s_slam, vehicle.truth, alignment=alignment)
         | claimed_figures(vehicle.s_slam, distance_m),
-        "c_slam": _cooperative(vehicle, alignment, distance_m),
+        "c_slam": _optional(vehicle.c_slam, vehicle, alignment, distance_m),
+        "smoothed": _optional(vehicle.smoothed, vehicle, alignment, distance_m),
         "quality": quality_figures(vehicle),
         "link": _link(vehicle.link),
     }
@@ -81,10 +82,10 @@ def _ins_at_end(vehicle: VehicleResult) -> Trajectory:
     return vehicle.ins.select(vehicle.ins.stamps_ns <= (int(ends_ns[0]) if len(ends_ns) else 0))
 
 
-def _cooperative(vehicle: VehicleResult, alignment: str, distance_m: float) -> Figures | None:
-    if vehicle.c_slam is None:
+def _optional(track: Trajectory | None, vehicle: VehicleResult, alignment: str, distance_m: float) -> Figures | None:
+    if track is None:
         return None
-    common = vehicle.c_slam.select(np.isin(vehicle.c_slam.stamps_ns, vehicle.s_slam.stamps_ns))
+    common = track.select(np.isin(track.stamps_ns, vehicle.s_slam.stamps_ns))
     return track_scores(common, vehicle.truth, alignment=alignment) | claimed_figures(common, distance_m)
 
 

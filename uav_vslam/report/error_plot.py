@@ -17,13 +17,13 @@ from uav_vslam.report.style import STYLES, clean, tracks_of
 Array = NDArray[np.float64]
 
 SIGMAS = 3.0
-BAND_COLOURS = {"s_slam": "#e2e2e2", "c_slam": "#c2ebf2"}
-LOWEST = {"s_slam": 0.5, "c_slam": 0.6}  # the bands are drawn below the grid
+BAND_COLOURS = {"s_slam": "#e2e2e2", "c_slam": "#c2ebf2", "smoothed": "#ffe8cc"}
+LOWEST = {"s_slam": 0.5, "c_slam": 0.6, "smoothed": 0.7}  # the bands are drawn below the grid
 AXES = ("East", "North", "Up")
 
 
 def error_plot(result: FlightResult) -> Figure | None:
-    """Return the errors of S-SLAM and C-SLAM per axis, a column per vehicle; None without ground truth."""
+    """Return the errors of each SLAM track per axis, a column per vehicle; None without ground truth."""
     vehicles = [vehicle for vehicle in result.vehicles.values() if _scored(vehicle)]
     if not vehicles:
         return None
@@ -39,7 +39,7 @@ def error_plot(result: FlightResult) -> Figure | None:
     for row, axis in enumerate(AXES):
         grid[row, 0].set_ylabel(f"{axis} error [m]")
     figure.suptitle(f"{result.name}: position errors and their {SIGMAS:.0f}-sigma bands")
-    figure.legend(handles=_legend(vehicles), loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles=_legend(vehicles), loc="outside lower center", ncols=6, frameon=False)
     return figure
 
 
@@ -70,7 +70,7 @@ def _draw(column: NDArray[Any], seconds: Array, error: Array, covariance: Array 
 def _legend(vehicles: list[VehicleResult]) -> list[Any]:
     present = {name for vehicle in vehicles for name in _scored(vehicle)}
     handles: list[Any] = []
-    for name in ("s_slam", "c_slam"):
+    for name in BAND_COLOURS:
         if name in present:
             style = STYLES[name]
             handles.append(Line2D([], [], color=style.colour, linewidth=style.width, label=f"{style.label} error"))

@@ -14,7 +14,7 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.report.style import BAND, STYLES, clean, plain_log, tracks_of
 from uav_vslam.types import NS_PER_S
 
-TRACKS = ("s_slam", "c_slam")
+TRACKS = ("s_slam", "c_slam", "smoothed")
 ROWS = {"Position NEES / 3": "position", "Attitude NEES / 3": "rotation"}
 LOWEST, HIGHEST = 0.01, 10.0  # the axis covers at least this; perfect frames below it are clipped
 
@@ -36,7 +36,7 @@ def nees_plot(result: FlightResult) -> Figure | None:
         nees_axis(axes)
     figure.suptitle(f"{result.name}: consistency; 1 is expected, above the band over-confident")
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
     return figure
 
 

@@ -38,6 +38,7 @@ class TrackStyle:
 
 STYLES = {  # the ground truth is a broad line below the estimates
     "c_slam": TrackStyle("C-SLAM", "#00b8d4", 1.8, order=5),
+    "smoothed": TrackStyle("Smoothed", "#ff8c00", 1.3, order=6),
     "s_slam": TrackStyle("S-SLAM", "black", 1.3, order=4),
     "ins": TrackStyle("INS", "#d62728", 1.3, "--", order=3),
     "truth": TrackStyle("Truth", "#8fa8ee", 5.0, order=2),

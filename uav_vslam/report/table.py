@@ -9,7 +9,7 @@ from uav_vslam.evaluation.summary import TRACKS, Figures
 from uav_vslam.report.layout import NEES_TITLES, RELATIVE_TITLES, ate_title, figure_text, new_table, wide
 from uav_vslam.report.quality_lines import quality_lines
 
-NAMES = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
+NAMES = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM", "smoothed": "smoothed"}
 CLAIMS = {
     "1σ at\nend [m]": "sigma_end_m",
     "per 100 m\n[m]": "sigma_per_100m_m",

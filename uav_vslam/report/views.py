@@ -32,7 +32,7 @@ def plan_view(result: FlightResult) -> Figure:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="East [m]", ylabel="North [m]", aspect="equal")
     axes.set_title(f"{result.name}: plan view")
     clean(axes)
-    figure.legend(handles=_legend(result), loc="outside lower center", ncols=6, frameon=False)
+    figure.legend(handles=_legend(result), loc="outside lower center", ncols=7, frameon=False)
     return figure
 
 
@@ -57,7 +57,7 @@ def view_3d(result: FlightResult) -> Figure:
     stretch = box[2] / size[2]
     title = result.name + (f" (height drawn {stretch:.1f}x)" if stretch > 1.05 else "")
     figure.text(0.5, 0.94, title, ha="center", fontsize="large")
-    figure.legend(handles=_legend(result), loc="lower center", ncols=6, frameon=False)
+    figure.legend(handles=_legend(result), loc="lower center", ncols=7, frameon=False)
     return figure
 
 
@@ -110,7 +110,7 @@ def _mark_ends_3d(axes: Any, name: str, track: Trajectory) -> None:
 
 def _legend(result: FlightResult) -> list[Line2D]:
     present = {name for vehicle in result.vehicles.values() for name in tracks_of(vehicle)}
-    shown = [name for name in ("truth", "c_slam", "s_slam", "ins") if name in present]
+    shown = [name for name in ("truth", "c_slam", "s_slam", "smoothed", "ins") if name in present]
     lines = [Line2D([], [], label=STYLES[name].label, **_line(name)) for name in shown]
     start = Line2D([], [], linestyle="", marker="o", color="black", markerfacecolor="white", label="Start")
     return [*lines, start, Line2D([], [], linestyle="", marker="s", color="black", label="End")]

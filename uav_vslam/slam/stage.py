@@ -27,12 +27,14 @@ class FrameOutput:
         report: own-only SLAM.
         dead_reckoning: the uncorrected INS at the same stamp.
         joint: the estimate of pose and landmarks, at epochs only.
+        increment: the motion since the frame before that the back end used; None at the start itself.
         warnings: problems for the user; normally none.
     """
 
     report: FrameReport
     dead_reckoning: NavEstimate
     joint: JointInformation | None
+    increment: ImuIncrement | None
     warnings: tuple[str, ...] = ()
 
     @property
@@ -163,7 +165,7 @@ class SlamStage:
         joint = self._backend.joint_information() if at_epoch else None
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
-        return FrameOutput(report, dead_reckoned, joint, self._warnings(report, dead_reckoned))
+        return FrameOutput(report, dead_reckoned, joint, increment, self._warnings(report, dead_reckoned))
 
     def _warnings(self, report: FrameReport, dead_reckoned: NavEstimate) -> tuple[str, ...]:
         if report.recovery:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the smoother gets of a flight: start state, motion, features, and the filter's estimates and association."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.types import ImuIncrement, NavEstimate, NavState, StereoFeatures
 
 
@@ -55,6 +56,24 @@ class FilteredFlight:
                 raise ValueError(f"no motion is given from {before_ns} ns to the frame at {stamp_ns} ns")
             before_ns = stamp_ns
         return flight
+
+    @staticmethod
+    def of_outputs(
+        start: NavEstimate, outputs: Iterable[FrameOutput], features: Mapping[int, StereoFeatures]
+    ) -> "FilteredFlight":
+        """Collect a flight from what the back end returned and the features of each stamp [ns]."""
+        return FilteredFlight.of(
+            start,
+            (
+                FilteredFrame(
+                    output.report.nav.state,
+                    output.increment,
+                    features[output.report.pose.stamp_ns],
+                    output.report.sightings,
+                )
+                for output in outputs
+            ),
+        )
 
     @property
     def states(self) -> list[NavState]:

@@ -19,7 +19,7 @@ Tracks = dict[str, Trajectory]
 
 
 def read_results(folder: Path) -> dict[str, Tracks]:
-    """Return the tracks that have poses, by vehicle and by name ("truth", "ins", "s_slam", "c_slam").
+    """Return the tracks that have poses, by vehicle and by name (`output.ALL_TRACKS`).
 
     Raises:
         TrajectoryFileError: the folder holds no trajectory of a flight.
