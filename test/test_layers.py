@@ -22,7 +22,8 @@ ALLOWED: dict[str, set[str]] = {
     "stamps": {"types"},
     "geometry": set(),
     "numerics": set(),
-    "processes": set(),
+    "memory": set(),
+    "processes": {"memory"},
     # the estimator, in its order
     "ins": EARLY,
     "estimation": EARLY | {"ins"},  # the filter predicts by increments
@@ -47,10 +48,10 @@ ALLOWED: dict[str, set[str]] = {
     "studies": ESTIMATOR
     | {"pipeline", "fleet", "evaluation", "datasets", "simulation", "offline", "processes", "report"},
     # the top
-    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes"},
+    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes", "memory"},
     "cli": ESTIMATOR
     | {"pipeline", "fleet", "datasets", "inspection", "calibration", "evaluation", "simulation", "report"}
-    | {"overlay", "offline"},
+    | {"overlay", "offline", "memory"},
 }
 # What starts or watches ROS processes may import `ros`.
 ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "studies/engine/node_graph.py"}

@@ -11,6 +11,8 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
+from uav_vslam.memory import keep_freed_memory
+
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
 
@@ -48,5 +50,6 @@ def worker_pool(
 def _initialize(parent: int, initializer: Callable[..., None] | None, args: tuple[Any, ...]) -> None:
     exit_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_freed_memory()
     if initializer is not None:
         initializer(*args)

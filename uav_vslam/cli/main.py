@@ -15,6 +15,7 @@ from types import ModuleType
 
 from uav_vslam import __version__
 from uav_vslam.errors import UavVslamError
+from uav_vslam.memory import keep_freed_memory
 
 VERBS = (
     "simulate",
@@ -46,6 +47,7 @@ FAILURE, WRONG_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    keep_freed_memory()
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
         args = build_parser(arguments).parse_args(arguments)

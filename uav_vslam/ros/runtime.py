@@ -22,6 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from uav_vslam.config import VehicleConfig, idle_settings
 from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
+from uav_vslam.memory import keep_freed_memory
 from uav_vslam.ros.inputs import Input, silent, stopped, unmatched
 from uav_vslam.ros.params import VehicleParameters, declare, read
 
@@ -205,6 +206,7 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
 
     A node may end itself by raising SystemExit in a callback. An error of ours is one line and exit code 2.
     """
+    keep_freed_memory()
     cv2.setNumThreads(1)  # several nodes share the cores, and results must not depend on their number
     stopping = False
 
