@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.linalg.blas import dtrmm
+from scipy.linalg.blas import dgemm, dtrmm
 from scipy.linalg.lapack import dpotrf, dpotri, dtrtri
 
 from uav_vslam.errors import FilterDivergence
@@ -87,6 +87,11 @@ def mahalanobis2(residual: Array, S: NDArray[np.floating]) -> Array:
     return np.asarray(np.einsum("...i,...i->...", residual, np.linalg.solve(S, residual[..., None])[..., 0]))
 
 
+def subtract_product(Y: Array, W: Array) -> None:
+    """Y -= W^T W, in place and without another matrix of that size; Y (n, n) is C-contiguous and symmetric."""
+    dgemm(-1.0, W, W, 1.0, Y.T, trans_a=True, overwrite_c=True)
+
+
 def submatrix(A: Array, rows: NDArray[np.int64], columns: NDArray[np.int64] | None = None) -> Array:
     """Return a copy of A's rows and columns, by default the same; three times as fast as `A[np.ix_(...)]`."""
     return np.asarray(A.take(rows, 0).take(rows if columns is None else columns, 1))
@@ -105,5 +110,5 @@ def marginalise_information(
     L = cholesky(submatrix(Y, drop), what)
     W = solve_triangular(L, submatrix(Y, drop, keep), lower=True, check_finite=False)
     Y_kept = submatrix(Y, keep)
-    Y_kept -= W.T @ W  # numpy's A^T A is symmetric to the last bit
+    subtract_product(Y_kept, W)
     return Y_kept, log_det_of(L)

@@ -29,9 +29,16 @@ def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> 
     """
     if len(predicted) == 0 or len(observed) == 0:
         return np.zeros((len(predicted), len(observed)), bool)
-    nu = observed[None, :, :] - predicted[:, None, :]
-    whitened = nu @ np.linalg.inv(np.linalg.cholesky(S)).transpose(0, 2, 1)
-    return np.asarray(np.einsum("nmi,nmi->nm", whitened, whitened) <= chdtri(STEREO_DOF, 1.0 - probability))
+    limit = chdtri(STEREO_DOF, 1.0 - probability)
+    reach = np.sqrt(limit * np.diagonal(S, axis1=1, axis2=2))  # half the sides of the box around each gate
+    inside = np.ones((len(predicted), len(observed)), bool)
+    for k in range(STEREO_DOF):
+        inside &= np.abs(observed[:, k] - predicted[:, k, None]) <= reach[:, k, None]
+    rows, columns = np.nonzero(inside)
+    whitening = np.linalg.inv(np.linalg.cholesky(S))
+    nu = np.einsum("nij,nj->ni", whitening[rows], observed[columns] - predicted[rows])
+    inside[rows, columns] = np.einsum("ni,ni->n", nu, nu) <= limit
+    return inside
 
 
 def gated(in_view: InView, seen: StereoFeatures, config: BackendConfig) -> NDArray[np.intp]:

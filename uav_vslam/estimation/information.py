@@ -14,7 +14,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.linalg.blas import dgemm
 
 from uav_vslam.estimation.belief import (
     Indices,
@@ -32,6 +31,7 @@ from uav_vslam.numerics import (
     log_det_of,
     marginalise_information,
     square_root,
+    subtract_product,
     symmetrise,
 )
 
@@ -105,7 +105,7 @@ class InformationBelief:
         YB = Y[:, :m] @ B
         L = cholesky(np.eye(m) + B.T @ YB[:m], "process noise")
         lost = solve_triangular(L, YB.T, lower=True, check_finite=False)
-        Y = dgemm(-1.0, lost, lost, 1.0, Y.T, trans_a=True, overwrite_c=True).T  # Y -= lost^T lost, in place
+        subtract_product(Y, lost)
         Y[:m, :m] = symmetrise(Y[:m, :m])
         log_det = -2.0 * float(np.linalg.slogdet(F)[1]) - log_det_of(L)
         known = self._carried()
