@@ -4,7 +4,7 @@
 An observation is `z = [u_left, v_left, u_right, v_right]` in undistorted pixels, Eq. (4.6.13) of [thesis].
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,14 +27,17 @@ class StereoRig:
     Attributes:
         left, right: intrinsics; "left" is the reference camera (the front one of the Kagaru rig).
         T_body_left, T_body_right: poses of the optical frames in the body (IMU) frame.
+        T_right_left: maps left-camera coordinates to right-camera coordinates.
     """
 
     left: PinholeCamera
     right: PinholeCamera
     T_body_left: Pose
     T_body_right: Pose
+    T_right_left: Pose = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "T_right_left", self.T_body_right.inverse() @ self.T_body_left)
         if (self.left.width, self.left.height) != (self.right.width, self.right.height):
             raise CalibrationError(
                 f"left images are {self.left.width}x{self.left.height} px but right ones "
@@ -42,11 +45,6 @@ class StereoRig:
             )
         if self.baseline_m < MIN_BASELINE_M:
             raise CalibrationError(f"baseline is {self.baseline_m:.2e} m; check both cameras' extrinsics in /tf_static")
-
-    @property
-    def T_right_left(self) -> Pose:
-        """Maps left-camera coordinates to right-camera coordinates."""
-        return self.T_body_right.inverse() @ self.T_body_left
 
     @property
     def baseline_m(self) -> float:

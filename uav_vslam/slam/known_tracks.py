@@ -30,8 +30,8 @@ def tracks_first(
     known = followed(landmark_map, tracks, seen, probability=config.gate_probability)
     if len(known) == 0:
         return associate(landmark_map, seen, config)
-    other_landmarks = np.setdiff1d(np.arange(len(landmark_map)), known[:, 0])
-    other_seen = np.setdiff1d(np.arange(len(seen)), known[:, 1])
+    other_landmarks = np.delete(np.arange(len(landmark_map)), known[:, 0])
+    other_seen = np.delete(np.arange(len(seen)), known[:, 1])
     more = associate(landmark_map.chosen(other_landmarks), seen.chosen(other_seen), config)
     return np.vstack([known, np.column_stack([other_landmarks[more[:, 0]], other_seen[more[:, 1]]])])
 

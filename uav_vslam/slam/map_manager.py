@@ -63,7 +63,7 @@ def keep_one_per_cell(view: MapView, config: BackendConfig) -> Rows:
     while len(kept) > capacity and cell_m < LARGEST_CELL_M:
         cell_m *= CELL_GROWTH
         kept = order[_first_of_each_cell(view.positions[order], cell_m)]
-    return np.setdiff1d(out, kept)
+    return out[~np.isin(out, kept)]
 
 
 def _first_of_each_cell(positions: Array, cell_m: float) -> Rows:
@@ -120,15 +120,14 @@ def rows_to_remove(view: MapView, config: BackendConfig) -> Rows:
     """
     landmark_map = view.landmarks
     unseen = view.frame - landmark_map.seen
-    failed = view.in_view & (unseen >= FAILED_AFTER_FRAMES) & (landmark_map.observations < ESTABLISHED_OBSERVATIONS)
-    rows = np.union1d(np.flatnonzero(failed), RETENTION[config.retention](view, config))
-    rest = np.setdiff1d(np.arange(len(landmark_map)), rows)
-    out = rest[~view.in_view[rest]]
-    rows = np.union1d(rows, _longest_unseen(landmark_map, out)[: max(0, len(out) - capacity_out_of_view(view, config))])
-    rest = np.setdiff1d(rest, rows)
-    mature = rest[view.frame - landmark_map.born[rest] >= YOUNG_FRAMES]
-    rows = np.union1d(rows, _longest_unseen(landmark_map, mature)[: max(0, len(rest) - config.max_landmarks)])
-    return rows.astype(np.intp)
+    removed = view.in_view & (unseen >= FAILED_AFTER_FRAMES) & (landmark_map.observations < ESTABLISHED_OBSERVATIONS)
+    removed[RETENTION[config.retention](view, config)] = True
+    out = np.flatnonzero(~removed & ~view.in_view)
+    removed[_longest_unseen(landmark_map, out)[: max(0, len(out) - capacity_out_of_view(view, config))]] = True
+    mature = np.flatnonzero(~removed & (view.frame - landmark_map.born >= YOUNG_FRAMES))
+    surplus = max(0, int((~removed).sum()) - config.max_landmarks)
+    removed[_longest_unseen(landmark_map, mature)[:surplus]] = True
+    return np.flatnonzero(removed)
 
 
 def capacity_out_of_view(view: MapView, config: BackendConfig) -> int:

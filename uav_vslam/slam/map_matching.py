@@ -87,7 +87,7 @@ class MapMatcher:
         uncertain = bool(np.median(sigma_px) > self._config.pnp_beyond_px)
         back = landmark_map.long_unseen(frame)[rows] & (sigma_px > self._config.pnp_beyond_px)
         revisited = recognise(slam_filter, landmark_map, features, rows[back], config=self._config)
-        free = np.setdiff1d(np.arange(len(features)), revisited[:, 1])
+        free = np.delete(np.arange(len(features)), revisited[:, 1])
         others = rows[~back]
         statistics = landmark_map.statistics.chosen(others)
         in_view = InView(
