@@ -3,11 +3,12 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 import pytest
 
-from uav_vslam.config import VehicleConfig, load_vehicle
+from uav_vslam.config import RigConfig, VehicleConfig, load_vehicle
 from uav_vslam.evaluation.consistency import chi_square_band, nees
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import so3_log
@@ -35,7 +36,9 @@ def simulated(seed: int) -> tuple[SimulatedVehicle, Seen]:
 
 
 def config_of(vehicle: SimulatedVehicle) -> VehicleConfig:
-    return dataclasses.replace(load_vehicle(None), imu=vehicle.scenario.imu_config)
+    """Return settings with the true noise and a rig that is known exactly, as GTSAM takes it."""
+    known = RigConfig(rigid_sigma_deg=0.0)
+    return dataclasses.replace(load_vehicle(None), imu=vehicle.scenario.imu_config, rig=known)
 
 
 def dead_reckoned(vehicle: SimulatedVehicle, seen: Seen) -> FilteredFlight:
@@ -122,6 +125,27 @@ def simulated_circuit() -> tuple[SimulatedVehicle, Seen]:
 
 def abs_end(found: Trajectory, truth: Trajectory) -> float:
     return float(np.linalg.norm(found.positions[-1] - truth.positions[-1]))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "known"),
+    [
+        ({"extrinsic_bias_deg": (0.05, 0.0, 0.0)}, RigConfig(rigid_sigma_deg=0.05)),
+        ({"extrinsic_bias_deg": (0.02, 0.0, 0.0), "vibration_deg": 0.05}, RigConfig(flexing=True)),
+    ],
+)
+def test_a_wrong_rig_is_estimated_and_its_uncertainty_counts(wrong: dict[str, Any], known: RigConfig) -> None:
+    """NEES of the last pose over ten flights; a rig that is trusted is off by far."""
+    scores, trusting = [], []
+    for seed in range(301, 311):
+        vehicle = simulate_vehicle(Scenario(vehicles=1, frames=FRAMES, seed=seed, **wrong), 0)
+        seen = list(observe(vehicle, scatter_landmarks([vehicle], per_frame=PER_FRAME), noise=LandmarkNoise()))
+        flight, config, truth = dead_reckoned(vehicle, seen), config_of(vehicle), true_trajectory(vehicle)
+        estimated = smooth(flight, vehicle.rig, dataclasses.replace(config, rig=known))
+        scores.append(nees(trajectory(estimated), truth).position[-1])
+        trusting.append(nees(trajectory(smooth(flight, vehicle.rig, config)), truth).position[-1])
+    low, high = chi_square_band(len(scores), probability=0.999)
+    assert low < np.mean(scores) < high < np.mean(trusting)
 
 
 def test_equal_flights_give_equal_bytes() -> None:

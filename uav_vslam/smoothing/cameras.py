@@ -1,17 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the cameras are in each state, and how exactly they measure."""
+"""Where the cameras are in each state, how wrong their calibration is, and how exactly they measure."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.config import RigConfig
+from uav_vslam.estimation.linearisation import Camera, camera_points, pixel_jacobians
+from uav_vslam.estimation.models import MODELS, POSE
+from uav_vslam.estimation.observation import MIN_DEPTH_M
+from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.propagation import NAV_DIM
 from uav_vslam.smoothing.sightings import Rows
 from uav_vslam.types import NavState
 
 Array = NDArray[np.float64]
+
+MODEL = MODELS["so15"]()  # plain differences: every step linearises anew
 
 # Of tracked patches, relative to the residuals that remain: found on four rendered flights (leg, seeds 101 to 104) by
 # the correlation of the residuals over a track against the true poses, and the white part by the NEES of the motion
@@ -52,34 +61,124 @@ class PixelNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class Cameras:
-    """Where the cameras are.
+class Observed:
+    """Predicted stereo pixels and their Jacobians.
 
     Attributes:
-        rig: calibration.
-        R_left_map: (N, 3, 3), of each state.
-        positions: (N, 3) of the body [m].
+        expected: (M, 4) [px].
+        by_pose: (M, 4, 6 or 9): position, attitude, and the vibration if the rig flexes.
+        by_point: (M, 4, 3).
+        by_rig: (M, 4, dim): constant errors of the rig.
     """
 
-    rig: StereoRig
-    R_left_map: Array
-    positions: Array
+    expected: Array
+    by_pose: Array
+    by_point: Array
+    by_rig: Array
+
+
+@dataclass(frozen=True, slots=True)
+class RigEstimate:
+    """How wrong the rig's calibration is.
+
+    Attributes:
+        errors: layout and priors, as the filter has them.
+        constant: (dim,) error of the whole flight; what drifts slowly in the filter is constant here.
+        vibration: (N, 3) rotation vectors of the right camera in each state, zero unless the rig flexes [rad].
+    """
+
+    errors: RigErrors
+    constant: Array
+    vibration: Array
+
+    @staticmethod
+    def of(rig: StereoRig, config: RigConfig, states: int) -> "RigEstimate":
+        """Trust the calibration, at first."""
+        errors = RigErrors(rig, config, NAV_DIM)
+        return RigEstimate(errors, np.zeros(errors.dim), np.zeros((states, 3)))
+
+    @property
+    def vibrates(self) -> bool:
+        """Whether the rig flexes."""
+        return self.errors.vibration.stop > self.errors.vibration.start
+
+    @property
+    def lasting(self) -> Array:
+        """(dim,) 1 for constant errors, 0 for the vibration."""
+        lasting = np.ones(NAV_DIM + self.errors.dim)
+        lasting[self.errors.vibration] = 0.0
+        return lasting[NAV_DIM:]
+
+    def moved(self, constant: Array, vibration: Array) -> "RigEstimate":
+        """Return the estimate after corrections (dim,) and (N, 0 or 3)."""
+        return dataclasses.replace(
+            self,
+            constant=self.constant + constant,
+            vibration=self.vibration + vibration if self.vibrates else self.vibration,
+        )
+
+    def state(self, row: int) -> RigState:
+        """Return the rig's state in one state of the flight."""
+        delta = np.concatenate([np.zeros(NAV_DIM), self.lasting * self.constant])
+        if self.vibrates:
+            delta[self.errors.vibration] = self.vibration[row]
+        return self.errors.retract(RigState(), delta)
+
+
+class Cameras:
+    """The cameras of all states of a flight."""
+
+    def __init__(self, states: Sequence[NavState], rates_map: Array, rig: RigEstimate) -> None:
+        """Mount the cameras on (N,) states with (N, 3) angular rates in the map frame [rad/s]."""
+        self._lasting = rig.lasting
+        self._vibration = rig.errors.vibration
+        at = [rig.state(row) for row in (range(len(states)) if rig.vibrates else [0])]
+        rigs = [rig.errors.rig(state) for state in at]
+        self._cameras = [
+            Camera(
+                rig=rigs[k % len(rigs)],
+                errors=rig.errors,
+                model=MODEL,
+                nav=rig.errors.at_exposure(at[k % len(at)], state, rate_map),
+                rate_map=rate_map,
+                sigma_px=1.0,
+                depth_sigma_ratio=0.0,
+            )
+            for k, (state, rate_map) in enumerate(zip(states, rates_map, strict=True))
+        ]
+        T_map_left = [camera.nav.T_map_body @ camera.rig.T_body_left for camera in self._cameras]
+        self._R_map_left = np.array([T.R for T in T_map_left])
+        self._origins = np.array([T.t for T in T_map_left])
+
+    @property
+    def rig(self) -> StereoRig:
+        """The rig in the first state."""
+        return self._cameras[0].rig
 
     def points_left(self, states: Rows, points: Array) -> Array:
         """Return (M, 3) map-frame points [m] in the left camera frames of M states."""
-        arms = points - self.positions[states]
-        T = self.rig.T_body_left
-        return np.einsum("mij,mj->mi", self.R_left_map[states], arms) - T.R.T @ T.t
+        return np.einsum("mij,mi->mj", self._R_map_left[states], points - self._origins[states])
 
     def to_map(self, states: Rows, points_left: Array) -> Array:
         """Return (M, 3) points of the left camera frames in the map frame."""
-        T = self.rig.T_body_left
-        arms = np.einsum("mij,mi->mj", self.R_left_map[states], points_left + T.R.T @ T.t)
-        return np.asarray(arms + self.positions[states])
+        return np.asarray(np.einsum("mij,mj->mi", self._R_map_left[states], points_left) + self._origins[states])
 
-    @staticmethod
-    def of(rig: StereoRig, states: Sequence[NavState]) -> "Cameras":
-        """Mount a rig on the bodies."""
-        R = np.array([state.T_map_body.R for state in states])
-        positions = np.array([state.T_map_body.t for state in states])
-        return Cameras(rig, rig.T_body_left.R.T @ np.swapaxes(R, 1, 2), positions)
+    def observe(self, states: Rows, points: Array) -> Observed:
+        """Predict the stereo pixels of (M, 3) points, each in one of M states, with Jacobians."""
+        count = len(states)
+        vibration = self._vibration.stop - self._vibration.start
+        expected, by_point = np.empty((count, 4)), np.empty((count, 4, 3))
+        by_pose, by_rig = np.empty((count, 4, 6 + vibration)), np.empty((count, 4, len(self._lasting)))
+        if count == 0:
+            return Observed(expected, by_pose, by_point, by_rig)
+        order = np.argsort(states, kind="stable")
+        present, first = np.unique(states[order], return_index=True)
+        for state, start, end in zip(present.tolist(), first, np.append(first[1:], count), strict=True):
+            camera, rows = self._cameras[state], order[start:end]
+            c, J_vehicle, J_point = camera_points(camera, points[rows])
+            c[:, 2] = np.maximum(c[:, 2], MIN_DEPTH_M)  # a point that slips behind the camera is an outlier
+            H, by_point[rows] = pixel_jacobians(camera, c, c, J_vehicle, J_point)
+            expected[rows] = camera.rig.project(c)
+            by_pose[rows, :, :6], by_pose[rows, :, 6:] = H[:, :, POSE], H[:, :, self._vibration]
+            by_rig[rows] = H[:, :, NAV_DIM:] * self._lasting
+        return Observed(expected, by_pose, by_point, by_rig)

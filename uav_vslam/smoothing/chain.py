@@ -28,6 +28,8 @@ from uav_vslam.ins.propagation import (
 )
 from uav_vslam.numerics import cholesky
 from uav_vslam.smoothing.arrowhead import Arrowhead
+from uav_vslam.smoothing.cameras import RigEstimate
+from uav_vslam.smoothing.layout import Layout
 from uav_vslam.types import ImuIncrement, NavEstimate, NavState
 
 Array = NDArray[np.float64]
@@ -60,27 +62,25 @@ def between(state: NavState, state_to: NavState) -> Array:
     )
 
 
-def add_start(system: Arrowhead, start: NavEstimate, state: NavState) -> float:
-    """Add the prior of the first state; return its cost |L^-1 r|^2."""
+def add_start(system: Arrowhead, start: NavEstimate, state: NavState) -> None:
+    """Add the prior of the first state."""
     whiten = _whitening(start.covariance, "covariance of the start state")
     first = slice(0, NAV_DIM)
     residual = whiten @ between(state, start.state)
     system.diagonal[0, first, first] += whiten.T @ whiten
     system.rhs[0, first] += whiten.T @ residual
-    return float(residual @ residual)
 
 
 def add_motion(
-    system: Arrowhead, states: Sequence[NavState], increments: Sequence[ImuIncrement], imu: ImuConfig
-) -> float:
-    """Add the motion between all neighbours and return its cost; state k is row k % K of block k // K."""
-    size, cost = system.diagonal.shape[1] // NAV_DIM, 0.0
+    system: Arrowhead, layout: Layout, states: Sequence[NavState], increments: Sequence[ImuIncrement], imu: ImuConfig
+) -> None:
+    """Add the motion between all neighbours."""
     for k, increment in enumerate(increments):
         F, Q = transition(states[k], increment, imu)
         whiten = _whitening(Q, f"noise of the motion that ends at {increment.stamp_ns} ns")
         residual = whiten @ between(states[k + 1], propagate(states[k], increment, gravity=imu.gravity))
         before = -whiten @ F
-        (block, rows), (block_to, rows_to) = _place(k, size), _place(k + 1, size)
+        (block, rows), (block_to, rows_to) = layout.place(k), layout.place(k + 1)
         system.diagonal[block, rows, rows] += before.T @ before
         system.diagonal[block_to, rows_to, rows_to] += whiten.T @ whiten
         if block == block_to:
@@ -90,19 +90,27 @@ def add_motion(
             system.below[block, rows_to, rows] += whiten.T @ before
         system.rhs[block, rows] += before.T @ residual
         system.rhs[block_to, rows_to] += whiten.T @ residual
-        cost += float(residual @ residual)
-    return cost
 
 
-def fill_up(system: Arrowhead, states: int) -> None:
+def add_rig(system: Arrowhead, layout: Layout, rig: RigEstimate) -> None:
+    """Add the priors of the rig's errors: of the constant ones, and of the vibration of each state."""
+    rows, information = np.arange(layout.rig), 1.0 / rig.errors.prior_variance
+    system.border[rows, rows] += information
+    system.border_rhs[rows] -= information * rig.constant
+    if not rig.vibrates:
+        return
+    for state, vibration in enumerate(rig.vibration):
+        block, nav = layout.place(state)
+        own = np.arange(nav.stop, nav.stop + layout.vibration)
+        system.diagonal[block, own, own] += 1.0 / rig.errors.vibration_variance
+        system.rhs[block, own] -= vibration / rig.errors.vibration_variance
+
+
+def fill_up(system: Arrowhead, layout: Layout) -> None:
     """Give the rows of the last block that no state has a unit diagonal, so that they are zero."""
-    rest = np.arange(states * NAV_DIM - (len(system.diagonal) - 1) * system.diagonal.shape[1], system.diagonal.shape[1])
+    used = layout.states - (layout.blocks - 1) * layout.size
+    rest = np.arange(used * layout.stride, layout.size * layout.stride)
     system.diagonal[-1, rest, rest] = 1.0
-
-
-def _place(state: int, size: int) -> tuple[int, slice]:
-    block, row = divmod(state, size)
-    return block, slice(row * NAV_DIM, (row + 1) * NAV_DIM)
 
 
 def _whitening(covariance: Array, what: str) -> Array:

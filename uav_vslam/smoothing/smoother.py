@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.estimation.models import POSE
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import NAV_DIM
 from uav_vslam.smoothing.arrowhead import Arrowhead, Factor, factorise, marginal_covariances
-from uav_vslam.smoothing.cameras import Cameras, PixelNoise
-from uav_vslam.smoothing.chain import add_motion, add_start, fill_up, moved
+from uav_vslam.smoothing.cameras import Cameras, PixelNoise, RigEstimate
+from uav_vslam.smoothing.chain import add_motion, add_rig, add_start, fill_up, moved
 from uav_vslam.smoothing.flight import FilteredFlight
+from uav_vslam.smoothing.layout import Layout
 from uav_vslam.smoothing.points import fitting, residual_px, revisited, tie_sigma_m, ties, triangulated
 from uav_vslam.smoothing.sightings import Sightings, gather
 from uav_vslam.smoothing.views import Eliminated, add_views, eliminate, linearise
@@ -52,11 +52,12 @@ class Smoothed:
 
 
 class _Problem:
-    """What Gauss-Newton moves, and what it fits: states, points (P, 7) and revisited landmarks (L, 3)."""
+    """What Gauss-Newton moves, and what it fits: states, rig, points (P, 7) and revisited landmarks (L, 3)."""
 
     def __init__(self, flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> None:
-        self._flight, self._rig, self._config = flight, rig, config
+        self._flight, self._config = flight, config
         self.states: list[NavState] = flight.states
+        self.rig = RigEstimate.of(rig, config.rig, len(self.states))
         self.sightings: Sightings = gather(flight)
         self.points = triangulated(self.sightings, self._cameras)
         self.landmarks = np.zeros((0, 3))
@@ -71,45 +72,66 @@ class _Problem:
 
     def gate(self) -> None:
         """Measure the noise of the pixels, and drop points that don't fit."""
-        found = residual_px(self.sightings, self._cameras, self.points, self.noise)
+        cameras = self._cameras
+        found = residual_px(self.sightings, cameras, self.points, self.noise)
         if found is not None:
             self.noise = self._noise_of(found)
-        self.keep(fitting(self.sightings, self._cameras, self.points, self.noise, probability=GATE_PROBABILITY))
+        self.keep(fitting(self.sightings, cameras, self.points, self.noise, probability=GATE_PROBABILITY))
 
     def step(self) -> tuple[Factor, float]:
         """Take a step; return the factors of the normal equations before it, and its Newton decrement."""
-        size = max(self.sightings.longest, SMALLEST_BLOCK)
-        system = Arrowhead.zeros(-(-len(self.states) // size), size * NAV_DIM, 3 * len(self.landmarks))
+        layout = self.layout
+        system = Arrowhead.zeros(layout.blocks, layout.size * layout.stride, layout.border)
         add_start(system, self._flight.start, self.states[0])
-        add_motion(system, self.states, self._flight.increments, self._config.imu)
-        fill_up(system, len(self.states))
-        batches = self._add_points(system, size)
+        add_motion(system, layout, self.states, self._flight.increments, self._config.imu)
+        add_rig(system, layout, self.rig)
+        fill_up(system, layout)
+        batches = self._add_points(system, layout)
         factor = factorise(system)
-        steps = factor.solution.reshape(-1, NAV_DIM)[: len(self.states)]
-        border = factor.border_solution.reshape(-1, 3)
-        of_points = np.vstack([border, np.zeros((1, 3))])[self.sightings.landmarks]  # the last row: of no landmark
+        steps = factor.solution.reshape(-1, layout.stride)[: layout.states]
+        rig_step, landmark_steps = np.split(factor.border_solution, [layout.rig])
+        landmark_steps = landmark_steps.reshape(-1, 3)
+        of_points = np.vstack([landmark_steps, np.zeros((1, 3))])[self.sightings.landmarks]  # the last row: of none
         for own, eliminated in batches:
-            self.points[own] += eliminated.corrections(steps[:, POSE], of_points[own])
-        self.states = moved(self.states, steps)
-        self.landmarks = self.landmarks + border
+            self.points[own] += eliminated.corrections(steps[:, layout.seen], rig_step, of_points[own])
+        self.states = moved(self.states, steps[:, :NAV_DIM])
+        self.rig = self.rig.moved(rig_step, steps[:, NAV_DIM:])
+        self.landmarks = self.landmarks + landmark_steps
         decrement = float(np.sum(factor.solution * system.rhs) + factor.border_solution @ system.border_rhs)
         return factor, max(decrement, 0.0) ** 0.5
 
-    def _add_points(self, system: Arrowhead, size: int) -> list[tuple[slice, Eliminated]]:
+    @property
+    def layout(self) -> Layout:
+        """Where the unknowns are: a block of states is as long as the longest track."""
+        return Layout(
+            states=len(self.states),
+            size=max(self.sightings.longest, SMALLEST_BLOCK),
+            vibration=3 if self.rig.vibrates else 0,
+            rig=self.rig.errors.dim,
+            landmarks=len(self.landmarks),
+        )
+
+    def _add_points(self, system: Arrowhead, layout: Layout) -> list[tuple[slice, Eliminated]]:
         cameras, batches = self._cameras, []
         redetection_px = max(self._config.backend.redetection_px, self.noise.white_px)
         sigma_m = tie_sigma_m(self.sightings, cameras, self.points, redetection_px)
-        for block, own, part in self.sightings.by_block(size):
+        for block, own, part in self.sightings.by_block(layout.size):
             tied = ties(part.landmarks, self.points[own], self.landmarks, sigma_m[own])
             view = linearise(part, cameras, self.points[own], self.noise)
             eliminated = eliminate(part, view, self.points[own], self.noise, tied)
-            add_views(system, block, view, eliminated, tied)
+            add_views(system, layout, block, view, eliminated, tied)
             batches.append((own, eliminated))
         return batches
 
     @property
     def _cameras(self) -> Cameras:
-        return Cameras.of(self._rig, self.states)
+        increments = self._flight.increments
+        if not increments:
+            return Cameras(self.states, np.zeros((1, 3)), self.rig)
+        rates = np.array([increments[0].rate_end, *(increment.rate_end for increment in increments)])
+        rates -= [state.gyro_bias for state in self.states]
+        R = np.array([state.T_map_body.R for state in self.states])
+        return Cameras(self.states, np.einsum("nij,nj->ni", R, rates), self.rig)
 
 
 def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> Smoothed:
@@ -117,7 +139,7 @@ def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> Smo
 
     Args:
         flight: measurements, and estimates to start from.
-        rig: calibration, corrected by what the filter found at last.
+        rig: calibration; its errors are estimated with the filter's priors.
         config: of the vehicle; `backend.sigma_px` counts only where points are too few to measure it.
 
     Raises:
@@ -131,12 +153,10 @@ def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> Smo
         factor, decrement = problem.step()
         if decrement < SETTLED and step > GATED_AFTER:
             break
-    P = marginal_covariances(factor)
-    size = P.shape[1] // NAV_DIM
+    P, layout = marginal_covariances(factor), problem.layout
     estimates = []
     for row in flight.state_rows.tolist():
-        block, place = divmod(row, size)
-        own = slice(place * NAV_DIM, (place + 1) * NAV_DIM)
+        block, own = layout.place(row)
         estimates.append(NavEstimate(problem.states[row], P[block, own, own].copy()))
     return Smoothed(
         tuple(estimates), step, len(problem.points), found - len(problem.points), len(problem.landmarks), problem.noise
