@@ -31,7 +31,7 @@ from uav_vslam.estimation.linearisation import (
     pixel_jacobians,
 )
 from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transport, difference
-from uav_vslam.estimation.observation import smoothed, triangulation_covariance
+from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
@@ -160,7 +160,7 @@ class Filter:
 
     def points_left(self) -> Array:
         """Return the (N, 3) landmarks in the left camera frame [m]."""
-        return camera_points(self._camera(), self.landmarks)[0]
+        return in_left_camera(self.rig, self._camera().nav, self.landmarks)
 
     def predict_observations(self, landmarks: Indices) -> PredictedObservation:
         """Predict stereo observations of landmarks; they must be projectable."""

@@ -126,8 +126,9 @@ class Jacobians:
 
     def observation(self, camera: Camera, which: Indices, landmarks: Array, P: Marginals) -> PredictedObservation:
         points_left, J_vehicle, J_landmark = camera_points(camera, landmarks)
-        P_c = _point_covariance(J_vehicle, J_landmark, P)
-        at = smoothed(points_left, P_c[:, 2, 2], depth_sigma_ratio=camera.depth_sigma_ratio)
+        at = smoothed(
+            points_left, _depth_variance(J_vehicle, J_landmark, P), depth_sigma_ratio=camera.depth_sigma_ratio
+        )
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
         R = np.tile(camera.sigma_px**2 * np.eye(4), (len(landmarks), 1, 1))
         S = _innovation_covariance(H_vehicle, H_landmark, P) + R
@@ -164,7 +165,7 @@ class Cubature:
         if len(landmarks) == 0:
             return first
         _, J_vehicle, J_landmark = camera_points(camera, landmarks)
-        depth_variance = _point_covariance(J_vehicle, J_landmark, P)[:, 2, 2]
+        depth_variance = _depth_variance(J_vehicle, J_landmark, P)
         at = smoothed(first.points_left, depth_variance, depth_sigma_ratio=camera.depth_sigma_ratio)
         L = np.asarray(np.linalg.cholesky(_pose_landmark_covariance(P)), dtype=np.float64)
         points = self._points(camera, landmarks, cubature_offsets(L)) + (at - first.points_left)[:, None]
@@ -240,16 +241,19 @@ def regress(values: Array, centre: Array, L: Array) -> tuple[Array, Array, Array
     return shift, A, np.swapaxes(bend, -1, -2) @ bend / d
 
 
-def _point_covariance(J_vehicle: Array, J_landmark: Array, P: Marginals) -> Array:
-    """Return (M, 3, 3) covariances of the landmarks in the camera frame."""
-    return _innovation_covariance(J_vehicle, np.broadcast_to(J_landmark, (len(J_vehicle), 3, 3)), P)
+def _depth_variance(J_vehicle: Array, J_landmark: Array, P: Marginals) -> Array:
+    """Return (M,) variances of the landmarks' depths in the camera frame."""
+    own = np.broadcast_to(J_landmark[2:], (len(J_vehicle), 1, 3))
+    return _innovation_covariance(J_vehicle[:, 2:], own, P)[:, 0, 0]
 
 
 def _innovation_covariance(H_vehicle: Array, H_landmark: Array, P: Marginals) -> Array:
     """Return (M, k, k) H P H^T for the vehicle and each landmark separately."""
-    cross = H_vehicle @ P.cross @ np.swapaxes(H_landmark, -1, -2)
-    S = H_vehicle @ P.vehicle @ np.swapaxes(H_vehicle, -1, -2) + cross + np.swapaxes(cross, -1, -2)
-    return np.asarray(S + H_landmark @ P.landmarks @ np.swapaxes(H_landmark, -1, -2))
+    count, k, m = H_vehicle.shape
+    half = 0.5 * (H_vehicle.reshape(count * k, m) @ P.vehicle).reshape(count, k, m)
+    half += H_landmark @ np.swapaxes(P.cross, -1, -2)
+    S = half @ np.swapaxes(H_vehicle, -1, -2) + 0.5 * (H_landmark @ P.landmarks @ np.swapaxes(H_landmark, -1, -2))
+    return S + np.swapaxes(S, -1, -2)
 
 
 def _pose_landmark_covariance(P: Marginals) -> Array:

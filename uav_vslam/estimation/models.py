@@ -90,7 +90,7 @@ class RightInvariant15:
             accel_bias=nav.accel_bias + delta[12:15],
         )
         arm = landmarks - p
-        shift = delta[NAV_DIM:].reshape(-1, 3) + np.cross(arm, xi)
+        shift = delta[NAV_DIM:].reshape(-1, 3) + arm @ skew(xi)  # arm x xi
         return moved, p + arm @ R_xi.T + shift @ J.T
 
     def local(self, nav: NavState, nav_to: NavState) -> Array:

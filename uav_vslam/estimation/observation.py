@@ -39,14 +39,19 @@ class PointJacobian:
     landmark: Array
 
 
+def in_left_camera(rig: StereoRig, nav: NavState, landmarks: Array) -> Array:
+    """Transform (N, 3) map-frame landmarks [m] into the left camera frame."""
+    arm_body = (landmarks - nav.T_map_body.t) @ nav.T_map_body.R
+    return np.asarray((arm_body - rig.T_body_left.t) @ rig.T_body_left.R)
+
+
 def point_jacobian(rig: StereoRig, nav: NavState, landmarks: Array) -> PointJacobian:
     """Transform (N, 3) map-frame landmarks [m] into the left camera frame, with derivatives."""
     R_left_map = rig.T_body_left.R.T @ nav.T_map_body.R.T
-    arm = landmarks - nav.T_map_body.t
     J = np.zeros((len(landmarks), 3, NAV_DIM))
     J[:, :, POSITION] = -R_left_map
-    J[:, :, ROTATION] = R_left_map @ skew(arm)
-    return PointJacobian(arm @ R_left_map.T - rig.T_body_left.R.T @ rig.T_body_left.t, J, R_left_map)
+    J[:, :, ROTATION] = R_left_map @ skew(landmarks - nav.T_map_body.t)
+    return PointJacobian(in_left_camera(rig, nav, landmarks), J, R_left_map)
 
 
 def smoothed(points_left: Array, depth_variance: Array, *, depth_sigma_ratio: float) -> Array:
