@@ -46,7 +46,7 @@ ALLOWED: dict[str, set[str]] = {
     # what puts them together without ROS
     "offline": ESTIMATOR | {"pipeline", "fleet", "smoothing", "evaluation", "processes"},
     "studies": ESTIMATOR
-    | {"pipeline", "fleet", "evaluation", "datasets", "simulation", "offline", "processes", "report"},
+    | {"pipeline", "fleet", "evaluation", "datasets", "simulation", "calibration", "offline", "processes", "report"},
     # the top
     "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes", "memory"},
     "cli": ESTIMATOR

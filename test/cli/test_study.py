@@ -23,6 +23,7 @@ SMALL = {
     "revisit": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
     "association": ["--seeds", "1", "--frames", "6", "--methods", "gated", "hgtm"],
     "recordings": ["--seeds", "1", "--frames", "6"],
+    "perturbed": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
 }
 PICTURES = {
     "frames": set(),
@@ -36,6 +37,7 @@ PICTURES = {
     "revisit": {"revisit.png"},
     "association": {"association.png", "matching.png"},
     "recordings": set(),
+    "perturbed": {"perturbed.png", "nees_landmark_level.png", "nees_rendered_images.png"},
 }
 
 

@@ -64,6 +64,7 @@ COLUMNS: dict[str, str] = {
     "end_ratio_to_batch": "end error over the batch optimum's",
     "end_ratio_to_rigid": "end error over the first method's with a rigid rig",
     "end_ratio_to_clean": "end error over that without wrong matches",
+    "ratio_to_exact": "ATE over that of the same flights with the exact calibration",
     "end_ratio_to_forgetting": "end error over that with nothing retained",
     "better_ate_rms_m": "ATE of the vehicle of each seed that is better alone",
     "better_ratio_to_s_slam": "its ratio_to_s_slam",
