@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 NAV_DIM = 15
 POSITION, VELOCITY, ROTATION, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, NAV_DIM, 3))
+# Power of the remaining time with which a change of gyro and accel bias grows in position, velocity, rotation, biases.
+GROWTH = np.repeat([[3, 2], [2, 1], [1, 1], [0, 0], [0, 0]], 3, axis=0)
 
 
 def corrected(increment: ImuIncrement, gyro_bias: Array, accel_bias: Array) -> tuple[Array, Array, Array]:
@@ -63,7 +65,23 @@ def transition(state: NavState, increment: ImuIncrement, imu: ImuConfig) -> tupl
     F[POSITION, ROTATION] = -skew(R @ delta_p)
     F[VELOCITY, ROTATION] = -skew(R @ delta_v)
     F[:, 9:15] += to_map @ increment.bias_jacobian
-    Q = to_map @ increment.covariance @ to_map.T
-    Q[GYRO_BIAS, GYRO_BIAS] += imu.gyro_bias_walk**2 * dt * np.eye(3)
-    Q[ACCEL_BIAS, ACCEL_BIAS] += imu.accel_bias_walk**2 * dt * np.eye(3)
+    Q = to_map @ increment.covariance @ to_map.T + _bias_walk(F[:, 9:15], dt, imu)
     return F, Q
+
+
+def _bias_walk(effect: Array, dt_s: float, imu: ImuConfig) -> Array:
+    """Return (15, 15) covariance of the error that the random walks of the biases leave at the end of an increment.
+
+    A step dw of a bias, tau before the end, moves error i by (tau/dt)^n_i J_i dw, n as in `GROWTH`; the integral
+    over tau is s^2 dt J_i J_j^T / (n_i + n_j + 1). Exact for a constant specific force without rotation.
+
+    Args:
+        effect: (15, 6) J, error at the end by gyro and accel bias at the start.
+        dt_s: length of the increment [s].
+        imu: s, the densities of the walks.
+    """
+    Q = np.zeros((NAV_DIM, NAV_DIM))
+    for kind, density in enumerate((imu.gyro_bias_walk, imu.accel_bias_walk)):
+        J, n = effect[:, 3 * kind : 3 * kind + 3], GROWTH[:, kind]
+        Q += density**2 * dt_s * (J @ J.T) / (n[:, None] + n + 1)
+    return Q
