@@ -11,7 +11,7 @@ import pytest
 from uav_vslam.config import FrontendConfig
 from uav_vslam.errors import ConfigError, InvalidMessage
 from uav_vslam.types import StereoFrame
-from uav_vslam.vision.features import EXTRACTORS, make_extractor
+from uav_vslam.vision.features import EXTRACTORS, detect_chosen, make_extractor
 from uav_vslam.vision.features.dense import grid
 from uav_vslam.vision.features.surf import INSTALL
 from uav_vslam.vision.matching import match_gated
@@ -107,6 +107,14 @@ def test_detection_is_deterministic_and_does_not_modify_the_image(extractor, nam
     assert len(first) > 0
     assert_same(extractor.detect(image), first)
     assert_same(EXTRACTORS[name](CONFIG).detect(image), first)
+
+
+@pytest.mark.parametrize("step", [0, 3])
+def test_chosen_keypoints_are_those_of_the_whole_image(extractor, name, texture_image, step):
+    image = texture_image(*size_for(name))
+    everything = extractor.detect(image)
+    rows = np.arange(len(everything))[::-step] if step else np.zeros(0, np.intp)
+    assert_same(detect_chosen(extractor, image, lambda pixels: rows[rows < len(pixels)]), everything.chosen(rows))
 
 
 def test_only_colour_extractors_depend_on_colour(extractor, name, texture_image):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uav_vslam.vision.image_watch import USUAL_FRAMES, ImageWatch
+from uav_vslam.vision.image_watch import USUAL_FRAMES, ImageWatch, contrast
 
 Grey = NDArray[np.uint8]
 
@@ -34,6 +34,11 @@ def test_a_repeated_image_is_frozen(images: list[Grey]) -> None:
     assert watch.blind
     assert watch.add(images[1]) == []
     assert not watch.blind
+
+
+def test_contrast_leaves_out_the_darkest_and_brightest_two_percent() -> None:
+    image = np.random.default_rng(1).permutation(np.repeat(np.arange(100, dtype=np.uint8), 50)).reshape(50, 100)
+    assert contrast(image) == pytest.approx(np.subtract(*np.percentile(image, (98, 2))), abs=1.0)
 
 
 @pytest.mark.parametrize("grey", [0, 200, 255])

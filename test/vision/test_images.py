@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.vision.images import shrink, to_bgr8, to_full_resolution, to_grey8
+from uav_vslam.vision.images import quarter, shrink, to_bgr8, to_full_resolution, to_grey8, to_shrunk
 
 
 def test_a_shrunk_blob_maps_back_to_its_full_resolution_centre():
@@ -24,6 +24,18 @@ def test_half_resolution_pixels_are_two_u_plus_a_half():
 def test_a_rounded_size_sets_the_scale_of_each_axis():
     full = to_full_resolution(np.array([[37.0, 24.0]]), (24, 37), (48, 75))
     np.testing.assert_allclose(full, [[37.5 * 75 / 37 - 0.5, 48.5]])
+
+
+def test_mapping_to_the_shrunk_image_and_back_changes_nothing():
+    pixels = np.random.default_rng(1).uniform(0.0, 75.0, (20, 2))
+    there = to_shrunk(pixels, (12, 19), (48, 75))
+    np.testing.assert_allclose(to_full_resolution(there, (12, 19), (48, 75)), pixels)
+
+
+def test_a_quarter_is_the_mean_of_four_by_four_pixels():
+    image = np.random.default_rng(2).integers(0, 256, (48, 64), np.uint8)
+    means = image.reshape(12, 4, 16, 4).mean(axis=(1, 3))
+    np.testing.assert_allclose(quarter(image), means, atol=1.01)  # rounded twice
 
 
 def test_16_bit_images_of_any_depth_fill_8_bits():

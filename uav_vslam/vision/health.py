@@ -89,8 +89,9 @@ class FrontendHealth:
 
 def seems_swapped(pixels: Array, rig: StereoRig, epipolar_px: float) -> bool:
     """Return whether (N, 4) undistorted stereo points fit the rig only with left and right exchanged."""
-    exchanged = fitting_share(pixels[:, [2, 3, 0, 1]], rig, epipolar_px)
-    return fitting_share(pixels, rig, epipolar_px) < 0.5 * SWAPPED_SHARE and exchanged > SWAPPED_SHARE
+    if fitting_share(pixels, rig, epipolar_px) >= 0.5 * SWAPPED_SHARE:
+        return False
+    return fitting_share(pixels[:, [2, 3, 0, 1]], rig, epipolar_px) > SWAPPED_SHARE
 
 
 def fitting_share(pixels: Array, rig: StereoRig, epipolar_px: float) -> float:

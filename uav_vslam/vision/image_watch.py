@@ -1,20 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fault detection for one camera from its images: frozen, blind, exposure jumps, blur."""
 
+import statistics
 from collections import deque
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.vision.images import quarter
+
 Grey = NDArray[np.uint8]
 
 STEP_PX = 8  # subsampling for frozen and dark images
 MIN_CONTRAST = 6.0  # see `contrast`; less is night, a lens cap, a white-out
+CONTRAST_SHARES = (0.02, 0.98)  # of the pixels
 EXPOSURE_JUMP = 1.4  # of the mean brightness from one image to the next
 BLURRED = 0.5  # of the usual sharpness
 MOTION_BLURRED = 0.7  # of the usual isotropy of fine detail; 5 px of motion blur leave 0.55
-SHARPNESS_SCALE = 0.25  # of the image: noise is averaged away
 ISOTROPY_SCALE = 0.5  # of the image's middle: motion blur of a few pixels is not averaged away
 SPREADS = 2.0  # below the median, in interquartile ranges: within it the variation is normal
 USUAL_FRAMES = 300  # half a minute of baseline; a change that lasts so long becomes the new baseline
@@ -50,8 +53,10 @@ class ImageWatch:
 
     def _blur(self, image: Grey) -> list[str]:
         """Compare sharpness and isotropy of fine detail with their baselines."""
-        small = cv2.resize(image, None, fx=SHARPNESS_SCALE, fy=SHARPNESS_SCALE, interpolation=cv2.INTER_AREA)
-        sharpness = self._sharpness.shortfall(cv2.Laplacian(small, cv2.CV_32F).std() / max(float(small.std()), 1.0))
+        small = quarter(image)  # averages noise away
+        sharpness = self._sharpness.shortfall(
+            _deviation(cv2.Laplacian(small, cv2.CV_32F)) / max(_deviation(small), 1.0)
+        )
         isotropy = self._isotropy.shortfall(_isotropy(image))
         if isotropy is not None:
             return [f"is blurred by motion: detail along it is down to {100.0 * isotropy:.0f} % of the usual"]
@@ -60,7 +65,8 @@ class ImageWatch:
 
 def contrast(image: Grey) -> float:
     """Return the grey levels between the 2nd and the 98th percentile of an (H, W) image."""
-    low, high = np.percentile(image, (2.0, 98.0))
+    shares = np.cumsum(cv2.calcHist([image], [0], None, [256], [0, 256])) / image.size
+    low, high = np.searchsorted(shares, CONTRAST_SHARES)
     return float(high - low)
 
 
@@ -76,7 +82,7 @@ class RunningBaseline:
     def shortfall(self, value: float) -> float | None:
         """Return an unusually small value's share of the median; otherwise add it to the baseline and return None."""
         if len(self._values) >= MIN_USUAL_FRAMES:
-            low, usual, high = np.quantile(self._values, (0.25, 0.5, 0.75))
+            low, usual, high = statistics.quantiles(self._values, n=4, method="inclusive")
             if value < usual - max((1.0 - self._least_share) * usual, SPREADS * (high - low)):
                 self._unusual_frames += 1
                 if self._unusual_frames < USUAL_FRAMES:
@@ -85,6 +91,11 @@ class RunningBaseline:
         self._unusual_frames = 0
         self._values.append(float(value))
         return None
+
+
+def _deviation(image: NDArray[np.generic]) -> float:
+    _, deviation = cv2.meanStdDev(image)
+    return float(deviation[0, 0])
 
 
 def _isotropy(image: Grey) -> float:

@@ -34,6 +34,7 @@ from uav_vslam.types import (
     StereoFrame,
 )
 from uav_vslam.vision.stereo_points import StereoFrontend
+from uav_vslam.vision.tracking.flow import FlowImage
 from uav_vslam.vision.tracking.frontend import TrackingFrontend
 
 Array = NDArray[np.float64]
@@ -127,12 +128,12 @@ class TimedFrontend(TrackingFrontend):
         self.spent_ms["images"] += (time.thread_time() - begin) * 1e3 - others
         return features
 
-    def _track(self, stamp_ns: int, left: NDArray[np.uint8]) -> None:
+    def _track(self, stamp_ns: int, left: FlowImage) -> None:
         begin = time.thread_time()
         super()._track(stamp_ns, left)
         self.spent_ms["in time"] += (time.thread_time() - begin) * 1e3
 
-    def _features(self, stamp_ns: int, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> StereoFeatures:
+    def _features(self, stamp_ns: int, left: FlowImage, right: FlowImage) -> StereoFeatures:
         begin = time.thread_time()
         features = super()._features(stamp_ns, left, right)
         self.spent_ms["across"] += (time.thread_time() - begin) * 1e3

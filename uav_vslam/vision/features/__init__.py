@@ -6,14 +6,14 @@ from functools import partial
 
 from uav_vslam.config import FrontendConfig
 from uav_vslam.vision.features.asift import AffineSiftExtractor
-from uav_vslam.vision.features.base import Extractor, Keypoints
+from uav_vslam.vision.features.base import Extractor, Keypoints, detect_chosen
 from uav_vslam.vision.features.dense import DenseSiftExtractor
 from uav_vslam.vision.features.orb import OrbExtractor
 from uav_vslam.vision.features.phow import COLOURS, PhowExtractor
 from uav_vslam.vision.features.sift import SiftExtractor
 from uav_vslam.vision.features.surf import SurfExtractor
 
-__all__ = ["EXTRACTORS", "Extractor", "Keypoints", "make_extractor"]
+__all__ = ["EXTRACTORS", "Extractor", "Keypoints", "detect_chosen", "make_extractor"]
 
 EXTRACTORS: dict[str, Callable[[FrontendConfig], Extractor]] = {
     "sift": SiftExtractor,

@@ -20,18 +20,16 @@ from uav_vslam.types import NS_PER_S, StereoFeatures, StereoFrame
 from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.images import to_grey8
-from uav_vslam.vision.tracking.flow import shift_between, track_points, without_local_mean
-from uav_vslam.vision.tracking.prediction import FlowModel, in_right_image
-from uav_vslam.vision.tracking.refill import Refill, choose_new
+from uav_vslam.vision.tracking.flow import FlowImage, shift_between, track_points
+from uav_vslam.vision.tracking.prediction import FlowModel, by_homography, in_right_image
+from uav_vslam.vision.tracking.refill import Refill
 from uav_vslam.vision.tracking.tracks import Tracks
 
 Array = NDArray[np.float64]
-Grey = NDArray[np.uint8]
 
 SEARCH_EVERY = 3  # frames from one detection of new keypoints to the next
 MAX_GAP_S = 1.0  # after a longer gap, all tracks are dropped
 DISPARITY_NOISE_PX = 0.3  # six sigma
-FEW_SHARE = 0.5  # of the tracks; if fewer survive with the predicted flow, the image's global shift is tried
 TYPICAL_DEPTH_SHARE = 0.5  # of the largest depth: initial guess while no depth is known
 
 
@@ -44,7 +42,7 @@ class TrackingFrontend(Frontend):
         self._refill = Refill(config)
         self._flow = FlowModel()
         self._tracks = Tracks.none()
-        self._left: Grey | None = None  # of the previous pair, without local mean
+        self._left: FlowImage | None = None  # of the previous pair
         self._stamp_ns = 0
         self._since_search = 0  # frames
         self._next_id = 1
@@ -52,47 +50,58 @@ class TrackingFrontend(Frontend):
     def process(self, frame: StereoFrame) -> StereoFeatures:
         self._check_sizes(frame)
         grey_left, grey_right = to_grey8(frame.left), to_grey8(frame.right)
-        left, right = without_local_mean(grey_left), without_local_mean(grey_right)
+        left, right = FlowImage.of(grey_left), FlowImage.of(grey_right)
         usable = self._health.check_images(frame.stamp_ns, grey_left, grey_right)
         self._track(frame.stamp_ns, left)
         self._left, self._stamp_ns = left, frame.stamp_ns
         if not usable:
             return StereoFeatures.empty(frame.stamp_ns)
         if len(self._tracks) == 0:
-            self._refill.start(frame.left)
-            self._join(self._refill.result(), left.shape)
+            self._start_search(frame.left)
+            self._join(self._refill.result())
         features = self._features(frame.stamp_ns, left, right)
         self._search(frame.left)
         return features
 
-    def _track(self, stamp_ns: int, left: Grey) -> None:
+    def _track(self, stamp_ns: int, left: FlowImage) -> None:
         """Track into the left image, including the new keypoints of the previous one."""
         found = self._refill.result()
         dt_s = (stamp_ns - self._stamp_ns) / NS_PER_S
         if self._left is None or not 0.0 < dt_s <= MAX_GAP_S:
             self._tracks = Tracks.none()
             return
-        self._join(found, left.shape)
+        self._join(found)
         before = self._tracks
-        pixels, good = track_points(self._left, left, before.pixels, self._flow.predict(before.pixels, dt_s))
-        if good.sum() < FEW_SHARE * len(good):  # the flow changed, is unknown yet, or many points left the image
-            shift = shift_between(self._left, left)
-            pixels_shifted, good_shifted = track_points(self._left, left, before.pixels, before.pixels + shift)
-            if good_shifted.sum() > good.sum():
-                pixels, good = pixels_shifted, good_shifted
+        pixels, good = self._follow(self._left, left, dt_s)
         self._flow.fit(before.pixels[good], pixels[good], dt_s)
         self._tracks = dataclasses.replace(before, pixels=pixels).chosen(good)
 
-    def _join(self, found: Keypoints | None, shape: tuple[int, ...]) -> None:
-        """Start tracks at new keypoints, up to the maximum number."""
+    def _follow(self, before: FlowImage, left: FlowImage, dt_s: float) -> tuple[Array, NDArray[np.bool_]]:
+        """Track into the left image; result as `track_points`.
+
+        The last flow predicts the pixels, or the image's global shift if the flow has changed or is unknown yet.
+        """
+        pixels = self._tracks.pixels
+        predictions = (
+            lambda: self._flow.predict(pixels, dt_s),
+            lambda: pixels + shift_between(before, left),
+        )
+        for predict in predictions:
+            better = by_homography(before, left, pixels, predict())
+            if better is not None:
+                return track_points(before, left, pixels, better)
+        # Near structure, or little texture: the points decide.
+        tracked = [track_points(before, left, pixels, predict()) for predict in predictions]
+        return max(tracked, key=lambda found: int(found[1].sum()))
+
+    def _join(self, found: Keypoints | None) -> None:
+        """Start tracks at new keypoints."""
         if found is None:
             return
-        room = self._config.max_tracks - len(self._tracks)
-        rows = choose_new(found, self._tracks.pixels, room, shape)
-        self._tracks = self._tracks.with_new(found.pixels[rows].astype(float), found.descriptors[rows], self._next_id)
-        self._next_id += len(rows)
+        self._tracks = self._tracks.with_new(found.pixels.astype(float), found.descriptors, self._next_id)
+        self._next_id += len(found)
 
-    def _features(self, stamp_ns: int, left: Grey, right: Grey) -> StereoFeatures:
+    def _features(self, stamp_ns: int, left: FlowImage, right: FlowImage) -> StereoFeatures:
         """Match the tracks into the right image; drop those that fail the stereo gate."""
         raw_right, seen = track_points(left, right, self._tracks.pixels, self._right_guess(self._tracks))
         tracks = self._tracks.chosen(seen)
@@ -112,5 +121,8 @@ class TrackingFrontend(Frontend):
         """Every few frames start detection of new keypoints; they join at the next pair."""
         self._since_search += 1
         if self._since_search >= SEARCH_EVERY:
-            self._refill.start(image)
+            self._start_search(image)
             self._since_search = 0
+
+    def _start_search(self, image: NDArray[np.generic]) -> None:
+        self._refill.start(image, self._tracks.pixels, self._config.max_tracks - len(self._tracks))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detection and description of new keypoints to track, in a second thread.
+"""Detection, selection and description of new keypoints to track, in a second thread.
 
 Keypoints of one image join the tracks at the next image, which waits for the thread if necessary: the result does not
 depend on the machine's speed.
@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from uav_vslam.config import FrontendConfig
 from uav_vslam.geometry.image_grid import spread
-from uav_vslam.vision.features import Keypoints, make_extractor
+from uav_vslam.vision.features import Keypoints, detect_chosen, make_extractor
 from uav_vslam.vision.images import shrink, to_full_resolution
 from uav_vslam.vision.tracking.flow import inside
 
@@ -36,42 +36,53 @@ class Refill:
         self._thread = ThreadPoolExecutor(1, "refill")
         self._search: Future[Keypoints] | None = None
 
-    def start(self, image: NDArray[np.generic]) -> None:
-        """Start detection in an (H, W) or (H, W, 3) image."""
-        self._search = self._thread.submit(self._detect, image)
+    def start(self, image: NDArray[np.generic], tracked: Array, count: int) -> None:
+        """Start detection.
+
+        Args:
+            image: (H, W) or (H, W, 3).
+            tracked: (N, 2) points tracked already [px].
+            count: number of new ones wanted.
+        """
+        self._search = self._thread.submit(self._detect, image, tracked, count)
 
     def result(self) -> Keypoints | None:
-        """Wait for the last detection and return its keypoints at full resolution; None if none was started."""
+        """Wait for the last detection and return the keypoints to track, at full resolution; None if not started."""
         if self._search is None:
             return None
         search, self._search = self._search, None
         return search.result()
 
-    def _detect(self, image: NDArray[np.generic]) -> Keypoints:
+    def _detect(self, image: NDArray[np.generic], tracked: Array, count: int) -> Keypoints:
         small = shrink(image, self._scale)
-        found = self._extractor.detect(small)
-        pixels = to_full_resolution(found.pixels, small.shape, image.shape)
-        return Keypoints(pixels.astype(np.float32), found.responses, found.descriptors)
+
+        def full(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+            return to_full_resolution(pixels, small.shape, image.shape).astype(np.float32)
+
+        found = detect_chosen(
+            self._extractor, small, lambda pixels: choose_new(full(pixels), tracked, count, image.shape)
+        )
+        return Keypoints(full(found.pixels), found.responses, found.descriptors)
 
 
-def choose_new(found: Keypoints, tracked: Array, count: int, shape: tuple[int, ...]) -> NDArray[np.intp]:
+def choose_new(pixels: NDArray[np.float32], tracked: Array, count: int, shape: tuple[int, ...]) -> NDArray[np.intp]:
     """Select new keypoints to track: away from existing tracks, spread over the image.
 
     Args:
-        found: keypoints of an image, strongest first.
+        pixels: (K, 2) keypoints of an image, strongest first [px].
         tracked: (N, 2) points tracked already [px].
         count: number wanted.
         shape: (height, width) of the image [px].
 
     Returns:
-        (M,) rows of `found`, M <= count.
+        (M,) rows of `pixels`, M <= count.
     """
-    if count <= 0 or len(found) == 0:
+    if count <= 0 or len(pixels) == 0:
         return np.zeros(0, np.intp)
-    _, first = np.unique(found.pixels, axis=0, return_index=True)  # one point may have two orientations
+    _, first = np.unique(pixels, axis=0, return_index=True)  # one point may have two orientations
     rows = np.sort(first)
-    rows = rows[inside(found.pixels[rows], shape)]
+    rows = rows[inside(pixels[rows], shape)]
     if len(tracked):
-        distance, _ = cKDTree(tracked).query(found.pixels[rows])
+        distance, _ = cKDTree(tracked).query(pixels[rows])
         rows = rows[distance >= MIN_DISTANCE_PX]
-    return rows[spread(found.pixels[rows], count, size=(shape[1], shape[0]), taken=tracked)]
+    return rows[spread(pixels[rows], count, size=(shape[1], shape[0]), taken=tracked)]
