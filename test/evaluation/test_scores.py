@@ -64,6 +64,7 @@ def test_a_step_of_the_height_is_in_the_segments_that_contain_it():
     found = relative(track_scores(dataclasses.replace(truth, positions=positions), truth), 14.0)
     assert found["height_m"] == pytest.approx(0.2 * np.sqrt(7 / (301 - 7)))  # 7 steps a segment, one from each pose
     assert max(found[what] for what in ("along_m", "across_m")) < EXACT
+    assert track_scores(dataclasses.replace(truth, positions=positions), truth)["height_step_m"] == pytest.approx(0.2)
 
 
 def test_what_drifts_to_the_left_is_across_and_what_turns_is_attitude():

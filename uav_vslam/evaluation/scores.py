@@ -28,8 +28,9 @@ def relative_key(length_m: float, what: str) -> str:
 
 
 RELATIVE_KEYS = tuple(relative_key(length_m, what) for length_m in RELATIVE_LENGTHS_M for what in DIRECTIONS)
-ERROR_KEYS = ("ate_m", *ATE_KEYS.values(), "height_rms_m", "end_m", *RELATIVE_KEYS)  # pooled by root mean square
-NEES_KEYS = ("nees_position", "nees_rotation")  # pooled by the mean
+# Pooled by the root mean square, and by the mean.
+ERROR_KEYS = ("ate_m", *ATE_KEYS.values(), "height_rms_m", "height_step_m", "end_m", *RELATIVE_KEYS)
+NEES_KEYS = ("nees_position", "nees_rotation")
 
 
 def track_scores(track: Trajectory, truth: Trajectory | None, *, alignment: str = "none") -> Figures:
@@ -55,6 +56,7 @@ def error_scores(track: Trajectory, truth: Trajectory | None, *, alignment: str 
         "ate_m": absolute.ate_m if absolute else None,
         **{key: _aligned_m(track, truth, name) for name, key in ATE_KEYS.items()},
         "height_rms_m": absolute.height_rms_m if absolute else None,
+        "height_step_m": absolute.height_step_m if absolute else None,
         "end_m": absolute.end_m if absolute else None,
         **relative_scores(track, truth),
         "rpe_5s_m": relative.translation_rms_m if relative else None,

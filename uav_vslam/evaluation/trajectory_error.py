@@ -28,6 +28,7 @@ class AbsoluteError:
         end_m: distance at the last pair [m].
         max_m: largest distance [m].
         height_rms_m: root mean square of the errors of the height, z [m].
+        height_step_m: largest change of the height's error from one pose to the next [m]; 0 for a single pose.
         rotation_rms_rad: root mean square of the angles [rad].
         pairs: number of estimates with ground truth.
         alignment, association: how frames and stamps were matched.
@@ -37,6 +38,7 @@ class AbsoluteError:
     end_m: float
     max_m: float
     height_rms_m: float
+    height_step_m: float
     rotation_rms_rad: float
     pairs: int
     alignment: str
@@ -88,6 +90,7 @@ def absolute_error(
         end_m=float(distance[-1]),
         max_m=float(distance.max()),
         height_rms_m=rms(error[:, 2]),
+        height_step_m=float(np.abs(np.diff(error[:, 2])).max(initial=0.0)),
         rotation_rms_rad=rms(angle),
         pairs=len(paired),
         alignment=alignment,

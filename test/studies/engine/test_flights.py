@@ -89,6 +89,18 @@ def test_a_vehicle_on_its_own_has_no_row_of_a_fused_track():
     assert np.mean(curve["nees_position"][20:]) == pytest.approx(own["nees_position"], abs=1e-3)
 
 
+def test_a_smoothed_track_is_scored_and_timed_beside_the_filters_which_it_leaves_as_it_was():
+    method = Method("ri15", "landmarks", dataclasses.replace(SHORT, vehicles=1))
+    smoothed = dataclasses.replace(method, smoothing=True)
+    outcomes = fly_all([method, smoothed], [1], workers=1)
+    plain, (_, own, whole) = flight_rows([method], outcomes), flight_rows([smoothed], outcomes)
+    assert whole["method"] == "smoothed ri15"
+    assert (own["ate_rms_m"], own["nees_position"]) == (plain[1]["ate_rms_m"], plain[1]["nees_position"])
+    assert whole["rpe_14m_along_m"] < own["rpe_14m_along_m"]  # it knows what came later
+    assert whole["ms_per_frame"] > 0.0
+    assert whole["ms_per_frame"] != own["ms_per_frame"]
+
+
 def test_every_frame_is_processed_and_nothing_fails(rows):
     assert all(row["processed_share"] == 1.0 and row["failures"] == 0 for row in rows)
 

@@ -39,6 +39,7 @@ COLUMNS: dict[str, str] = {
     "end_rms_m": "position error at the end",
     "error_max_m": "largest position error of a frame",
     "height_rms_m": "error of the height over the flight",
+    "height_step_m": "largest change of the height's error from frame to frame",
     **{
         f"rpe_{length_m}m_{what}": f"relative error over {length_m} m of the path, {text}"
         for length_m in (14, 100)

@@ -15,6 +15,14 @@ from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 
 Array = NDArray[np.float64]
 
+# What of an `Outcome` is a track's time: of the front end, and of all after it.
+TIMES = {
+    "ins": ("", ""),
+    "s_slam": ("ms_front_end", "ms_per_frame"),
+    "c_slam": ("ms_front_end", "ms_per_frame"),
+    "smoothed": ("", "ms_smoothing"),
+}
+
 
 def fly_all(
     methods: list[Method], seeds: list[int], *, workers: int, on_seed: Callable[[], None] = lambda: None
@@ -57,8 +65,8 @@ def method_rows(method: Method, outcomes: Sequence[Outcome], tracks: Sequence[st
             "processed_share": mean([outcome.processed for outcome in good]),
             "failures": len(outcomes) - len(good),
             "runs": len(outcomes),
-            "ms_front_end": _known(mean([outcome.ms_front_end for outcome in good])) if track != "ins" else None,
-            "ms_per_frame": mean([outcome.ms_per_frame for outcome in good]) if track != "ins" else None,
+            "ms_front_end": _ms(good, TIMES[track][0]),
+            "ms_per_frame": _ms(good, TIMES[track][1]),
         }
         for track in tracks
         if scores[track] or not good
@@ -77,7 +85,7 @@ def nees_series(methods: Sequence[Method], outcomes: Sequence[Outcome]) -> list[
             found = [_whole(outcome, track) for outcome in outcomes if outcome.method == method]
             whole = [curve for curves in found for curve in curves]
             if whole:
-                runs = len(whole) if track == "s_slam" else sum(bool(curves) for curves in found)
+                runs = len(whole) if track != "c_slam" else sum(bool(curves) for curves in found)
                 label = {"method": f"{LABELS[track]} {method.name}", "condition": method.condition, "runs": runs}
                 series.append(label | _mean_curve(whole))
     return series
@@ -114,5 +122,6 @@ def _of_seeds(
     return np.array([pool(values_of(_scores([outcome], track), key)) for outcome in outcomes], dtype=np.float64)
 
 
-def _known(value: float | None) -> float | None:
-    return None if value is None or np.isnan(value) else value
+def _ms(outcomes: Sequence[Outcome], name: str) -> float | None:
+    values = [getattr(outcome, name) for outcome in outcomes] if name else []
+    return mean([value for value in values if np.isfinite(value)])

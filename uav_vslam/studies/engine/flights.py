@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig, RigConfig, VehicleConfig, find_config, load_vehicle
-from uav_vslam.errors import UavVslamError
+from uav_vslam.errors import FilterDivergence, UavVslamError
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.result import VehicleResult
@@ -20,9 +20,12 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.offline import FlightSource, flight_result, fly
+from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.smoothing.flight import FilteredFlight
+from uav_vslam.smoothing.smoother import smooth
 from uav_vslam.types import NS_PER_S, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
@@ -30,7 +33,7 @@ from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
 Array = NDArray[np.float64]
 Found = TypeVar("Found")
 Figures = dict[str, dict[str, dict[str, Any]]]  # track -> vehicle -> figures of evaluation.summary
-LABELS = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM"}
+LABELS = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM", "smoothed": "smoothed"}
 TRACKS = tuple(LABELS)
 RELIEF_PER_ALTITUDE = 0.03  # as in the default scenario
 
@@ -44,6 +47,7 @@ class Method:
         scenario: the flight; the seed is replaced.
         config: of every vehicle; its `imu` is replaced by the scenario's.
         rendered: images through the front end, else simulated features.
+        smoothing: smooth each whole flight afterwards.
     """
 
     name: str
@@ -51,6 +55,7 @@ class Method:
     scenario: Scenario
     config: VehicleConfig = field(default_factory=VehicleConfig)
     rendered: bool = False
+    smoothing: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +77,7 @@ class Outcome:
         ms_per_frame: processor time after the front end, for a frame of a vehicle [ms].
         processed: share of the frames.
         ms_front_end: processor time of the front end [ms]; NaN without images.
+        ms_smoothing: processor time of smoothing, for a frame of a vehicle [ms]; NaN without.
         curves: NEES over time by track, one of each vehicle.
     """
 
@@ -81,6 +87,7 @@ class Outcome:
     ms_per_frame: float
     processed: float = 0.0
     ms_front_end: float = float("nan")
+    ms_smoothing: float = float("nan")
     curves: Mapping[str, Sequence[NeesCurve]] = field(default_factory=dict, compare=False)
 
 
@@ -126,10 +133,16 @@ def fly_sources(
     configs = {vehicle.name: config for vehicle in vehicles}
     started = time.process_time()
     try:
-        tracks, fleet = fly(sources, configs)
+        tracks, fleet = fly(sources, configs, keep_features=method.smoothing)
     except UavVslamError:
         return Outcome(method, seed, None, float("nan"))
     ms = _ms_since(started, scenario.frames * scenario.vehicles)
+    ms_smoothing = float("nan")
+    if method.smoothing:
+        started = time.process_time()
+        for source in sources:
+            _smooth(tracks[source.vehicle], source, config)
+        ms_smoothing = _ms_since(started, scenario.frames * scenario.vehicles)
     truths: dict[str, Trajectory | None] = {vehicle.name: true_trajectory(vehicle) for vehicle in vehicles}
     result = flight_result(scenario.name, tracks, fleet, truths, configs, seed=seed)
     reports = build_summary(result, git=None)["vehicles"]
@@ -139,7 +152,17 @@ def fly_sources(
         track: [curve for vehicle in result.vehicles.values() if (curve := _nees_curve(vehicle, track))]
         for track in TRACKS[1:]
     }
-    return Outcome(method, seed, figures, ms, float(np.mean(processed)), curves=curves)
+    return Outcome(method, seed, figures, ms, float(np.mean(processed)), ms_smoothing=ms_smoothing, curves=curves)
+
+
+def _smooth(track: VehicleTrack, source: FlightSource, config: VehicleConfig) -> None:
+    """Add the smoothed poses to a track; none where the normal equations are not positive definite."""
+    assert source.initial_state is not None
+    flight = FilteredFlight.of_outputs(source.initial_state, track.outputs, track.features)
+    try:
+        track.smoothed = [estimate.pose for estimate in smooth(flight, source.rig, config).estimates]
+    except FilterDivergence:
+        return
 
 
 def _nees_curve(vehicle: VehicleResult, track: str) -> NeesCurve | None:

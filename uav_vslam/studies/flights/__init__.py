@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pattern", default="leg", metavar="NAME", help="of the flight path (default leg)")
     parser.add_argument("--rate", type=float, default=7.14, metavar="HZ", help="of the images (default 7.14)")
     text = f"classes of inertial unit (default {' '.join(GRADES)})"
+    parser.add_argument("--no-smoothing", action="store_true", help="do not smooth each whole flight afterwards")
     parser.add_argument("--imu", nargs="+", default=list(GRADES), metavar="NAME", help=text)
 
 
@@ -26,7 +27,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     from uav_vslam.studies.flights.compute import methods, notes, scenario_of
 
     scenario = scenario_of(args)
-    compared = methods(scenario, args.imu, args.variant)
+    compared = methods(scenario, args.imu, args.variant, smoothing=not args.no_smoothing)
     outcomes = fly_all(compared, seeds, workers=args.workers, on_seed=progress(len(seeds)))
     return Findings(flight_rows(compared, outcomes), notes(scenario), nees_series(compared, outcomes), draw_nees)
 

@@ -15,7 +15,8 @@ NOTES = {
     "Errors": "root mean squares over the seeds and vehicles, in the common frame; ate_rms_m and height_rms_m without "
     "alignment. Relative errors (rpe) are of the motion over segments of the path, along and across a segment's chord "
     "and in height; attitude is the angle of the rotation about all axes",
-    "Times": "processor time for a frame of one vehicle: ms_front_end without rendering, ms_per_frame of all after it",
+    "Times": "processor time for a frame of one vehicle: ms_front_end without rendering, ms_per_frame of all after it; "
+    "of the smoothed track, ms_per_frame is that of smoothing alone",
 }
 
 
@@ -31,20 +32,23 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
 def notes(scenario: Scenario) -> dict[str, str]:
     """Return what was flown and what the figures mean."""
     flown = f"pattern {scenario.pattern}, {scenario.frames} rendered frames at {scenario.frame_rate_hz:g} Hz"
-    return {"Flights": f"{flown}, {scenario.vehicles} vehicles; the condition is the class of inertial unit"} | NOTES
+    return {"Flights": f"{flown}, {scenario.vehicles} vehicle(s); the condition is the class of inertial unit"} | NOTES
 
 
-def methods(scenario: Scenario, imus: Sequence[str], variants: Mapping[str, dict[str, Any]]) -> list[Method]:
+def methods(
+    scenario: Scenario, imus: Sequence[str], variants: Mapping[str, dict[str, Any]], *, smoothing: bool
+) -> list[Method]:
     """Return every variant of the configuration with each grade of inertial unit.
 
     Args:
         scenario: the flight.
         imus: names of `IMU_GRADES`.
         variants: overrides by name; none flies the configuration as it is.
+        smoothing: smooth each whole flight afterwards.
     """
     configs = kagaru_configs(variants or {DEFAULT: {}})
     return [
-        Method(name, imu, dataclasses.replace(scenario, imu=imu), config, rendered=True)
+        Method(name, imu, dataclasses.replace(scenario, imu=imu), config, rendered=True, smoothing=smoothing)
         for imu in imus
         for name, config in configs.items()
     ]
