@@ -224,7 +224,9 @@ def test_joint_innovation_has_the_single_ones_on_its_diagonal(course, name: str,
     predicted, (nu, S) = f.predict_observations(SOME), f.joint_innovation(SOME, pixels)
     np.testing.assert_array_equal(nu, pixels - predicted.expected)
     for n in range(len(SOME)):
-        np.testing.assert_allclose(S[4 * n : 4 * n + 4, 4 * n : 4 * n + 4], predicted.S[n], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            S[4 * n : 4 * n + 4, 4 * n : 4 * n + 4], predicted.innovation_covariance()[n], rtol=1e-9, atol=1e-9
+        )
 
 
 def test_the_order_of_a_batch_does_not_matter(course, name: str, model: str) -> None:
@@ -285,7 +287,7 @@ def test_no_landmarks_give_empty_predictions_and_additions(course, name: str, mo
     f = course.filter(model, name)
     f.add_landmarks(np.zeros((0, 4)))
     f.predict(course.increments[0])
-    assert f.predict_observations(np.zeros(0, np.int64)).S.shape == (0, 4, 4)
+    assert f.predict_observations(np.zeros(0, np.int64)).innovation_covariance().shape == (0, 4, 4)
     assert f.points_left().shape == (0, 3)
     assert f.landmarks.shape == (0, 3)
     f.marginalise(np.zeros(0, np.int64))

@@ -114,7 +114,7 @@ def test_no_landmarks_give_an_empty_prediction(course, model) -> None:
         predicted = linear.observation(camera, NONE, np.zeros((0, 3)), blocks(np.eye(vehicle), 0))
         assert predicted.expected.shape == (0, 4)
         assert predicted.H_vehicle.shape == (0, 4, vehicle)
-        assert predicted.S.shape == (0, 4, 4)
+        assert predicted.innovation_covariance().shape == (0, 4, 4)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 6))
@@ -253,7 +253,7 @@ def test_cubature_becomes_the_jacobian_as_uncertainty_vanishes(course, model, sm
     assert_close(second.H_landmark, first.H_landmark, 1e-6)
     np.testing.assert_allclose(second.expected, first.expected, rtol=0, atol=1e-4)
     np.testing.assert_allclose(second.R, first.R, rtol=0, atol=1e-6)
-    assert_close(second.S, first.S, 1e-6)
+    assert_close(second.innovation_covariance(), first.innovation_covariance(), 1e-6)
 
 
 def test_cubature_predicts_monte_carlo_better_than_the_jacobian(course, model) -> None:
@@ -271,7 +271,7 @@ def test_cubature_predicts_monte_carlo_better_than_the_jacobian(course, model) -
     )
     assert np.abs(first.expected[0] - mean).max() > 1.0  # [px]: the projection is nonlinear over the height uncertainty
     assert np.abs(second.expected[0] - mean).max() < 0.2
-    missing = [np.linalg.norm(predicted.S[0] - S) for predicted in (first, second)]
+    missing = [np.linalg.norm(predicted.innovation_covariance()[0] - S) for predicted in (first, second)]
     assert missing[1] < missing[0]  # a third-degree rule captures only part of the fourth moments
     assert missing[1] < 0.04 * np.linalg.norm(S)
 
@@ -302,7 +302,7 @@ def test_cubature_observation_is_the_mean_and_covariance_over_its_points(course,
         expected = camera.rig.project(points[n]) + np.mean(seen, axis=0) - camera.rig.project(at)
         np.testing.assert_allclose(predicted.expected[n], expected, rtol=0, atol=1e-8)
         S = np.cov(np.transpose(seen), bias=True) + np.eye(4)
-        assert_close(predicted.S[n], S, SCALED)
+        assert_close(predicted.innovation_covariance()[n], S, SCALED)
 
 
 def test_a_landmark_whose_points_fall_behind_the_camera_keeps_its_jacobian(course, model) -> None:
@@ -311,12 +311,12 @@ def test_a_landmark_whose_points_fall_behind_the_camera_keeps_its_jacobian(cours
     P = inflated(P, -4, 200.0)  # the second landmark's height: 400 m of uncertainty, seen from 70 m
     first = Jacobians().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
     second = Cubature().observation(camera, rows, course.landmarks[rows], blocks(P, 3))
-    same = [np.array_equal(getattr(second, f)[1], getattr(first, f)[1]) for f in ("H_vehicle", "H_landmark", "R", "S")]
-    assert same == [True] * 4
+    same = [np.array_equal(getattr(second, f)[1], getattr(first, f)[1]) for f in ("H_vehicle", "H_landmark", "R")]
+    assert same == [True] * 3
     np.testing.assert_array_equal(second.expected[1], first.expected[1])
     for n in (0, 2):
         assert np.abs(second.H_landmark[n] - first.H_landmark[n]).max() > 1e-3
-        assert np.isfinite(second.S[n]).all()
+        assert np.isfinite(second.innovation_covariance()[n]).all()
 
 
 def test_cubature_does_not_modify_its_inputs(course, model) -> None:

@@ -54,7 +54,9 @@ def test_innovation_covariance_is_that_of_the_dense_jacobian(course, name: str) 
         H = np.zeros((4, len(f.covariance())))
         H[:, :m] = predicted.H_vehicle[n]
         H[:, m + 3 * row : m + 3 * row + 3] = predicted.H_landmark[n]
-        np.testing.assert_allclose(predicted.S[n], H @ f.covariance() @ H.T + np.eye(4), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            predicted.innovation_covariance()[n], H @ f.covariance() @ H.T + np.eye(4), rtol=1e-9, atol=1e-9
+        )
 
 
 def test_smoothing_moves_uncertain_depths_to_the_ground_and_keeps_certain_ones() -> None:

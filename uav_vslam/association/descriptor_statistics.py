@@ -45,9 +45,10 @@ class DescriptorStatistics:
     def observe(self, rows: Rows, descriptors: NDArray[np.uint8]) -> None:
         """Add a view of landmarks, each at most once."""
         self.count[rows] += 1
-        before = descriptors - self.mean[rows]
-        self.mean[rows] += before / self.count[rows, None]
-        self.scatter[rows] += before * (descriptors - self.mean[rows])
+        mean = self.mean[rows]
+        before = descriptors - mean
+        self.mean[rows] = mean = mean + before / self.count[rows, None]
+        self.scatter[rows] += before * (descriptors - mean)
 
     def variance(self) -> Array:
         """Return (N, D), each landmark's variance, shrunk towards the common one.

@@ -21,7 +21,7 @@ from uav_vslam.estimation.observation import MIN_DEPTH_M, point_jacobian, smooth
 from uav_vslam.estimation.rig_errors import RigErrors
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import POSITION, ROTATION, propagate, transition
-from uav_vslam.numerics import cholesky, symmetrise
+from uav_vslam.numerics import cholesky
 from uav_vslam.types import ImuIncrement, NavState
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ class PredictedObservation:
         expected: (M, 4) stereo pixels.
         H_vehicle: (M, 4, vehicle), H_landmark: (M, 4, 3).
         R: (M, 4, 4) noise [px^2].
-        S: (M, 4, 4) covariance of the innovation [px^2].
+        P: marginals of the vehicle and the landmarks.
     """
 
     landmarks: Indices
@@ -83,7 +83,11 @@ class PredictedObservation:
     H_vehicle: Array
     H_landmark: Array
     R: Array
-    S: Array
+    P: Marginals
+
+    def innovation_covariance(self) -> Array:
+        """Return S, the (M, 4, 4) covariances of the innovations [px^2]; a gate needs them, an update does not."""
+        return _innovation_covariance(self.H_vehicle, self.H_landmark, self.P) + self.R
 
 
 class Linearisation(Protocol):
@@ -131,10 +135,7 @@ class Jacobians:
         )
         H_vehicle, H_landmark = pixel_jacobians(camera, points_left, at, J_vehicle, J_landmark)
         R = np.tile(camera.sigma_px**2 * np.eye(4), (len(landmarks), 1, 1))
-        S = _innovation_covariance(H_vehicle, H_landmark, P) + R
-        return PredictedObservation(
-            which, points_left, camera.rig.project(points_left), H_vehicle, H_landmark, R, symmetrise(S)
-        )
+        return PredictedObservation(which, points_left, camera.rig.project(points_left), H_vehicle, H_landmark, R, P)
 
 
 class Cubature:
@@ -177,9 +178,8 @@ class Cubature:
         H_vehicle[np.ix_(good, np.arange(4), POSE)] = A[good, :, :6]
         H_landmark[good] = A[good, :, 6:]
         R = first.R + extra * good[:, None, None]
-        S = _innovation_covariance(H_vehicle, H_landmark, P) + R
         expected = first.expected + shift * good[:, None]
-        return PredictedObservation(which, first.points_left, expected, H_vehicle, H_landmark, R, symmetrise(S))
+        return PredictedObservation(which, first.points_left, expected, H_vehicle, H_landmark, R, P)
 
     @staticmethod
     def _points(camera: Camera, landmarks: Array, offsets: Array) -> Array:

@@ -83,16 +83,15 @@ class MapMatcher:
         if len(rows) == 0:
             return Matches.none(), True
         predicted = slam_filter.predict_observations(rows)
-        sigma_px = np.sqrt(np.trace(predicted.S, axis1=1, axis2=2) / 4.0)
+        S = predicted.innovation_covariance()
+        sigma_px = np.sqrt(np.trace(S, axis1=1, axis2=2) / 4.0)
         uncertain = bool(np.median(sigma_px) > self._config.pnp_beyond_px)
         back = landmark_map.long_unseen(frame)[rows] & (sigma_px > self._config.pnp_beyond_px)
         revisited = recognise(slam_filter, landmark_map, features, rows[back], config=self._config)
         free = np.delete(np.arange(len(features)), revisited[:, 1])
         others = rows[~back]
         statistics = landmark_map.statistics.chosen(others)
-        in_view = InView(
-            others, predicted.expected[~back], predicted.S[~back], landmark_map.descriptors[others], statistics
-        )
+        in_view = InView(others, predicted.expected[~back], S[~back], landmark_map.descriptors[others], statistics)
         matches = tracks_first(
             self._associate, in_view, landmark_map.tracks[others], features.chosen(free), self._config
         )

@@ -37,7 +37,7 @@ def recognise(
     predicted, pixels = slam_filter.predict_observations(rows), features.pixels.astype(float)
     found = associate(
         predicted.expected,
-        predicted.S,
+        predicted.innovation_covariance(),
         landmark_map.descriptors[rows],
         pixels,
         features.descriptors,
