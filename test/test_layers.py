@@ -46,7 +46,7 @@ ALLOWED: dict[str, set[str]] = {
     # what puts them together without ROS
     "offline": ESTIMATOR | {"pipeline", "fleet", "smoothing", "evaluation", "processes"},
     "studies": ESTIMATOR
-    | {"pipeline", "fleet", "smoothing", "offline", "processes", "evaluation", "report"}
+    | {"pipeline", "fleet", "offline", "processes", "evaluation", "report"}
     | {"datasets", "simulation", "calibration"},
     # the top
     "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes", "memory"},

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any, Protocol
 
 import cv2
+import numpy as np
 
 from uav_vslam.config import VehicleConfig, parameter_file
 from uav_vslam.errors import BagError, FilterDivergence, UavVslamError
@@ -98,21 +99,20 @@ def track_vehicle(
         )
     _count_unpaired(source, pipeline.track)
     if smoothing:
-        _smooth(pipeline, source.rig, config)
+        smooth_track(pipeline.track, source.rig, config)
     if not keep_features:
         pipeline.track.features.clear()
     return pipeline.track
 
 
-def _smooth(pipeline: VehiclePipeline, rig: StereoRig, config: VehicleConfig) -> None:
-    """Add the smoothed poses to a track; without them, why there are none."""
-    track, start = pipeline.track, pipeline.start
-    if start is None or not track.outputs:
+def smooth_track(track: VehicleTrack, rig: StereoRig, config: VehicleConfig) -> None:
+    """Add the smoothed poses to a track that keeps its features; without them, why there are none."""
+    if track.start is None or not track.outputs:
         return
     try:
-        flight = FilteredFlight.of_outputs(start, track.outputs, track.features)
+        flight = FilteredFlight.of_outputs(track.start, track.outputs, track.features)
         track.smoothed = [estimate.pose for estimate in smooth(flight, rig, config).estimates]
-    except FilterDivergence as error:
+    except (FilterDivergence, np.linalg.LinAlgError) as error:
         track.warnings.append(f"the flight could not be smoothed: {error}")
 
 

@@ -21,6 +21,7 @@ class VehicleTrack:
 
     Attributes:
         vehicle: name.
+        start: start state; None until there is one.
         frames_in: stereo pairs offered.
         outputs: one per frame processed, in stamp order.
         dropped: frames that were not processed, by reason.
@@ -33,6 +34,7 @@ class VehicleTrack:
     """
 
     vehicle: str
+    start: NavEstimate | None = None
     frames_in: int = 0
     outputs: list[FrameOutput] = field(default_factory=list)
     dropped: dict[str, int] = field(default_factory=dict)
@@ -71,11 +73,6 @@ class VehiclePipeline:
             self._slam.start(initial)
         self._refused: Counter[str] = Counter()
         self.track = VehicleTrack(vehicle)
-
-    @property
-    def start(self) -> NavEstimate | None:
-        """Start state; None until there is one."""
-        return self._slam.initial
 
     @property
     def missing_start(self) -> str:
@@ -130,6 +127,7 @@ class VehiclePipeline:
         for increment in increments:
             self._slam.add_increment(increment)
         outputs = list(self._slam.run())
+        self.track.start = self._slam.initial
         self.track.outputs += outputs
         self.track.warnings += [text for output in outputs for text in output.warnings]
         dropped = {**self._slam.dropped, **self._refused}

@@ -116,6 +116,21 @@ def test_a_landmark_seen_again_ties_the_end_to_the_start() -> None:
     assert scores.position[-1] < chi_square_band(1, probability=0.999)[1]
 
 
+def test_some_landmarks_recognised_wrongly_do_not_bend_the_loop() -> None:
+    vehicle, seen = simulated_circuit()
+    half, shared = len(seen) // 2, {int(identity) for _, ids in seen[:20] for identity in ids[ids >= 0]}
+    swapped = sorted(shared)[::10]
+    other = dict(zip(swapped, np.roll(swapped, 1).tolist(), strict=True))
+    wrong = [
+        (features, ids if k < half else np.array([other.get(int(identity), int(identity)) for identity in ids]))
+        for k, (features, ids) in enumerate(seen)
+    ]
+    found = trajectory(smoothed(vehicle, wrong))
+    assert found.covariance is not None
+    scores = nees(found, true_trajectory(vehicle))
+    assert scores.position[-1] < chi_square_band(1, probability=0.999)[1]
+
+
 @functools.cache
 def simulated_circuit() -> tuple[SimulatedVehicle, Seen]:
     """Return a circuit flown twice, seen so rarely that half of it is soon smoothed."""

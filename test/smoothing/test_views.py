@@ -108,7 +108,7 @@ def test_eliminated_points_leave_the_schur_complement_and_the_same_solution(flig
     system = Arrowhead.zeros(1, size * layout.stride, layout.border)
     add_views(system, layout, 0, view, eliminated, tied)
 
-    H, g = dense(view, sightings, points, landmarks, sigma_m)
+    H, g = dense(view, sightings, points, landmarks, tied.information)
     kept = len(SEEN) * STATES + layout.border
     complement = H[:kept, :kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], H[kept:, :kept])
     reduced = g[:kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], g[kept:])
@@ -131,7 +131,7 @@ def test_eliminated_points_leave_the_schur_complement_and_the_same_solution(flig
     assert np.allclose(corrections, expected, rtol=1e-6, atol=1e-8)
 
 
-def dense(view, sightings: Sightings, points: np.ndarray, landmarks: np.ndarray, sigma_m: np.ndarray):
+def dense(view, sightings: Sightings, points: np.ndarray, landmarks: np.ndarray, tied: np.ndarray):
     """Return H and g over poses, rig, landmark and points, from a Jacobian written out in full."""
     first_rig = len(SEEN) * STATES
     first_point = first_rig + view.by_rig.shape[2] + 3
@@ -153,7 +153,7 @@ def dense(view, sightings: Sightings, points: np.ndarray, landmarks: np.ndarray,
         if sightings.landmarks[point] >= 0:
             tie = np.zeros((3, total))
             tie[:, start : start + 3], tie[:, first_point - 3 : first_point] = np.eye(3), -np.eye(3)
-            rows.append(tie / sigma_m[point])
-            values.append((landmarks[0] - points[point, :3]) / sigma_m[point])
+            rows.append(tie * np.sqrt(tied[point]))
+            values.append((landmarks[0] - points[point, :3]) * np.sqrt(tied[point]))
     J, r = np.vstack(rows), np.concatenate(values)
     return J.T @ J, J.T @ r

@@ -7,7 +7,7 @@ from scipy.special import gammaincinv
 
 from uav_vslam.smoothing.cameras import Cameras, PixelNoise
 from uav_vslam.smoothing.sightings import Rows, Sightings
-from uav_vslam.smoothing.views import POINT_DIM, Ties, linearise
+from uav_vslam.smoothing.views import HUBER, POINT_DIM, Ties, linearise
 
 Array = NDArray[np.float64]
 
@@ -48,12 +48,26 @@ def fitting(
 
 
 def ties(rows: Rows, points: Array, landmarks: Array, sigma_m: Array) -> Ties:
-    """Tie P points to their landmarks (L, 3), `rows` of each or -1, by a distance of sigma (P,) on each axis [m]."""
+    """Tie P points to their landmarks (L, 3), `rows` of each or -1, robustly; see `apart` for sigma."""
+    distance = apart(rows, points, landmarks)
+    sigmas = np.linalg.norm(distance, axis=1) / sigma_m
+    weight = np.minimum(1.0, HUBER / np.maximum(sigmas, 1e-6))
+    information = np.where(rows >= 0, weight * sigma_m**-2.0, 0.0)
+    return Ties(rows, information, information[:, None] * distance)
+
+
+def wrongly_tied(rows: Rows, points: Array, landmarks: Array, sigma_m: Array, *, probability: float) -> Rows:
+    """Return the landmarks of which a point is farther away than the chi-square gate allows."""
+    sigmas2 = np.sum(apart(rows, points, landmarks) ** 2, axis=1) / sigma_m**2
+    return np.unique(rows[sigmas2 > 2.0 * gammaincinv(1.5, probability)])
+
+
+def apart(rows: Rows, points: Array, landmarks: Array) -> Array:
+    """Return (P, 3) landmark minus point [m], each axis of which has a standard deviation sigma (P,); zero for none."""
     tied = rows >= 0
-    information = tied / sigma_m**2
-    pull = np.zeros((len(rows), 3))
-    pull[tied] = information[tied, None] * (landmarks[rows[tied]] - points[tied, :3])
-    return Ties(rows, information, pull)
+    distance = np.zeros((len(rows), 3))
+    distance[tied] = landmarks[rows[tied]] - points[tied, :3]
+    return distance
 
 
 def tie_sigma_m(sightings: Sightings, cameras: Cameras, points: Array, redetection_px: float) -> Array:

@@ -7,6 +7,7 @@ Only landmarks seen again after `LONG_FRAMES` tie their visits together, with th
 close a loop.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -71,13 +72,21 @@ class Sightings:
         """Return those of the points in a (P,) mask; a landmark left with one point closes no loop."""
         rows = keep[self.points]
         number = np.cumsum(keep) - 1
-        landmarks = self.landmarks[keep]
-        linked = landmarks[landmarks >= 0]
-        again = linked[np.bincount(linked, minlength=1)[linked] > 1] if len(linked) else linked
-        renumbered = np.unique(again, return_inverse=True)[1]
-        fresh = np.full(len(landmarks), -1)
-        fresh[np.isin(landmarks, again) & (landmarks >= 0)] = renumbered
-        return Sightings(self.states[rows], number[self.points[rows]], self.pixels[rows], fresh, self.tracked)
+        landmarks = _renumbered(self.landmarks[keep])
+        return Sightings(self.states[rows], number[self.points[rows]], self.pixels[rows], landmarks, self.tracked)
+
+    def untied(self, landmarks: Rows) -> "Sightings":
+        """Return the same points, of which none shows these landmarks."""
+        rest = np.where(np.isin(self.landmarks, landmarks), -1, self.landmarks)
+        return dataclasses.replace(self, landmarks=_renumbered(rest))
+
+
+def _renumbered(landmarks: Rows) -> Rows:
+    """Number the landmarks that several points show from zero on; -1 for all others."""
+    names, counts = np.unique(landmarks[landmarks >= 0], return_counts=True)
+    again = names[counts > 1]
+    shown = np.isin(landmarks, again)
+    return np.where(shown, np.searchsorted(again, landmarks), -1).astype(np.intp)
 
 
 def gather(flight: FilteredFlight) -> Sightings:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import NAV_DIM
 from uav_vslam.smoothing.arrowhead import Arrowhead, Factor, factorise, marginal_covariances
@@ -17,15 +18,16 @@ from uav_vslam.smoothing.cameras import Cameras, PixelNoise, RigEstimate
 from uav_vslam.smoothing.chain import add_motion, add_rig, add_start, fill_up, moved
 from uav_vslam.smoothing.flight import FilteredFlight
 from uav_vslam.smoothing.layout import Layout
-from uav_vslam.smoothing.points import fitting, residual_px, revisited, tie_sigma_m, ties, triangulated
+from uav_vslam.smoothing.points import fitting, residual_px, revisited, tie_sigma_m, ties, triangulated, wrongly_tied
 from uav_vslam.smoothing.sightings import Sightings, gather
 from uav_vslam.smoothing.views import Eliminated, add_views, eliminate, linearise
 from uav_vslam.types import NavEstimate, NavState
 
 Array = NDArray[np.float64]
 
-MAX_STEPS = 10  # five are usual
+MAX_STEPS = 15  # five are usual
 SETTLED = 0.2  # standard deviations by which the last step may move the states, in any direction (Newton decrement)
+LOST = 1.0  # standard deviations of the last step with which there is no result
 GATED_AFTER = 2  # steps: before, the residuals say little about noise and outliers
 GATE_PROBABILITY = 0.9999  # of the chi-square gate on all residuals of a track
 SMALLEST_BLOCK = 8  # states: smaller blocks of the normal equations are not faster
@@ -70,6 +72,15 @@ class _Problem:
         self.sightings, self.points = self.sightings.chosen(chosen), self.points[chosen]
         self.landmarks = revisited(self.sightings, self.points)
 
+    def untie(self) -> bool:
+        """Give up the landmarks that were recognised wrongly; return whether there were any."""
+        wrong = wrongly_tied(
+            self.sightings.landmarks, self.points, self.landmarks, self._tie_sigma_m, probability=GATE_PROBABILITY
+        )
+        self.sightings = self.sightings.untied(wrong)
+        self.landmarks = np.delete(self.landmarks, wrong, axis=0)
+        return len(wrong) > 0
+
     def gate(self) -> None:
         """Measure the noise of the pixels, and drop points that don't fit."""
         cameras = self._cameras
@@ -113,8 +124,7 @@ class _Problem:
 
     def _add_points(self, system: Arrowhead, layout: Layout) -> list[tuple[slice, Eliminated]]:
         cameras, batches = self._cameras, []
-        redetection_px = max(self._config.backend.redetection_px, self.noise.white_px)
-        sigma_m = tie_sigma_m(self.sightings, cameras, self.points, redetection_px)
+        sigma_m = self._tie_sigma_m
         for block, own, part in self.sightings.by_block(layout.size):
             tied = ties(part.landmarks, self.points[own], self.landmarks, sigma_m[own])
             view = linearise(part, cameras, self.points[own], self.noise)
@@ -122,6 +132,11 @@ class _Problem:
             add_views(system, layout, block, view, eliminated, tied)
             batches.append((own, eliminated))
         return batches
+
+    @property
+    def _tie_sigma_m(self) -> Array:
+        redetection_px = max(self._config.backend.redetection_px, self.noise.white_px)
+        return tie_sigma_m(self.sightings, self._cameras, self.points, redetection_px)
 
     @property
     def _cameras(self) -> Cameras:
@@ -143,7 +158,7 @@ def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> Smo
         config: of the vehicle; `backend.sigma_px` counts only where points are too few to measure it.
 
     Raises:
-        FilterDivergence: the normal equations are not positive definite.
+        FilterDivergence: the normal equations are not positive definite, or the steps did not settle.
     """
     problem = _Problem(flight, rig, config)
     found = len(problem.points)
@@ -151,8 +166,10 @@ def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> Smo
         if step == GATED_AFTER + 1:
             problem.gate()
         factor, decrement = problem.step()
-        if decrement < SETTLED and step > GATED_AFTER:
+        if decrement < SETTLED and step > GATED_AFTER and not problem.untie():
             break
+    if not decrement < LOST:
+        raise FilterDivergence(f"after {step} steps the smoothed states still moved by {decrement:.1f} sigma")
     P, layout = marginal_covariances(factor), problem.layout
     estimates = []
     for row in flight.state_rows.tolist():

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig, RigConfig, VehicleConfig, find_config, load_vehicle
-from uav_vslam.errors import FilterDivergence, UavVslamError
+from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.result import VehicleResult
@@ -19,13 +19,10 @@ from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.offline import FlightSource, flight_result, fly
-from uav_vslam.pipeline import VehicleTrack
+from uav_vslam.offline import FlightSource, flight_result, fly, smooth_track
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.smoothing.flight import FilteredFlight
-from uav_vslam.smoothing.smoother import smooth
 from uav_vslam.types import NS_PER_S, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 from uav_vslam.vision.stereo_points import DetectedPair, StereoFrontend
@@ -141,7 +138,7 @@ def fly_sources(
     if method.smoothing:
         started = time.process_time()
         for source in sources:
-            _smooth(tracks[source.vehicle], source, config)
+            smooth_track(tracks[source.vehicle], source.rig, config)
         ms_smoothing = _ms_since(started, scenario.frames * scenario.vehicles)
     truths: dict[str, Trajectory | None] = {vehicle.name: true_trajectory(vehicle) for vehicle in vehicles}
     result = flight_result(scenario.name, tracks, fleet, truths, configs, seed=seed)
@@ -153,16 +150,6 @@ def fly_sources(
         for track in TRACKS[1:]
     }
     return Outcome(method, seed, figures, ms, float(np.mean(processed)), ms_smoothing=ms_smoothing, curves=curves)
-
-
-def _smooth(track: VehicleTrack, source: FlightSource, config: VehicleConfig) -> None:
-    """Add the smoothed poses to a track; none where the normal equations are not positive definite."""
-    assert source.initial_state is not None
-    flight = FilteredFlight.of_outputs(source.initial_state, track.outputs, track.features)
-    try:
-        track.smoothed = [estimate.pose for estimate in smooth(flight, source.rig, config).estimates]
-    except FilterDivergence:
-        return
 
 
 def _nees_curve(vehicle: VehicleResult, track: str) -> NeesCurve | None:
