@@ -26,6 +26,7 @@ from uav_vslam.studies.engine.extracted_flights import ExtractedFlight, recorded
 from uav_vslam.studies.engine.own_only import INS, Run, Track, feed
 from uav_vslam.studies.engine.pool import median
 from uav_vslam.studies.engine.recorded_flights import extracted_recording
+from uav_vslam.studies.engine.score_columns import SCORES
 from uav_vslam.studies.engine.scores import pooled
 from uav_vslam.studies.engine.study import Progress
 from uav_vslam.types import StereoFeatures
@@ -208,7 +209,7 @@ def map_rows(found: Sequence[Association]) -> list[Row]:
                 "condition": condition,
                 "pairs_per_frame": None if name == INS else score.left / frames,
                 **{key: value for key, value in score.row().items() if key != "pairs"},
-                **{key: figures[key] for key in ("end_rms_m", "ate_rms_m", "nees_position", "failures", "runs")},
+                **{key: figures[key] for key in (*SCORES, "failures", "runs")},
                 "ms_association": median([ms for a in chosen for ms in a.ms]),
                 "ms_per_frame": figures["ms_per_frame"],
             }

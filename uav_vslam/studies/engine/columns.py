@@ -79,6 +79,7 @@ COLUMNS: dict[str, str] = {
     "nees_position_worst_quarter": "the largest mean of a quarter of the flight",
     "nees_position_outside": "share of runs whose mean over time is outside of the chi-square band of one NEES",
     "nees_rotation": "NEES of the rotation over 3, mean",
+    "nees_rotation_worst": "the same, worst run",
     "nees_frame": "NEES of the peer's frame over 4, mean",
     "lambda_excess": "largest eigenvalue of R^-1 P over all packets, less 1: above 0 a packet is over-confident",
     "largest_jump_sigmas": "largest step of the correction from frame to frame over the fused sigma",

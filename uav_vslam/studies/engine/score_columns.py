@@ -14,6 +14,7 @@ COLUMN_OF = {
     "ate_se3_m": "ate_se3_rms_m",
     "end_m": "end_rms_m",
 }  # all other scores keep their name
+SCORES = tuple(COLUMN_OF.get(key, key) for key in (*ERROR_KEYS, *NEES_KEYS))
 
 
 def pooled_scores(runs: Sequence[dict[str, Any]]) -> Row:

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import StartConfig, VehicleConfig
 from uav_vslam.errors import UavVslamError
-from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import pair_with_truth
+from uav_vslam.evaluation.scores import track_scores
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.offline import track_vehicle
 from uav_vslam.studies.engine.pool import in_pool, mean
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
+from uav_vslam.studies.engine.score_columns import pooled_scores
 from uav_vslam.studies.euroc.starts import Start, starts_of
 from uav_vslam.types import NS_PER_S
 
@@ -99,16 +100,13 @@ def table_rows(flight: RecordedFlight, runs: Sequence[Run]) -> list[Row]:
 
 
 def _row(flight: RecordedFlight, run: Run) -> Row:
-    error, consistency = absolute_error(run.track, flight.truth), nees(run.track, flight.truth)
+    error = absolute_error(run.track, flight.truth)
     return {
         TABLE: "Every run",
         "method": run.method,
         "condition": run.start,
-        "ate_rms_m": error.ate_m if error else None,
-        "end_rms_m": error.end_m if error else None,
+        **pooled_scores([track_scores(run.track, flight.truth)]),
         "error_max_m": error.max_m if error else None,
-        "nees_position": summarise(consistency.position).mean if consistency else None,
-        "nees_rotation": summarise(consistency.rotation).mean if consistency else None,
         "frames_coasted": run.lost,
         "restarts": run.restarts,
         "frames": len(run.track),
@@ -127,6 +125,8 @@ def _worst(method: str, rows: list[Row]) -> Row:
         "frames_coasted_worst": max((row["frames_coasted"] for row in good), default=None),
         "nees_position": mean([row["nees_position"] for row in good]),
         "nees_position_worst": max((row["nees_position"] for row in good), default=None),
+        "nees_rotation": mean([row["nees_rotation"] for row in good]),
+        "nees_rotation_worst": max((row["nees_rotation"] for row in good), default=None),
         "restarts": sum(row["restarts"] for row in rows),
         "failures": len(rows) - len(good),
         "runs": len(rows),

@@ -14,7 +14,8 @@ from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.faults import FAULTS, FaultySource, end_s
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.studies.engine.flights import true_trajectory
-from uav_vslam.studies.engine.pool import in_pool, mean, rms
+from uav_vslam.studies.engine.pool import in_pool
+from uav_vslam.studies.engine.score_columns import pooled_scores
 
 NONE = "none"
 BEGIN_SHARE = 0.3  # of the flight
@@ -107,8 +108,6 @@ def _row(flown: Sequence[FaultRun]) -> Row:
         "recovered_frames": words[0] if words else max(recovered),
         "runs": len(flown),
         "restarts": sum(report.recovery != "" for report in reports),
-        "ate_rms_m": rms([one.figures["ate_m"] for one in flown]),
-        "end_rms_m": rms([one.figures["end_m"] for one in flown]),
-        "nees_position": mean(nees),
+        **pooled_scores([one.figures for one in flown]),
         "nees_position_worst": max(nees, default=None),
     }

@@ -19,6 +19,7 @@ from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.simulation.terrain import Relief, relief_of
 from uav_vslam.studies.engine.flights import Figures, Method, fly_sources
 from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
+from uav_vslam.studies.engine.score_columns import pooled_scores
 from uav_vslam.types import StereoFeatures
 from uav_vslam.vision.frontends import make_frontend
 
@@ -157,9 +158,7 @@ def _flight_figures(seen: Sequence[FrontEndRun]) -> Row:
         return [float(value) for value in found if value is not None]
 
     return {
-        "ate_rms_m": rms(values("s_slam", "ate_m")),
-        "end_rms_m": rms(values("s_slam", "end_m")),
-        "nees_position": mean(values("s_slam", "nees_position")),
+        **pooled_scores([report for figures in flown for report in figures.get("s_slam", {}).values()]),
         "c_slam_nees_position": mean(values("c_slam", "nees_position")),
         "c_slam_ratio_to_s_slam": ratio(rms(values("c_slam", "ate_m")), rms(values("s_slam", "ate_m"))),
         "failures": len(seen) - len(flown),

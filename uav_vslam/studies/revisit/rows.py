@@ -11,6 +11,7 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.slam.landmark_map import LONG_FRAMES
 from uav_vslam.studies.engine.own_only import Run
 from uav_vslam.studies.engine.pool import CONFIDENCE, mean, ratio, ratio_interval, rms
+from uav_vslam.studies.engine.score_columns import SCORES
 from uav_vslam.studies.engine.scores import FAILURE_RULE, end_error_m, is_finished, pooled
 from uav_vslam.studies.revisit.compute import FALSE_BEYOND_M, FORGETTING, NOISE, TWIN_SHARE, Loop
 
@@ -80,8 +81,7 @@ def _row(loops: Sequence[Loop], forgetting: Sequence[Loop]) -> Row:
             rms([ends[seed] for seed in common]), rms([reference[seed] for seed in common])
         ),
         **(ratio_interval(squares_without, squares) if loops[0].run.name != FORGETTING else {}),
-        "ate_rms_m": figures["ate_rms_m"],
-        "nees_position": figures["nees_position"],
+        **{key: figures[key] for key in SCORES if key != "end_rms_m"},
         "nees_position_end": figures["nees_position_end"],
         "closed": sum(bool((~loop.false).any()) for loop in loops),
         "closures": mean([float(len(loop.false)) for loop in loops]),
