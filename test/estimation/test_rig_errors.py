@@ -19,35 +19,37 @@ Array = NDArray[np.float64]
 RIG = kagaru_rig()
 EXACT = RigConfig(rigid_sigma_deg=0.0)
 FLEXING = RigConfig(flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02, time_offset_sigma_s=0.01)
+EVERYTHING = dataclasses.replace(FLEXING, disparity_sigma_px=0.2)
 NAV = NavState(
     7, Pose(so3_exp([0.3, -0.2, 1.1]), np.array([40.0, -15.0, 70.0])), np.array([19.0, 4.0, -1.0]), *np.zeros((2, 3))
 )
 
 
 @pytest.mark.parametrize(
-    ("config", "attitude", "vibration", "time_offset", "sigma"),
+    ("config", "sizes", "sigma"),
     [
-        (EXACT, 0, 0, 0, []),
-        (RigConfig(rigid_sigma_deg=0.002), 3, 0, 0, np.deg2rad([0.002] * 3)),
-        (FLEXING, 3, 3, 1, [*np.deg2rad([0.05] * 3 + [0.02] * 3), 0.01]),
-        (dataclasses.replace(FLEXING, vibration_sigma_deg=0.0), 3, 0, 1, [*np.deg2rad([0.05] * 3), 0.01]),
-        (dataclasses.replace(FLEXING, attitude_sigma_deg=0.0), 0, 3, 1, [*np.deg2rad([0.02] * 3), 0.01]),
-        (dataclasses.replace(EXACT, time_offset_sigma_s=0.02), 0, 0, 1, [0.02]),
+        (EXACT, [0, 0, 0, 0], []),
+        (RigConfig(rigid_sigma_deg=0.002), [3, 0, 0, 0], np.deg2rad([0.002] * 3)),
+        (EVERYTHING, [3, 3, 1, 1], [*np.deg2rad([0.05] * 3 + [0.02] * 3), 0.2, 0.01]),
+        (dataclasses.replace(FLEXING, vibration_sigma_deg=0.0), [3, 0, 0, 1], [*np.deg2rad([0.05] * 3), 0.01]),
+        (dataclasses.replace(FLEXING, attitude_sigma_deg=0.0), [0, 3, 0, 1], [*np.deg2rad([0.02] * 3), 0.01]),
+        (dataclasses.replace(EXACT, disparity_sigma_px=0.3), [0, 0, 1, 0], [0.3]),
+        (dataclasses.replace(EXACT, time_offset_sigma_s=0.02), [0, 0, 0, 1], [0.02]),
     ],
 )
 def test_states_are_the_errors_of_nonzero_configured_sigma(
-    config: RigConfig, attitude: int, vibration: int, time_offset: int, sigma: list[float]
+    config: RigConfig, sizes: list[int], sigma: list[float]
 ) -> None:
     errors = RigErrors(RIG, config, 15)
-    rows = [range(100)[part] for part in (errors.attitude, errors.vibration, errors.time_offset)]
-    assert [len(r) for r in rows] == [attitude, vibration, time_offset]
+    rows = [range(100)[part] for part in (errors.attitude, errors.vibration, errors.disparity, errors.time_offset)]
+    assert [len(r) for r in rows] == sizes
     assert [k for r in rows for k in r] == list(range(15, 15 + errors.dim)) == list(range(100)[errors.rows])
     np.testing.assert_allclose(np.sqrt(errors.prior_variance), sigma, rtol=1e-12)
 
 
 def test_only_the_attitude_of_a_flexing_rig_has_a_random_walk() -> None:
-    errors = RigErrors(RIG, dataclasses.replace(FLEXING, attitude_walk_deg=0.001), 15)
-    expected = [np.deg2rad(0.001) ** 2 * 4.0] * 3 + [0.0] * 4
+    errors = RigErrors(RIG, dataclasses.replace(EVERYTHING, attitude_walk_deg=0.001), 15)
+    expected = [np.deg2rad(0.001) ** 2 * 4.0] * 3 + [0.0] * 5
     np.testing.assert_allclose(errors.noise_variance(4.0), expected, rtol=1e-12)
     np.testing.assert_array_equal(RigErrors(RIG, RigConfig(rigid_sigma_deg=0.01), 15).noise_variance(4.0), np.zeros(3))
     assert RigErrors(RIG, EXACT, 15).noise_variance(4.0).shape == (0,)
@@ -64,20 +66,34 @@ def test_attitude_and_vibration_turn_the_right_camera_as_the_simulation_does() -
     assert found.T_body_left is RIG.T_body_left
 
 
+@pytest.mark.parametrize("shift_px", [0.3, -0.2])
+def test_a_disparity_error_moves_right_points_along_the_epipolar_line(shift_px: float) -> None:
+    errors = RigErrors(RIG, dataclasses.replace(EXACT, disparity_sigma_px=0.2), 15)
+    rig = errors.rig(RigState(disparity_px=shift_px))
+    points = np.array([[0.0, 0.0, 50.0], [0.0, 0.0, 70.0]])
+    moved, near_less_far = rig.project(points) - RIG.project(points), np.diff(RIG.project(points)[:, 2:], axis=0)[0]
+    np.testing.assert_array_equal(moved[:, :2], 0.0)
+    np.testing.assert_allclose(np.linalg.norm(moved[:, 2:], axis=1), abs(shift_px), rtol=1e-9)
+    cross = near_less_far[0] * moved[:, 3] - near_less_far[1] * moved[:, 2]
+    np.testing.assert_allclose(cross / np.linalg.norm(near_less_far), 0.0, atol=0.01 * abs(shift_px))
+
+
 def test_retraction_adds_each_states_rows() -> None:
-    errors = RigErrors(RIG, FLEXING, 2)
-    delta = np.arange(20.0)  # rows 2 to 8 are the rig's
-    state = errors.retract(RigState(np.ones(3), np.ones(3), 1.0), delta)
+    errors = RigErrors(RIG, EVERYTHING, 2)
+    delta = np.arange(20.0)  # rows 2 to 9 are the rig's
+    state = errors.retract(RigState(np.ones(3), np.ones(3), disparity_px=2.0, time_offset_s=1.0), delta)
+    np.testing.assert_array_equal(errors.calibration(state), [*state.attitude, state.disparity_px])
+    np.testing.assert_array_equal(delta[errors.calibrated], [2.0, 3.0, 4.0, 8.0])
     np.testing.assert_array_equal(state.attitude, [3.0, 4.0, 5.0])
     np.testing.assert_array_equal(state.vibration, [6.0, 7.0, 8.0])
-    assert state.time_offset_s == 9.0
+    assert (state.disparity_px, state.time_offset_s) == (10.0, 10.0)
     calibrated = RigState()
     assert RigErrors(RIG, EXACT, 2).retract(calibrated, delta) == calibrated
 
 
 def test_only_the_vibration_is_reset() -> None:
     errors = RigErrors(RIG, FLEXING, 15)
-    state = errors.reset_vibration(RigState(np.ones(3), np.ones(3), 0.5))
+    state = errors.reset_vibration(RigState(np.ones(3), np.ones(3), time_offset_s=0.5))
     np.testing.assert_array_equal(state.vibration, np.zeros(3))
     np.testing.assert_array_equal(state.attitude, np.ones(3))
     assert state.time_offset_s == 0.5

@@ -20,6 +20,7 @@ FRAMES = 60
 EXACT = RigConfig(rigid_sigma_deg=0.0)
 TRUSTED = RigConfig(rigid_sigma_deg=0.002)
 FLEXING = RigConfig(flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02)
+SHIFTED = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.2)
 LATE = RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=0.02)
 
 
@@ -62,6 +63,29 @@ def test_position_and_bias_of_a_flexing_rig_are_consistent(fly, name: str) -> No
     assert band[0] < position < band[1]
     assert np.mean(attitude) < band[1]
     assert nis == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["eif", "ukf"])
+def test_position_and_disparity_error_are_consistent(fly, name: str) -> None:
+    """Errors drawn from the prior: of 0.2 px a half to a fifth is left."""
+    position, disparity = [], []
+    for seed in range(1, 13 if name == "eif" else 4):
+        shift_px = float(np.random.default_rng(seed).normal(0.0, 0.2))
+        outcome = fly(simulated(seed, disparity_bias_px=shift_px), SHIFTED, name=name)
+        variance = rig_covariance(outcome.filter)[0, 0]
+        assert 0.2**2 < variance / 0.2**2 < 0.5**2
+        position.append(outcome.position_nees)
+        disparity.append((outcome.filter.rig_state.disparity_px - shift_px) ** 2 / variance)
+    runs = len(position)
+    assert chi2.ppf(0.001, 3 * runs) < 3 * np.sum(position) < chi2.ppf(0.999, 3 * runs)
+    assert chi2.ppf(0.001, runs) < np.sum(disparity) < chi2.ppf(0.999, runs)
+
+
+def test_an_unmodelled_disparity_error_ruins_the_estimate_but_not_the_residuals(fly) -> None:
+    outcomes = [fly(simulated(3, disparity_bias_px=0.3), config) for config in (EXACT, SHIFTED)]
+    assert outcomes[0].position_nees > 10.0
+    assert outcomes[0].nis_per_dof == pytest.approx(1.0, abs=0.1)
+    assert outcomes[1].position_nees < 4.0
 
 
 def test_an_unmodelled_bias_about_the_disparity_axis_ruins_the_estimate_but_not_the_residuals(fly) -> None:

@@ -2,6 +2,7 @@
 """A rig declared rigid: wrong calibrations are detected, correct ones raise no warning."""
 
 import pytest
+from scipy.special import chdtri
 
 from uav_vslam.config import BackendConfig, RigConfig, VehicleConfig
 from uav_vslam.pipeline import VehiclePipeline
@@ -9,7 +10,7 @@ from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.backend import FrameReport
-from uav_vslam.slam.rig_monitor import CONTRADICTED, RigMonitor
+from uav_vslam.slam.rig_monitor import FALSE_ALARM, RigMonitor
 
 NOISE_PX = 0.5
 
@@ -36,11 +37,28 @@ def test_a_rig_rotated_by_a_fiftieth_of_a_degree_is_detected_once(bias_deg: tupl
     monitor = RigMonitor(RigConfig())
     warnings = [text for r in reports(bias_deg, 1, RigConfig()) if (text := monitor.add(r))]
     assert len(warnings) == 1
+    assert "of 3" in warnings[0]
+    assert "rig.disparity_sigma_px" in warnings[0]
     assert "rig.flexing" in warnings[0]
+
+
+def test_a_constant_disparity_error_is_estimated_without_a_warning() -> None:
+    """Turned about the disparity axis by 0.02 degrees, 0.6 px, two sigma; with the rig exact, that is a warning."""
+    rig = RigConfig(disparity_sigma_px=0.3)
+    monitor = RigMonitor(rig)
+    assert [text for r in reports((0.02, 0.0, 0.0), 1, rig) if (text := monitor.add(r))] == []
+
+
+def test_a_disparity_error_beyond_its_sigma_is_detected() -> None:
+    rig = RigConfig(disparity_sigma_px=0.05)
+    monitor = RigMonitor(rig)
+    warnings = [text for r in reports((0.02, 0.0, 0.0), 1, rig) if (text := monitor.add(r))]
+    assert len(warnings) == 1
+    assert "of 4" in warnings[0]
 
 
 def test_a_flexing_rig_needs_no_warning() -> None:
     monitor = RigMonitor(RigConfig(flexing=True))
     flight = reports((0.02, 0.0, 0.0), 1, RigConfig())
-    assert max(r.rig_evidence for r in flight) > CONTRADICTED
+    assert max(r.rig_evidence for r in flight) > chdtri(3, FALSE_ALARM)
     assert [monitor.add(r) for r in flight] == [""] * len(flight)

@@ -27,7 +27,7 @@ class StartConfig(Settings):
 
 @dataclass(frozen=True, slots=True)
 class RigConfig(Settings):
-    """Uncertainty of the calibration: attitude of the right camera, and the cameras' clock."""
+    """Uncertainty of the calibration: attitude of the right camera, disparity, and the cameras' clock."""
 
     flexing: bool = setting(False, "the cameras' relative attitude drifts and vibrates, so it is estimated")
     attitude_sigma_deg: float = setting(
@@ -39,6 +39,12 @@ class RigConfig(Settings):
     )
     rigid_sigma_deg: float = setting(
         5.0e-4, "not flexing: residual after calibration; small, but data can contradict it", unit="deg", at_least=0
+    )
+    disparity_sigma_px: float = setting(
+        0.0,
+        "constant error of the disparity, estimated; 0: none; 0.2 if the calibration is doubtful",
+        unit="px",
+        at_least=0,
     )
     time_offset_sigma_s: float = setting(
         0.0, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0

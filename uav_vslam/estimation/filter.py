@@ -277,18 +277,16 @@ class Filter:
             return self.belief.predicted(C, np.zeros((m, m))).information(rows)
 
     def rig_evidence(self) -> float:
-        """Return the test statistic of the calibrated attitude, chi-square with 3 degrees of freedom.
+        """Return the test statistic of the calibration, chi-square with a degree of freedom per attitude and disparity.
 
-        Under a correct prior the estimate has covariance P_0 - P. Zero if the attitude is not a state.
+        Under a correct prior the estimate has covariance P_0 - P. Zero if neither is a state.
         """
-        rows = self._errors.attitude
-        if rows.stop == rows.start:
-            return 0.0
-        prior = np.diag(self._errors.prior_variance[: rows.stop - rows.start])
-        reduction = prior - self.belief.covariance(np.zeros(0, np.int64))[rows, rows]
-        values, vectors = np.linalg.eigh(symmetrise(reduction))
-        along = vectors.T @ self.rig_state.attitude
-        known = values > MIN_VARIANCE_REDUCTION * prior[0, 0]
+        rows = self._errors.calibrated
+        sigma = np.sqrt(self._errors.prior_variance[rows - self._errors.rows.start])
+        P = self.belief.covariance(np.zeros(0, np.int64))[np.ix_(rows, rows)]
+        values, vectors = np.linalg.eigh(symmetrise(np.eye(len(rows)) - P / np.outer(sigma, sigma)))
+        along = vectors.T @ (self._errors.calibration(self.rig_state) / sigma)
+        known = values > MIN_VARIANCE_REDUCTION
         return float(np.sum(along[known] ** 2 / values[known]))
 
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:

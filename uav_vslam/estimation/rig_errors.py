@@ -3,10 +3,16 @@
 
 `attitude`      rotation of the right camera relative to its calibration, in its own frame: a slow random walk
 `vibration`     the same, independent in each frame
+`disparity`     constant error of the disparity: shift of the right principal point along it
 `time_offset`   delay of the exposure: the image shows the pose at stamp + time_offset
 
 A rotation about the axis that changes disparity acts like a scaling of all depths: invisible in the residuals but
-observable from the motion, so it is estimated. Unmodelled, 0.02 degrees already cost more than the cameras gain.
+observable from the motion, so it is estimated. Unmodelled, 0.02 degrees already cost more than the cameras gain. A
+principal point that is off does the same; a rotation can't stand for it with a wide lens, where it bends the image too.
+
+Errors of the baseline and of the focal length change the depths over ground as the disparity does, so they are no
+states. Nor is the attitude of the cameras to the IMU: in simulated flights where it was right its estimates were off
+by up to six of the claimed standard deviations.
 """
 
 import dataclasses
@@ -31,11 +37,13 @@ class RigState:
 
     Attributes:
         attitude, vibration: (3,) rotation vectors of the right camera in its own frame [rad].
+        disparity_px: shift of the right principal point, see `StereoRig.disparity_shifted` [px].
         time_offset_s: exposure minus stamp [s].
     """
 
     attitude: Array = field(default_factory=lambda: np.zeros(3))
     vibration: Array = field(default_factory=lambda: np.zeros(3))
+    disparity_px: float = 0.0
     time_offset_s: float = 0.0
 
 
@@ -46,16 +54,17 @@ class RigErrors:
         self._rig = rig
         attitude = config.attitude_sigma_deg if config.flexing else config.rigid_sigma_deg
         vibration = config.vibration_sigma_deg if config.flexing else 0.0
-        sizes = [3 * (attitude > 0), 3 * (vibration > 0), int(config.time_offset_sigma_s > 0)]
+        disparity, time_offset = config.disparity_sigma_px, config.time_offset_sigma_s
+        sizes = [3 * (attitude > 0), 3 * (vibration > 0), int(disparity > 0), int(time_offset > 0)]
         ends = first + np.cumsum([0, *sizes])
-        self.attitude, self.vibration, self.time_offset = (
+        self.attitude, self.vibration, self.disparity, self.time_offset = (
             slice(int(start), int(end)) for start, end in itertools.pairwise(ends)
         )
         self.rows = slice(first, int(ends[-1]))
         self.dim = int(ends[-1]) - first
         self.vibration_variance = float(np.deg2rad(vibration) ** 2)
         self._walk_variance = float(np.deg2rad(config.attitude_walk_deg) ** 2) if config.flexing else 0.0
-        sigma = np.repeat([np.deg2rad(attitude), np.deg2rad(vibration), config.time_offset_sigma_s], sizes)
+        sigma = np.repeat([np.deg2rad(attitude), np.deg2rad(vibration), disparity, time_offset], sizes)
         self.prior_variance: Array = sigma**2
 
     def noise_variance(self, dt_s: float) -> Array:
@@ -66,12 +75,24 @@ class RigErrors:
 
     def retract(self, state: RigState, delta: Array) -> RigState:
         """Apply a correction of the vehicle's error to a mean."""
-        attitude, vibration, offset = delta[self.attitude], delta[self.vibration], delta[self.time_offset]
+        attitude, vibration = delta[self.attitude], delta[self.vibration]
         return RigState(
             state.attitude + attitude if attitude.size else state.attitude,
             state.vibration + vibration if vibration.size else state.vibration,
-            state.time_offset_s + float(offset.sum()),
+            state.disparity_px + float(delta[self.disparity].sum()),
+            state.time_offset_s + float(delta[self.time_offset].sum()),
         )
+
+    @property
+    def calibrated(self) -> NDArray[np.int64]:
+        """(K,) rows of what the calibration has: attitude and disparity, as far as they are states."""
+        return np.r_[self.attitude, self.disparity]
+
+    def calibration(self, state: RigState) -> Array:
+        """Return (K,) the mean in the rows `calibrated`."""
+        whole = np.append(state.attitude, state.disparity_px)
+        present = [self.attitude.stop > self.attitude.start] * 3 + [self.disparity.stop > self.disparity.start]
+        return np.asarray(whole[present])
 
     def reset_vibration(self, state: RigState) -> RigState:
         """Reset the vibration, which is independent in each frame."""
@@ -79,11 +100,11 @@ class RigErrors:
 
     def rig(self, state: RigState) -> StereoRig:
         """Return the rig corrected by its estimated errors."""
-        turned = state.attitude + state.vibration
-        if not turned.any():
-            return self._rig
-        T_body_right = self._rig.T_body_right @ Pose(so3_exp(turned), np.zeros(3))
-        return dataclasses.replace(self._rig, T_body_right=T_body_right)
+        rig, turned = self._rig, state.attitude + state.vibration
+        if turned.any():
+            T_body_right = rig.T_body_right @ Pose(so3_exp(turned), np.zeros(3))
+            rig = dataclasses.replace(rig, T_body_right=T_body_right)
+        return rig.disparity_shifted(state.disparity_px) if state.disparity_px else rig
 
     def at_exposure(self, state: RigState, nav: NavState, rate_map: Array) -> NavState:
         """Return the navigation state at the exposure, `time_offset` after the image's stamp.
@@ -99,7 +120,7 @@ class RigErrors:
         return dataclasses.replace(nav, T_map_body=Pose(so3_exp(rate_map * dt) @ T.R, T.t + nav.v_map * dt))
 
     def pixel_jacobian(self, rig: StereoRig, points_left: Array) -> Array:
-        """Return (N, 4, dim) d(stereo pixels)/d(attitude, vibration); the time offset's column is zero here.
+        """Return (N, 4, dim) d(stereo pixels)/d(attitude, vibration, disparity); zero for the time offset.
 
         Args:
             rig: as `rig` returns it.
@@ -112,4 +133,6 @@ class RigErrors:
             for rows in (self.attitude, self.vibration):
                 if rows.stop > rows.start:
                     H[:, 2:, rows.start - self.rows.start : rows.stop - self.rows.start] = turning
+        if self.disparity.stop > self.disparity.start:
+            H[:, 2:, self.disparity.start - self.rows.start] = rig.disparity_axis
         return H

@@ -4,6 +4,7 @@
 An observation is `z = [u_left, v_left, u_right, v_right]` in undistorted pixels, Eq. (4.6.13) of [thesis].
 """
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,6 +51,19 @@ class StereoRig:
     def baseline_m(self) -> float:
         """Distance between the two optical centres [m]."""
         return float(np.linalg.norm(self.T_body_right.t - self.T_body_left.t))
+
+    @property
+    def disparity_axis(self) -> Array:
+        """(2,) unit vector in the right image along which disparity moves a point near the optical axis."""
+        along = np.array([self.right.fx, self.right.fy]) * self.T_right_left.t[:2]
+        return np.asarray(along / np.linalg.norm(along))
+
+    def disparity_shifted(self, shift_px: float) -> "StereoRig":
+        """Return the rig whose right principal point lies further along the disparity, by a distance [px]."""
+        du, dv = shift_px * self.disparity_axis
+        return dataclasses.replace(
+            self, right=dataclasses.replace(self.right, cx=self.right.cx + du, cy=self.right.cy + dv)
+        )
 
     @property
     def fundamental(self) -> Array:

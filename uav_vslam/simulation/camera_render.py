@@ -112,7 +112,7 @@ class RenderedFlight:
         ground = ground or ground_of(vehicle.scenario)
         supersample = max(1, round(1.0 / vehicle.scenario.scale))
         self._left = CameraRenderer(vehicle.rig.left, ground, supersample=supersample)
-        self._right = CameraRenderer(vehicle.rig.right, ground, supersample=supersample)
+        self._right = CameraRenderer(vehicle.true_rig(0).right, ground, supersample=supersample)
         self._right_shading = _shading(vehicle)
 
     def __len__(self) -> int:

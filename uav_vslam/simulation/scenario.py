@@ -67,6 +67,7 @@ class Scenario:
     right_vignette: float = 0.0  # share of its brightness that the right camera loses in the corners
     vibration_deg: float = 0.0  # rms of each axis of the right camera's attitude, independent per frame
     extrinsic_bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # constant error of the right camera's attitude
+    disparity_bias_px: float = 0.0  # constant error of the disparity: the right principal point is off along it
     sigma_position_m: float = 0.05  # of the initial state, per axis
     sigma_velocity: float = 0.1  # of the initial state, per axis [m/s]
     sigma_tilt_deg: float = 0.2  # of the initial state, about east and north
@@ -147,7 +148,8 @@ class SimulatedVehicle:
 
     def true_rig(self, frame: int) -> StereoRig:
         """Return the true rig at frame `frame`."""
-        return rotated_right(self.rig, self.right_rotations[frame])
+        turned = rotated_right(self.rig, self.right_rotations[frame])
+        return turned.disparity_shifted(self.scenario.disparity_bias_px)
 
     def true_state(self, stamp_ns: int) -> NavState:
         """Return the true state, with the biases of the nearest reading."""

@@ -14,7 +14,7 @@ from uav_vslam.vision.stereo_points import StereoFrontend
 TINY = Scenario(frames=3, vehicles=1, scale=0.25)
 SIFT = {"frontend.method": "sift"}  # which looks without regard to the rig, so that both methods can share what it saw
 CONFIGS = {name: load_vehicle(None, overrides=keys | SIFT) for name, keys in VARIANTS.items()}
-FIXED, ESTIMATED = CONFIGS
+FIXED, ESTIMATED, DISPARITY = CONFIGS
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def rows(searched):
 
 def test_the_right_camera_is_turned_as_the_condition_says():
     turned = {name: np.rad2deg(simulate_vehicle(c, 0).right_rotations) for name, c in conditions(Scenario()).items()}
-    assert len(turned) == 9
+    assert len(turned) == 11
     np.testing.assert_array_equal(turned[RIGID], 0.0)
     np.testing.assert_allclose(turned["bias 0.02 deg about x (disparity)"], [[0.02, 0.0, 0.0]] * 160)
     np.testing.assert_allclose(turned["bias 0.05 deg about z (optical)"], [[0.0, 0.0, 0.05]] * 160)
@@ -57,15 +57,23 @@ def test_x_is_the_axis_that_changes_disparity():
     assert max(along_u[0], along_v[1], along_u[2], along_v[2]) < 0.1 * whole
 
 
-def test_the_methods_differ_in_whether_the_rig_flexes():
-    assert [config.rig.flexing for config in CONFIGS.values()] == [False, True]
+def test_the_methods_differ_in_what_is_estimated():
+    assert [config.rig.flexing for config in CONFIGS.values()] == [False, True, False]
+    assert [config.rig.disparity_sigma_px for config in CONFIGS.values()] == [0.0, 0.0, 0.2]
+
+
+def test_a_disparity_error_shifts_only_the_right_points_along_the_disparity():
+    vehicle = simulate_vehicle(conditions(Scenario(frames=2))["disparity error 0.3 px"], 0)
+    point = np.array([[3.0, -2.0, 70.0]])
+    shift = (vehicle.true_rig(0).project(point) - vehicle.rig.project(point))[0]
+    np.testing.assert_allclose(np.abs(shift), [0.0, 0.0, 0.0, 0.3], rtol=0, atol=0.01)  # of Kagaru's rig: in v
 
 
 def test_the_ins_has_one_row_and_each_condition_one_for_each_method(rows):
     names = [(row["condition"], row["method"]) for row in rows]
     assert names[:3] == [("any", "INS"), (RIGID, f"S-SLAM, {FIXED}"), (RIGID, f"S-SLAM, {ESTIMATED}")]
-    assert [condition for condition, _ in names[1::2]] == list(conditions(TINY))
-    assert len(names) == len(set(names)) == 19
+    assert [condition for condition, _ in names[1::3]] == list(conditions(TINY))
+    assert len(names) == len(set(names)) == 34
 
 
 def test_end_errors_are_told_as_multiples_of_the_rigid_rigs(rows):
@@ -76,7 +84,7 @@ def test_end_errors_are_told_as_multiples_of_the_rigid_rigs(rows):
 
 def test_each_look_is_searched_once_for_both_methods(rows, searched):
     assert rows
-    assert len(searched) == 9 * TINY.frames
+    assert len(searched) == 11 * TINY.frames
 
 
 def test_every_frame_is_processed_and_nothing_fails(rows):

@@ -21,17 +21,18 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
 
 STUDY = Study(
-    help="rendered images: a right camera that vibrates or is turned, with and without its attitude as a state",
+    help="rendered images: a right camera that vibrates, is turned or shifted, with and without the error as a state",
     takes="an hour",
     examples="""examples:
-  uav-vslam study rig                                  5 seeds, 9 rigs, 160 rendered pairs each
+  uav-vslam study rig                                  5 seeds, 11 rigs, 160 rendered pairs each
   uav-vslam study rig --seeds 1 --workers 1            a quick check; about ten minutes
   uav-vslam study rig --seeds 1 --variant rig.flexing=true --variant rig.flexing=true,rig.attitude_sigma_deg=0.1
 
-One vehicle alone, config kagaru. The extrinsic attitude is a state where `rig.flexing` is true.
+One vehicle alone, config kagaru. The extrinsic attitude is a state where `rig.flexing` is true,
+the disparity where `rig.disparity_sigma_px` isn't 0.
 """,
     run=run,
     seeds=5,
     frames=160,
-    variants="rig.flexing false and true",
+    variants="rig.flexing false and true, and rig.disparity_sigma_px=0.2",
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rendered flights whose right camera vibrates or is turned, with and without the rig's attitude as a state.
+"""Rendered flights whose right camera vibrates, is turned or has another principal point; with the error as a state.
 
 A bias about the axis that changes disparity scales all depths: it does not appear in the residuals,
 so a filter with fixed calibration is over-confident in a wrong scale. As a state it is observable from the motion.
@@ -20,9 +20,11 @@ RIGID = "rigid"
 VARIANTS: dict[str, dict[str, object]] = {
     "calibration fixed": {"rig.flexing": False},
     "attitude estimated": {"rig.flexing": True},
+    "disparity estimated": {"rig.disparity_sigma_px": 0.2},
 }
 VIBRATIONS_DEG = (0.02, 0.05)  # rms about each axis, new in each frame
 BIASES_DEG = (0.02, 0.05)  # constant, about one axis
+DISPARITIES_PX = (0.2, 0.3)  # constant
 # The Kagaru rig's baseline is along the image's vertical: turning about x changes disparity, about y it moves points
 # off their epipolar lines.
 AXES = ("x (disparity)", "y (epipolar)", "z (optical)")
@@ -30,7 +32,8 @@ AXES = ("x (disparity)", "y (epipolar)", "z (optical)")
 NOTES = {
     "Rig": "the right camera's true attitude away from the calibration that the vehicle is given: vibration is drawn "
     "for each frame, rms about each axis; a bias is constant. Axes are the right camera's: about x its points "
-    "move along the disparity, about y off their epipolar lines, z is the optical axis",
+    "move along the disparity, about y off their epipolar lines, z is the optical axis. With a disparity error its "
+    "principal point is off along the disparity",
     "Methods": "; ".join(f"{name}: {key} = {value}" for name, keys in VARIANTS.items() for key, value in keys.items()),
     "Errors": "root mean squares over the seeds at the end and over the flight, in the common frame without alignment; "
     "end_ratio_to_rigid is over the first method's on the rigid rig",
@@ -49,6 +52,8 @@ def conditions(scenario: Scenario) -> dict[str, Scenario]:
         for axis, name in enumerate(AXES):
             x, y, z = (bias * (axis == k) for k in range(3))
             found[f"bias {bias} deg about {name}"] = dataclasses.replace(scenario, extrinsic_bias_deg=(x, y, z))
+    for shift_px in DISPARITIES_PX:
+        found[f"disparity error {shift_px} px"] = dataclasses.replace(scenario, disparity_bias_px=shift_px)
     return found
 
 
