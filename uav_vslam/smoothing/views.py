@@ -9,8 +9,8 @@ K by y and r the residual, all divided by the noise, elimination leaves for the 
 
     H_ij = [i = j] sum J' J - E_i E_j',   g_i = sum J' r - E_i e,   E = J' K L^-T,   e = L^-1 K' r,   L L' = sum K' K.
 
-The E of all points that start in one block of the chain are the columns of one matrix A, and the sum is one A A'. The
-constant errors of the rig, seen by all observations, are border variables with a Jacobian and an F of their own.
+The E of points that start close together are the columns of one matrix A, and the sum is one A A'. The constant errors
+of the rig, seen by all observations, are border variables with a Jacobian and an F of their own.
 """
 
 from dataclasses import dataclass
@@ -26,6 +26,7 @@ from uav_vslam.smoothing.sightings import Rows, Sightings
 Array = NDArray[np.float64]
 
 POINT_DIM = 7
+GROUPS = 6  # of the points that start in a block: more are smaller products, but more of them
 HUBER = 3.0  # length of the normalised residual, of 4 pixel coordinates, beyond which it counts linearly [huber64]
 
 
@@ -132,24 +133,41 @@ def eliminate(sightings: Sightings, view: Linearised, points: Array, noise: Pixe
 
 def add_views(system: Arrowhead, layout: Layout, block: int, view: Linearised, points: Eliminated, ties: Ties) -> None:
     """Add points that start in `block` and end in the next one at the latest."""
-    states, window = points.states - block * layout.size, 2 * layout.size
-    dim, count = view.by_pose.shape[2], len(points.e)
-    columns = np.zeros((window, dim, count, POINT_DIM))
-    columns[states, :, points.points] = points.E
-    A = columns.reshape(window * dim, count * POINT_DIM)
-    own = np.zeros((window, dim, dim))
-    np.add.at(own, states, _products(view.by_pose, view.by_pose))
-    H = -(A @ A.T)
+    states, window, own = points.states - block * layout.size, 2 * layout.size, points.points
+    H = _between_states(points, states, window)
+    dim = view.by_pose.shape[2]
     diagonal = H.reshape(window, dim, window, dim)
-    diagonal[np.arange(window), :, np.arange(window)] += own
-    g = _by_state(view.by_pose, view.residual[:, :, None], states, window)[:, 0] - A @ points.e.ravel()
-    F = np.swapaxes(points.F, 1, 2).reshape(count * POINT_DIM, -1)
-    _add_window(system, layout, block, H, g, _by_state(view.by_pose, view.by_rig, states, window) - A @ F)
-    rig = slice(0, layout.rig)
-    system.border[rig, rig] += _products(view.by_rig, view.by_rig).sum(axis=0) - F.T @ F
-    system.border_rhs[rig] += np.einsum("mki,mk->i", view.by_rig, view.residual) - F.T @ points.e.ravel()
+    diagonal[np.arange(window), :, np.arange(window)] += _by_state(
+        _products(view.by_pose, view.by_pose), states, window
+    )
+    pull = _products(view.by_pose, view.residual[:, :, None]) - points.E @ points.e[own, :, None]
+    with_rig = _products(view.by_pose, view.by_rig) - points.E @ np.swapaxes(points.F, 1, 2)[own]
+    g, with_rig = (_by_state(each, states, window).reshape(window * dim, -1) for each in (pull, with_rig))
+    _add_window(system, layout, block, H, g[:, 0], with_rig)
+    rig, F = slice(0, layout.rig), points.F
+    system.border[rig, rig] += _products(view.by_rig, view.by_rig).sum(axis=0) - np.einsum("pik,pjk->ij", F, F)
+    system.border_rhs[rig] += np.einsum("mki,mk->i", view.by_rig, view.residual) - np.einsum("pik,pk->i", F, points.e)
     for point in np.flatnonzero(ties.rows >= 0).tolist():
-        _add_tie(system, layout, block, A[:, point * POINT_DIM : (point + 1) * POINT_DIM], points, ties, point)
+        A = np.zeros((window, dim, POINT_DIM))
+        A[states[own == point]] = points.E[own == point]
+        _add_tie(system, layout, block, A.reshape(-1, POINT_DIM), points, ties, point)
+
+
+def _between_states(points: Eliminated, states: Rows, window: int) -> Array:
+    """Return -A A' over the states of a window: in groups of points, which are in order and each see a part of it."""
+    dim = points.E.shape[1]
+    H = np.zeros((window * dim, window * dim))
+    for group in np.array_split(np.arange(len(points.e)), GROUPS):
+        if len(group) == 0:
+            continue
+        seen = slice(*np.searchsorted(points.points, [group[0], group[-1] + 1]).tolist())
+        first, last = int(states[seen].min()), int(states[seen].max()) + 1
+        columns = np.zeros((last - first, dim, len(group), POINT_DIM))
+        columns[states[seen] - first, :, points.points[seen] - group[0]] = points.E[seen]
+        A = columns.reshape((last - first) * dim, len(group) * POINT_DIM)
+        rows = slice(first * dim, last * dim)
+        H[rows, rows] -= A @ A.T
+    return H
 
 
 def _add_window(system: Arrowhead, layout: Layout, block: int, H: Array, g: Array, with_rig: Array) -> None:
@@ -188,11 +206,11 @@ def _products(left: Array, right: Array) -> Array:
     return np.asarray(np.swapaxes(left, 1, 2) @ right)
 
 
-def _by_state(left: Array, right: Array, states: Rows, window: int) -> Array:
-    """Return (window i, j) left' right of (M, 4, i) and (M, 4, j), summed over the observations of each state."""
-    total = np.zeros((window, left.shape[2], right.shape[2]))
-    np.add.at(total, states, _products(left, right))
-    return total.reshape(window * left.shape[2], right.shape[2])
+def _by_state(values: Array, states: Rows, window: int) -> Array:
+    """Return (window, ...) sums of the values of each state."""
+    total = np.zeros((window, *values.shape[1:]))
+    np.add.at(total, states, values)
+    return total
 
 
 def _image_motion(sightings: Sightings) -> Array:
