@@ -98,7 +98,7 @@ class ImuIncrement:
         delta_R: (3, 3) R_start_end.
         delta_v: (3,) change of velocity without gravity, in the start body frame [m/s].
         delta_p: (3,) displacement without gravity and initial velocity, in the start body frame [m].
-        rate_end: (3,) gyroscope reading at the end, bias included, body frame [rad/s].
+        rate_start, rate_end: (3,) gyroscope readings at the ends, bias included, body frame [rad/s].
         gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
         bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); the rotation is perturbed
             on the right.
@@ -111,6 +111,7 @@ class ImuIncrement:
     delta_R: Array
     delta_v: Array
     delta_p: Array
+    rate_start: Array
     rate_end: Array
     gyro_bias: Array
     accel_bias: Array

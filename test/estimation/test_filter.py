@@ -193,6 +193,9 @@ def test_landmarks_are_added_only_after_the_first_increment_if_the_time_offset_i
     assert not f.can_add_landmarks
     f.predict(course.increments[0])
     assert f.can_add_landmarks
+    told = course.filter(rig_config=rig)
+    told.starts(course.increments[0])
+    assert told.can_add_landmarks
     assert course.filter().can_add_landmarks
 
 

@@ -225,13 +225,15 @@ def test_a_gap_gives_a_hover_with_a_large_covariance() -> None:
     assert (sigma[3:6] >= 0.5).all()  # half a metre a second after 0.2 s: the vehicle may have started a turn
     assert (sigma[:3] >= 0.05).all()
     np.testing.assert_array_equal(increment.bias_jacobian, 0.0)
-    np.testing.assert_array_equal(increment.rate_end, GYRO_BIAS)  # its reading without rotation
+    for rate in (increment.rate_start, increment.rate_end):
+        np.testing.assert_array_equal(rate, GYRO_BIAS)  # its reading without rotation
 
 
-def test_the_rate_at_the_end_is_what_the_gyroscope_reads_there(readings) -> None:
+def test_the_rates_at_the_ends_are_what_the_gyroscope_reads_there(readings) -> None:
     """Interpolated between readings; the bias is included, for any linearisation point."""
     samples = readings(START_S, FRAME_S, 28)
     np.testing.assert_array_equal(integrate(samples).rate_end, samples[-1].gyro)
+    np.testing.assert_array_equal(integrate(samples).rate_start, samples[0].gyro)
     before, after = samples[-2:]
     end_ns = (3 * before.stamp_ns + after.stamp_ns) // 4
     early = preintegrate(samples, samples[0].stamp_ns, end_ns, gyro_bias=GYRO_BIAS, accel_bias=ACCEL_BIAS, imu=IMU)
@@ -308,6 +310,7 @@ def test_composed_increments_equal_the_one_over_both(readings) -> None:
     np.testing.assert_allclose(difference(composed, whole), np.zeros(9), rtol=0, atol=1e-12)
     np.testing.assert_allclose(composed.bias_jacobian, whole.bias_jacobian, rtol=0, atol=1e-12)
     np.testing.assert_allclose(composed.covariance, whole.covariance, rtol=1e-9, atol=1e-20)
+    np.testing.assert_array_equal(composed.rate_start, whole.rate_start)
     np.testing.assert_array_equal(composed.rate_end, whole.rate_end)
 
 

@@ -58,6 +58,7 @@ def increment() -> ImuIncrement:
         delta_R=so3_exp(np.array([0.01, 0.02, -0.03])),
         delta_v=rng.normal(size=3),
         delta_p=rng.normal(size=3),
+        rate_start=rng.normal(size=3),
         rate_end=rng.normal(size=3),
         gyro_bias=rng.normal(size=3),
         accel_bias=rng.normal(size=3),
@@ -176,6 +177,7 @@ def test_features_that_are_refused(field: str, value: Any, reason: str) -> None:
     [
         ("delta_rotation", 9),
         ("delta_velocity", 3),
+        ("rate_start", 3),
         ("rate_end", 3),
         ("delta_position", 3),
         ("gyro_bias", 3),

@@ -64,12 +64,27 @@ def test_the_first_frame_fills_the_map_and_moves_nothing(flight: Flight) -> None
     assert len(ids) == len(positions) == report.landmarks
 
 
-def test_an_unsynchronised_rig_of_unknown_rate_initialises_no_landmark(flight: Flight) -> None:
+def test_an_unsynchronised_rig_adds_the_first_landmarks_as_soon_as_the_rate_is_known(flight: Flight) -> None:
     config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, rig=RigConfig(time_offset_sigma_s=0.01))
     backend = SlamBackend(flight.vehicle.initial, rig=flight.vehicle.rig, config=config, vehicle="uav1")
-    first, second = (backend.process(flight.features[k], flight.increments[k]) for k in range(2))
+    first = backend.process(flight.features[0], flight.increments[0])
     assert first.landmarks == 0
-    assert second.landmarks > 0
+    assert (
+        backend.process(flight.features[1], flight.increments[1]).associated >= 10
+    )  # by then the first frame's are in
+
+
+def test_postponed_landmarks_are_where_the_known_rate_puts_them(flight: Flight) -> None:
+    """With an offset that is known to a microsecond, the flight is the one with synchronous clocks."""
+    backends = []
+    for sigma_s in (0.0, 1e-6):
+        rig = RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=sigma_s)
+        config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, rig=rig)
+        backends.append(SlamBackend(flight.vehicle.initial, rig=flight.vehicle.rig, config=config, vehicle="uav1"))
+    for features, increment in zip(flight.features[:4], flight.increments[:4], strict=True):
+        plain, postponing = (backend.process(features, increment) for backend in backends)
+    assert postponing.associated == plain.associated
+    np.testing.assert_allclose(postponing.pose.T_map_body.t, plain.pose.T_map_body.t, rtol=0, atol=1e-3)
 
 
 def test_a_tenth_of_wrong_matches_is_rejected(flight: Flight) -> None:

@@ -132,13 +132,18 @@ class Filter:
     def can_add_landmarks(self) -> bool:
         """Return whether landmarks can be added.
 
-        If the time offset is a state, only after the first increment: their positions depend on the angular rate.
+        If the time offset is a state, their positions depend on the angular rate: it is known from the first increment
+        on, whether propagated over it or told of it by `starts`.
         """
         return self._rate_map is not None or self._errors.time_offset.start == self._errors.time_offset.stop
 
     def covariance(self) -> Array:
         """Return (vehicle + 3N, vehicle + 3N), the full covariance in the model's coordinates."""
         return self.belief.covariance(np.arange(len(self.landmarks))).copy()
+
+    def starts(self, increment: ImuIncrement) -> None:
+        """Take over the angular rate at the start of an increment, where the estimate is."""
+        self._rate_map = self.nav.T_map_body.R @ (increment.rate_start - self.nav.gyro_bias)
 
     def predict(self, increment: ImuIncrement) -> None:
         """Propagate over an increment."""

@@ -93,6 +93,7 @@ class SlamBackend:
         self._map = LandmarkMap()
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
+        self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
         self._reset(initial)
 
     @property
@@ -124,6 +125,7 @@ class SlamBackend:
         sightings = np.zeros((0, 2), np.intp)
         try:
             if increment is not None:
+                self._add_postponed(increment)
                 self._filter.predict(increment)
             matches, innovation, closures = self._correct(features)
             sightings = np.column_stack([self._map.ids[matches.landmarks], matches.features])
@@ -138,6 +140,7 @@ class SlamBackend:
             matches, closures, sightings = Matches.none(), 0, sightings[:0]
             self._reset(NavEstimate(self._nav.state, RECOVERY_INFLATION * self._nav.covariance))
         added = self._add_landmarks(matches, features)
+        self._postponed = None if self._filter.can_add_landmarks else features
         self._frame += len(features) > 0  # a frame without features says nothing about landmarks
         return FrameReport(
             pose=self._nav.pose,
@@ -239,6 +242,12 @@ class SlamBackend:
     def _variance(self) -> NDArray[np.float64]:
         marginals = self._filter.belief.marginals(np.arange(len(self._map)))
         return np.asarray(np.trace(marginals.landmarks, axis1=1, axis2=2))
+
+    def _add_postponed(self, increment: ImuIncrement) -> None:
+        """Add the landmarks of the frame at the increment's start, if they had to wait for the angular rate there."""
+        if self._postponed is not None:
+            self._filter.starts(increment)
+            self._add_landmarks(Matches.none(), self._postponed)
 
     def _add_landmarks(self, matches: Matches, features: StereoFeatures) -> NDArray[np.intp]:
         """Initialise landmarks from unmatched features, up to the capacity; return the features' rows."""
