@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the study of the rig: end error and consistency of each condition, with and without the attitude as a state."""
+"""Draws the study of the rig: end error and consistency of each condition, with and without the error as a state."""
 
 import itertools
 from pathlib import Path
