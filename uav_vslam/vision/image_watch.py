@@ -55,7 +55,7 @@ class ImageWatch:
         """Compare sharpness and isotropy of fine detail with their baselines."""
         small = quarter(image)  # averages noise away
         sharpness = self._sharpness.shortfall(
-            _deviation(cv2.Laplacian(small, cv2.CV_32F)) / max(_deviation(small), 1.0)
+            _deviation(cv2.Laplacian(small, cv2.CV_16S)) / max(_deviation(small), 1.0)
         )
         isotropy = self._isotropy.shortfall(_isotropy(image))
         if isotropy is not None:
@@ -106,9 +106,10 @@ def _isotropy(image: Grey) -> float:
     height, width = image.shape
     middle = image[height // 4 : height - height // 4, width // 4 : width - width // 4]
     small = cv2.resize(middle, None, fx=ISOTROPY_SCALE, fy=ISOTROPY_SCALE, interpolation=cv2.INTER_AREA)
-    xx, yy, xy = (cv2.Sobel(small, cv2.CV_32F, *orders) for orders in ((2, 0), (0, 2), (1, 1)))
-    mean = 0.5 * (xx + yy)
-    pairs = [(cv2.norm(one), cv2.norm(other)) for one, other in ((xx, yy), (mean + xy, mean - xy))]
+    xx, yy, xy = (cv2.Sobel(small, cv2.CV_16S, *orders) for orders in ((2, 0), (0, 2), (1, 1)))
+    total, twice = cv2.add(xx, yy), cv2.add(xy, xy)  # twice the derivative along 45 degrees is their sum
+    diagonals = cv2.add(total, twice), cv2.subtract(total, twice)
+    pairs = [(cv2.norm(one), cv2.norm(other)) for one, other in ((xx, yy), diagonals)]
     return min(min(pair) / max(max(pair), 1e-9) for pair in pairs)
 
 

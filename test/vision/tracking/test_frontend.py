@@ -131,6 +131,18 @@ def test_black_images_end_the_tracks_and_new_ones_start_at_once(flight: Flown) -
     assert frontend.alarms == {}
 
 
+def test_when_few_tracks_are_left_new_ones_start_at_once(flight: Flown) -> None:
+    """Another place is in view, but for a patch."""
+    vehicle, frames = flight
+    _, elsewhere = flown(dataclasses.replace(FLIGHT, frames=2, seed=FLIGHT.seed + 1))
+    images = [elsewhere[1].left.copy(), elsewhere[1].right.copy()]
+    for image, before in zip(images, (frames[0].left, frames[0].right), strict=True):
+        image[90:150, 120:180] = before[90:150, 120:180]
+    first, second = process(vehicle.rig, [frames[0], StereoFrame(frames[1].stamp_ns, *images)])
+    assert 0 < np.isin(second.tracks, first.tracks).sum() < 20
+    assert len(second) > 0.5 * len(first)
+
+
 def test_after_a_long_gap_all_tracks_are_new(flight: Flown) -> None:
     vehicle, frames = flight
     late = dataclasses.replace(frames[1], stamp_ns=frames[0].stamp_ns + 2_000_000_000)

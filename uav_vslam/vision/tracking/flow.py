@@ -27,6 +27,7 @@ WINDOW_PX = 15  # 0.055 px of disparity noise; 11: 0.07, 21: 0.043 for 1.3 times
 MEAN_WINDOW_PX = 127  # 31 would remove all texture from the pyramid's upper levels
 MIDDLE_GREY = 128.0
 COARSE_LEVELS = 3  # of the coarse image's pyramid: tolerates a guess about 60 px off
+FAR_PX = 30.0  # a point guessed farther outside the image has left it
 NEAR_PX = 1.0  # a point found within it of its guess did not need the pyramid
 MAX_RETURN_PX = 0.4  # largest forward-backward error of a tracked point
 BORDER_PX = 8.0  # half a window: closer to the border the window is outside the image
@@ -75,7 +76,7 @@ def track_points(first: FlowImage, second: FlowImage, pixels: Array, guess: Arra
         return np.zeros((0, 2)), np.zeros(0, bool)
     start, near = np.ascontiguousarray(pixels, np.float32), np.ascontiguousarray(guess, np.float32)
     there, seen = _lucas_kanade(first.full, second.full, start, near)
-    far = ~(seen & (_distance(there, near) <= NEAR_PX))
+    far = ~(seen & (_distance(there, near) <= NEAR_PX)) & inside(near, first.shape, -FAR_PX)
     if far.any():
         better, _ = track_coarsely(first, second, pixels[far], guess[far])
         there[far], seen[far] = _lucas_kanade(first.full, second.full, start[far], better.astype(np.float32))
@@ -106,10 +107,10 @@ def shift_between(first: FlowImage, second: FlowImage) -> Array:
     return np.asarray(shift, float) * first.shape[::-1] / small[0].shape[::-1]
 
 
-def inside(pixels: NDArray[np.floating], shape: tuple[int, ...]) -> Mask:
-    """Return which (N, 2) pixels have their window inside an image of (height, width)."""
-    high = np.array([shape[1], shape[0]]) - 1 - BORDER_PX
-    return np.asarray(((pixels >= BORDER_PX) & (pixels <= high)).all(axis=1))
+def inside(pixels: NDArray[np.floating], shape: tuple[int, ...], border_px: float = BORDER_PX) -> Mask:
+    """Return which (N, 2) pixels are inside an image of (height, width), by default with their window."""
+    high = np.array([shape[1], shape[0]]) - 1 - border_px
+    return np.asarray(((pixels >= border_px) & (pixels <= high)).all(axis=1))
 
 
 def _distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:

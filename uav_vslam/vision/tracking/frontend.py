@@ -28,6 +28,7 @@ from uav_vslam.vision.tracking.tracks import Tracks
 Array = NDArray[np.float64]
 
 SEARCH_EVERY = 3  # frames from one detection of new keypoints to the next
+FEW_TRACKS = 20  # with fewer, new ones are detected in the same image
 MAX_GAP_S = 1.0  # after a longer gap, all tracks are dropped
 DISPARITY_NOISE_PX = 0.3  # six sigma
 TYPICAL_DEPTH_SHARE = 0.5  # of the largest depth: initial guess while no depth is known
@@ -56,7 +57,7 @@ class TrackingFrontend(Frontend):
         self._left, self._stamp_ns = left, frame.stamp_ns
         if not usable:
             return StereoFeatures.empty(frame.stamp_ns)
-        if len(self._tracks) == 0:
+        if len(self._tracks) < FEW_TRACKS:
             self._start_search(frame.left)
             self._join(self._refill.result())
         features = self._features(frame.stamp_ns, left, right)
@@ -125,4 +126,6 @@ class TrackingFrontend(Frontend):
             self._since_search = 0
 
     def _start_search(self, image: NDArray[np.generic]) -> None:
-        self._refill.start(image, self._tracks.pixels, self._config.max_tracks - len(self._tracks))
+        room = self._config.max_tracks - len(self._tracks)
+        if room > 0:
+            self._refill.start(image, self._tracks.pixels, room)

@@ -16,6 +16,7 @@ from uav_vslam.geometry.image_grid import spread
 from uav_vslam.vision.features import Keypoints, detect_chosen, make_extractor
 from uav_vslam.vision.images import shrink, to_full_resolution
 from uav_vslam.vision.tracking.flow import inside
+from uav_vslam.vision.tracking.search_area import search_area, whole
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,8 @@ class Refill:
         self._extractor = make_extractor(config)
         self._thread = ThreadPoolExecutor(1, "refill")
         self._search: Future[Keypoints] | None = None
+        self._wanted = 0
+        self._everywhere = False  # the last search did not find enough
 
     def start(self, image: NDArray[np.generic], tracked: Array, count: int) -> None:
         """Start detection.
@@ -42,22 +45,28 @@ class Refill:
         Args:
             image: (H, W) or (H, W, 3).
             tracked: (N, 2) points tracked already [px].
-            count: number of new ones wanted.
+            count: number of new ones wanted, at least 1.
         """
-        self._search = self._thread.submit(self._detect, image, tracked, count)
+        area = whole(image.shape) if self._everywhere else search_area(tracked, count, image.shape)
+        self._search = self._thread.submit(self._detect, image, area, tracked, count)
+        self._wanted = count
 
     def result(self) -> Keypoints | None:
         """Wait for the last detection and return the keypoints to track, at full resolution; None if not started."""
         if self._search is None:
             return None
         search, self._search = self._search, None
-        return search.result()
+        found = search.result()
+        self._everywhere = len(found) < self._wanted
+        return found
 
-    def _detect(self, image: NDArray[np.generic], tracked: Array, count: int) -> Keypoints:
-        small = shrink(image, self._scale)
+    def _detect(self, image: NDArray[np.generic], area: tuple[slice, slice], tracked: Array, count: int) -> Keypoints:
+        part = image[area]
+        small = shrink(part, self._scale)
+        origin = area[1].start, area[0].start
 
         def full(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-            return to_full_resolution(pixels, small.shape, image.shape).astype(np.float32)
+            return (to_full_resolution(pixels, small.shape, part.shape) + origin).astype(np.float32)
 
         found = detect_chosen(
             self._extractor, small, lambda pixels: choose_new(full(pixels), tracked, count, image.shape)
