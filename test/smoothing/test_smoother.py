@@ -25,7 +25,7 @@ from uav_vslam.types import StereoFeatures
 FRAMES = 25
 PER_FRAME = 20
 SAME_SIGMA = 0.01  # GTSAM integrates the noise of the motion otherwise
-SIGMA_TOLERANCE = 0.05  # of a median over some 100 points
+SIGMA_TOLERANCE = 0.08  # three times that of a median over some 500 observations
 Seen = list[tuple[StereoFeatures, np.ndarray]]
 
 
@@ -90,9 +90,22 @@ def test_a_track_that_jumps_does_not_move_the_flight() -> None:
     jumping = int(np.bincount(seen[3][1]).argmax())
     spoiled = [(_moved(features, ids == jumping, 15.0 * (k > 4)), ids) for k, (features, ids) in enumerate(seen)]
     found = smoothed(vehicle, spoiled)
-    assert found.dropped == 1
     sigma = np.sqrt(np.diagonal(clean.covariance, axis1=1, axis2=2))
     assert (np.abs(trajectory(found).positions - clean.positions) < 0.5 * sigma[:, :3]).all()
+
+
+def test_a_fifth_of_wrong_observations_costs_little() -> None:
+    vehicle, seen = simulated(1)
+    rng = np.random.default_rng(3)
+    spoiled = [
+        (_moved(features, rng.random(len(features)) < 0.2, rng.choice([-30.0, 30.0])), ids) for features, ids in seen
+    ]
+    clean, found = smoothed(vehicle, seen), smoothed(vehicle, spoiled)
+    scores = nees(trajectory(found), true_trajectory(vehicle))
+    assert scores.position[-1] < chi_square_band(1, probability=0.999)[1]
+    assert found.points > 0.6 * clean.points  # a point loses its wrong observations, not all
+    sigma, without = (result.estimates[-1].covariance[:3, :3].trace() ** 0.5 for result in (found, clean))
+    assert sigma < 1.3 * without
 
 
 def _moved(features: StereoFeatures, rows: np.ndarray, shift_px: float) -> StereoFeatures:

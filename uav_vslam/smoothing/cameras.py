@@ -24,10 +24,10 @@ MODEL = MODELS["so15"]()  # plain differences: every step linearises anew
 
 # Of tracked patches, relative to the residuals that remain: found on four rendered flights (leg, seeds 101 to 104) by
 # the correlation of the residuals over a track against the true poses, and the white part by the NEES of the motion
-# over 14 m (0.9 on average, then). With white noise alone it is 1.3 to 2.8: patches drift with the direction of view.
-WHITE = 1.2
-OFFSET = 0.37
-DRIFT_PER_PX = 0.0057
+# over 14 m (1.1 on average, then). With white noise alone it is 1.3 to 2.8: patches drift with the direction of view.
+WHITE = 1.3
+OFFSET = 0.40
+DRIFT_PER_PX = 0.0062
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +38,13 @@ class PixelNoise:
         white_px: of each pixel coordinate, independent in each frame [px].
         offset_px: of each coordinate of the right image, constant [px].
         drift: of each coordinate of both images, per distance that the image of the point has moved.
+        cut: length of the normalised residual beyond which an observation is wrong and does not count.
     """
 
     white_px: float
     offset_px: float
     drift: float
+    cut: float = np.inf
 
     @staticmethod
     def of_tracks(residual_px: float) -> "PixelNoise":

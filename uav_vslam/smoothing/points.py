@@ -15,12 +15,14 @@ LEAST_POINTS = 30  # to measure the noise
 
 
 def triangulated(sightings: Sightings, cameras: Cameras) -> Array:
-    """Return (P, 7) unknowns of the points, each from its nearest view; NaN where no view gives a depth."""
+    """Return (P, 7) unknowns of the points, each from its view of median depth; NaN where no view gives a depth."""
     points_left = cameras.rig.triangulate(sightings.pixels)
-    depth = np.where(np.isfinite(points_left[:, 2]), points_left[:, 2], np.inf)
-    nearest = np.lexsort((depth, sightings.points))[sightings.starts]
-    points = np.zeros((len(nearest), POINT_DIM))
-    points[:, :3] = cameras.to_map(sightings.states[nearest], points_left[nearest])
+    known = np.isfinite(points_left[:, 2])
+    order = np.lexsort((np.where(known, points_left[:, 2], np.inf), sightings.points))
+    known_views = np.bincount(sightings.points, weights=known, minlength=len(sightings.landmarks)).astype(np.intp)
+    median = order[sightings.starts + np.maximum(known_views - 1, 0) // 2]
+    points = np.zeros((len(median), POINT_DIM))
+    points[:, :3] = cameras.to_map(sightings.states[median], points_left[median])
     return points
 
 
@@ -32,19 +34,25 @@ def revisited(sightings: Sightings, points: Array) -> Array:
 
 
 def residual_px(sightings: Sightings, cameras: Cameras, points: Array, noise: PixelNoise) -> float | None:
-    """Return the typical residual [px], by the median over the points; None for too few points."""
-    total, freedom = _chi2(sightings, cameras, points, noise)
-    if len(total) < LEAST_POINTS:
+    """Return the typical residual [px], by the median over the observations; None for too few points."""
+    if len(points) < LEAST_POINTS:
         return None
-    return float(noise.white_px * np.sqrt(np.median(total / (2.0 * gammaincinv(0.5 * freedom, 0.5)))))
+    misfit = linearise(sightings, cameras, points, noise).misfit
+    freedom = 4.0 - 3.0 / np.bincount(sightings.points)[sightings.points]  # a point's position is fitted, too
+    return float(noise.white_px * np.sqrt(np.median(misfit / (2.0 * gammaincinv(0.5 * freedom, 0.5)))))
 
 
 def fitting(
     sightings: Sightings, cameras: Cameras, points: Array, noise: PixelNoise, *, probability: float
 ) -> NDArray[np.bool_]:
-    """Return which points pass the chi-square gate on their residuals."""
-    total, freedom = _chi2(sightings, cameras, points, noise)
-    return np.asarray(total <= 2.0 * gammaincinv(0.5 * freedom, probability))
+    """Return which points have two views or more that are not wrong, and pass the chi-square gate on those."""
+    misfit = linearise(sightings, cameras, points, noise).misfit
+    right, count = misfit <= noise.cut**2, len(points)
+    views = np.bincount(sightings.points, weights=right, minlength=count)
+    of_views = np.bincount(sightings.points, weights=misfit * right, minlength=count)
+    total = of_views + points[:, 3:] ** 2 @ noise.prior_information
+    freedom = np.maximum(4.0 * views - 3.0, 1.0)
+    return np.asarray((views > 1) & (total <= 2.0 * gammaincinv(0.5 * freedom, probability)))
 
 
 def ties(rows: Rows, points: Array, landmarks: Array, sigma_m: Array) -> Ties:
@@ -74,12 +82,3 @@ def tie_sigma_m(sightings: Sightings, cameras: Cameras, points: Array, redetecti
     """Return (P,) distances of points from their landmark on each axis [m]: two detections are redetection_px apart."""
     depth = cameras.points_left(sightings.states[sightings.starts], points[:, :3])[:, 2]
     return np.asarray(np.abs(depth) * redetection_px / (np.sqrt(2.0) * cameras.rig.left.fx))
-
-
-def _chi2(sightings: Sightings, cameras: Cameras, points: Array, noise: PixelNoise) -> tuple[Array, Array]:
-    """Return (P,) normalised squares of residuals, offset and drift of each point, and their degrees of freedom."""
-    misfit = linearise(sightings, cameras, points, noise).misfit
-    own = points[:, 3:] ** 2 @ noise.prior_information
-    count = len(points)
-    total = np.bincount(sightings.points, weights=misfit, minlength=count) + own
-    return total, np.asarray(4.0 * np.bincount(sightings.points, minlength=count) - 3.0, dtype=np.float64)

@@ -4,6 +4,7 @@
 The noise of the pixels is measured from the residuals, so it need not be known for new cameras or another ground.
 """
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ MAX_STEPS = 15  # five are usual
 SETTLED = 0.2  # standard deviations by which the last step may move the states, in any direction (Newton decrement)
 LOST = 1.0  # standard deviations of the last step with which there is no result
 GATED_AFTER = 2  # steps: before, the residuals say little about noise and outliers
+CUT = 5.0  # of the normalised residual of one observation
 GATE_PROBABILITY = 0.9999  # of the chi-square gate on all residuals of a track
 SMALLEST_BLOCK = 8  # states: smaller blocks of the normal equations are not faster
 
@@ -87,6 +89,7 @@ class _Problem:
         found = residual_px(self.sightings, cameras, self.points, self.noise)
         if found is not None:
             self.noise = self._noise_of(found)
+        self.noise = dataclasses.replace(self.noise, cut=CUT)
         self.keep(fitting(self.sightings, cameras, self.points, self.noise, probability=GATE_PROBABILITY))
 
     def step(self) -> tuple[Factor, float]:

@@ -26,6 +26,7 @@ from uav_vslam.smoothing.sightings import Rows, Sightings
 Array = NDArray[np.float64]
 
 POINT_DIM = 7
+FAINT_INFORMATION = 1e-8  # of each coordinate of a point, 10 km: an outlier may look infinitely far away [1/m^2]
 GROUPS = 6  # of the points that start in a block: more are smaller products, but more of them
 HUBER = 3.0  # length of the normalised residual, of 4 pixel coordinates, beyond which it counts linearly [huber64]
 
@@ -56,7 +57,7 @@ def linearise(sightings: Sightings, cameras: Cameras, points: Array, noise: Pixe
     expected[:, 2:] += own[:, 3:5]
     residual = (sightings.pixels - expected) / noise.white_px
     misfit = np.einsum("mi,mi->m", residual, residual)
-    weight = np.sqrt(np.minimum(1.0, HUBER / np.sqrt(np.maximum(misfit, 1e-12))))
+    weight = np.sqrt(np.minimum(1.0, HUBER / np.sqrt(np.maximum(misfit, 1e-12)))) * (misfit <= noise.cut**2)
     scale = weight / noise.white_px
     by_point = np.zeros((len(own), 4, POINT_DIM))
     by_point[:, :, :3] = seen.by_point
@@ -119,7 +120,7 @@ def eliminate(sightings: Sightings, view: Linearised, points: Array, noise: Pixe
     own_rows = np.arange(3, POINT_DIM)
     H[:, own_rows, own_rows] += noise.prior_information
     g[:, 3:] -= points[:, 3:] * noise.prior_information
-    H[:, :3, :3] += ties.information[:, None, None] * np.eye(3)
+    H[:, :3, :3] += (FAINT_INFORMATION + ties.information)[:, None, None] * np.eye(3)
     g[:, :3] += ties.pull
     L_inverse = np.linalg.inv(np.linalg.cholesky(H))
     E = _products(view.by_pose, view.by_point) @ np.swapaxes(L_inverse, 1, 2)[own]
