@@ -42,5 +42,5 @@ One vehicle alone, config kagaru. Each error is drawn for each seed, with the st
     run=run,
     add_arguments=add_arguments,
     frames=160,
-    variants="rig.flexing false and true",
+    variants="calibration fixed, the attitude estimated, disparity and clock estimated",
 )
