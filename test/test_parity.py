@@ -17,6 +17,7 @@ from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
 from uav_vslam.datasets.rosbag import RawRecorder, iter_raw, topics_of
 from uav_vslam.datasets.truth import truth_trajectory
+from uav_vslam.evaluation.output import ALL_TRACKS
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.fleet import CooperativeTrack
 from uav_vslam.offline import flight_result, fly
@@ -209,7 +210,7 @@ def test_the_twin_gives_the_same_bytes_whatever_the_number_of_workers(
         results = tmp_path / workers
         assert main(["run", str(rendered.fleet), "--results", str(results), "--workers", workers, "--no-plots"]) == 0
         found.append({file.name: file.read_bytes() for file in (results / "latest").resolve().glob("*.tum")})
-    assert len(found[0]) == 2 * len(("truth", "ins", "s_slam", "c_slam"))
+    assert len(found[0]) == 2 * len(ALL_TRACKS)
     assert found[0] == found[1]
 
 
