@@ -28,6 +28,7 @@ from uav_vslam.estimation.belief import (
     Marginals,
     Observation,
     Update,
+    VehicleObservation,
     add_normal_equations,
     landmark_rows,
     state_rows,
@@ -56,9 +57,16 @@ class Dense:
         return (len(self.P) - self.vehicle) // 3
 
     def predicted(self, F: Array, Q: Array) -> "Dense":
-        whole, noise = np.eye(len(self.P)), np.zeros_like(self.P)
-        whole[: self.vehicle, : self.vehicle], noise[: self.vehicle, : self.vehicle] = F, Q
+        whole, noise, k = np.eye(len(self.P)), np.zeros_like(self.P), len(F)
+        whole[:k, :k], noise[:k, :k] = F, Q
         return Dense(whole @ self.P @ whole.T + noise, self.vehicle)
+
+    def cloned(self, rows: Array, variance: Array) -> "Dense":
+        more = np.vstack([np.eye(self.vehicle, len(self.P)), np.eye(len(self.P))[rows]])
+        whole = np.vstack([more, np.eye(len(self.P))[self.vehicle :]])
+        noise = np.zeros(len(whole))
+        noise[self.vehicle : self.vehicle + len(rows)] = variance
+        return Dense(whole @ self.P @ whole.T + np.diag(noise), self.vehicle + len(rows))
 
     def reset_rows(self, rows: Array, variance: float) -> "Dense":
         P = self.P.copy()
@@ -77,6 +85,8 @@ class Dense:
         S = H @ self.P @ H.T + np.eye(len(H))
         K = self.P @ H.T @ np.linalg.inv(S)
         nu = observation.nu.ravel()
+        if observation.of_vehicle is not None:
+            nu = np.concatenate([nu, observation.of_vehicle.nu])
         I_KH = np.eye(len(self.P)) - K @ H
         after = I_KH @ self.P @ I_KH.T + K @ K.T
         return Dense(after, self.vehicle), K @ nu, float(nu @ np.linalg.solve(S, nu)), float(np.linalg.slogdet(S)[1])
@@ -89,9 +99,9 @@ class Dense:
             P = np.block([[P, P @ A.T], [A @ P, A @ P @ A.T + np.linalg.inv(Hl.T @ Hl)]])
         return Dense(P, self.vehicle)
 
-    def marginalised(self, landmarks: Array) -> "Dense":
-        gone = landmark_rows(self.vehicle, landmarks)
-        return Dense(np.delete(np.delete(self.P, gone, axis=0), gone, axis=1), self.vehicle)
+    def marginalised(self, landmarks: Array, vehicle_rows: Array = NONE) -> "Dense":
+        gone = np.concatenate([vehicle_rows, landmark_rows(self.vehicle, landmarks)])
+        return Dense(np.delete(np.delete(self.P, gone, axis=0), gone, axis=1), self.vehicle - len(vehicle_rows))
 
     def coordinates_changed(self, B: Array, columns: slice) -> "Dense":
         T = np.eye(len(self.P))
@@ -105,7 +115,10 @@ def dense_jacobian(observation: Observation, size: int) -> Array:
     H[:, :, :m] = observation.H_vehicle
     for n, landmark in enumerate(observation.landmarks):
         H[n, :, m + 3 * landmark : m + 3 * landmark + 3] = observation.H_landmark[n]
-    return H.reshape(-1, size)
+    rows = H.reshape(-1, size)
+    if observation.of_vehicle is None:
+        return rows
+    return np.vstack([rows, np.pad(observation.of_vehicle.H, ((0, 0), (0, size - m)))])
 
 
 def assert_holds(belief: Belief, dense: Dense) -> None:
@@ -229,6 +242,45 @@ def test_prediction_is_F_P_Ft_plus_Q_even_for_singular_Q(form: type[Belief], see
     F, Q = draw.process(m)
     assert_holds(belief.predicted(F, Q), dense.predicted(F, Q))
     assert_holds(belief.predicted(F, np.zeros((m, m))), dense.predicted(F, np.zeros((m, m))))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_prediction_may_concern_the_first_rows_alone(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    F, Q = draw.process(m - 1)
+    assert_holds(belief.predicted(F, Q), dense.predicted(F, Q))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_copies_of_rows_stay_when_the_originals_move_on_and_can_go(
+    form: type[Belief], seed: int, m: int, n: int
+) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    rows = draw.choice(m)
+    variance = np.linspace(0.1, 0.3, len(rows))
+    copied, dense_copied = belief.cloned(rows, variance), dense.cloned(rows, variance)
+    assert_holds(copied, dense_copied)
+    process = draw.process(m)
+    moved, dense_moved = copied.predicted(*process), dense_copied.predicted(*process)
+    assert_holds(moved, dense_moved)
+    copies = m + np.arange(len(rows))
+    assert_holds(moved.marginalised(NONE, copies), dense_moved.marginalised(NONE, copies))
+
+
+@FEW
+@given(SEEDS, VEHICLE, LANDMARKS)
+def test_update_uses_observations_of_the_vehicle_alone(form: type[Belief], seed: int, m: int, n: int) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    rng = np.random.default_rng(seed)
+    of_vehicle = VehicleObservation(rng.normal(size=(m + 2, m)), rng.normal(size=m + 2))
+    for landmarks in (draw.choice(n), NONE):
+        seen = dataclasses.replace(draw.observation(dense, landmarks), of_vehicle=of_vehicle)
+        updated_like(belief, dense, seen)
 
 
 @FEW

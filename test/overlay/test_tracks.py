@@ -6,17 +6,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import BackendConfig, VehicleConfig
 from uav_vslam.offline import track_vehicle
 from uav_vslam.overlay.tracks import TRAIL_FRAMES, evenly, overlays
 from uav_vslam.pipeline import VehicleTrack
-from uav_vslam.simulation.landmarks import observe, scatter_landmarks
+from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.types import StereoFeatures
 
 FRAMES = 12
 DARK = 7  # the frame without features
+SIGMA_PX = 0.04
 
 
 @pytest.fixture(scope="module")
@@ -25,13 +26,14 @@ def vehicle() -> SimulatedVehicle:
 
 
 def fly(vehicle: SimulatedVehicle, *, tracked: bool, keep: bool = True) -> tuple[VehicleTrack, list[StereoFeatures]]:
-    """Fly with true identities as feature tracks, or with none."""
+    """Fly with true identities as feature tracks, which end in the dark, or with none."""
     features = []
-    for k, (seen, ids) in enumerate(observe(vehicle, scatter_landmarks([vehicle]))):
-        tracks = (ids + 1).astype(np.uint32) if tracked else seen.tracks
+    noise = LandmarkNoise(sigma_px=SIGMA_PX)
+    for k, (seen, ids) in enumerate(observe(vehicle, scatter_landmarks([vehicle]), noise=noise)):
+        tracks = (ids + 1 + 10_000 * (k > DARK)).astype(np.uint32) if tracked else seen.tracks
         features.append(StereoFeatures.empty(seen.stamp_ns) if k == DARK else dataclasses.replace(seen, tracks=tracks))
     source = SimulatedSource(vehicle, features=tuple(features))
-    config = VehicleConfig(imu=vehicle.scenario.imu_config)
+    config = VehicleConfig(imu=vehicle.scenario.imu_config, backend=BackendConfig(sigma_px=SIGMA_PX))
     return track_vehicle(source, config, keep_features=keep), features
 
 

@@ -260,7 +260,7 @@ def test_a_matrix_that_numpy_cannot_factor_reinitialises_the_filter(flight: Flig
     backend = flight.backend()
     reports = [backend.process(flight.features[k], flight.increments[k]) for k in range(8)]
 
-    def fail(*_) -> None:
+    def fail(*_, **__) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
     of = MapMatcher if step == "candidates" else type(backend._filter.belief)

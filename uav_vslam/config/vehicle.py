@@ -159,6 +159,24 @@ class BackendConfig(Settings):
     gate_probability: float = setting(
         0.99, "of the chi-square gate on a predicted observation", above=0, below=1, live=True
     )
+    window: int = setting(
+        10,
+        "past poses in the state: tracks of points that are no landmarks correct them; 0: only landmarks are used",
+        at_least=0,
+        at_most=60,
+    )
+    window_spacing_s: float = setting(0.1, "between past poses; frames between them are not kept", unit="s", at_least=0)
+    track_sigma_px: float = setting(
+        0.07,
+        "window: standard deviation of a tracked point's right pixel about its left one; a track's "
+        "other errors are in proportion (klt: 0.05, 0.07 with outliers)",
+        unit="px",
+        above=0,
+        live=True,
+    )
+    landmark_views: int = setting(
+        4, "window: frames that must have shown a track's point to make it a landmark", at_least=2
+    )
     robust: bool = setting(
         True, "observations that fit badly after the update are down-weighted (Huber), the update repeated"
     )

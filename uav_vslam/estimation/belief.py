@@ -15,10 +15,12 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.numerics import symmetrise
+from uav_vslam.numerics import submatrix, symmetrise
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+NO_ROWS: Indices = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,18 +31,34 @@ class Observation:
         landmarks: (M,) indices, each at most once.
         H_vehicle: (M, k, vehicle), H_landmark: (M, k, 3).
         nu: (M, k) innovations.
+        of_vehicle: further observations, of the vehicle alone.
     """
 
     landmarks: Indices
     H_vehicle: Array
     H_landmark: Array
     nu: Array
+    of_vehicle: "VehicleObservation | None" = None
+
+    @property
+    def norm2(self) -> float:
+        """nu^T nu."""
+        more = 0.0 if self.of_vehicle is None else float(self.of_vehicle.nu @ self.of_vehicle.nu)
+        return float(np.sum(self.nu**2)) + more
 
     def apply(self, error: Array) -> Array:
         """Return (M, k) H e for an error (vehicle + 3N,)."""
         m = self.H_vehicle.shape[2]
         at = error[m:].reshape(-1, 3)[self.landmarks]
         return np.asarray(self.H_vehicle @ error[:m] + np.einsum("nki,ni->nk", self.H_landmark, at))
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleObservation:
+    """Whitened linear observations `nu = H e_vehicle + noise`, H (K, vehicle) and nu (K,)."""
+
+    H: Array
+    nu: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +93,21 @@ class Marginals:
         """Return the marginals of some of the M landmarks."""
         return Marginals(self.vehicle.copy(), self.cross[landmarks], self.landmarks[landmarks])
 
+    def without(self, vehicle_rows: Indices) -> "Marginals":
+        """Return the marginals without some rows of the vehicle."""
+        keep = np.delete(np.arange(len(self.vehicle)), vehicle_rows)
+        return Marginals(submatrix(self.vehicle, keep), self.cross[:, keep], self.landmarks)
+
     def predicted(self, F: Array, Q: Array) -> "Marginals":
         """Return those after `Belief.predicted`."""
-        return Marginals(symmetrise(F @ self.vehicle @ F.T + Q), F @ self.cross, self.landmarks)
+        cross = self.cross.copy()
+        cross[:, : len(F)] = F @ cross[:, : len(F)]
+        return Marginals(propagated(self.vehicle, F, Q), cross, self.landmarks)
+
+    def cloned(self, rows: Indices, variance: Array) -> "Marginals":
+        """Return those after `Belief.cloned`."""
+        vehicle = with_copies(self.vehicle, len(self.vehicle), rows, variance)
+        return Marginals(vehicle, np.concatenate([self.cross, self.cross[:, rows]], axis=1), self.landmarks)
 
     def reset_rows(self, rows: Indices, variance: float) -> "Marginals":
         """Return those after `Belief.reset_rows`."""
@@ -154,7 +184,10 @@ class Belief(Protocol):
         """Return the (R, R) information over `rows`, the others marginalised."""
 
     def predicted(self, F: Array, Q: Array) -> Self:
-        """Propagate the vehicle: P <- F P F^T + Q, with F and Q (vehicle, vehicle) and F invertible."""
+        """Propagate the first k rows of the vehicle: P <- F P F^T + Q, with F and Q (k, k) and F invertible."""
+
+    def cloned(self, rows: Indices, variance: Array) -> Self:
+        """Append copies of some rows of the vehicle to it, each with independent noise of a (rows,) variance."""
 
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         """Reset some rows of the vehicle: they become independent of all others, with the given variance."""
@@ -168,8 +201,8 @@ class Belief(Protocol):
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
         """Add landmarks without prior, by whitened observations (M, 3, vehicle) and (M, 3, 3)."""
 
-    def marginalised(self, landmarks: Indices) -> Self:
-        """Marginalise landmarks out."""
+    def marginalised(self, landmarks: Indices, vehicle_rows: Indices = NO_ROWS) -> Self:
+        """Marginalise landmarks and some rows of the vehicle out."""
 
     def coordinates_changed(self, B: Array, columns: slice) -> Self:
         """Change coordinates to T e with T = I - B E^T, E selecting `columns`; `B` (size, 3) is zero in those rows."""
@@ -183,6 +216,24 @@ def state_rows(vehicle: int, landmarks: Indices) -> Indices:
 def landmark_rows(vehicle: int, landmarks: Indices) -> Indices:
     """Return the 3M rows of M landmarks."""
     return np.asarray((vehicle + 3 * np.asarray(landmarks)[:, None] + np.arange(3)).ravel(), dtype=np.int64)
+
+
+def propagated(P: Array, F: Array, Q: Array) -> Array:
+    """Return the covariance P (size, size) after the process F, Q (k, k) of its first k rows."""
+    k, P = len(F), P.copy()
+    P[:k, :] = F @ P[:k, :]
+    P[:, :k] = P[:, :k] @ F.T
+    P[:k, :k] = symmetrise(P[:k, :k] + Q)
+    return P
+
+
+def with_copies(P: Array, at: int, rows: Indices, variance: Array) -> Array:
+    """Return the covariance P with noisy copies of some rows inserted before row `at`, see `Belief.cloned`."""
+    copied = np.insert(np.arange(len(P)), at, rows)
+    P = submatrix(P, copied)
+    own = at + np.arange(len(rows))
+    P[own, own] += variance
+    return P
 
 
 def add_normal_equations(Y: Array, observation: Observation, places: Indices) -> Array:
@@ -205,4 +256,8 @@ def add_normal_equations(Y: Array, observation: Observation, places: Indices) ->
     i = np.zeros(len(Y))
     i[:m] = flat.T @ nu.ravel()
     i[columns] = np.einsum("nka,nk->na", Hl, nu)
+    if observation.of_vehicle is not None:
+        H = observation.of_vehicle.H
+        Y[:m, :m] += H.T @ H
+        i[:m] += H.T @ observation.of_vehicle.nu
     return i

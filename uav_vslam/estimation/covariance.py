@@ -7,7 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from uav_vslam.estimation.belief import Indices, Marginals, Observation, Update, landmark_rows, state_rows
+from uav_vslam.estimation.belief import (
+    NO_ROWS,
+    Indices,
+    Marginals,
+    Observation,
+    Update,
+    landmark_rows,
+    propagated,
+    state_rows,
+    with_copies,
+)
 from uav_vslam.numerics import cholesky, inverse_spd, log_det_of, submatrix, symmetrise
 
 Array = NDArray[np.float64]
@@ -40,11 +50,10 @@ class CovarianceBelief:
         return inverse_spd(submatrix(self.P, rows), "covariance")
 
     def predicted(self, F: Array, Q: Array) -> Self:
-        m, P = self.vehicle, self.P.copy()
-        P[:m, :] = F @ P[:m, :]
-        P[:, :m] = P[:, :m] @ F.T
-        P[:m, :m] = symmetrise(P[:m, :m] + Q)
-        return type(self)(P, m)
+        return type(self)(propagated(self.P, F, Q), self.vehicle)
+
+    def cloned(self, rows: Indices, variance: Array) -> Self:
+        return type(self)(with_copies(self.P, self.vehicle, rows, variance), self.vehicle + len(rows))
 
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         P = self.P.copy()
@@ -68,10 +77,16 @@ class CovarianceBelief:
         HP = Hv @ self.P[:m] + Hl @ self.P[columns]
         S = np.einsum("mkc,pjc->mkpj", HP[:, :, :m], Hv, optimize=True)
         S += np.einsum("mkpc,pjc->mkpj", HP[:, :, columns], Hl, optimize=True)
-        count = observation.nu.size
-        L = cholesky(symmetrise(S.reshape(count, count)) + np.eye(count), "innovation covariance")
-        W = solve_triangular(L, HP.reshape(count, n), lower=True, check_finite=False)
-        whitened = solve_triangular(L, observation.nu.ravel(), lower=True, check_finite=False)
+        count, nu = observation.nu.size, observation.nu.ravel()
+        S, HP = S.reshape(count, count), HP.reshape(count, n)
+        if observation.of_vehicle is not None:
+            H = observation.of_vehicle.H
+            cross, more = HP[:, :m] @ H.T, H @ self.P[:m]
+            S = np.block([[S, cross], [cross.T, more[:, :m] @ H.T]])
+            HP, nu = np.vstack([HP, more]), np.concatenate([nu, observation.of_vehicle.nu])
+        L = cholesky(symmetrise(S) + np.eye(len(S)), "innovation covariance")
+        W = solve_triangular(L, HP, lower=True, check_finite=False)
+        whitened = solve_triangular(L, nu, lower=True, check_finite=False)
         after = type(self)(symmetrise(self.P - W.T @ W), m)
         return Update(after, W.T @ whitened, float(whitened @ whitened), log_det_of(L))
 
@@ -89,9 +104,10 @@ class CovarianceBelief:
         P[own[:, :, None], own[:, None, :]] += Hl_inv @ Hl_inv.transpose(0, 2, 1)
         return type(self)(P, m)
 
-    def marginalised(self, landmarks: Indices) -> Self:
-        rows = np.delete(np.arange(self.size), landmark_rows(self.vehicle, landmarks))
-        return type(self)(submatrix(self.P, rows), self.vehicle)
+    def marginalised(self, landmarks: Indices, vehicle_rows: Indices = NO_ROWS) -> Self:
+        gone = np.concatenate([vehicle_rows, landmark_rows(self.vehicle, landmarks)])
+        rows = np.delete(np.arange(self.size), gone)
+        return type(self)(submatrix(self.P, rows), self.vehicle - len(vehicle_rows))
 
     def coordinates_changed(self, B: Array, columns: slice) -> Self:
         P = self.P - B @ self.P[columns]

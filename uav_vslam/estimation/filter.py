@@ -10,8 +10,10 @@ over its errors; a `Linearisation` supplies F, Q, H and R. The thesis's four fil
     uhf   as ukf, with an H-infinity bound on the navigation block, section 4.4
 """
 
+import copy
 import dataclasses
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from scipy.special import chdtrc, chdtri
 
 from uav_vslam.config import ImuConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.belief import Belief, Indices, Observation, Update
+from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, Update, VehicleObservation
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.estimation.linearisation import (
@@ -32,14 +34,17 @@ from uav_vslam.estimation.linearisation import (
 )
 from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transport, difference
 from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
+from uav_vslam.estimation.past_poses import COPY_VARIANCE, POSE_DIM, PastPose, Tracks, observe_tracks
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import ROTATION
-from uav_vslam.numerics import cholesky, symmetrise
+from uav_vslam.numerics import cholesky, submatrix, symmetrise
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 STEREO_DOF = 4
 MIN_VARIANCE_REDUCTION = 1e-6  # share of the prior variance: below it, a direction of the rig is unobserved
@@ -86,6 +91,7 @@ class Filter:
         depth_sigma_ratio: float = 0.0,
         robust: bool = False,
         rig_config: RigConfig | None = None,
+        track_sigma_px: float = 1.0,
     ) -> None:
         """Start without landmarks.
 
@@ -101,6 +107,7 @@ class Filter:
             depth_sigma_ratio: see `observation.smoothed`.
             robust: down-weight observations with large posterior residuals by Huber's kernel [huber64].
             rig_config: uncertainty of the calibration; an exact one unless given.
+            track_sigma_px: standard deviation of a tracked point's right pixel about the left one, see `past_poses`.
         """
         self._imu, self._gamma = imu, gamma
         self._linear: Linearisation = linearisation or Jacobians()
@@ -108,6 +115,9 @@ class Filter:
         self._errors = RigErrors(rig, rig_config or RigConfig(rigid_sigma_deg=0.0), self._model.nav_dim)
         self.sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
         self._rate_map: Array | None = None  # [rad/s] at the end of the last increment
+        self.track_sigma_px = track_sigma_px
+        self.past: list[PastPose] = []  # oldest first
+        self._of_tracks: VehicleObservation | None = None  # for the next update
         self.nav: NavState = initial.state
         self.rig_state = RigState()
         self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
@@ -126,7 +136,13 @@ class Filter:
     @property
     def vehicle(self) -> int:
         """Number of rows of the vehicle in the error."""
-        return self._model.nav_dim + self._errors.dim
+        return self._past_rows.stop
+
+    @property
+    def _past_rows(self) -> slice:
+        """The rows of the past poses."""
+        start = self._model.nav_dim + self._errors.dim
+        return slice(start, start + POSE_DIM * len(self.past))
 
     @property
     def can_add_landmarks(self) -> bool:
@@ -150,7 +166,8 @@ class Filter:
         nav_dim = self._model.nav_dim
         with _stamped(increment.stamp_ns):
             process = self._linear.process(self._model, self.nav, self.belief, increment, self._imu)
-            F, Q = np.eye(self.vehicle), np.zeros((self.vehicle, self.vehicle))
+            present = self._past_rows.start
+            F, Q = np.eye(present), np.zeros((present, present))
             F[:nav_dim, :nav_dim], Q[:nav_dim, :nav_dim] = process.F, process.Q
             Q[self._errors.rows, self._errors.rows] = np.diag(self._errors.noise_variance(increment.dt_s))
             self.belief = self.belief.predicted(F, Q)
@@ -162,6 +179,65 @@ class Filter:
                 self.belief, self.feasibility = bounded(self.belief, nav_dim, self._gamma)
         self.nav = process.nav
         self._rate_map = self.nav.T_map_body.R @ (increment.rate_end - self.nav.gyro_bias)
+
+    def keep_pose(self) -> None:
+        """Keep the present pose in the state, as the newest past one; not with `euler9`."""
+        self.belief = self.belief.cloned(POSE, COPY_VARIANCE)
+        rate_map = np.zeros(3) if self._rate_map is None else self._rate_map
+        self.past = [*self.past, PastPose(self.nav, rate_map)]
+
+    def observe_tracks(self, tracks: Tracks, *, probability: float, become_landmarks: Mask) -> Mask:
+        """Take in tracks of points that are no landmarks; the next `update` uses what they say about the past poses.
+
+        Args:
+            tracks: pixels at the past poses, at least `past_poses.MIN_VIEWS` of each.
+            probability: of the chi-square gate.
+            become_landmarks: (T,) whose points are appended to the landmarks, if they pass the gate.
+
+        Returns:
+            (T,) which have passed.
+        """
+        if len(tracks) == 0:
+            return np.zeros(0, bool)
+        past = [
+            dataclasses.replace(pose, nav=self._errors.at_exposure(self.rig_state, pose.nav, pose.rate_map))
+            for pose in self.past
+        ]
+        with _stamped(self.nav.stamp_ns):
+            seen = observe_tracks(tracks, past, rig=self.rig, errors=self._errors, sigma_px=self.track_sigma_px)
+            rows = np.r_[self._errors.rows, self._past_rows]
+            passed = seen.agreeing(submatrix(self.belief.covariance(NO_ROWS), rows), probability)
+            if not passed.any():
+                return passed
+            of_poses = seen.chosen(passed).of_poses()
+            self._of_tracks = VehicleObservation(self._by_vehicle(of_poses.H, rows), of_poses.nu)
+            new = seen.chosen(passed & become_landmarks)
+            self.belief = self.belief.appended(self._by_vehicle(new.of_points, rows), new.R)
+            self.landmarks = np.vstack([self.landmarks, new.points])
+        return passed
+
+    def _by_vehicle(self, H: Array, rows: Indices) -> Array:
+        """Return a Jacobian by some rows of the vehicle as one by all."""
+        whole = np.zeros((*H.shape[:-1], self.vehicle))
+        whole[..., rows] = H
+        return whole
+
+    @property
+    def has_tracks(self) -> bool:
+        """Return whether tracks are waiting for the next update."""
+        return self._of_tracks is not None
+
+    def with_tracks(
+        self, tracks: Tracks, *, probability: float, become_landmarks: Mask
+    ) -> tuple[Self, Mask, Innovation]:
+        """Return a copy of this filter that has used tracks, see `observe_tracks`, and its innovation.
+
+        For tracks that go on: the copy is the best estimate of the present, while here they can be used once they are
+        complete.
+        """
+        other = copy.copy(self)
+        passed = other.observe_tracks(tracks, probability=probability, become_landmarks=become_landmarks)
+        return other, passed, other.update(NO_ROWS, np.zeros((0, STEREO_DOF)))
 
     def points_left(self) -> Array:
         """Return the (N, 3) landmarks in the left camera frame [m]."""
@@ -208,6 +284,7 @@ class Filter:
         prior = np.zeros(self.belief.size)
         with _stamped(self.nav.stamp_ns):
             if linearise_at is not None and self._model.invariant:
+                self._of_tracks = None  # linearised elsewhere, at a pose known to be far off
                 prior = self._move_linearisation(linearise_at)
                 predicted = self._predicted(landmarks, self._belief_for_regression(landmarks))
             else:
@@ -217,7 +294,7 @@ class Filter:
             update, weights, downweighted = self._updated(
                 predicted, nu, np.ones(len(nu)) if weights is None else weights
             )
-        dof = STEREO_DOF * len(landmarks)
+        dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else len(self._of_tracks.nu))
         log_det_R = float(np.linalg.slogdet(predicted.R)[1].sum() - STEREO_DOF * np.log(weights).sum())
         innovation = Innovation(
             nis=update.nis,
@@ -227,6 +304,7 @@ class Filter:
             downweighted=downweighted,
         )
         if innovation.accepted:
+            self._of_tracks = None
             with _stamped(self.nav.stamp_ns):
                 self.correct(update.belief, prior + update.delta)
         else:
@@ -254,11 +332,13 @@ class Filter:
         self.belief = self.belief.appended(kept @ H_vehicle, kept @ H_landmark)
         self.landmarks = np.vstack([self.landmarks, landmarks])
 
-    def marginalise(self, landmarks: Indices) -> None:
-        """Marginalise landmarks out of the state."""
+    def marginalise(self, landmarks: Indices, past: Indices = NO_ROWS) -> None:
+        """Marginalise landmarks and past poses out of the state."""
+        rows = (self._past_rows.start + POSE_DIM * past[:, None] + np.arange(POSE_DIM)).ravel()
         with _stamped(self.nav.stamp_ns):
-            self.belief = self.belief.marginalised(landmarks)
+            self.belief = self.belief.marginalised(landmarks, rows)
         self.landmarks = np.delete(self.landmarks, landmarks, axis=0)
+        self.past = [pose for k, pose in enumerate(self.past) if k not in past]
 
     def nav_estimate(self) -> NavEstimate:
         """Return the navigation state with its (15, 15) map-frame covariance, zero for states the model lacks.
@@ -275,11 +355,10 @@ class Filter:
     def pose_landmark_information(self) -> Array:
         """Return (6+3N, 6+3N) information over position, xi and landmarks, the rest of the state marginalised."""
         nav_dim, m = self._model.nav_dim, self.vehicle
-        C = np.eye(m)
-        C[:nav_dim, :nav_dim] = self._model.to_map(self.nav)[:nav_dim]
+        C = self._model.to_map(self.nav)[:nav_dim]
         rows = np.concatenate([POSE, np.arange(m, self.belief.size)])
         with _stamped(self.nav.stamp_ns):
-            return self.belief.predicted(C, np.zeros((m, m))).information(rows)
+            return self.belief.predicted(C, np.zeros((nav_dim, nav_dim))).information(rows)
 
     def rig_evidence(self) -> float:
         """Return the test statistic of the calibration, chi-square with a degree of freedom per attitude and disparity.
@@ -317,6 +396,7 @@ class Filter:
             rate_map=rate_map,
             sigma_px=self.sigma_px,
             depth_sigma_ratio=self._depth_sigma_ratio,
+            past_rows=POSE_DIM * len(self.past),
         )
 
     def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> tuple[Update, Array, int]:
@@ -324,7 +404,7 @@ class Filter:
 
         Return the update, its (M,) weights, and the number of down-weighted landmarks.
         """
-        observation = _whitened(predicted, nu, weights)
+        observation = dataclasses.replace(_whitened(predicted, nu, weights), of_vehicle=self._of_tracks)
         update = self.belief.updated(observation)
         if not self._robust or not len(nu):
             return update, weights, 0
@@ -332,7 +412,8 @@ class Filter:
         huber = np.minimum(1.0, np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY)) / np.maximum(residual, 1e-12))
         if (huber < 1.0).any():
             weights = huber * weights
-            update = self.belief.updated(_whitened(predicted, nu, weights))
+            observation = dataclasses.replace(_whitened(predicted, nu, weights), of_vehicle=self._of_tracks)
+            update = self.belief.updated(observation)
         return update, weights, int((huber < 1.0).sum())
 
     def _with_rig_prior(self, P_nav: Array) -> Array:
@@ -346,25 +427,41 @@ class Filter:
         """Move the linearisation point and return the prior mean as an error from it."""
         before = self.nav
         self.nav = dataclasses.replace(before, T_map_body=T_map_body)
-        B = chart_transport(
-            self.vehicle, T_map_body.t - before.T_map_body.t, np.zeros(3), np.zeros_like(self.landmarks)
-        )
+        points, nav_dim, count = self._points(), self._model.nav_dim, len(self.past)
+        B = self._transport(T_map_body.t - before.T_map_body.t, np.zeros(3), np.zeros_like(points))
         self.belief = self.belief.coordinates_changed(B, ROTATION)
-        offset = difference(self.nav, self.landmarks, before, self.landmarks)
-        nav_dim = self._model.nav_dim
-        return np.concatenate([offset[:nav_dim], np.zeros(self._errors.dim), offset[nav_dim:]])
+        offset = difference(self.nav, points, before, points)
+        past = np.zeros((count, 2, 3))
+        past[:, 0] = offset[nav_dim : nav_dim + 3 * count].reshape(-1, 3)
+        return np.concatenate(
+            [offset[:nav_dim], np.zeros(self._errors.dim), past.ravel(), offset[nav_dim + 3 * count :]]
+        )
 
     def correct(self, belief: Belief, delta: Array) -> None:
         """Move the mean by (vehicle + 3N,) `delta` and set the belief over the remaining error."""
-        before, landmarks = self.nav, self.landmarks
-        on_manifold = np.delete(delta, np.arange(self._errors.rows.start, self._errors.rows.stop))
-        self.nav, self.landmarks = self._model.retract(before, landmarks, on_manifold)
+        before, points = self.nav, self._points()
+        past = delta[self._past_rows].reshape(-1, 2, 3)
+        on_manifold = np.concatenate([delta[: self._model.nav_dim], past[:, 0].ravel(), delta[self.vehicle :]])
+        self.nav, moved = self._model.retract(before, points, on_manifold)
         self.rig_state = self._errors.retract(self.rig_state, delta)
+        self.past = [pose.moved(xi, p) for pose, xi, p in zip(self.past, past[:, 1], moved[: len(past)], strict=True)]
+        self.landmarks = moved[len(past) :]
         if self._model.invariant:
             moved_p = self.nav.T_map_body.t - before.T_map_body.t
-            B = chart_transport(self.vehicle, moved_p, self.nav.v_map - before.v_map, self.landmarks - landmarks)
+            B = self._transport(moved_p, self.nav.v_map - before.v_map, moved - points)
             belief = belief.coordinates_changed(B, ROTATION)
         self.belief = belief
+
+    def _points(self) -> Array:
+        """Return (V + N, 3) the past positions, then the landmarks."""
+        return np.vstack([*(pose.nav.T_map_body.t for pose in self.past), self.landmarks])
+
+    def _transport(self, moved_position: Array, moved_velocity: Array, moved_points: Array) -> Array:
+        """Return `chart_transport` for shifts of the mean, those of `_points` included."""
+        count = len(self.past)
+        B = chart_transport(self.vehicle, moved_position, moved_velocity, moved_points[count:])
+        B[self._past_rows].reshape(count, 2, 3, 3)[:, 0] = skew(moved_points[:count])
+        return B
 
 
 def _whitened(predicted: PredictedObservation, nu: Array, weights: Array) -> Observation:

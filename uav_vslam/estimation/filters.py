@@ -22,6 +22,7 @@ FILTERS: dict[str, Callable[..., Filter]] = {
     "thesis_ukf": partial(ThesisUnscentedFilter, form=CovarianceBelief),
     "thesis_uhf": partial(ThesisUnscentedFilter, form=CovarianceBelief),
 }
+THESIS = ("thesis_ukf", "thesis_uhf")  # filters as the thesis gives them
 BOUNDED = ("uhf", "thesis_uhf")  # filters that use `backend.gamma`
 
 
@@ -38,4 +39,15 @@ def make_filter(initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig) 
         depth_sigma_ratio=backend.depth_sigma_ratio,
         robust=backend.robust,
         rig_config=config.rig,
+        track_sigma_px=backend.track_sigma_px,
     )
+
+
+def past_poses(config: VehicleConfig) -> int:
+    """Return how many past poses the filter keeps.
+
+    None with the thesis's own filters and states, nor for a flexing rig: a vibration is estimated in its frame only.
+    """
+    backend = config.backend
+    without = backend.filter in THESIS or backend.model == "euler9" or config.rig.flexing
+    return 0 if without else backend.window

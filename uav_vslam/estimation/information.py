@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 
 from uav_vslam.estimation.belief import (
+    NO_ROWS,
     Indices,
     Marginals,
     Observation,
@@ -97,19 +98,32 @@ class InformationBelief:
 
         Y - Y_v B (I + B^T Y_vv B)^-1 B^T Y_v^T for the Y transformed by F^-1.
         """
-        m, Y = self.vehicle, self.Y.copy()
+        k, Y = len(F), self.Y.copy()
         F_inv = np.linalg.inv(F)
-        Y[:m, :] = F_inv.T @ Y[:m, :]
-        Y[:, :m] = Y[:, :m] @ F_inv
+        Y[:k, :] = F_inv.T @ Y[:k, :]
+        Y[:, :k] = Y[:, :k] @ F_inv
         B = square_root(Q)
-        YB = Y[:, :m] @ B
-        L = cholesky(np.eye(m) + B.T @ YB[:m], "process noise")
+        YB = Y[:, :k] @ B
+        L = cholesky(np.eye(k) + B.T @ YB[:k], "process noise")
         lost = solve_triangular(L, YB.T, lower=True, check_finite=False)
         subtract_product(Y, lost)
-        Y[:m, :m] = symmetrise(Y[:m, :m])
+        Y[:k, :k] = symmetrise(Y[:k, :k])
         log_det = -2.0 * float(np.linalg.slogdet(F)[1]) - log_det_of(L)
         known = self._carried()
-        return type(self)(Y, m, known and known.then(known.marginals.predicted(F, Q), log_det))
+        return type(self)(Y, self.vehicle, known and known.then(known.marginals.predicted(F, Q), log_det))
+
+    def cloned(self, rows: Indices, variance: Array) -> Self:
+        """Copies c = e + n add (c - e)^T diag(variance)^-1 (c - e) to the information."""
+        m, more = self.vehicle, len(rows)
+        copies, old = m + np.arange(more), np.r_[:m, m + more : self.size + more]
+        Y = np.zeros((self.size + more,) * 2)
+        Y[old[:, None], old] = self.Y
+        Y[rows, rows] += 1.0 / variance
+        Y[copies, copies] = 1.0 / variance
+        Y[rows, copies] = Y[copies, rows] = -1.0 / variance
+        known = self._carried()
+        log_det = -float(np.log(variance).sum())
+        return type(self)(Y, m + more, known and known.then(known.marginals.cloned(rows, variance), log_det))
 
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         keep = np.delete(np.arange(self.size), rows)
@@ -131,7 +145,7 @@ class InformationBelief:
         i = add_normal_equations(Y, observation, observation.landmarks)
         factor = cholesky(Y, "information")
         delta = cho_solve((factor, True), i, check_finite=False)
-        nis = float(np.sum(observation.nu**2) - i @ delta)
+        nis = observation.norm2 - float(i @ delta)
         log_det = log_det_of(factor) - self._log_det()
         after = type(self)(Y, self.vehicle)
         after._factor, after._first_in_use = factor, self._first_in_use
@@ -149,16 +163,17 @@ class InformationBelief:
             Y, self.vehicle, known and known.then(known.marginals.appended(H_vehicle, H_landmark), log_det)
         )
 
-    def marginalised(self, landmarks: Indices) -> Self:
-        gone = landmark_rows(self.vehicle, landmarks)
+    def marginalised(self, landmarks: Indices, vehicle_rows: Indices = NO_ROWS) -> Self:
+        gone = np.concatenate([vehicle_rows, landmark_rows(self.vehicle, landmarks)])
         keep = np.delete(np.arange(self.size), gone)
-        Y, log_det = marginalise_information(self.Y, keep, gone, "information of marginalised landmarks")
+        Y, log_det = marginalise_information(self.Y, keep, gone, "information of marginalised states")
         known = self._carried()
         if known is not None:
             older = landmarks < known.first
             left = np.delete(np.arange(len(known.marginals.landmarks)), landmarks[~older] - known.first)
-            known = known.then(known.marginals.chosen(left), -log_det, gone=int(older.sum()))
-        return type(self)(Y, self.vehicle, known)
+            marginals = known.marginals.chosen(left).without(vehicle_rows)
+            known = known.then(marginals, -log_det, gone=int(older.sum()))
+        return type(self)(Y, self.vehicle - len(vehicle_rows), known)
 
     def coordinates_changed(self, B: Array, columns: slice) -> Self:
         """Y <- T^-T Y T^-1 with T^-1 = I + B E^T."""

@@ -53,6 +53,7 @@ class Camera:
         rate_map: (3,) angular rate [rad/s].
         sigma_px: of each pixel coordinate.
         depth_sigma_ratio: see `observation.smoothed`.
+        past_rows: number of rows of past poses, the last ones of the vehicle's error.
     """
 
     rig: StereoRig
@@ -62,6 +63,7 @@ class Camera:
     rate_map: Array
     sigma_px: float
     depth_sigma_ratio: float
+    past_rows: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +195,7 @@ def camera_points(camera: Camera, landmarks: Array) -> tuple[Array, Array, Array
     """Return (M, 3) landmarks in the left camera frame and their derivatives (M, 3, vehicle) and (3, 3)."""
     jacobian = point_jacobian(camera.rig, camera.nav, landmarks)
     nav_dim = camera.model.nav_dim
-    J = np.zeros((len(landmarks), 3, nav_dim + camera.errors.dim))
+    J = np.zeros((len(landmarks), 3, camera.errors.rows.stop + camera.past_rows))
     J[:, :, :nav_dim] = jacobian.nav @ camera.model.to_map(camera.nav)
     if camera.errors.time_offset.stop > camera.errors.time_offset.start:
         motion = np.zeros(jacobian.nav.shape[2])

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from uav_vslam.estimation.belief import Indices, Marginals, Observation, Update, landmark_rows, state_rows
+from uav_vslam.estimation.belief import NO_ROWS, Indices, Marginals, Observation, Update, landmark_rows, state_rows
 from uav_vslam.numerics import cholesky, inverse_spd, square_root
 
 Array = NDArray[np.float64]
@@ -39,11 +39,18 @@ class SquareRootBelief:
         return inverse_spd(self.G[rows] @ self.G[rows].T, "covariance")
 
     def predicted(self, F: Array, Q: Array) -> Self:
-        G = self.G.copy()
-        G[: self.vehicle] = F @ G[: self.vehicle]
-        noise = np.zeros((self.size, self.vehicle))
-        noise[: self.vehicle] = square_root(Q)
+        k, G = len(F), self.G.copy()
+        G[:k] = F @ G[:k]
+        noise = np.zeros((self.size, k))
+        noise[:k] = square_root(Q)
         return type(self)(_triangle(np.hstack([G, noise])), self.vehicle)
+
+    def cloned(self, rows: Indices, variance: Array) -> Self:
+        m, more = self.vehicle, len(rows)
+        G = self.G[np.insert(np.arange(self.size), m, rows)]
+        noise = np.zeros((len(G), more))
+        noise[m + np.arange(more), np.arange(more)] = np.sqrt(variance)
+        return type(self)(np.hstack([G, noise]), m + more)
 
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         fresh = np.zeros((self.size, len(rows)))
@@ -63,8 +70,10 @@ class SquareRootBelief:
         m = self.vehicle
         columns = m + 3 * observation.landmarks[:, None] + np.arange(3)
         HG = observation.H_vehicle @ self.G[:m] + observation.H_landmark @ self.G[columns]
-        HG = HG.reshape(-1, self.G.shape[1])
-        nu = observation.nu.ravel()
+        HG, nu = HG.reshape(-1, self.G.shape[1]), observation.nu.ravel()
+        if observation.of_vehicle is not None:
+            HG = np.vstack([HG, observation.of_vehicle.H @ self.G[:m]])
+            nu = np.concatenate([nu, observation.of_vehicle.nu])
         R = np.linalg.qr(np.vstack([np.eye(self.G.shape[1]), HG]), mode="r")
         G = solve_triangular(R, self.G.T, trans="T", check_finite=False).T
         pulled = solve_triangular(R, HG.T @ nu, trans="T", check_finite=False)
@@ -82,8 +91,9 @@ class SquareRootBelief:
         G[n + own[:, :, None], self.G.shape[1] + own[:, None, :]] = Hl_inv
         return type(self)(G, m)
 
-    def marginalised(self, landmarks: Indices) -> Self:
-        return type(self)(np.delete(self.G, landmark_rows(self.vehicle, landmarks), axis=0), self.vehicle)
+    def marginalised(self, landmarks: Indices, vehicle_rows: Indices = NO_ROWS) -> Self:
+        gone = np.concatenate([vehicle_rows, landmark_rows(self.vehicle, landmarks)])
+        return type(self)(np.delete(self.G, gone, axis=0), self.vehicle - len(vehicle_rows))
 
     def coordinates_changed(self, B: Array, columns: slice) -> Self:
         return type(self)(self.G - B @ self.G[columns], self.vehicle)

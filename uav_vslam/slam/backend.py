@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.filter import Innovation
-from uav_vslam.estimation.filters import make_filter
+from uav_vslam.estimation.filters import make_filter, past_poses
 from uav_vslam.estimation.observation import projectable
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
@@ -20,8 +20,9 @@ from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.health import FilterHealth
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, rows_to_remove
-from uav_vslam.slam.map_matching import MapMatcher
+from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
 from uav_vslam.slam.matches import Matches
+from uav_vslam.slam.track_window import Present, TrackWindow
 from uav_vslam.types import (
     NS_PER_S,
     ImuIncrement,
@@ -127,9 +128,12 @@ class SlamBackend:
             if increment is not None:
                 self._add_postponed(increment)
                 self._filter.predict(increment)
+            self._window.add_frame(self._filter, features)
+            self._window.finish(self._filter, self._map, self._frame, self._spread_over_image)
             matches, innovation, closures = self._correct(features)
-            sightings = np.column_stack([self._map.ids[matches.landmarks], matches.features])
-            self._nav = self._filter.nav_estimate()
+            present = self._window.present(self._filter, self._map)
+            self._nav, innovation = present.filter.nav_estimate(), present.innovation or innovation
+            sightings = np.vstack([self._sightings(matches), self._track_sightings(present, features)])
             self._remove_landmarks()
             recovery = self._health.check(innovation, features=len(features), landmarks=known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
@@ -139,6 +143,7 @@ class SlamBackend:
         if recovery:
             matches, closures, sightings = Matches.none(), 0, sightings[:0]
             self._reset(NavEstimate(self._nav.state, RECOVERY_INFLATION * self._nav.covariance))
+        associated = len(sightings)
         added = self._add_landmarks(matches, features)
         self._postponed = None if self._filter.can_add_landmarks else features
         self._frame += len(features) > 0  # a frame without features says nothing about landmarks
@@ -146,7 +151,7 @@ class SlamBackend:
             pose=self._nav.pose,
             nav=self._nav,
             features=len(features),
-            associated=len(matches),
+            associated=associated,
             relocalised=matches.relocalised,
             innovation=innovation,
             landmarks=len(self._map),
@@ -154,7 +159,7 @@ class SlamBackend:
             rig_evidence=self._filter.rig_evidence(),
             closures=closures,
             tracked=self._continued(features),
-            coasted=increment is not None and len(matches) == 0,
+            coasted=increment is not None and associated == 0,
             gate_probability=self._config.gate_probability,
             sightings=np.vstack([sightings, np.column_stack([self._map.ids[len(self._map) - len(added) :], added])]),
         )
@@ -164,24 +169,30 @@ class SlamBackend:
         self._vehicle_config, self._config = config, config.backend
         self._matcher.configure(config.backend)
         self._filter.sigma_px = config.backend.sigma_px
+        self._filter.track_sigma_px = config.backend.track_sigma_px
+        self._window.configure(config.backend)
 
     def joint_information(self) -> JointInformation:
-        """Return the estimate of pose and landmarks, for the vehicle's own fusion."""
+        """Return the estimate of pose and landmarks, points still tracked included, for the vehicle's own fusion."""
+        window = self._window
+        present = window.present(self._filter, self._map, self._spread_over_image)
+        descriptors = [some for some in (self._map.descriptors, window.views.descriptors[present.rows]) if len(some)]
         return JointInformation(
             stamp_ns=self.stamp_ns,
             vehicle=self._vehicle,
             session=self._session,
-            T_map_body=self._filter.nav.T_map_body,
-            ids=self._map.ids.copy(),
-            positions=self._filter.landmarks.copy(),
-            information=self._filter.pose_landmark_information(),
-            descriptors=self._map.descriptors.copy(),
+            T_map_body=present.filter.nav.T_map_body,
+            ids=np.concatenate([self._map.ids, window.identified(present.rows, self._map)]),
+            positions=present.filter.landmarks.copy(),
+            information=present.filter.pose_landmark_information(),
+            descriptors=np.vstack(descriptors) if descriptors else np.zeros_like(self._map.descriptors),
         )
 
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
         self._filter = make_filter(initial, rig=self._rig, config=self._vehicle_config)
         self._map.remove(np.arange(len(self._map)))
+        self._window = TrackWindow(past_poses(self._vehicle_config), self._config)
         self._health = FilterHealth()
         self._nav = initial
 
@@ -209,7 +220,11 @@ class SlamBackend:
         A relocalisation is not gated by the prediction: it is tried when gating has failed.
         """
         left_behind = self._map.long_unseen(self._frame)
-        for matches in self._matcher.candidates(self._filter, self._map, features, self._frame):
+        candidates = self._matcher.candidates(
+            self._filter, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
+        )
+        for found in candidates:
+            matches = self._of_other_tracks(found, features)
             innovation = self._filter.update(
                 matches.landmarks,
                 matches.pixels,
@@ -221,8 +236,27 @@ class SlamBackend:
                 closures = int(left_behind[matches.landmarks].sum())
                 seen = matches.features
                 self._map.observe(matches.landmarks, features.descriptors[seen], self._frame, features.tracks[seen])
+                self._window.views.forget_newest(features.tracks[seen])
                 return matches, innovation, closures
-        return Matches.none(), None, 0
+        none = Matches.none()
+        return none, self._filter.update(none.landmarks, none.pixels) if self._filter.has_tracks else None, 0
+
+    def _of_other_tracks(self, matches: Matches, features: StereoFeatures) -> Matches:
+        """Leave out landmarks that are still on the track that made them: its views are used as a track's."""
+        if self._window.followed == 0:
+            return matches
+        same = self._map.tracks[matches.landmarks] == features.tracks[matches.features]
+        return matches.chosen(np.flatnonzero(~same | self._map.revisited[matches.landmarks]))
+
+    def _sightings(self, matches: Matches) -> NDArray[np.intp]:
+        return np.column_stack([self._map.ids[matches.landmarks], matches.features])
+
+    def _track_sightings(self, present: Present, features: StereoFeatures) -> NDArray[np.intp]:
+        """Return (K, 2) identifier and feature row of the tracks that the present frame shows."""
+        views = self._window.views
+        rows = present.rows[views.seen[present.rows, -1]] if len(present.rows) else present.rows
+        _, feature_rows, shown = np.intersect1d(features.tracks, views.tracks[rows], return_indices=True)
+        return np.column_stack([self._window.identified(rows[shown], self._map), feature_rows])
 
     def _weights(self, revisited: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Down-weight revisited landmarks: their redetection error is common to all frames of a visit."""
@@ -230,13 +264,14 @@ class SlamBackend:
         return np.where(revisited, variance / (variance + VISIT_FRAMES * self._config.redetection_px**2), 1.0)
 
     def _remove_landmarks(self) -> None:
-        if len(self._map) == 0:
-            return
-        in_view = projectable(self._filter.rig, self._filter.points_left())
-        view = MapView(self._map, self._filter.landmarks, self._variance, in_view, self._frame)
-        removed = rows_to_remove(view, self._config)
-        if len(removed):
-            self._filter.marginalise(removed)
+        removed = np.zeros(0, np.intp)
+        if len(self._map):
+            in_view = projectable(self._filter.rig, self._filter.points_left())
+            view = MapView(self._map, self._filter.landmarks, self._variance, in_view, self._frame)
+            removed = rows_to_remove(view, self._config)
+        past = self._window.drop_oldest(self._filter)
+        if len(removed) or len(past):
+            self._filter.marginalise(removed, past)
             self._map.remove(removed)
 
     def _variance(self) -> NDArray[np.float64]:
@@ -251,6 +286,20 @@ class SlamBackend:
 
     def _add_landmarks(self, matches: Matches, features: StereoFeatures) -> NDArray[np.intp]:
         """Initialise landmarks from unmatched features, up to the capacity; return the features' rows."""
+        free = np.setdiff1d(np.arange(len(features)), matches.features)
+        if len(self._window.views):
+            free = free[features.tracks[free] == 0]
+        if len(free) == 0 or not self._filter.can_add_landmarks:
+            return np.zeros(0, np.intp)
+        free = free[np.isfinite(self._filter.rig.triangulate(features.pixels[free])).all(axis=1)]
+        chosen = free[self._spread_over_image(features.pixels[free, :2])]
+        if len(chosen):
+            self._filter.add_landmarks(features.pixels[chosen].astype(float))
+            self._map.append(features.descriptors[chosen], self._frame, features.tracks[chosen])
+        return chosen
+
+    def _spread_over_image(self, pixels: NDArray[np.floating]) -> NDArray[np.intp]:
+        """Return the rows of those of (N, 2) points that may become landmarks, up to the capacity."""
         rig, points_left = self._filter.rig, self._filter.points_left()
         in_view = projectable(rig, points_left)
         room = min(
@@ -258,16 +307,8 @@ class SlamBackend:
             self._config.max_in_view - int(in_view.sum()),
             self._config.max_landmarks - len(self._map),
         )
-        if room <= 0 or len(features) == 0 or not self._filter.can_add_landmarks:
-            return np.zeros(0, np.intp)
-        free = np.setdiff1d(np.arange(len(features)), matches.features)
-        free = free[np.isfinite(rig.triangulate(features.pixels[free])).all(axis=1)]
         taken = rig.left.project(points_left[in_view])
-        chosen = free[spread(features.pixels[free, :2], room, size=self._image_size, taken=taken)]
-        if len(chosen):
-            self._filter.add_landmarks(features.pixels[chosen].astype(float))
-            self._map.append(features.descriptors[chosen], self._frame, features.tracks[chosen])
-        return chosen
+        return spread(pixels, max(0, room), size=self._image_size, taken=taken)
 
     @property
     def _image_size(self) -> tuple[int, int]:

@@ -32,19 +32,31 @@ class LandmarkMap:
         """Return which landmarks have been unseen for more than `LONG_FRAMES`."""
         return np.asarray(frame - self.seen >= LONG_FRAMES)
 
-    def append(self, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32] | None = None) -> None:
-        """Add landmarks seen for the first time, with (M, D) descriptors; they get new identifiers."""
-        count = len(descriptors)
+    def new_ids(self, count: int) -> NDArray[np.uint32]:
+        """Return new identifiers."""
         fresh = np.arange(self._next_id, self._next_id + count, dtype=np.uint32)
         self._next_id += count
-        self.ids = np.concatenate([self.ids, fresh])
+        return fresh
+
+    def append(
+        self,
+        descriptors: NDArray[np.uint8],
+        frame: int,
+        tracks: NDArray[np.uint32] | None = None,
+        *,
+        ids: NDArray[np.uint32] | None = None,
+        observations: Rows | int = 1,
+    ) -> None:
+        """Add landmarks with (M, D) descriptors, observed that often; they get new identifiers unless given."""
+        count = len(descriptors)
+        self.ids = np.concatenate([self.ids, self.new_ids(count) if ids is None else ids])
         if len(self.descriptors) == 0:
             self.descriptors = self.descriptors.reshape(0, descriptors.shape[1])
         self.descriptors = np.vstack([self.descriptors, descriptors])
         self.statistics.append(descriptors)
         self.born = np.concatenate([self.born, np.full(count, frame)])
         self.seen = np.concatenate([self.seen, np.full(count, frame)])
-        self.observations = np.concatenate([self.observations, np.ones(count, np.intp)])
+        self.observations = np.concatenate([self.observations, np.full(count, observations, np.intp)])
         self.revisited = np.concatenate([self.revisited, np.zeros(count, bool)])
         self.tracks = np.concatenate([self.tracks, np.zeros(count, np.uint32) if tracks is None else tracks])
 

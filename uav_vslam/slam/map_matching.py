@@ -46,7 +46,7 @@ class MapMatcher:
         self._config = config
 
     def candidates(
-        self, slam_filter: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int
+        self, slam_filter: Filter, landmark_map: LandmarkMap, features: StereoFeatures, frame: int, *, located: bool
     ) -> Iterator[Matches]:
         """Yield sets of matches to try in turn.
 
@@ -55,12 +55,15 @@ class MapMatcher:
             landmark_map: descriptors and history of its landmarks.
             features: of the frame.
             frame: its number.
+            located: by tracks, so that a few landmarks in their gates are enough, and a search of the map needless.
         """
         if len(landmark_map) == 0 or len(features) == 0:
             return
         gated, uncertain = self._gated(slam_filter, landmark_map, features, frame)
-        if not uncertain and len(gated) >= MIN_INLIERS:
+        if located or (not uncertain and len(gated) >= MIN_INLIERS):
             yield self._capped(slam_filter, landmark_map, gated)
+        if located:
+            return
         attempts = (
             lambda: verified(slam_filter, gated, self._config, min_inliers=MIN_INLIERS),
             lambda: self._agreeing(slam_filter, self._capped(slam_filter, landmark_map, gated)),

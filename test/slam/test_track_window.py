@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks through the back end: each view is used once, and the present has them all."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
+from uav_vslam.slam.backend import FrameReport, SlamBackend
+from uav_vslam.slam.track_views import TrackViews
+from uav_vslam.slam.track_window import TrackWindow
+from uav_vslam.types import StereoFeatures
+
+FRAMES = 24
+SIGMA_PX = 0.1
+WINDOW = 6
+
+
+def tracked(vehicle) -> list[StereoFeatures]:
+    """Return features whose tracks follow the landmarks that they show; a landmark missed in a frame gets a new one."""
+    frames, numbers, lost = [], {}, 0
+    for features, ids in observe(vehicle, scatter_landmarks([vehicle]), noise=LandmarkNoise(sigma_px=SIGMA_PX / 2)):
+        old, numbers = numbers, {}
+        for identity in ids.tolist():
+            lost += identity not in old
+            numbers[identity] = old.get(identity, lost)
+        frames.append(dataclasses.replace(features, tracks=np.array([numbers[i] for i in ids.tolist()], np.uint32)))
+    return frames
+
+
+def settings(**changes) -> BackendConfig:
+    return BackendConfig(**{"sigma_px": SIGMA_PX / 2, "track_sigma_px": SIGMA_PX, "window": WINDOW, **changes})
+
+
+def backend_of(flight, **changes) -> SlamBackend:
+    config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, backend=settings(**changes))
+    return SlamBackend(flight.vehicle.initial, rig=flight.vehicle.rig, config=config, vehicle="uav1")
+
+
+def fly(flight, backend: SlamBackend, features: list[StereoFeatures]) -> list[FrameReport]:
+    increments = [increment for _, increment in flight.frames]
+    return [backend.process(*frame) for frame in zip(features, increments, strict=True)]
+
+
+def position_errors(flight, reports: list[FrameReport]) -> NDArray[np.float64]:
+    truth = flight.vehicle.truth.position(flight.vehicle.frame_times_s)
+    return np.array([report.pose.T_map_body.t for report in reports]) - truth
+
+
+def feature(track: int, u: float) -> StereoFeatures:
+    return StereoFeatures(0, np.full((1, 4), u, np.float32), np.zeros((1, 8), np.uint8), np.array([track], np.uint32))
+
+
+def test_the_table_keeps_each_view_at_its_frame() -> None:
+    views = TrackViews()
+    for features in (feature(7, 1.0), feature(3, 2.0), feature(7, 3.0), feature(0, 4.0)):
+        views.add_frame(features)
+    np.testing.assert_array_equal(views.tracks, [3, 7])
+    np.testing.assert_array_equal(views.seen, [[False, True, False, False], [True, False, True, False]])
+    np.testing.assert_array_equal(views.pixels[1, :, 0], [1.0, 0.0, 3.0, 0.0])
+    np.testing.assert_array_equal(views.newest_pixels[:, 0], [2.0, 3.0])
+    views.drop_frame(1)
+    np.testing.assert_array_equal(views.tracks, [7])
+    np.testing.assert_array_equal(views.seen, [[True, True, False]])
+
+
+def test_a_view_that_was_used_as_a_landmark_is_no_tracks_any_more() -> None:
+    views = TrackViews()
+    views.add_frame(feature(7, 1.0))
+    views.add_frame(feature(7, 2.0))
+    views.forget_newest(np.array([7], np.uint32))
+    np.testing.assert_array_equal(views.seen, [[True, False]])
+    views.drop_frame(0)
+    assert len(views) == 0
+
+
+def test_every_view_of_a_track_is_used_once(flown, monkeypatch) -> None:
+    """Count the views that the filter takes for good, and those that are left at the end."""
+    flight = flown(3, frames=FRAMES)
+    features, used = tracked(flight.vehicle), []
+    finish = TrackWindow.finish
+
+    def counted(self, slam_filter, *rest) -> None:
+        before = self.views.seen.sum()
+        finish(self, slam_filter, *rest)
+        used.append(before - self.views.seen.sum())
+
+    monkeypatch.setattr(TrackWindow, "finish", counted)
+    backend = backend_of(flight, max_new_landmarks=0)
+    fly(flight, backend, features)
+    assert len(backend.landmarks[0]) == 0
+    dropped = sum(used) + backend._window.views.seen.sum()
+    assert dropped == sum(len(frame) for frame in features)
+    assert len(backend._filter.past) <= WINDOW
+
+
+def test_tracks_alone_locate_the_vehicle_and_the_covariance_is_honest(flown) -> None:
+    errors, nees = [], []
+    for seed in range(20):
+        flight = flown(100 + seed, frames=FRAMES)
+        reports = fly(flight, backend_of(flight), tracked(flight.vehicle))
+        assert not any(report.coasted for report in reports[2:])
+        error = position_errors(flight, reports)
+        errors.append(np.linalg.norm(error[-1]))
+        nees.append(error[-1] @ np.linalg.solve(reports[-1].pose.covariance[:3, :3], error[-1]) / 3)
+    assert np.sqrt(np.mean(np.square(errors))) < 1.0  # dead reckoning: 3.5 m
+    assert 0.4 < np.mean(nees) < 1.7  # chi-square of 60 degrees of freedom: 0.67 to 1.39 at 95 %
+
+
+def test_the_state_and_the_window_stay_bounded(flown) -> None:
+    flight = flown(4, frames=FRAMES)
+    backend = backend_of(flight)
+    sizes = []
+    for features, (_, increment) in zip(tracked(flight.vehicle), flight.frames, strict=True):
+        backend.process(features, increment)
+        sizes.append(len(backend._filter.past))
+    assert max(sizes) == WINDOW
+    assert sizes[-5:] == [WINDOW] * 5
+
+
+def test_poses_closer_than_the_spacing_are_not_kept(flown) -> None:
+    flight = flown(5, frames=FRAMES)
+    backend = backend_of(flight, window_spacing_s=0.25)  # frames are 0.14 s apart
+    reports = fly(flight, backend, tracked(flight.vehicle))
+    stamps = np.array([pose.nav.stamp_ns for pose in backend._filter.past])
+    assert np.diff(stamps[:-1]).min() > 0.25e9
+    assert np.linalg.norm(position_errors(flight, reports)[-1]) < 1.5
+
+
+def test_points_still_tracked_are_in_the_joint_estimate_under_lasting_identifiers(flown) -> None:
+    flight = flown(6, frames=FRAMES)
+    backend, features = backend_of(flight), tracked(flight.vehicle)
+    increments = [increment for _, increment in flight.frames]
+    known: dict[int, int] = {}
+    for k in range(FRAMES):
+        backend.process(features[k], increments[k])
+        joint = backend.joint_information()
+        assert len(set(joint.ids.tolist())) == len(joint.ids) == len(joint.positions) == len(joint.descriptors)
+        for track, identifier in backend._window._ids.items():
+            assert known.setdefault(track, identifier) == identifier
+        nearest = np.linalg.norm(joint.positions[:, None] - joint.positions[None], axis=-1)
+        assert nearest[~np.eye(len(nearest), dtype=bool)].min(initial=np.inf) > 0.2  # no point is in it twice
+    assert len(joint.ids) > len(backend.landmarks[0]) + 10
+    np.testing.assert_allclose(joint.covariance[:6, :6], backend._nav.pose.covariance, rtol=0.2, atol=1e-6)
+
+
+@pytest.mark.parametrize("changes", [{"filter": "thesis_ukf", "model": "euler9"}, {"model": "euler9"}])
+def test_the_thesiss_filters_and_states_have_no_past_poses(flown, changes) -> None:
+    flight = flown(7, frames=6)
+    backend = backend_of(flight, **changes, max_new_landmarks=10)
+    fly(dataclasses.replace(flight, frames=flight.frames[:6]), backend, tracked(flight.vehicle)[:6])
+    assert not backend._filter.past
+    assert len(backend.landmarks[0]) > 0

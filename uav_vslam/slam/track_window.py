@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Uses the tracks of points that are no landmarks: each once, when it has ended or fills the window.
+
+Until then a track belongs to the estimate of the present only, a copy of the filter that has used all tracks so far.
+So no view is used twice, and none waits.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import BackendConfig
+from uav_vslam.estimation.filter import Filter, Innovation
+from uav_vslam.estimation.past_poses import MIN_VIEWS
+from uav_vslam.geometry.image_grid import spread
+from uav_vslam.slam.landmark_map import LandmarkMap
+from uav_vslam.slam.track_views import TrackViews
+from uav_vslam.types import NS_PER_S, StereoFeatures
+
+Rows = NDArray[np.intp]
+Choice = Callable[[NDArray[np.float64]], Rows]  # rows of (N, 2) pixels whose points become landmarks
+
+PRESENT_TRACKS = 50  # at most, the longest ones, spread over the image: twice as many change nothing
+PUNCTUAL = 0.9  # of the spacing: frames may come a little early
+NO_POSES = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """The estimate with all tracks.
+
+    Attributes:
+        filter: a copy that has used them.
+        innovation: None without tracks.
+        rows: (K,) those used; if some were chosen as landmarks, these.
+    """
+
+    filter: Filter
+    innovation: Innovation | None
+    rows: Rows
+
+
+class TrackWindow:
+    """Up to `size` past poses besides the newest frame's; with a size of 0 it does nothing."""
+
+    def __init__(self, size: int, config: BackendConfig) -> None:
+        self._size, self._config = size, config
+        self._ids: dict[int, int] = {}  # landmark identifiers of tracks
+        self.views = TrackViews()
+
+    def configure(self, config: BackendConfig) -> None:
+        """Go on with live settings that have changed."""
+        self._config = config
+
+    @property
+    def followed(self) -> int:
+        """Number of tracks that the newest frame continues."""
+        return int((self.views.seen[:, -1] & (self.views.counts >= MIN_VIEWS)).sum()) if len(self.views) else 0
+
+    def add_frame(self, slam_filter: Filter, features: StereoFeatures) -> None:
+        """Keep the pose of a frame, to which the filter has been predicted, and the views of its tracked points."""
+        if self._size and (len(self.views) or features.tracks.any()):
+            self._thin_out(slam_filter)
+            slam_filter.keep_pose()
+            self.views.add_frame(features)
+
+    def finish(self, slam_filter: Filter, landmark_map: LandmarkMap, frame: int, choose: Choice) -> None:
+        """Use the tracks that have ended or fill the window, in the filter's next update; some become landmarks.
+
+        Args:
+            slam_filter: its past poses are the frames of the views.
+            landmark_map: gets the new landmarks.
+            frame: number of the newest one.
+            choose: by where points were seen last.
+        """
+        views = self.views
+        if len(views) == 0:
+            return
+        finished = ~views.seen[:, -1]
+        if len(slam_filter.past) > self._size:
+            finished |= views.seen[:, 0]
+        used = np.flatnonzero(finished & (views.counts >= MIN_VIEWS))
+        new = self._chosen(used, landmark_map, choose)
+        passed = slam_filter.observe_tracks(
+            views.chosen(used), probability=self._config.gate_probability, become_landmarks=np.isin(used, new)
+        )
+        new = np.intersect1d(new, used[passed])
+        landmark_map.append(
+            views.descriptors[new],
+            frame,
+            views.tracks[new],
+            ids=self.identified(new, landmark_map),
+            observations=views.counts[new],
+        )
+        for track in views.tracks[~views.seen[:, -1]].tolist():
+            self._ids.pop(track, None)
+        views.remove(finished)
+
+    def present(self, slam_filter: Filter, landmark_map: LandmarkMap, choose: Choice | None = None) -> Present:
+        """Return the estimate of the present; `choose` which tracks' points it has as additional landmarks."""
+        views = self.views
+        used = np.flatnonzero(views.counts >= MIN_VIEWS)
+        if len(used) == 0:
+            return Present(slam_filter, None, used)
+        used = used[np.argsort(-views.counts[used], kind="stable")]
+        size = (slam_filter.rig.left.width, slam_filter.rig.left.height)
+        used = np.sort(used[spread(views.newest_pixels[used, :2], PRESENT_TRACKS, size=size)])
+        new = used[:0] if choose is None else self._chosen(used, landmark_map, choose)
+        with_tracks, passed, innovation = slam_filter.with_tracks(
+            views.chosen(used), probability=self._config.gate_probability, become_landmarks=np.isin(used, new)
+        )
+        rows = used[passed]
+        return Present(with_tracks, innovation, rows if choose is None else np.intersect1d(new, rows))
+
+    def identified(self, rows: Rows, landmark_map: LandmarkMap) -> NDArray[np.uint32]:
+        """Return the landmark identifiers of some tracks, new ones where they have none."""
+        tracks = self.views.tracks[rows].tolist()
+        fresh = [track for track in tracks if track not in self._ids]
+        self._ids.update(zip(fresh, landmark_map.new_ids(len(fresh)).tolist(), strict=True))
+        return np.array([self._ids[track] for track in tracks], np.uint32)
+
+    def drop_oldest(self, slam_filter: Filter) -> NDArray[np.int64]:
+        """Drop the oldest frame of a full window; return the past poses that the filter need not keep any longer."""
+        if len(slam_filter.past) <= self._size:
+            return NO_POSES
+        self.views.drop_frame(0)
+        return np.zeros(1, np.int64)
+
+    def _thin_out(self, slam_filter: Filter) -> None:
+        """Drop the newest past pose if it is too close to the one before."""
+        past = slam_filter.past
+        if len(past) < 2:
+            return
+        spacing_s = (past[-1].nav.stamp_ns - past[-2].nav.stamp_ns) / NS_PER_S
+        if spacing_s < PUNCTUAL * self._config.window_spacing_s:
+            newest = len(past) - 1
+            slam_filter.marginalise(NO_POSES, np.array([newest]))
+            self.views.drop_frame(newest)
+
+    def _chosen(self, rows: Rows, landmark_map: LandmarkMap, choose: Choice) -> Rows:
+        """Return those of some tracks that were seen often enough for a landmark, have none yet, and are chosen."""
+        old = rows[self.views.counts[rows] >= self._config.landmark_views]
+        old = old[~np.isin(self.views.tracks[old], landmark_map.tracks)]
+        return np.sort(old[choose(self.views.newest_pixels[old, :2])])
