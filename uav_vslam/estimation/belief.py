@@ -77,15 +77,8 @@ class Marginals:
 
     @classmethod
     def of_factor(cls, G_vehicle: Array, G_landmarks: Array) -> "Marginals":
-        """Return G G^T.
-
-        Args:
-            G_vehicle: (vehicle, k) rows of G.
-            G_landmarks: (M, 3, j <= k) rows of G, whose first k - j columns are zero.
-        """
-        count, _, k = G_landmarks.shape
-        shared = G_vehicle[:, G_vehicle.shape[1] - k :]
-        cross = (shared @ G_landmarks.reshape(3 * count, k).T).reshape(len(shared), count, 3)
+        """Return G G^T for the rows of the vehicle (vehicle, k) and of the landmarks (M, 3, k)."""
+        cross = (G_vehicle @ G_landmarks.reshape(-1, G_vehicle.shape[1]).T).reshape(len(G_vehicle), -1, 3)
         own = np.einsum("mik,mjk->mij", G_landmarks, G_landmarks)
         return cls(G_vehicle @ G_vehicle.T, cross.transpose(1, 0, 2), own)
 

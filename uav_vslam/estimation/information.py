@@ -64,6 +64,7 @@ class InformationBelief:
     def __init__(self, Y: Array, vehicle: int, known: _Known | None = None) -> None:
         self.Y, self.vehicle = Y, vehicle
         self._factor: Array | None = None
+        self._P_vehicle: Array | None = None  # (size, vehicle) columns of P
         self._known = known
         self._first_in_use = 0 if known is None else known.first  # oldest landmark asked for
 
@@ -99,15 +100,13 @@ class InformationBelief:
         Y - Y_v B (I + B^T Y_vv B)^-1 B^T Y_v^T for the Y transformed by F^-1.
         """
         k, Y = len(F), self.Y.copy()
-        F_inv = np.linalg.inv(F)
-        Y[:k, :] = F_inv.T @ Y[:k, :]
-        Y[:, :k] = Y[:, :k] @ F_inv
-        B = square_root(Q)
-        YB = Y[:, :k] @ B
-        L = cholesky(np.eye(k) + B.T @ YB[:k], "process noise")
-        lost = solve_triangular(L, YB.T, lower=True, check_finite=False)
+        F_inv, B = np.linalg.inv(F), square_root(Q)
+        Y_k = F_inv.T @ Y[:k]
+        Y_k[:, :k] = symmetrise(Y_k[:, :k] @ F_inv)
+        Y[:k], Y[:, :k] = Y_k, Y_k.T
+        L = cholesky(np.eye(k) + B.T @ Y_k[:, :k] @ B, "process noise")
+        lost = solve_triangular(L, B.T @ Y_k, lower=True, check_finite=False)
         subtract_product(Y, lost)
-        Y[:k, :k] = symmetrise(Y[:k, :k])
         log_det = -2.0 * float(np.linalg.slogdet(F)[1]) - log_det_of(L)
         known = self._carried()
         return type(self)(Y, self.vehicle, known and known.then(known.marginals.predicted(F, Q), log_det))
@@ -143,12 +142,13 @@ class InformationBelief:
         """Y <- Y + H^T H, delta = Y^-1 H^T nu."""
         Y = self.Y.copy()
         i = add_normal_equations(Y, observation, observation.landmarks)
-        factor = cholesky(Y, "information")
-        delta = cho_solve((factor, True), i, check_finite=False)
+        L = cholesky(Y, "information")
+        solved = cho_solve((L, True), np.column_stack([i, np.eye(self.size, self.vehicle)]), check_finite=False)
+        delta = solved[:, 0]
         nis = observation.norm2 - float(i @ delta)
-        log_det = log_det_of(factor) - self._log_det()
+        log_det = log_det_of(L) - self._log_det()
         after = type(self)(Y, self.vehicle)
-        after._factor, after._first_in_use = factor, self._first_in_use
+        after._factor, after._P_vehicle, after._first_in_use = L, solved[:, 1:], self._first_in_use
         return Update(after, delta, nis, log_det)
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
@@ -206,8 +206,11 @@ class InformationBelief:
     def _known_from(self, first: int) -> _Known:
         """Return what is known, with the marginals of the landmarks from `first` on."""
         if self._known is None or first < self._known.first:
-            L, row = self._cholesky(), self.vehicle + 3 * first
-            G_vehicle = solve_triangular(L, np.eye(self.size, self.vehicle), lower=True, check_finite=False).T
-            G_landmarks = inverse_of_triangle(L[row:, row:]).T.reshape((self.size - row) // 3, 3, self.size - row)
-            self._known = _Known(log_det_of(L), first, Marginals.of_factor(G_vehicle, G_landmarks))
+            L, m, row = self._cholesky(), self.vehicle, self.vehicle + 3 * first
+            if self._P_vehicle is None:
+                self._P_vehicle = cho_solve((L, True), np.eye(self.size, m), check_finite=False)
+            G = inverse_of_triangle(L[row:, row:]).T.reshape((self.size - row) // 3, 3, self.size - row)
+            cross = self._P_vehicle[row:].reshape(len(G), 3, m).transpose(0, 2, 1)
+            own = np.einsum("mik,mjk->mij", G, G)
+            self._known = _Known(log_det_of(L), first, Marginals(symmetrise(self._P_vehicle[:m]), cross, own))
         return self._known
