@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.cli.main import main
-from uav_vslam.config import load_fleet
+from uav_vslam.config import BackendConfig, load_fleet
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
@@ -123,6 +123,8 @@ def assert_same(graph: list[PoseEstimate], twin: list[PoseEstimate]) -> None:
 def assert_parity(outputs: dict[str, RecordedOutputs], case: Case) -> None:
     for name, track in case.tracks.items():
         assert_same(outputs[name].own_only, [output.report.pose for output in track.outputs])
+        smoothed = [output.report.smoothed for output in track.outputs]
+        assert_same(outputs[name].smoothed, [pose for pose in smoothed if pose is not None])
         assert_same(outputs[name].fused, case.cooperative[name].poses)
         assert_same(outputs[name].dead_reckoning, [output.dead_reckoning.pose for output in track.outputs])
         for a, b in zip(outputs[name].frames, (output.quality for output in track.outputs), strict=True):
@@ -139,6 +141,7 @@ def test_two_vehicles_estimate_the_same_in_the_graph_and_in_its_twin(
     assert_parity(outputs, rendered)
     for name, track in rendered.tracks.items():
         assert len(outputs[name].own_only) == track.frames_in == FRAMES
+        assert len(outputs[name].smoothed) == FRAMES - BackendConfig().window
         link = outputs[name].link
         assert link is not None
         assert link.packets_used > 0

@@ -8,11 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.slam.backend import FrameReport, SlamBackend
 from uav_vslam.slam.track_views import TrackViews
 from uav_vslam.slam.track_window import TrackWindow
-from uav_vslam.types import StereoFeatures
+from uav_vslam.types import PoseEstimate, StereoFeatures
 
 FRAMES = 24
 SIGMA_PX = 0.1
@@ -48,6 +49,12 @@ def fly(flight, backend: SlamBackend, features: list[StereoFeatures]) -> list[Fr
 def position_errors(flight, reports: list[FrameReport]) -> NDArray[np.float64]:
     truth = flight.vehicle.truth.position(flight.vehicle.frame_times_s)
     return np.array([report.pose.T_map_body.t for report in reports]) - truth
+
+
+def turn_errors(flight, poses: list[PoseEstimate]) -> list[float]:
+    """Return the angles [rad] by which the turns over three frames are wrong."""
+    wrong = [flight.vehicle.true_state(pose.stamp_ns).T_map_body.R @ pose.T_map_body.R.T for pose in poses]
+    return [float(np.linalg.norm(so3_log(a.T @ b))) for a, b in zip(wrong[:-3], wrong[3:], strict=True)]
 
 
 def feature(track: int, u: float) -> StereoFeatures:
@@ -119,6 +126,22 @@ def test_the_state_and_the_window_stay_bounded(flown) -> None:
         sizes.append(len(backend._filter.past))
     assert max(sizes) == WINDOW
     assert sizes[-5:] == [WINDOW] * 5
+
+
+def test_motion_between_poses_that_leave_the_window_is_better_than_between_present_ones(flown) -> None:
+    causal, smoothed, nees = [], [], []
+    for seed in range(12):
+        flight = flown(200 + seed, frames=FRAMES)
+        reports = fly(flight, backend_of(flight), tracked(flight.vehicle))
+        leaving = [report.smoothed for report in reports if report.smoothed is not None]
+        assert [pose.stamp_ns for pose in leaving] == [r.pose.stamp_ns for r in reports][: FRAMES - WINDOW]
+        truth = flight.vehicle.truth.position(flight.vehicle.frame_times_s)
+        causal.append(turn_errors(flight, [report.pose for report in reports[: len(leaving)]]))
+        smoothed.append(turn_errors(flight, leaving))
+        error = leaving[-1].T_map_body.t - truth[len(leaving) - 1]
+        nees.append(error @ np.linalg.solve(leaving[-1].covariance[:3, :3], error) / 3)
+    assert np.sqrt(np.mean(np.square(smoothed)) / np.mean(np.square(causal))) < 0.8  # 0.6 here
+    assert 0.4 < np.mean(nees) < 1.8
 
 
 def test_poses_closer_than_the_spacing_are_not_kept(flown) -> None:

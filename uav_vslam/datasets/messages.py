@@ -246,12 +246,13 @@ def truth_message(sample: TruthSample, *, frame_id: str, child_frame_id: str) ->
 
 
 def truth_of(built: Any) -> TruthSample:
-    """Return the motion of an Odometry; of a PoseStamped or TransformStamped the pose, and NaN for the rest."""
+    """Return the motion of an Odometry; of other stamped poses and of a TransformStamped the pose, NaN for the rest."""
     unknown = np.full(3, np.nan)
     if hasattr(built, "transform"):
         return TruthSample(stamp_ns_of(built), _pose_of_transform(built.transform), unknown, unknown)
     if not hasattr(built, "twist"):
-        return TruthSample(stamp_ns_of(built), _pose_of(built.pose), unknown, unknown)
+        pose = getattr(built.pose, "pose", built.pose)  # with covariance or without
+        return TruthSample(stamp_ns_of(built), _pose_of(pose), unknown, unknown)
     T_world_body = _pose_of(built.pose.pose)
     twist = built.twist.twist
     return TruthSample(stamp_ns_of(built), T_world_body, T_world_body.R @ _array(twist.linear), _array(twist.angular))

@@ -13,8 +13,9 @@ from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw, topics_of
 from uav_vslam.errors import BagError
 from uav_vslam.types import FrameQuality, PoseEstimate
 
-ODOMETRY = {
+POSES = {
     "odometry": "own_only",
+    "slam/smoothed": "smoothed",
     "fused/odometry": "fused",
     "ins/dead_reckoning": "dead_reckoning",
     "ground_truth/odometry": "truth",
@@ -51,13 +52,14 @@ class RecordedOutputs:
     """What the bags hold of one vehicle.
 
     Attributes:
-        own_only, fused, dead_reckoning, truth: pose estimates in recording order.
+        own_only, smoothed, fused, dead_reckoning, truth: pose estimates in recording order.
         link: the last fusion status, or None.
         frames: how each frame went, in recording order; empty if not recorded.
         frames_in: image pairs replayed, or None if the bags have none.
     """
 
     own_only: list[PoseEstimate] = field(default_factory=list)
+    smoothed: list[PoseEstimate] = field(default_factory=list)
     fused: list[PoseEstimate] = field(default_factory=list)
     dead_reckoning: list[PoseEstimate] = field(default_factory=list)
     truth: list[PoseEstimate] = field(default_factory=list)
@@ -90,7 +92,7 @@ def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], Bag
     for name in names:
         if f"/{name}/{FRAMES}" in topics:
             outputs[name].frames_in = topics[f"/{name}/{FRAMES}"].count
-    wanted = [f"/{name}/{ending}" for name in names for ending in (*ODOMETRY, STATUS, QUALITY)]
+    wanted = [f"/{name}/{ending}" for name in names for ending in (*POSES, STATUS, QUALITY)]
     messages = _Readable(iter_raw(paths, wanted))
     for raw in messages:
         _, name, ending = raw.topic.split("/", 2)
@@ -120,7 +122,7 @@ def _store(outputs: RecordedOutputs, ending: str, raw: RawMessage) -> None:
     if ending == QUALITY:
         outputs.frames.append(_frame_quality(built))
         return
-    track: list[PoseEstimate] = getattr(outputs, ODOMETRY[ending])
+    track: list[PoseEstimate] = getattr(outputs, POSES[ending])
     track.append(_pose_estimate(built, raw.topic))
 
 

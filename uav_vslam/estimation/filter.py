@@ -41,7 +41,7 @@ from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.numerics import cholesky, submatrix, symmetrise
-from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState
+from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseEstimate
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -185,6 +185,13 @@ class Filter:
         self.belief = self.belief.cloned(POSE, COPY_VARIANCE)
         rate_map = np.zeros(3) if self._rate_map is None else self._rate_map
         self.past = [*self.past, PastPose(self.nav, rate_map)]
+
+    def past_estimate(self, number: int) -> PoseEstimate:
+        """Return a past pose, as later frames have corrected it, with its covariance."""
+        state = self.past[number].nav
+        rows = self._past_rows.start + POSE_DIM * number + np.arange(POSE_DIM)
+        P = submatrix(self.belief.covariance(NO_ROWS), rows)
+        return PoseEstimate(state.stamp_ns, state.T_map_body, symmetrise(P))
 
     def observe_tracks(self, tracks: Tracks, *, probability: float, become_landmarks: Mask) -> Mask:
         """Take in tracks of points that are no landmarks; the next `update` uses what they say about the past poses.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion, TransformStamped, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -208,6 +208,14 @@ def odometry_to_msg(
     message.pose.covariance = pose.covariance.ravel()
     if velocity_map is not None:
         message.twist.twist.linear = Vector3(**_xyz(pose.T_map_body.R.T @ velocity_map))
+    return message
+
+
+def pose_with_covariance_to_msg(pose: PoseEstimate, *, frame_id: str) -> PoseWithCovarianceStamped:
+    """Return geometry_msgs/PoseWithCovarianceStamped."""
+    message = PoseWithCovarianceStamped(header=header(pose.stamp_ns, frame_id))
+    message.pose.pose = pose_to_msg(pose.T_map_body)
+    message.pose.covariance = pose.covariance.ravel()
     return message
 
 

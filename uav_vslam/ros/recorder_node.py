@@ -3,6 +3,7 @@
 
 in   /<vehicle>/odometry, fused/odometry, ins/dead_reckoning, ground_truth/odometry    nav_msgs/Odometry
      /<vehicle>/fusion/status                                                          uav_vslam_msgs/FusionStatus
+     /<vehicle>/slam/smoothed                                         geometry_msgs/PoseWithCovarianceStamped
      /<vehicle>/slam/quality                                                           uav_vslam_msgs/FrameQuality
      /diagnostics                                                                      diagnostic_msgs/DiagnosticArray
 out  /diagnostics                                                                      the recorder's own status
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -34,6 +36,7 @@ VEHICLE_TOPICS = {
     "ground_truth/odometry": Odometry,
     "fusion/status": FusionStatus,
     "slam/quality": FrameQuality,
+    "slam/smoothed": PoseWithCovarianceStamped,
 }
 REPORT_S = 1.0
 WAKE_S = 0.2  # Python handles a signal only when the executor wakes

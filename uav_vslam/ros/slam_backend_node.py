@@ -11,13 +11,15 @@ out  odometry                              nav_msgs/Odometry per frame, map fram
      landmarks                             sensor_msgs/PointCloud2 at epochs, map frame
      joint_information                     uav_vslam_msgs/JointInformation at epochs, for the own fusion node
      slam/correction                       uav_vslam_msgs/NavigationState per frame, for the INS
+     slam/smoothed                         geometry_msgs/PoseWithCovarianceStamped per frame, map frame: the pose of
+                                           backend.window frames ago as later ones have corrected it
      slam/quality                          uav_vslam_msgs/FrameQuality per frame, for evaluation without ground truth
      /tf                                   <vehicle>/map to <vehicle>/odom
 """
 
 from collections import deque
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
@@ -35,6 +37,7 @@ from uav_vslam.ros.convert import (
     navigation_to_msg,
     odometry_to_msg,
     pose_to_msg,
+    pose_with_covariance_to_msg,
     transform_to_msg,
 )
 from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
@@ -64,6 +67,7 @@ class SlamBackendNode(VehicleNode):
         self._landmarks = self.advertise(PointCloud2, "landmarks", STATE)
         self._joint = self.advertise(JointInformation, "joint_information", STATE)
         self._correction = self.advertise(NavigationState, "slam/correction", STATE)
+        self._smoothed = self.advertise(PoseWithCovarianceStamped, "slam/smoothed", STATE)
         self._quality = self.advertise(FrameQuality, "slam/quality", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
         self._rig = RigListener(self, self._work)
@@ -108,6 +112,8 @@ class SlamBackendNode(VehicleNode):
         if output.joint is not None:
             self._publish_epoch(output.joint)
         self._quality.publish(quality_to_msg(output.quality, frame_id=self.map_frame))
+        if output.report.smoothed is not None:
+            self._smoothed.publish(pose_with_covariance_to_msg(output.report.smoothed, frame_id=self.map_frame))
         self._publish_frame(output.report, output.dead_reckoning.state.T_map_body)
 
     def _publish_start(self, found: NavEstimate) -> None:

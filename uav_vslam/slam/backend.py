@@ -56,6 +56,7 @@ class FrameReport:
         coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
         gate_probability: of the gate on observations.
         sightings: (K, 2) identifier and feature row of each associated or new landmark.
+        smoothed: the oldest past pose as it leaves the window; None until that is full, and without one.
     """
 
     pose: PoseEstimate
@@ -72,6 +73,7 @@ class FrameReport:
     coasted: bool = False
     gate_probability: float = 1.0
     sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    smoothed: PoseEstimate | None = None
 
 
 class SlamBackend:
@@ -123,7 +125,7 @@ class SlamBackend:
         self._check_joins(features.stamp_ns, increment)
         known = len(self._map)
         matches, innovation, closures = Matches.none(), None, 0
-        sightings = np.zeros((0, 2), np.intp)
+        sightings, smoothed = np.zeros((0, 2), np.intp), None
         try:
             if increment is not None:
                 self._add_postponed(increment)
@@ -134,6 +136,7 @@ class SlamBackend:
             present = self._window.present(self._filter, self._map)
             self._nav, innovation = present.filter.nav_estimate(), present.innovation or innovation
             sightings = np.vstack([self._sightings(matches), self._track_sightings(present, features)])
+            smoothed = self._window.leaving(present.filter)
             self._remove_landmarks()
             recovery = self._health.check(innovation, features=len(features), landmarks=known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
@@ -161,6 +164,7 @@ class SlamBackend:
             tracked=self._continued(features),
             coasted=increment is not None and associated == 0,
             gate_probability=self._config.gate_probability,
+            smoothed=smoothed,
             sightings=np.vstack([sightings, np.column_stack([self._map.ids[len(self._map) - len(added) :], added])]),
         )
 

@@ -17,7 +17,7 @@ from uav_vslam.estimation.past_poses import MIN_VIEWS
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.track_views import TrackViews
-from uav_vslam.types import NS_PER_S, StereoFeatures
+from uav_vslam.types import NS_PER_S, PoseEstimate, StereoFeatures
 
 Rows = NDArray[np.intp]
 Choice = Callable[[NDArray[np.float64]], Rows]  # rows of (N, 2) pixels whose points become landmarks
@@ -120,6 +120,10 @@ class TrackWindow:
         fresh = [track for track in tracks if track not in self._ids]
         self._ids.update(zip(fresh, landmark_map.new_ids(len(fresh)).tolist(), strict=True))
         return np.array([self._ids[track] for track in tracks], np.uint32)
+
+    def leaving(self, slam_filter: Filter) -> PoseEstimate | None:
+        """Return the oldest past pose if it is about to leave the full window."""
+        return slam_filter.past_estimate(0) if len(slam_filter.past) > self._size > 0 else None
 
     def drop_oldest(self, slam_filter: Filter) -> NDArray[np.int64]:
         """Drop the oldest frame of a full window; return the past poses that the filter need not keep any longer."""
