@@ -86,7 +86,7 @@ class Dense:
         K = self.P @ H.T @ np.linalg.inv(S)
         nu = observation.nu.ravel()
         if observation.of_vehicle is not None:
-            nu = np.concatenate([nu, observation.of_vehicle.nu])
+            nu = np.concatenate([nu, observation.of_vehicle.rows()[1]])
         I_KH = np.eye(len(self.P)) - K @ H
         after = I_KH @ self.P @ I_KH.T + K @ K.T
         return Dense(after, self.vehicle), K @ nu, float(nu @ np.linalg.solve(S, nu)), float(np.linalg.slogdet(S)[1])
@@ -118,7 +118,7 @@ def dense_jacobian(observation: Observation, size: int) -> Array:
     rows = H.reshape(-1, size)
     if observation.of_vehicle is None:
         return rows
-    return np.vstack([rows, np.pad(observation.of_vehicle.H, ((0, 0), (0, size - m)))])
+    return np.vstack([rows, np.pad(observation.of_vehicle.rows()[0], ((0, 0), (0, size - m)))])
 
 
 def assert_holds(belief: Belief, dense: Dense) -> None:
@@ -277,7 +277,12 @@ def test_update_uses_observations_of_the_vehicle_alone(form: type[Belief], seed:
     draw = Draw(seed)
     belief, dense = draw.belief(form, m, n)
     rng = np.random.default_rng(seed)
-    of_vehicle = VehicleObservation(rng.normal(size=(m + 2, m)), rng.normal(size=m + 2))
+    H, nu = rng.normal(size=(m - 1, m)), rng.normal(size=m - 1)
+    of_vehicle = VehicleObservation(H.T @ H, H.T @ nu, float(nu @ nu), len(nu))
+    rows, reduced, excess = of_vehicle.rows()
+    np.testing.assert_allclose(rows.T @ rows, H.T @ H, atol=1e-9)
+    np.testing.assert_allclose(rows.T @ reduced, H.T @ nu, atol=1e-9)
+    assert (len(rows), excess) == (m - 1, pytest.approx(0.0, abs=1e-9))
     for landmarks in (draw.choice(n), NONE):
         seen = dataclasses.replace(draw.observation(dense, landmarks), of_vehicle=of_vehicle)
         updated_like(belief, dense, seen)

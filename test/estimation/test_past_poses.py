@@ -99,8 +99,8 @@ def test_a_track_says_nothing_about_position_and_heading_of_the_map(course) -> N
     for shift, turn in [(axis, np.zeros(3)) for axis in np.eye(3)] + [(np.zeros(3), up)]:
         of_poses = [np.concatenate([shift + np.cross(turn, p), turn]) for p in positions]
         gauge = np.concatenate([np.zeros(RigErrors(course.rig, RIG, 15).dim), *of_poses])
-        H = seen.of_poses().H
-        assert np.abs(H @ gauge).max() < 1e-6 * np.abs(H).max() * np.abs(gauge).max()
+        Y = seen.of_poses().Y
+        assert np.abs(Y @ gauge).max() < 1e-9 * np.abs(Y).max() * np.abs(gauge).max()
 
 
 def test_poses_and_point_together_are_the_information_of_the_views(course) -> None:
@@ -110,7 +110,7 @@ def test_poses_and_point_together_are_the_information_of_the_views(course) -> No
     H_f = seen.Q @ seen.R
     of_poses, of_points = seen.of_poses(), seen.of_points
     whole = np.einsum("tia,tib->ab", seen.H, seen.H)
-    pieces = of_poses.H.T @ of_poses.H + np.einsum("tka,tkb->ab", of_points, of_points)
+    pieces = of_poses.Y + np.einsum("tka,tkb->ab", of_points, of_points)
     np.testing.assert_allclose(pieces, whole, atol=1e-8 * np.abs(whole).max())
     cross = np.swapaxes(of_points, 1, 2) @ seen.R
     np.testing.assert_allclose(cross, np.swapaxes(seen.H, 1, 2) @ H_f, atol=1e-8 * np.abs(cross).max())
@@ -125,8 +125,10 @@ def test_noise_of_a_track_is_white_after_whitening(course) -> None:
     left = drift + rng.normal(0.0, LEFT * SIGMA_PX, (count, VIEWS, 2))
     match = rng.normal(0.0, SIGMA_PX, (count, VIEWS, 2)) + rng.normal(0.0, OFFSET * SIGMA_PX, (count, 1, 2))
     noisy = Tracks(pixels + np.concatenate([left, left + match], axis=-1), np.ones((count, VIEWS), bool))
-    chi2 = np.sum(misfit(observed(course, noisy)) ** 2, axis=1)
-    freedom = 4 * VIEWS - 3
+    seen = observed(course, noisy)
+    chi2, freedom = np.sum(misfit(seen) ** 2, axis=1), 4 * VIEWS - 3
+    assert seen.of_poses().norm2 == pytest.approx(chi2.sum())
+    assert seen.of_poses().dof == freedom * count
     assert abs(chi2.mean() / freedom - 1.0) < 4.0 * np.sqrt(2.0 / freedom / count)
     assert abs(chi2.var() / (2 * freedom) - 1.0) < 0.15
 

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 NO_ROWS: Indices = np.zeros(0, np.int64)
+RANK_TOLERANCE = 1e-14  # of an eigenvalue of information, relative to the largest
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +43,8 @@ class Observation:
 
     @property
     def norm2(self) -> float:
-        """nu^T nu."""
-        more = 0.0 if self.of_vehicle is None else float(self.of_vehicle.nu @ self.of_vehicle.nu)
-        return float(np.sum(self.nu**2)) + more
+        """nu^T nu of all observations."""
+        return float(np.sum(self.nu**2)) + (0.0 if self.of_vehicle is None else self.of_vehicle.norm2)
 
     def apply(self, error: Array) -> Array:
         """Return (M, k) H e for an error (vehicle + 3N,)."""
@@ -55,10 +55,27 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class VehicleObservation:
-    """Whitened linear observations `nu = H e_vehicle + noise`, H (K, vehicle) and nu (K,)."""
+    """Whitened linear observations `nu = H e_vehicle + noise` of the vehicle alone, as their normal equations.
 
-    H: Array
-    nu: Array
+    Attributes:
+        Y: (vehicle, vehicle) H^T H.
+        i: (vehicle,) H^T nu.
+        norm2: nu^T nu.
+        dof: number of observations.
+    """
+
+    Y: Array
+    i: Array
+    norm2: float
+    dof: int
+
+    def rows(self) -> tuple[Array, Array, float]:
+        """Return H (K, vehicle) and nu (K,) with the same Y and i in as few rows as possible, and norm2 - nu^T nu."""
+        values, vectors = np.linalg.eigh(self.Y)
+        known = values > RANK_TOLERANCE * values[-1]
+        root = np.sqrt(values[known])
+        nu = (vectors[:, known].T @ self.i) / root
+        return (vectors[:, known] * root).T, nu, self.norm2 - float(nu @ nu)
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +267,6 @@ def add_normal_equations(Y: Array, observation: Observation, places: Indices) ->
     i[:m] = flat.T @ nu.ravel()
     i[columns] = np.einsum("nka,nk->na", Hl, nu)
     if observation.of_vehicle is not None:
-        H = observation.of_vehicle.H
-        Y[:m, :m] += H.T @ H
-        i[:m] += H.T @ observation.of_vehicle.nu
+        Y[:m, :m] += observation.of_vehicle.Y
+        i[:m] += observation.of_vehicle.i
     return i

@@ -77,18 +77,18 @@ class CovarianceBelief:
         HP = Hv @ self.P[:m] + Hl @ self.P[columns]
         S = np.einsum("mkc,pjc->mkpj", HP[:, :, :m], Hv, optimize=True)
         S += np.einsum("mkpc,pjc->mkpj", HP[:, :, columns], Hl, optimize=True)
-        count, nu = observation.nu.size, observation.nu.ravel()
+        count, nu, excess = observation.nu.size, observation.nu.ravel(), 0.0
         S, HP = S.reshape(count, count), HP.reshape(count, n)
         if observation.of_vehicle is not None:
-            H = observation.of_vehicle.H
+            H, more_nu, excess = observation.of_vehicle.rows()
             cross, more = HP[:, :m] @ H.T, H @ self.P[:m]
             S = np.block([[S, cross], [cross.T, more[:, :m] @ H.T]])
-            HP, nu = np.vstack([HP, more]), np.concatenate([nu, observation.of_vehicle.nu])
+            HP, nu = np.vstack([HP, more]), np.concatenate([nu, more_nu])
         L = cholesky(symmetrise(S) + np.eye(len(S)), "innovation covariance")
         W = solve_triangular(L, HP, lower=True, check_finite=False)
         whitened = solve_triangular(L, nu, lower=True, check_finite=False)
         after = type(self)(symmetrise(self.P - W.T @ W), m)
-        return Update(after, W.T @ whitened, float(whitened @ whitened), log_det_of(L))
+        return Update(after, W.T @ whitened, float(whitened @ whitened) + excess, log_det_of(L))
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
         """Each new landmark's error is A e_vehicle + noise, A = -H_landmark^-1 H_vehicle."""

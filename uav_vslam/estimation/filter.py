@@ -217,7 +217,9 @@ class Filter:
             if not passed.any():
                 return passed
             of_poses = seen.chosen(passed).of_poses()
-            self._of_tracks = VehicleObservation(self._by_vehicle(of_poses.H, rows), of_poses.nu)
+            Y, i = np.zeros((self.vehicle,) * 2), np.zeros(self.vehicle)
+            Y[rows[:, None], rows], i[rows] = of_poses.Y, of_poses.i
+            self._of_tracks = dataclasses.replace(of_poses, Y=Y, i=i)
             new = seen.chosen(passed & become_landmarks)
             self.belief = self.belief.appended(self._by_vehicle(new.of_points, rows), new.R)
             self.landmarks = np.vstack([self.landmarks, new.points])
@@ -301,7 +303,7 @@ class Filter:
             update, weights, downweighted = self._updated(
                 predicted, nu, np.ones(len(nu)) if weights is None else weights
             )
-        dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else len(self._of_tracks.nu))
+        dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else self._of_tracks.dof)
         log_det_R = float(np.linalg.slogdet(predicted.R)[1].sum() - STEREO_DOF * np.log(weights).sum())
         innovation = Innovation(
             nis=update.nis,

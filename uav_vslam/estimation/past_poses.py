@@ -38,7 +38,6 @@ POSE_DIM = 6
 COPY_VARIANCE: Array = np.repeat([1e-4, 1e-6], 3) ** 2  # [m^2], [rad^2]: an exact copy would be singular
 MIN_VIEWS = 2  # of a track: one stereo view of an unknown point says nothing about the pose
 GAUSS_NEWTON_STEPS = 2
-RANK_TOLERANCE = 1e-10  # of the information about the poses, relative to its largest eigenvalue
 
 # Standard deviations in proportion to that of the right pixel about the left one.
 LEFT = 0.7  # the left pixel about the patch
@@ -122,15 +121,12 @@ class TrackObservation:
         return np.asarray(self.good & (nis <= chdtri(4 * self.views - 3, 1.0 - probability)))
 
     def of_poses(self) -> VehicleObservation:
-        """Return what all tracks together say about the rig's errors and the past poses, in as few rows as possible."""
+        """Return what all tracks together say about the rig's errors and the past poses."""
         columns = self.H.shape[2]
         H, G = self.H.reshape(-1, columns), self.of_points.reshape(-1, columns)
-        of_points = np.swapaxes(self.Q, 1, 2) @ self.residual[..., None]
-        i = H.T @ self.residual.ravel() - G.T @ of_points.ravel()
-        values, vectors = np.linalg.eigh(H.T @ H - G.T @ G)
-        known = values > RANK_TOLERANCE * values[-1]
-        root = np.sqrt(values[known])
-        return VehicleObservation((vectors[:, known] * root).T, (vectors[:, known].T @ i) / root)
+        r, r_points = self.residual.ravel(), (np.swapaxes(self.Q, 1, 2) @ self.residual[..., None]).ravel()
+        dof = int(np.sum(4 * self.views - 3))
+        return VehicleObservation(H.T @ H - G.T @ G, H.T @ r - G.T @ r_points, float(r @ r - r_points @ r_points), dof)
 
 
 def observe_tracks(
@@ -226,13 +222,14 @@ class _Views:
 
 def _whitening(seen: Mask, sigma_px: float) -> tuple[Array, Array]:
     """Return (T, V, V) inverse factors of the covariance of the left pixels and of the right pixels minus them."""
-    masks, of_track = np.unique(seen, axis=0, return_inverse=True)
     V = seen.shape[1]
+    _, first, of_track = np.unique(seen @ (1 << np.arange(V)), return_index=True, return_inverse=True)
+    masks = seen[first]
     frame, both = np.arange(V), masks[:, :, None] & masks[:, None, :]
     left = LEFT**2 * np.eye(V) + DRIFT**2 * np.minimum(frame[:, None], frame)
     right = np.eye(V) + OFFSET**2
     factors = (np.linalg.cholesky(np.where(both, sigma_px**2 * C, np.eye(V))) for C in (left, right))
-    own, match = (np.linalg.inv(L)[of_track.ravel()] for L in factors)
+    own, match = (np.linalg.inv(L)[of_track] for L in factors)
     return np.asarray(own), np.asarray(match)
 
 

@@ -70,15 +70,15 @@ class SquareRootBelief:
         m = self.vehicle
         columns = m + 3 * observation.landmarks[:, None] + np.arange(3)
         HG = observation.H_vehicle @ self.G[:m] + observation.H_landmark @ self.G[columns]
-        HG, nu = HG.reshape(-1, self.G.shape[1]), observation.nu.ravel()
+        HG, nu, excess = HG.reshape(-1, self.G.shape[1]), observation.nu.ravel(), 0.0
         if observation.of_vehicle is not None:
-            HG = np.vstack([HG, observation.of_vehicle.H @ self.G[:m]])
-            nu = np.concatenate([nu, observation.of_vehicle.nu])
+            H, more_nu, excess = observation.of_vehicle.rows()
+            HG, nu = np.vstack([HG, H @ self.G[:m]]), np.concatenate([nu, more_nu])
         R = np.linalg.qr(np.vstack([np.eye(self.G.shape[1]), HG]), mode="r")
         G = solve_triangular(R, self.G.T, trans="T", check_finite=False).T
         pulled = solve_triangular(R, HG.T @ nu, trans="T", check_finite=False)
         log_det = 2.0 * float(np.log(np.abs(np.diagonal(R))).sum())
-        return Update(type(self)(G, m), G @ pulled, float(nu @ nu - pulled @ pulled), log_det)
+        return Update(type(self)(G, m), G @ pulled, float(nu @ nu - pulled @ pulled) + excess, log_det)
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
         m, n, count = self.vehicle, self.size, len(H_vehicle)
