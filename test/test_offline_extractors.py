@@ -28,5 +28,5 @@ def test_a_pair_of_frames_is_tracked_with_each_extractor(source: SimulatedSource
     first, second = (output.report for output in track.outputs)
     assert track.dropped == {}
     if name not in ON_A_GRID:  # matches accurate to half a grid step: possibly none passes the stereo gate
-        assert first.landmarks > 20
+        assert second.tracked > 20 or first.landmarks > 20
         assert second.associated > 10

@@ -20,7 +20,7 @@ OFTEN = ["--set", "fusion.epoch_s=0.3"]  # several packets in a second and a hal
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("source") / "flight"
-    record(Scenario(frames=24, vehicles=1, scale=0.25, seed=5), path)
+    record(Scenario(frames=24, vehicles=1, scale=0.25, seed=6), path)
     return path
 
 

@@ -53,6 +53,7 @@ IN_RANGE: dict[str, Any] = {  # a value other than the default for each setting 
     "frontend.min_depth_m": 1.0,
     "frontend.max_depth_m": 400.0,
     "backend.sigma_px": 0.5,
+    "backend.track_sigma_px": 0.2,
     "backend.gate_probability": 0.9,
     "backend.max_observations": 50,
     "fusion.mode": "narrowband",

@@ -175,7 +175,7 @@ class BackendConfig(Settings):
         live=True,
     )
     landmark_views: int = setting(
-        4, "window: frames that must have shown a track's point to make it a landmark", at_least=2
+        3, "window: frames that must have shown a track's point to make it a landmark", at_least=2
     )
     robust: bool = setting(
         True, "observations that fit badly after the update are down-weighted (Huber), the update repeated"

@@ -131,7 +131,7 @@ class SlamBackend:
                 self._add_postponed(increment)
                 self._filter.predict(increment)
             self._window.add_frame(self._filter, features)
-            self._window.finish(self._filter, self._map, self._frame, self._spread_over_image)
+            self._window.finish(self._filter, self._map, self._frame, self._new_landmarks)
             matches, innovation, closures = self._correct(features)
             present = self._window.present(self._filter, self._map)
             self._nav, innovation = present.filter.nav_estimate(), present.innovation or innovation
@@ -179,7 +179,7 @@ class SlamBackend:
     def joint_information(self) -> JointInformation:
         """Return the estimate of pose and landmarks, points still tracked included, for the vehicle's own fusion."""
         window = self._window
-        present = window.present(self._filter, self._map, self._spread_over_image)
+        present = window.present(self._filter, self._map, self._all_in_view)
         descriptors = [some for some in (self._map.descriptors, window.views.descriptors[present.rows]) if len(some)]
         return JointInformation(
             stamp_ns=self.stamp_ns,
@@ -296,21 +296,25 @@ class SlamBackend:
         if len(free) == 0 or not self._filter.can_add_landmarks:
             return np.zeros(0, np.intp)
         free = free[np.isfinite(self._filter.rig.triangulate(features.pixels[free])).all(axis=1)]
-        chosen = free[self._spread_over_image(features.pixels[free, :2])]
+        chosen = free[self._new_landmarks(features.pixels[free, :2])]
         if len(chosen):
             self._filter.add_landmarks(features.pixels[chosen].astype(float))
             self._map.append(features.descriptors[chosen], self._frame, features.tracks[chosen])
         return chosen
 
-    def _spread_over_image(self, pixels: NDArray[np.floating]) -> NDArray[np.intp]:
+    def _new_landmarks(self, pixels: NDArray[np.floating]) -> NDArray[np.intp]:
         """Return the rows of those of (N, 2) points that may become landmarks, up to the capacity."""
+        room = min(self._config.max_new_landmarks, self._config.max_landmarks - len(self._map))
+        return self._spread_over_image(pixels, room)
+
+    def _all_in_view(self, pixels: NDArray[np.floating]) -> NDArray[np.intp]:
+        return self._spread_over_image(pixels, self._config.max_in_view)
+
+    def _spread_over_image(self, pixels: NDArray[np.floating], most: int) -> NDArray[np.intp]:
+        """Return the rows of at most so many of (N, 2) points; with the landmarks, they fill the image evenly."""
         rig, points_left = self._filter.rig, self._filter.points_left()
         in_view = projectable(rig, points_left)
-        room = min(
-            self._config.max_new_landmarks,
-            self._config.max_in_view - int(in_view.sum()),
-            self._config.max_landmarks - len(self._map),
-        )
+        room = min(most, self._config.max_in_view - int(in_view.sum()))
         taken = rig.left.project(points_left[in_view])
         return spread(pixels, max(0, room), size=self._image_size, taken=taken)
 
