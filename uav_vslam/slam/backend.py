@@ -223,27 +223,31 @@ class SlamBackend:
         Return the matches, the innovation, and how many of their landmarks had not been seen for long.
         A relocalisation is not gated by the prediction: it is tried when gating has failed.
         """
+        none, innovation = Matches.none(), None
+        if self._filter.has_tracks:  # first, so that landmarks are gated on their own, with the better prediction
+            innovation = self._filter.update(none.landmarks, none.pixels)
         left_behind = self._map.long_unseen(self._frame)
         candidates = self._matcher.candidates(
             self._filter, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
         )
         for found in candidates:
             matches = self._of_other_tracks(found, features)
-            innovation = self._filter.update(
+            if len(matches) == 0:
+                continue
+            of_landmarks = self._filter.update(
                 matches.landmarks,
                 matches.pixels,
                 linearise_at=matches.linearise_at,
                 significance=0.0 if matches.relocalised else SIGNIFICANCE,
                 weights=self._weights((left_behind | self._map.revisited)[matches.landmarks]),
             )
-            if innovation.accepted:
+            if of_landmarks.accepted:
                 closures = int(left_behind[matches.landmarks].sum())
                 seen = matches.features
                 self._map.observe(matches.landmarks, features.descriptors[seen], self._frame, features.tracks[seen])
                 self._window.views.forget_newest(features.tracks[seen])
-                return matches, innovation, closures
-        none = Matches.none()
-        return none, self._filter.update(none.landmarks, none.pixels) if self._filter.has_tracks else None, 0
+                return matches, of_landmarks, closures
+        return none, innovation, 0
 
     def _of_other_tracks(self, matches: Matches, features: StereoFeatures) -> Matches:
         """Leave out landmarks that are still on the track that made them: its views are used as a track's."""
