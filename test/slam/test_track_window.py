@@ -74,6 +74,14 @@ def test_the_table_keeps_each_view_at_its_frame() -> None:
     np.testing.assert_array_equal(views.seen, [[True, True, False]])
 
 
+def test_a_frame_without_points_ends_all_tracks_whatever_the_descriptor() -> None:
+    views = TrackViews()
+    views.add_frame(feature(7, 1.0))  # with 8 bytes
+    views.add_frame(StereoFeatures.empty(1))
+    np.testing.assert_array_equal(views.seen, [[True, False]])
+    assert views.descriptors.shape == (1, 8)
+
+
 def test_a_view_that_was_used_as_a_landmark_is_no_tracks_any_more() -> None:
     views = TrackViews()
     views.add_frame(feature(7, 1.0))

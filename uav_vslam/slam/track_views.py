@@ -21,10 +21,10 @@ class TrackViews:
         descriptors: (T, D) newest ones.
     """
 
-    def __init__(self, frames: int = 0) -> None:
+    def __init__(self) -> None:
         self.tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)
-        self.pixels: NDArray[np.float64] = np.zeros((0, frames, 4))
-        self.seen: Mask = np.zeros((0, frames), bool)
+        self.pixels: NDArray[np.float64] = np.zeros((0, 0, 4))
+        self.seen: Mask = np.zeros((0, 0), bool)
         self.descriptors: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
 
     def __len__(self) -> int:
@@ -50,15 +50,16 @@ class TrackViews:
         shown = features.chosen(np.flatnonzero(features.tracks))
         frames, tracks = self.seen.shape[1], np.union1d(self.tracks, shown.tracks)
         old, new = np.searchsorted(tracks, self.tracks), np.searchsorted(tracks, shown.tracks)
-        wider = TrackViews(frames + 1)
-        wider.tracks = tracks
-        wider.pixels, wider.seen = np.zeros((len(tracks), frames + 1, 4)), np.zeros((len(tracks), frames + 1), bool)
-        wider.descriptors = np.zeros((len(tracks), shown.descriptors.shape[1]), np.uint8)
-        wider.pixels[old, :-1], wider.seen[old, :-1] = self.pixels, self.seen
-        if len(old):
-            wider.descriptors[old] = self.descriptors
-        wider.pixels[new, -1], wider.seen[new, -1], wider.descriptors[new] = shown.pixels, True, shown.descriptors
-        self._become(wider)
+        pixels, seen = np.zeros((len(tracks), frames + 1, 4)), np.zeros((len(tracks), frames + 1), bool)
+        pixels[old, :frames], seen[old, :frames] = self.pixels, self.seen
+        pixels[new, frames], seen[new, frames] = shown.pixels, True
+        width = (self if len(self) else shown).descriptors.shape[1]  # a frame without points has that of SIFT
+        descriptors = np.zeros((len(tracks), width), np.uint8)
+        if len(self):
+            descriptors[old] = self.descriptors
+        if len(shown):
+            descriptors[new] = shown.descriptors
+        self.tracks, self.pixels, self.seen, self.descriptors = tracks, pixels, seen, descriptors
 
     def forget_newest(self, tracks: NDArray[np.uint32]) -> None:
         """Forget the views of some tracks in the newest frame: they have been used as landmarks."""
@@ -74,6 +75,3 @@ class TrackViews:
         """Remove tracks."""
         for name in ("tracks", "pixels", "seen", "descriptors"):
             setattr(self, name, getattr(self, name)[~rows])
-
-    def _become(self, other: "TrackViews") -> None:
-        self.__dict__.update(other.__dict__)
