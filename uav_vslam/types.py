@@ -185,8 +185,8 @@ class FrameQuality:
         stamp_ns: of the frame [ns].
         features: stereo points offered.
         tracked: those whose track was in the frame before.
-        associated: landmarks that corrected the state.
-        downweighted: those of them that fitted badly.
+        associated: points that corrected the state: landmarks, and up to 50 tracks.
+        downweighted: landmarks that fitted badly.
         landmarks: in the state afterwards.
         coasted: the state was propagated by the IMU alone.
         relocalised: gating failed and the whole map was searched.

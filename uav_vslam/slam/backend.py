@@ -45,7 +45,7 @@ class FrameReport:
         pose: own-only pose with its covariance.
         nav: the whole navigation estimate, for the INS.
         features: stereo points offered.
-        associated: landmarks that corrected the state; 0 means dead reckoning.
+        associated: points that corrected the state, landmarks and tracks; 0 means dead reckoning.
         relocalised: gating failed and the whole map was searched.
         innovation: None without an update.
         landmarks: landmarks in the state afterwards.
@@ -55,7 +55,7 @@ class FrameReport:
         tracked: stereo points whose track was in the frame before.
         coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
         gate_probability: of the gate on observations.
-        sightings: (K, 2) identifier and feature row of each associated or new landmark.
+        sightings: (K, 2) identifier and feature row of each point that corrected the state, and of each new landmark.
         smoothed: the oldest past pose as it leaves the window; None until that is full, and without one.
     """
 
