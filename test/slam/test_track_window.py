@@ -68,7 +68,7 @@ def test_the_table_keeps_each_view_at_its_frame() -> None:
     np.testing.assert_array_equal(views.tracks, [3, 7])
     np.testing.assert_array_equal(views.seen, [[False, True, False, False], [True, False, True, False]])
     np.testing.assert_array_equal(views.pixels[1, :, 0], [1.0, 0.0, 3.0, 0.0])
-    np.testing.assert_array_equal(views.newest_pixels[:, 0], [2.0, 3.0])
+    np.testing.assert_array_equal(views.chosen(np.arange(2)).newest_pixels[:, 0], [2.0, 3.0])
     views.drop_frame(1)
     np.testing.assert_array_equal(views.tracks, [7])
     np.testing.assert_array_equal(views.seen, [[True, True, False]])

@@ -357,7 +357,7 @@ class Filter:
         """
         C, nav_dim = self._model.to_map(self.nav), self._model.nav_dim
         with _stamped(self.nav.stamp_ns):
-            P = self.belief.covariance(np.zeros(0, np.int64))[:nav_dim, :nav_dim]
+            P = self.belief.covariance(NO_ROWS)[:nav_dim, :nav_dim]
             cholesky(P, "covariance of the navigation state")
         return NavEstimate(self.nav, symmetrise(C @ P @ C.T))
 
@@ -376,7 +376,7 @@ class Filter:
         """
         rows = self._errors.calibrated
         sigma = np.sqrt(self._errors.prior_variance[rows - self._errors.rows.start])
-        P = self.belief.covariance(np.zeros(0, np.int64))[np.ix_(rows, rows)]
+        P = self.belief.covariance(NO_ROWS)[np.ix_(rows, rows)]
         values, vectors = np.linalg.eigh(symmetrise(np.eye(len(rows)) - P / np.outer(sigma, sigma)))
         along = vectors.T @ (self._errors.calibration(self.rig_state) / sigma)
         known = values > MIN_VARIANCE_REDUCTION

@@ -11,7 +11,7 @@ gamma, and its covariance turns indefinite (Eq. 4.4.4 with gamma < 2); here L is
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.estimation.belief import Belief
+from uav_vslam.estimation.belief import NO_ROWS, Belief
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def bounded(belief: Belief, nav_dim: int, gamma: float) -> tuple[Belief, float]:
     """
     L = np.diag(1.0 / np.repeat(ERROR_SCALE, 3))
     bounded_rows = min(nav_dim, len(L))
-    P = belief.covariance(np.zeros(0, np.int64))[:bounded_rows, :bounded_rows]
+    P = belief.covariance(NO_ROWS)[:bounded_rows, :bounded_rows]
     limit = float(np.linalg.eigvalsh(L @ P @ L.T)[-1])
     gamma2 = max(gamma**2, MARGIN * limit)
     B = np.zeros((len(L), belief.vehicle))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.estimation.belief import Belief, Indices, Marginals
+from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Marginals
 from uav_vslam.estimation.models import POSE, StateModel
 from uav_vslam.estimation.observation import MIN_DEPTH_M, point_jacobian, smoothed
 from uav_vslam.estimation.rig_errors import RigErrors
@@ -149,7 +149,7 @@ class Cubature:
         self, model: StateModel, nav: NavState, belief: Belief, increment: ImuIncrement, imu: ImuConfig
     ) -> Process:
         none = np.zeros((0, 3))
-        P_nav = belief.covariance(np.zeros(0, np.int64))[: model.nav_dim, : model.nav_dim]
+        P_nav = belief.covariance(NO_ROWS)[: model.nav_dim, : model.nav_dim]
         L = cholesky(P_nav, "covariance of the navigation state")
         centre = propagate(nav, increment, gravity=imu.gravity)
         ends = []

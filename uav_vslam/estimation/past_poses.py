@@ -78,6 +78,16 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.seen)
 
+    @property
+    def newest_views(self) -> NDArray[np.intp]:
+        """(T,) the view in which each was seen last."""
+        return np.asarray(self.seen.shape[1] - 1 - np.argmax(self.seen[:, ::-1], axis=1))
+
+    @property
+    def newest_pixels(self) -> Array:
+        """(T, 4) where each was seen last."""
+        return np.asarray(self.pixels[np.arange(len(self)), self.newest_views])
+
 
 @dataclass(frozen=True, slots=True)
 class TrackObservation:
@@ -165,7 +175,7 @@ class _Views:
     """The views of T tracks at V poses."""
 
     def __init__(self, tracks: Tracks, poses: list[Pose], rig: StereoRig, sigma_px: float) -> None:
-        self._tracks, self._poses, self._rig = tracks, poses, rig
+        self._tracks, self._rig = tracks, rig
         self._cameras = []
         for camera, T_body_camera in ((rig.left, rig.T_body_left), (rig.right, rig.T_body_right)):
             T_camera_map = [(T_map_body @ T_body_camera).inverse() for T_map_body in poses]
@@ -175,10 +185,8 @@ class _Views:
 
     def first_points(self) -> Array:
         """Return (T, 3) points triangulated from each track's newest view; NaN where that fails."""
-        seen, pixels = self._tracks.seen, self._tracks.pixels
-        newest = seen.shape[1] - 1 - np.argmax(seen[:, ::-1], axis=1)
-        points_left = self._rig.triangulate(pixels[np.arange(len(seen)), newest], refinements=0)
-        _, R, t = self._cameras[0]
+        newest, (_, R, t) = self._tracks.newest_views, self._cameras[0]
+        points_left = self._rig.triangulate(self._tracks.newest_pixels, refinements=0)
         return np.asarray(np.einsum("tji,tj->ti", R[newest], points_left - t[newest]))
 
     def points(self, side: int, points: Array) -> Array:

@@ -35,12 +35,6 @@ class TrackViews:
         """(T,) in how many frames each was seen."""
         return np.asarray(self.seen.sum(axis=1), dtype=np.intp)
 
-    @property
-    def newest_pixels(self) -> NDArray[np.float64]:
-        """(T, 4) where each was seen last."""
-        newest = self.seen.shape[1] - 1 - np.argmax(self.seen[:, ::-1], axis=1)
-        return np.asarray(self.pixels[np.arange(len(self)), newest])
-
     def chosen(self, rows: Rows) -> Tracks:
         """Return some of the tracks."""
         return Tracks(self.pixels[rows], self.seen[rows])

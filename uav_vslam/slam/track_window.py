@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import BackendConfig
+from uav_vslam.estimation.belief import NO_ROWS
 from uav_vslam.estimation.filter import Filter, Innovation
 from uav_vslam.estimation.past_poses import MIN_VIEWS
 from uav_vslam.geometry.image_grid import spread
@@ -24,7 +25,6 @@ Choice = Callable[[NDArray[np.float64]], Rows]  # rows of (N, 2) pixels whose po
 
 PRESENT_TRACKS = 50  # at most, the longest ones, spread over the image: twice as many change nothing
 PUNCTUAL = 0.9  # of the spacing: frames may come a little early
-NO_POSES = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class TrackWindow:
             return Present(slam_filter, None, used)
         used = used[np.argsort(-views.counts[used], kind="stable")]
         size = (slam_filter.rig.left.width, slam_filter.rig.left.height)
-        used = np.sort(used[spread(views.newest_pixels[used, :2], PRESENT_TRACKS, size=size)])
+        used = np.sort(used[spread(views.chosen(used).newest_pixels[:, :2], PRESENT_TRACKS, size=size)])
         new = used[:0] if choose is None else self._chosen(used, landmark_map, choose)
         with_tracks, passed, innovation = slam_filter.with_tracks(
             views.chosen(used), probability=self._config.gate_probability, become_landmarks=np.isin(used, new)
@@ -128,7 +128,7 @@ class TrackWindow:
     def drop_oldest(self, slam_filter: Filter) -> NDArray[np.int64]:
         """Drop the oldest frame of a full window; return the past poses that the filter need not keep any longer."""
         if len(slam_filter.past) <= self._size:
-            return NO_POSES
+            return NO_ROWS
         self.views.drop_frame(0)
         return np.zeros(1, np.int64)
 
@@ -140,11 +140,11 @@ class TrackWindow:
         spacing_s = (past[-1].nav.stamp_ns - past[-2].nav.stamp_ns) / NS_PER_S
         if spacing_s < PUNCTUAL * self._config.window_spacing_s:
             newest = len(past) - 1
-            slam_filter.marginalise(NO_POSES, np.array([newest]))
+            slam_filter.marginalise(NO_ROWS, np.array([newest]))
             self.views.drop_frame(newest)
 
     def _chosen(self, rows: Rows, landmark_map: LandmarkMap, choose: Choice) -> Rows:
         """Return those of some tracks that were seen often enough for a landmark, have none yet, and are chosen."""
         old = rows[self.views.counts[rows] >= self._config.landmark_views]
         old = old[~np.isin(self.views.tracks[old], landmark_map.tracks)]
-        return np.sort(old[choose(self.views.newest_pixels[old, :2])])
+        return np.sort(old[choose(self.views.chosen(old).newest_pixels[:, :2])])

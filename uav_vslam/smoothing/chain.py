@@ -6,7 +6,6 @@ the map frame. The motion between neighbours has the transition F and noise Q of
 residual r = x[k+1] - f(x[k]), the term is |L^-1 (r + d[k+1] - F d[k])|^2 with L L^T = Q.
 """
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,59 +13,28 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import so3_exp, so3_log
-from uav_vslam.ins.propagation import (
-    ACCEL_BIAS,
-    GYRO_BIAS,
-    NAV_DIM,
-    POSITION,
-    ROTATION,
-    VELOCITY,
-    propagate,
-    transition,
-)
+from uav_vslam.ins.propagation import NAV_DIM, propagate, transition
 from uav_vslam.numerics import cholesky
 from uav_vslam.smoothing.arrowhead import Arrowhead
-from uav_vslam.smoothing.cameras import RigEstimate
+from uav_vslam.smoothing.cameras import MODEL, RigEstimate
 from uav_vslam.smoothing.layout import Layout
 from uav_vslam.types import ImuIncrement, NavEstimate, NavState
 
 Array = NDArray[np.float64]
 
+NO_LANDMARKS: Array = np.zeros((0, 3))
+
 
 def moved(states: Sequence[NavState], step: Array) -> list[NavState]:
     """Return the states after corrections (N, 15)."""
-    return [
-        dataclasses.replace(
-            state,
-            T_map_body=Pose(so3_exp(d[ROTATION]) @ state.T_map_body.R, state.T_map_body.t + d[POSITION]),
-            v_map=state.v_map + d[VELOCITY],
-            gyro_bias=state.gyro_bias + d[GYRO_BIAS],
-            accel_bias=state.accel_bias + d[ACCEL_BIAS],
-        )
-        for state, d in zip(states, step, strict=True)
-    ]
-
-
-def between(state: NavState, state_to: NavState) -> Array:
-    """Return the (15,) correction that moves `state` to `state_to`."""
-    return np.concatenate(
-        [
-            state_to.T_map_body.t - state.T_map_body.t,
-            state_to.v_map - state.v_map,
-            so3_log(state_to.T_map_body.R @ state.T_map_body.R.T),
-            state_to.gyro_bias - state.gyro_bias,
-            state_to.accel_bias - state.accel_bias,
-        ]
-    )
+    return [MODEL.retract(state, NO_LANDMARKS, d)[0] for state, d in zip(states, step, strict=True)]
 
 
 def add_start(system: Arrowhead, start: NavEstimate, state: NavState) -> None:
     """Add the prior of the first state."""
     whiten = _whitening(start.covariance, "covariance of the start state")
     first = slice(0, NAV_DIM)
-    residual = whiten @ between(state, start.state)
+    residual = whiten @ MODEL.local(state, start.state)
     system.diagonal[0, first, first] += whiten.T @ whiten
     system.rhs[0, first] += whiten.T @ residual
 
@@ -78,7 +46,7 @@ def add_motion(
     for k, increment in enumerate(increments):
         F, Q = transition(states[k], increment, imu)
         whiten = _whitening(Q, f"noise of the motion that ends at {increment.stamp_ns} ns")
-        residual = whiten @ between(states[k + 1], propagate(states[k], increment, gravity=imu.gravity))
+        residual = whiten @ MODEL.local(states[k + 1], propagate(states[k], increment, gravity=imu.gravity))
         before = -whiten @ F
         (block, rows), (block_to, rows_to) = layout.place(k), layout.place(k + 1)
         system.diagonal[block, rows, rows] += before.T @ before
