@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": ESTIMATOR,
     "fleet": ESTIMATOR | {"pipeline"},
     "smoothing": EARLY | {"ins", "estimation", "slam"},  # a finished flight; the estimator does not know it
+    "mapping": EARLY | {"vision"},  # images and poses, from anywhere
     # the side branches
     "simulation": EARLY | {"datasets"},  # a simulated flight is recorded as a bag
     "evaluation": EARLY | {"estimation"},
@@ -47,12 +48,12 @@ ALLOWED: dict[str, set[str]] = {
     "offline": ESTIMATOR | {"pipeline", "fleet", "smoothing", "evaluation", "processes"},
     "studies": ESTIMATOR
     | {"pipeline", "fleet", "offline", "processes", "evaluation", "report"}
-    | {"datasets", "simulation", "calibration"},
+    | {"datasets", "simulation", "calibration", "mapping"},
     # the top
-    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "processes", "memory"},
+    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "mapping", "processes", "memory"},
     "cli": ESTIMATOR
     | {"pipeline", "fleet", "datasets", "inspection", "calibration", "evaluation", "simulation", "report"}
-    | {"overlay", "offline", "memory"},
+    | {"overlay", "offline", "mapping", "memory"},
 }
 # What starts or watches ROS processes may import `ros`.
 ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "studies/engine/node_graph.py"}
@@ -61,7 +62,7 @@ LABORATORY_DOORS = {"cli/study.py", "cli/bench.py"}
 
 MESSAGES = "messages of ROS"
 AT_HOME = {
-    "cv2": {"vision", "datasets", "simulation", "calibration", "overlay"},
+    "cv2": {"vision", "datasets", "simulation", "calibration", "overlay", "mapping"},
     "rclpy": {"ros"},
     "rosbags": {"datasets"},
     "mcap": {"datasets"},

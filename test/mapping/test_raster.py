@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from uav_vslam.mapping.raster import Raster
+
+WINDOW = Raster(0.5, -3, 4, 7, 5)
+
+
+def test_the_smallest_window_contains_its_points_and_no_empty_border() -> None:
+    points = np.array([[-1.49, 2.01, 9.0], [1.99, 4.49, 9.0]])
+    assert Raster.covering(points, 0.5) == WINDOW
+
+
+def test_no_points_make_an_empty_window_without_tiles() -> None:
+    empty = Raster.covering(np.zeros((0, 3)), 0.5)
+    assert empty.shape == (0, 0)
+    assert list(empty.tiles(16)) == []
+
+
+def test_centres_have_whole_indices() -> None:
+    x, y = np.meshgrid(WINDOW.x, WINDOW.y)
+    row, column = WINDOW.index(np.stack([x, y], axis=-1))
+    assert row == pytest.approx(np.arange(5.0)[:, None] + np.zeros(7))
+    assert column == pytest.approx(np.arange(7.0) + np.zeros((5, 1)))
+
+
+def test_bounds_are_half_a_cell_outside_the_outer_centres() -> None:
+    west, south, east, north = WINDOW.bounds_m
+    assert (west, east) == pytest.approx((WINDOW.x[0] - 0.25, WINDOW.x[-1] + 0.25))
+    assert (south, north) == pytest.approx((WINDOW.y[0] - 0.25, WINDOW.y[-1] + 0.25))
+
+
+def test_a_window_cut_from_another_has_the_same_cells() -> None:
+    whole = Raster(0.5, -10, 0, 40, 30)
+    cut = WINDOW.within(whole)
+    assert whole.x[cut[1]] == pytest.approx(WINDOW.x)
+    assert whole.y[cut[0]] == pytest.approx(WINDOW.y)
+
+
+def test_windows_intersect_in_their_common_cells() -> None:
+    assert WINDOW.intersection(Raster(0.5, 0, 0, 2, 6)) == Raster(0.5, 0, 4, 2, 2)
+    assert WINDOW.intersection(Raster(0.5, 40, 0, 2, 6)).shape[1] == 0
+
+
+def test_tiles_cover_a_window_once_and_are_aligned_to_the_origin() -> None:
+    count = np.zeros(WINDOW.shape, int)
+    for tile in WINDOW.tiles(4):
+        assert tile.column % 4 == tile.row % 4 == 0
+        common = tile.intersection(WINDOW)
+        count[common.within(WINDOW)] += 1
+    assert (count == 1).all()

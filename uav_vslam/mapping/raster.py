@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Windows of one unbounded grid of square cells over the map frame.
+
+Cell (column, row) covers x from column * cell_m to (column + 1) * cell_m, and y likewise: columns east, rows north.
+Arrays over a window therefore have south first; only files of pictures turn them over.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Raster:
+    """A window of the grid.
+
+    Attributes:
+        cell_m: side of a cell [m].
+        column, row: of the south-western cell.
+        columns, rows: number of cells; 0 for an empty window.
+    """
+
+    cell_m: float
+    column: int
+    row: int
+    columns: int
+    rows: int
+
+    @staticmethod
+    def covering(points: ArrayLike, cell_m: float) -> "Raster":
+        """Return the smallest window whose cells contain (N, 2 or more) points x, y [m]; empty without any."""
+        xy = np.asarray(points, dtype=float)
+        if len(xy) == 0:
+            return Raster(cell_m, 0, 0, 0, 0)
+        low, high = np.floor(np.stack([xy[:, :2].min(axis=0), xy[:, :2].max(axis=0)]) / cell_m).astype(int)
+        columns, rows = high - low + 1
+        return Raster(cell_m, int(low[0]), int(low[1]), int(columns), int(rows))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns), as of arrays over the window."""
+        return self.rows, self.columns
+
+    @property
+    def x(self) -> Array:
+        """(columns,) centres [m]."""
+        return np.asarray((self.column + np.arange(self.columns) + 0.5) * self.cell_m)
+
+    @property
+    def y(self) -> Array:
+        """(rows,) centres [m]."""
+        return np.asarray((self.row + np.arange(self.rows) + 0.5) * self.cell_m)
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """West, south, east and north edge [m]."""
+        west, south = self.column * self.cell_m, self.row * self.cell_m
+        return west, south, west + self.columns * self.cell_m, south + self.rows * self.cell_m
+
+    def index(self, points: ArrayLike) -> tuple[Array, Array]:
+        """Return fractional (row, column) of (..., 2 or more) points: whole at the centres of cells."""
+        xy = np.asarray(points, dtype=float) / self.cell_m - 0.5
+        return xy[..., 1] - self.row, xy[..., 0] - self.column
+
+    def intersection(self, other: "Raster") -> "Raster":
+        """Return the common window of two of the same grid; empty (0 cells) if there is none."""
+        column, row = max(self.column, other.column), max(self.row, other.row)
+        columns = min(self.column + self.columns, other.column + other.columns) - column
+        rows = min(self.row + self.rows, other.row + other.rows) - row
+        return Raster(self.cell_m, column, row, max(0, columns), max(0, rows))
+
+    def within(self, other: "Raster") -> tuple[slice, slice]:
+        """Return the slices (rows, columns) that cut this window from an array over `other`, which contains it."""
+        row, column = self.row - other.row, self.column - other.column
+        return slice(row, row + self.rows), slice(column, column + self.columns)
+
+    def tiles(self, side: int) -> Iterator["Raster"]:
+        """Yield the whole tiles, `side` cells each way and aligned to the grid's origin, that touch this window."""
+        if self.rows == 0 or self.columns == 0:
+            return
+        for row in range(self.row // side, (self.row + self.rows - 1) // side + 1):
+            for column in range(self.column // side, (self.column + self.columns - 1) // side + 1):
+                yield Raster(self.cell_m, column * side, row * side, side, side)

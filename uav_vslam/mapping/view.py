@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An image together with its camera and pose: what all mapping starts from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One image of the ground.
+
+    Attributes:
+        vehicle: which took it.
+        stamp_ns: exposure time [ns].
+        camera: intrinsics without distortion; the image is already undistorted.
+        T_map_cam: camera (optical axes) in the map frame.
+        image: (H, W) grey or (H, W, 3) BGR.
+    """
+
+    vehicle: str
+    stamp_ns: int
+    camera: PinholeCamera
+    T_map_cam: Pose
+    image: Image
