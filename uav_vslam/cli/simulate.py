@@ -18,6 +18,7 @@ EXAMPLES = """examples:
   uav-vslam simulate flight                               two vehicles, 22 s, 1280x960: 790 MB
   uav-vslam simulate flight --compressed jpeg             the same in 170 MB
   uav-vslam simulate flight --scale 0.5 --frames 60 --seed 7
+  uav-vslam simulate flight --objects --colour            barns, hedges, trees and posts, in colour: for mapping
   uav-vslam simulate flight --imu consumer --texture fields.jpg --texture-pixel 0.05
 """
 
@@ -34,6 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pattern", help="leg, lawnmower or racetrack")
     parser.add_argument("--imu", help="adis16480 or consumer")
     parser.add_argument("--scale", type=float, help="image size as a multiple of 1280x960")
+    parser.add_argument(
+        "--objects", action="store_true", default=None, help="barns, hedges, trees and posts, with shadows"
+    )
+    parser.add_argument("--colour", action="store_true", default=None, help="record BGR images instead of grey")
     parser.add_argument("--texture", help="grass (procedural), an image or a folder of images")
     parser.add_argument("--texture-pixel", type=float, metavar="M", help="size of an image's pixel on the ground [m]")
     parser.add_argument("--blur", type=float, metavar="PX", help="motion blur at full resolution [px]")
@@ -96,6 +101,8 @@ def scenario_from(args: argparse.Namespace) -> Scenario:
         "pattern": args.pattern,
         "imu": args.imu,
         "scale": args.scale,
+        "objects": args.objects,
+        "colour": args.colour,
         "texture": args.texture,
         "texture_m_per_px": args.texture_pixel,
         "blur_px": args.blur,

@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.simulation.farm_texture import REACH_M
+from uav_vslam.simulation.object_render import SAMPLES, SolidPainter
 from uav_vslam.simulation.rig import scaled
 from uav_vslam.simulation.scenario import Purpose, SimulatedVehicle
+from uav_vslam.simulation.shading import sunward
+from uav_vslam.simulation.solids import Bounds
 from uav_vslam.simulation.terrain import Ground, Relief, ground_of
 from uav_vslam.types import StereoFrame
 
@@ -47,24 +51,45 @@ def intersect(relief: Relief, origin: Array, rays: Array) -> Array:
     return np.stack([x0 + drop * x, y0 + drop * y, height.astype(float)], axis=-1)
 
 
+def lean_bounds(origin: Array, points: Array) -> Bounds:
+    """Return a rectangle [m] that contains all solids that rays can meet before the ground, and what shades these.
+
+    Args:
+        origin: (3,) where the rays begin [m].
+        points: (..., 3) where they meet the ground [m].
+    """
+    share = REACH_M / np.maximum(origin[2] - points[..., 2:], REACH_M)
+    above = points + share * (origin - points)
+    xy = np.concatenate([points[..., :2].reshape(-1, 2), above[..., :2].reshape(-1, 2)])
+    (west, south), (east, north) = xy.min(axis=0), xy.max(axis=0)
+    return sunward((float(west), float(south), float(east), float(north)), REACH_M)
+
+
 class CameraRenderer:
     """Renders one camera's view of the ground."""
 
-    def __init__(self, camera: PinholeCamera, ground: Ground, *, supersample: int = 1) -> None:
+    def __init__(self, camera: PinholeCamera, ground: Ground, *, supersample: int = 1, colour: bool = False) -> None:
         """Prepare the grid of rays.
 
         Args:
             camera: intrinsics; lens distortion is rendered too.
             ground: relief and texture.
             supersample: images are rendered this many times larger and averaged down, against aliasing.
+            colour: BGR instead of grey.
+
+        Raises:
+            ValueError: colour is asked for, and the ground has none.
         """
+        if colour and ground.colours is None:
+            raise ValueError("the ground has no colours to render")
         self._camera, self._supersample = camera, supersample
         self._drawn = scaled(camera, float(supersample))
         self._ground = ground
+        self._texture = ground.colours if colour and ground.colours is not None else ground.texture
         self._rays_cam = self._drawn.bearings(self._drawn.undistort(_grid(self._drawn.width, self._drawn.height)))
 
     def render(self, T_world_cam: Pose, *, blur: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float32]:
-        """Return the (H, W) image without noise, in grey levels.
+        """Return the (H, W) image without noise, in grey levels, or (H, W, 3) BGR.
 
         Args:
             T_world_cam: pose of the optical frame.
@@ -72,15 +97,33 @@ class CameraRenderer:
         """
         rays = self._rays_cam @ T_world_cam.R.T
         rays[..., 2] = np.minimum(rays[..., 2], STEEPEST_RAY)
-        texels = intersect(self._ground.relief, T_world_cam.t, rays)[..., :2] / self._ground.texture.m_per_px
-        low = np.floor(texels.min(axis=(0, 1))).astype(int) - 1
-        high = np.ceil(texels.max(axis=(0, 1))).astype(int) + 2
-        window = self._ground.texture.window(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
-        map_x, map_y = (self._enlarge(texels[..., k] - low[k]) for k in range(2))
-        image = cv2.remap(window, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        points = intersect(self._ground.relief, T_world_cam.t, rays)
+        image = self._ground_image(points[..., :2] / self._texture.m_per_px)
+        if self._ground.farm is not None:
+            image = self._with_solids(image, T_world_cam, points)
         if self._supersample > 1:
             image = cv2.resize(image, (self._camera.width, self._camera.height), interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.filter2D(image, cv2.CV_32F, motion_kernel(*blur), borderType=cv2.BORDER_REFLECT_101))
+
+    def _ground_image(self, texels: Array) -> NDArray[np.generic]:
+        """Return the image of the ground alone from the texels that the grid's rays meet."""
+        low = np.floor(texels.min(axis=(0, 1))).astype(int) - 1
+        high = np.ceil(texels.max(axis=(0, 1))).astype(int) + 2
+        window = self._texture.window(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+        map_x, map_y = (self._enlarge(texels[..., k] - low[k]) for k in range(2))
+        return np.asarray(cv2.remap(window, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+    def _with_solids(self, image: NDArray[np.generic], T_world_cam: Pose, points: Array) -> NDArray[np.float32]:
+        """Return the image with what stands on the ground, whose points the grid's rays meet."""
+        assert self._ground.farm is not None
+        painter = SolidPainter(
+            self._drawn,
+            T_world_cam,
+            self._ground.farm.solids(lean_bounds(T_world_cam.t, points)),
+            flattest=STEEPEST_RAY,
+            samples=max(4, SAMPLES // self._supersample**2),
+        )
+        return painter.draw(image.astype(np.float32), T_world_cam.t[2] - self._enlarge(points[..., 2]))
 
     def image_motion(self, T_world_cam: Pose, T_world_cam_later: Pose) -> Array:
         """Return the (2,) image motion [px] of the ground at the image's centre between two poses."""
@@ -111,8 +154,9 @@ class RenderedFlight:
         self._vehicle = vehicle
         ground = ground or ground_of(vehicle.scenario)
         supersample = max(1, round(1.0 / vehicle.scenario.scale))
-        self._left = CameraRenderer(vehicle.rig.left, ground, supersample=supersample)
-        self._right = CameraRenderer(vehicle.true_rig(0).right, ground, supersample=supersample)
+        colour = vehicle.scenario.colour
+        self._left = CameraRenderer(vehicle.rig.left, ground, supersample=supersample, colour=colour)
+        self._right = CameraRenderer(vehicle.true_rig(0).right, ground, supersample=supersample, colour=colour)
         self._right_shading = _shading(vehicle)
 
     def __len__(self) -> int:
@@ -128,7 +172,7 @@ class RenderedFlight:
         left = self._expose(self._left, rig.T_body_left, k)
         right = self._expose(self._right, rig.T_body_right, k)
         if self._right_shading is not None:
-            right = right * self._right_shading
+            right = right * self._right_shading.reshape(*right.shape[:2], *(1,) * (right.ndim - 2))
         return StereoFrame(
             int(self._vehicle.frame_stamps_ns[k]),
             self._with_noise(left, k, Purpose.LEFT_IMAGE),

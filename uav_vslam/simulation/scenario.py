@@ -36,6 +36,7 @@ class Purpose(enum.IntEnum):
     LANDMARKS = 7
     RELIEF = 8
     TEXTURE = 9
+    OBJECTS = 10
 
 
 FLEET = 1000  # vehicle number of the streams that all vehicles share
@@ -58,6 +59,8 @@ class Scenario:
     relief_m: float = 2.0  # root mean square height of the ground
     imu: str = "adis16480"  # name in config.IMU_GRADES
     scale: float = 1.0  # image size as a multiple of 1280 x 960
+    objects: bool = False  # barns, hedges, trees and posts stand on the ground and cast shadows
+    colour: bool = False  # images are BGR instead of grey
     texture: str = "grass"  # "grass" (procedural), or the path of an image or a folder of images
     texture_m_per_px: float = 0.05  # size of a texture image's pixel on the ground [m]
     contrast: float = 1.0  # of the ground in the images, before their noise

@@ -34,17 +34,19 @@ Noise = NDArray[np.float32]
 
 
 class Texture(Protocol):
-    """A grey picture of the whole ground."""
+    """A picture of the whole ground, grey or BGR."""
 
     m_per_px: float
 
     def window(self, x0: int, y0: int, x1: int, y1: int) -> Grey:
-        """Return the (y1 - y0, x1 - x0) texels of columns x0..x1-1 and rows y0..y1-1."""
+        """Return the (y1 - y0, x1 - x0) texels of columns x0..x1-1 and rows y0..y1-1; BGR ones have 3 channels."""
         ...
 
 
-class _Tiled:
+class Tiled:
     """Cuts windows from a cache of tiles."""
+
+    channels: tuple[int, ...] = ()  # (3,) for BGR
 
     def __init__(self) -> None:
         self._tiles: OrderedDict[tuple[int, int], Grey] = OrderedDict()
@@ -59,7 +61,7 @@ class _Tiled:
                 f"a camera sees {x1 - x0} x {y1 - y0} texels of ground: it sees (almost) the horizon; "
                 "fly lower, bank less or use a coarser texture"
             )
-        out = np.empty((y1 - y0, x1 - x0), np.uint8)
+        out = np.empty((y1 - y0, x1 - x0, *self.channels), np.uint8)
         for row in range(y0 // TILE, (y1 - 1) // TILE + 1):
             for column in range(x0 // TILE, (x1 - 1) // TILE + 1):
                 _paste(out, self._tile(column, row), column * TILE - x0, row * TILE - y0)
@@ -75,7 +77,7 @@ class _Tiled:
         return self._tiles[key]
 
 
-class GrassTexture(_Tiled):
+class GrassTexture(Tiled):
     """Farmland: self-similar grass of many sizes, in fields of slightly different grey with hedges between."""
 
     def __init__(self, seed: int, *, m_per_px: float = 0.05) -> None:
@@ -85,13 +87,13 @@ class GrassTexture(_Tiled):
 
     def _make_tile(self, column: int, row: int) -> Grey:
         shade, density, gap_m = self._fields(column, row)
-        grass = _noise_tile(GRASS_OCTAVES, column, row, self._seed)
-        clump = _octave(16, column, row, self._seed + 101)
-        patch = _octave(64, column, row, self._seed + 102)
+        grass = noise_tile(GRASS_OCTAVES, column, row, self._seed)
+        clump = octave(16, column, row, self._seed + 101)
+        patch = octave(64, column, row, self._seed + 102)
         grey = 105.0 + shade + density * grass + 18.0 * clump * patch
         bush = np.clip(1.6 - gap_m / HEDGE_WIDTH_M + 1.2 * clump + 0.8 * patch, 0.0, 1.0)
         rut = _smooth_step(1.0 - np.abs(np.abs(self._off_track_m(column, row)) - 0.8) / 0.35 + 0.8 * clump)
-        return _to_grey(grey * (1.0 - 0.4 * bush) + 32.0 * rut)
+        return to_grey(grey * (1.0 - 0.4 * bush) + 32.0 * rut)
 
     def _fields(self, column: int, row: int) -> tuple[Noise, Noise, Noise]:
         """Return shade offset, grass contrast and distance to the border [m], from the nearest jittered centre."""
@@ -117,7 +119,7 @@ class GrassTexture(_Tiled):
         return _enlarge(off - TRACK_SPACING_M * np.rint(off / TRACK_SPACING_M), FIELD_STEP)
 
 
-class ImageTexture(_Tiled):
+class ImageTexture(Tiled):
     """Photographs of ground tiled side by side; they repeat, so fine noise makes the copies differ."""
 
     def __init__(self, paths: list[Path], seed: int, *, image_m_per_px: float, m_per_px: float = 0.05) -> None:
@@ -146,7 +148,7 @@ class ImageTexture(_Tiled):
         for i in range(y0 // height, (y0 + TILE - 1) // height + 1):
             for j in range(x0 // width, (x0 + TILE - 1) // width + 1):
                 _paste(out, self._pictures[(j + 2 * i) % len(self._pictures)], j * width - x0, i * height - y0)
-        return _to_grey(out + _noise_tile(DETAIL_OCTAVES, column, row, self._seed))
+        return to_grey(out + noise_tile(DETAIL_OCTAVES, column, row, self._seed))
 
 
 def texture_from(source: str, seed: int, *, image_m_per_px: float) -> Texture:
@@ -172,21 +174,21 @@ def _paste(out: Grey, tile: Grey, x: int, y: int) -> None:
         out[top:bottom, left:right] = tile[top - y : bottom - y, left - x : right - x]
 
 
-def _to_grey(values: NDArray[np.floating]) -> Grey:
+def to_grey(values: NDArray[np.floating]) -> Grey:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-def _noise_tile(octaves: tuple[tuple[int, float], ...], column: int, row: int, seed: int) -> Noise:
+def noise_tile(octaves: tuple[tuple[int, float], ...], column: int, row: int, seed: int) -> Noise:
     total = np.zeros((TILE, TILE), np.float32)
     for k, (spacing, amplitude) in enumerate(octaves):
-        total += np.float32(amplitude) * _octave(spacing, column, row, seed + k)
+        total += np.float32(amplitude) * octave(spacing, column, row, seed + k)
     return total
 
 
-def _octave(spacing: int, column: int, row: int, seed: int) -> Noise:
+def octave(spacing: int, column: int, row: int, seed: int) -> Noise:
     """Return one tile of smooth noise in about [-1, 1] whose lattice has a node every `spacing` texels."""
     nodes = _nodes(spacing)
-    lattice = _hash(nodes + column * (TILE // spacing), (nodes + row * (TILE // spacing))[:, None], seed)
+    lattice = hashed(nodes + column * (TILE // spacing), (nodes + row * (TILE // spacing))[:, None], seed)
     return _enlarge(2.0 * lattice - 1.0, spacing)
 
 
@@ -226,7 +228,7 @@ def _nearest_field(
     shade, density = np.zeros(x.shape), np.ones(x.shape)
     for i in range(int(np.floor(y.min())) - 1, int(np.floor(y.max())) + 2):
         for j in range(int(np.floor(x.min())) - 1, int(np.floor(x.max())) + 2):
-            dx, dy, grey, contrast = (float(_hash(np.array(j), np.array(i), seed + 200 + k)) for k in range(4))
+            dx, dy, grey, contrast = (float(hashed(np.array(j), np.array(i), seed + 200 + k)) for k in range(4))
             distance = np.hypot(x - j - 0.15 - 0.7 * dx, y - i - 0.15 - 0.7 * dy)
             nearer = distance < first
             second = np.where(nearer, first, np.minimum(second, distance))
@@ -236,7 +238,7 @@ def _nearest_field(
     return shade, density, 0.5 * (second - first)
 
 
-def _hash(x: NDArray[np.integer], y: NDArray[np.integer], seed: int) -> NDArray[np.float64]:
+def hashed(x: NDArray[np.integer], y: NDArray[np.integer], seed: int) -> NDArray[np.float64]:
     """Return uniform numbers in [0, 1) that depend only on the integers x, y (broadcast) and seed."""
     with np.errstate(over="ignore"):  # overflow is the mixing step
         h = x.astype(np.uint32) * np.uint32(0x8DA6B343) ^ y.astype(np.uint32) * np.uint32(0xD8163841)
