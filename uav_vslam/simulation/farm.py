@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.simulation.dome import Dome
 from uav_vslam.simulation.fields import FIELD_M, JITTER, corner, is_track, outline
-from uav_vslam.simulation.solids import Bounds, Dome, Label, Ridged, Solid
+from uav_vslam.simulation.ridged import Ridged
+from uav_vslam.simulation.solids import Bounds, Label, Solid
 
 Array = NDArray[np.float64]
-Heights = Callable[[Array, Array], NDArray[np.floating]]  # [m] at x, y [m]
+Heights = Callable[[NDArray[np.floating], NDArray[np.floating]], NDArray[np.floating]]  # [m] at x, y [m]
 
 FOOT_M = 3.0  # by which solids reach below the ground at their centre
 HIGHEST_M = 10.0  # nothing stands higher above the ground,
@@ -57,7 +59,7 @@ class Farm:
         """Return the solids of one field and their (N, 4) bounds."""
         if field not in self._fields:
             rng = np.random.default_rng(np.random.SeedSequence([self.seed, *(2**31 + v for v in field)]))
-            barns = list(self._barns(field, rng))
+            barns = self._barns(field, rng)
             trees = self._trees(field, barns, rng)
             solids: list[Solid] = [*barns, *self._borders(field, rng), *trees]
             self._fields[field] = solids, np.array([solid.bounds for solid in solids]).reshape(-1, 4)
@@ -66,26 +68,25 @@ class Farm:
     def _ground_z(self, xy: Array) -> float:
         return float(self.ground_z(xy[:1].astype(float), xy[1:].astype(float))[0])
 
-    def _barns(self, field: tuple[int, int], rng: np.random.Generator) -> Iterator[Ridged]:
-        """Yield barns inside the field, apart from each other, roughly along or across its southern border."""
+    def _barns(self, field: tuple[int, int], rng: np.random.Generator) -> list[Ridged]:
+        """Return barns inside the field, apart from each other, roughly along or across its southern border."""
         corners = outline(*field, self.seed)
         border = corners[1] - corners[0]
         built: list[Ridged] = []
         for _ in range(rng.choice(len(BARNS_PER_FIELD), p=BARNS_PER_FIELD)):
             heading = np.arctan2(border[1], border[0]) + 0.5 * np.pi * rng.integers(2) + rng.normal(0.0, 0.1)
             length, width = rng.uniform(*BARN_LENGTH_M), rng.uniform(*BARN_WIDTH_M)
-            eaves, pitch, seed = rng.uniform(*BARN_EAVES_M), rng.uniform(*BARN_PITCH), int(rng.integers(2**31))
-            for _ in range(BARN_TRIES):
-                xy = _inside(corners, rng.uniform(0.25, 0.75, 2))
-                if all(np.hypot(*(xy - [b.x, b.y])) > 0.5 * (length + b.length_m) + 8.0 for b in built):
-                    z = self._ground_z(xy)
-                    ridge_z = z + eaves + 0.5 * pitch * width
-                    barn = Ridged(
-                        Label.BARN, seed, z - FOOT_M, float(xy[0]), float(xy[1]), heading, length, width, ridge_z, pitch
-                    )
-                    built.append(barn)
-                    yield barn
-                    break
+            place = _free_place(corners, 0.5 * length, built, rng)
+            if place is not None:
+                built.append(self._barn(place, float(heading), (length, width), rng))
+        return built
+
+    def _barn(self, xy: Array, heading: float, size: tuple[float, float], rng: np.random.Generator) -> Ridged:
+        """Return a barn of some height at (2,) x, y [m], `size` along and across its ridge [m]."""
+        x, y = map(float, xy)
+        z, pitch, seed = self._ground_z(xy), rng.uniform(*BARN_PITCH), int(rng.integers(2**31))
+        ridge_z = z + rng.uniform(*BARN_EAVES_M) + 0.5 * pitch * size[1]
+        return Ridged(Label.BARN, seed, z - FOOT_M, x, y, heading, *size, ridge_z, pitch)
 
     def _borders(self, field: tuple[int, int], rng: np.random.Generator) -> Iterator[Ridged]:
         """Yield what stands along the southern and the western border."""
@@ -107,40 +108,21 @@ class Farm:
             at = np.linspace(low, high, max(1, round((high - low) / HEDGE_PIECE_M)) + 1)
             height = np.clip(rng.uniform(1.8, 2.7) + rng.normal(0.0, 0.2, len(at)), *HEDGE_HEIGHT_M)
             nodes = start + at[:, None] * along
-            ridge = np.array([self._ground_z(xy) for xy in nodes]) + height
+            ground = self.ground_z(nodes[:, 0], nodes[:, 1])
             for k in range(len(at) - 1):
-                yield self._piece(nodes[k : k + 2], ridge[k : k + 2], seed)
-
-    def _piece(self, nodes: Array, ridge_z: Array, seed: int) -> Ridged:
-        """Return one piece of hedge between (2, 2) nodes [m] with (2,) heights of the ridge [m]."""
-        (dx, dy), (x, y) = nodes[1] - nodes[0], nodes.mean(axis=0)
-        length = float(np.hypot(dx, dy))
-        foot_z = self._ground_z(np.array([x, y])) - FOOT_M
-        climb = float(ridge_z[1] - ridge_z[0]) / length
-        heading, middle_z = float(np.arctan2(dy, dx)), float(ridge_z.mean())
-        return Ridged(Label.HEDGE, seed, foot_z, x, y, heading, length, HEDGE_WIDTH_M, middle_z, HEDGE_PITCH, climb)
+                ends = slice(k, k + 2)
+                yield _piece(nodes[ends], (ground + height)[ends], float(ground[ends].min()) - FOOT_M, seed)
 
     def _posts(self, start: Array, end: Array, rng: np.random.Generator) -> Iterator[Ridged]:
         """Yield the posts beside a stretch of track."""
         length = float(np.hypot(*(end - start)))
         along = (end - start) / length
         beside = POST_BESIDE_TRACK_M * np.array([-along[1], along[0]])
+        heading, side = float(np.arctan2(along[1], along[0])), POST_WIDTH_M
         for at in np.arange(rng.uniform(8.0, 14.0), length - 6.0, POST_SPACING_M):
-            xy = start + at * along + beside
-            z, height = self._ground_z(xy), rng.uniform(*POST_HEIGHT_M)
-            heading, seed = float(np.arctan2(along[1], along[0])), int(rng.integers(2**31))
-            yield Ridged(
-                Label.POST,
-                seed,
-                z - FOOT_M,
-                float(xy[0]),
-                float(xy[1]),
-                heading,
-                POST_WIDTH_M,
-                POST_WIDTH_M,
-                z + height,
-                pitch=0.0,
-            )
+            x, y = map(float, start + at * along + beside)
+            z, height, seed = self._ground_z(np.array([x, y])), rng.uniform(*POST_HEIGHT_M), int(rng.integers(2**31))
+            yield Ridged(Label.POST, seed, z - FOOT_M, x, y, heading, side, side, z + height, pitch=0.0)
 
     def _trees(self, field: tuple[int, int], barns: list[Ridged], rng: np.random.Generator) -> Iterator[Dome]:
         """Yield the crowns of the field's trees: a third along its western border, none at a barn or on a track."""
@@ -163,6 +145,24 @@ class Farm:
             at = xy + 0.65 * radius * np.array([np.cos(angle), np.sin(angle)])
             size, rim_z = radius * rng.uniform(0.45, 0.65), z + height * rng.uniform(0.3, 0.45)
             yield Dome(Label.TREE, seed, z - FOOT_M, float(at[0]), float(at[1]), size, rim_z, 0.35 * height)
+
+
+def _piece(nodes: Array, ridge_z: Array, foot_z: float, seed: int) -> Ridged:
+    """Return one piece of hedge between (2, 2) nodes [m] with (2,) heights of the ridge [m]."""
+    (dx, dy), (x, y) = (nodes[1] - nodes[0]).tolist(), nodes.mean(axis=0).tolist()
+    length, heading = float(np.hypot(dx, dy)), float(np.arctan2(dy, dx))
+    climb = float(ridge_z[1] - ridge_z[0]) / length
+    middle_z = float(ridge_z.mean())
+    return Ridged(Label.HEDGE, seed, foot_z, x, y, heading, length, HEDGE_WIDTH_M, middle_z, HEDGE_PITCH, climb)
+
+
+def _free_place(corners: Array, reach_m: float, built: list[Ridged], rng: np.random.Generator) -> Array | None:
+    """Return a place well inside a field and away from other barns, None if there seems to be none."""
+    for _ in range(BARN_TRIES):
+        xy = _inside(corners, rng.uniform(0.25, 0.75, 2))
+        if all(np.hypot(*(xy - [b.x, b.y])) > reach_m + 0.5 * b.length_m + 8.0 for b in built):
+            return xy
+    return None
 
 
 def _inside(corners: Array, share: Array) -> Array:

@@ -90,7 +90,7 @@ class LitTexture(Tiled):
     def _shadow(self, column: int, row: int) -> NDArray[np.float32]:
         """Return the share of each texel that is in the shade, softened by a texel as by the sun's width."""
         x, y = texel_positions(column, row, self.m_per_px, margin=1)
-        z = self._farm.ground_z(x, y)
+        z = self._farm.ground_z(x.astype(np.float32), y.astype(np.float32))
         bounds = float(x.min()), float(y.min()), float(x.max()), float(y.max())
         shadows = Shadows(self._farm.solids(sunward(bounds, REACH_M)))
         dark = shadows.fall_on(np.stack([x.ravel(), y.ravel(), z.ravel()], axis=-1)).reshape(x.shape)

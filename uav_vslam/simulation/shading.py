@@ -114,7 +114,7 @@ def _look(solid: Solid, points: Array, faces: Faces) -> Grey:
     noise = _noise(along, up, solid.seed)
     shift = float(solid.seed % 97) / 96.0
     if solid.label in (Label.HEDGE, Label.TREE):
-        return 80.0 + 16.0 * np.float32(shift) + 1.3 * noise
+        return 95.0 + 20.0 * np.float32(shift) + 1.4 * noise
     walls = np.isin(faces, WALLS)
     grooves = np.cos(2.0 * np.pi * along / np.where(walls, PLANK_M, SHEET_M)).astype(np.float32)
     return np.where(walls, 105.0 + 50.0 * (1.0 - shift), 95.0 + 60.0 * shift).astype(np.float32) + (

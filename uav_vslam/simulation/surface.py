@@ -114,7 +114,7 @@ def _squares(x: Array, y: Array) -> Iterator[NDArray[np.intp]]:
     """Yield the rows of places square by square."""
     if len(x) == 0:
         return
-    key = np.stack([np.floor(x / BLOCK_M), np.floor(y / BLOCK_M)], axis=-1)
-    _, square = np.unique(key, axis=0, return_inverse=True)
-    order = np.argsort(square.ravel(), kind="stable")
-    yield from np.split(order, np.flatnonzero(np.diff(square.ravel()[order])) + 1)
+    i, j = np.floor(x / BLOCK_M).astype(np.int64), np.floor(y / BLOCK_M).astype(np.int64)
+    square = (i - i.min()) * (j.max() - j.min() + 1) + j - j.min()
+    order = np.argsort(square, kind="stable")
+    yield from np.split(order, np.flatnonzero(np.diff(square[order])) + 1)

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from uav_vslam.simulation.farm import Farm
 from uav_vslam.simulation.farm_texture import GRASS, NEUTRAL, ColourTexture, FarmTexture, LitTexture, PlainTint, Tints
+from uav_vslam.simulation.ridged import Ridged
 from uav_vslam.simulation.scenario import FLEET, Purpose, Scenario
-from uav_vslam.simulation.solids import Label, Ridged
+from uav_vslam.simulation.solids import Label
 from uav_vslam.simulation.surface import picture, tops
 from uav_vslam.simulation.texture import Texture, texture_from
 
