@@ -9,6 +9,7 @@ import pytest
 from uav_vslam.cli import simulate
 from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.errors import ConfigError
+from uav_vslam.types import StereoFrame
 
 
 def parse(*arguments: str) -> argparse.Namespace:
@@ -30,10 +31,22 @@ def test_arguments_reach_the_recording(tmp_path: Path, capsys: pytest.CaptureFix
     assert f"{out}: 1 vehicles, 3 image pairs each" in capsys.readouterr().out
 
 
+def test_a_recording_of_objects_in_colour_reads_back_in_colour(tmp_path: Path) -> None:
+    out = tmp_path / "flight"
+    arguments = "--frames", "2", "--vehicles", "1", "--scale", "0.125", "--objects", "--colour"
+    assert simulate.run(parse(str(out), *arguments)) == 0
+    frame = next(event for event in open_flight(out, "uav1").iter_events() if isinstance(event, StereoFrame))
+    assert frame.left.shape == frame.right.shape == (120, 160, 3)
+    blue, green, red = (frame.left[..., k].mean() for k in range(3))
+    assert green > blue + 5.0  # vegetation and soil
+    assert red > blue + 5.0
+
+
 def test_what_is_not_given_keeps_the_scenarios_value() -> None:
     scenario = simulate.scenario_from(parse("out", "--scenario", "long", "--imu", "consumer", "--texture-pixel", "0.1"))
     assert (scenario.pattern, scenario.frames, scenario.imu) == ("lawnmower", 1000, "consumer")
     assert scenario.texture_m_per_px == 0.1
+    assert (scenario.objects, scenario.colour) == (False, False)
 
 
 def test_an_unknown_scenario_lists_the_known_ones() -> None:

@@ -89,3 +89,11 @@ def test_a_level_line_beside_a_wall_misses() -> None:
     np.testing.assert_array_equal(t_in <= t_out, [False, True])
     assert t_in[1] == pytest.approx(50.0 - 7.0)
     assert faces[1] == Face.WEST_A
+
+
+def test_the_northern_side_of_a_roof_faces_north_of_its_ridge() -> None:
+    across = np.array([-np.sin(BARN.heading_rad), np.cos(BARN.heading_rad), 0.0])
+    eyes = np.array([BARN.x, BARN.y, 20.0]) + np.array([[1.0], [-1.0]]) * across
+    _, _, faces = BARN.interval(eyes, DOWN)
+    np.testing.assert_array_equal(faces, [Face.ROOF_NORTH, Face.ROOF_SOUTH])
+    np.testing.assert_array_equal(np.sign(BARN.normals(eyes, faces) @ across), [1.0, -1.0])
