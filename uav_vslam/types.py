@@ -178,6 +178,21 @@ class PoseEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class Twist:
+    """Motion of the body, in the body frame.
+
+    Attributes:
+        linear: (3,) velocity [m/s].
+        angular: (3,) rate [rad/s].
+        covariance: (6, 6), order linear, angular.
+    """
+
+    linear: Array
+    angular: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
 class FrameQuality:
     """How the back end fared in one frame, judged without ground truth.
 

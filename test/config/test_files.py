@@ -81,7 +81,10 @@ WRONG_VEHICLE = {
         r"given\.yaml: unknown key backend\.sigma_pix; did you mean backend\.sigma_px",
     ),
     "unknown_section": ("backed: {}", r"unknown key backed; did you mean backend\?"),
-    "unlike_any_key": ("zzz: 1", "unknown key zzz; known keys: backend, frontend, fusion, imu, input, rig, start"),
+    "unlike_any_key": (
+        "zzz: 1",
+        "unknown key zzz; known keys: backend, frames, frontend, fusion, imu, input, rig, start",
+    ),
     "number_as_key": ("7: 1", "unknown key 7"),
     "text_for_number": (
         "backend: {sigma_px: much}",

@@ -156,6 +156,7 @@ def _connect(host: Host) -> None:
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Flown]:
     """Fly two simulated vehicles alone, and write what each one's back end publishes."""
+    from geometry_msgs.msg import TwistWithCovariance
     from rclpy.serialization import serialize_message
 
     from uav_vslam.ros.convert import joint_to_msg, odometry_to_msg
@@ -175,7 +176,9 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Flown]:
             if output.joint is not None:
                 joint = joint_to_msg(output.joint, frame_id=f"{vehicle}/map")
                 said.append((pose.stamp_ns, "joint_information", serialize_message(joint)))
-            odometry = odometry_to_msg(pose, frame_id=f"{vehicle}/map", child_frame_id=f"{vehicle}/base_link")
+            odometry = odometry_to_msg(
+                pose, TwistWithCovariance(), frame_id=f"{vehicle}/map", child_frame_id=f"{vehicle}/base_link"
+            )
             said.append((pose.stamp_ns, "odometry", serialize_message(odometry)))
         file = folder / f"{vehicle}.pickle"
         file.write_bytes(pickle.dumps({"vehicle": vehicle, "messages": said}))

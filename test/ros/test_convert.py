@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS")
-from geometry_msgs.msg import Vector3
+from geometry_msgs.msg import TwistWithCovariance, Vector3
+from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
@@ -26,6 +27,7 @@ from uav_vslam.types import (
     NavState,
     PoseEstimate,
     StereoFeatures,
+    Twist,
 )
 
 STAMP_NS = 1_283_212_800_123_456_789
@@ -65,6 +67,11 @@ def increment() -> ImuIncrement:
         bias_jacobian=rng.normal(size=(9, 6)),
         covariance=covariance(9),
     )
+
+
+def odometry() -> Odometry:
+    estimate = PoseEstimate(STAMP_NS, pose(), covariance(6))
+    return convert.odometry_to_msg(estimate, TwistWithCovariance(), frame_id="m", child_frame_id="b")
 
 
 def navigation() -> NavEstimate:
@@ -120,12 +127,15 @@ def test_a_navigation_estimate_comes_back() -> None:
     assert_same(convert.navigation_from_msg(message), sent)
 
 
-def test_odometry_comes_back_with_its_velocity_in_the_body_frame() -> None:
-    sent, v_map = PoseEstimate(STAMP_NS, pose(), covariance(6)), np.array([20.0, 1.0, -0.5])
-    message = serialised(convert.odometry_to_msg(sent, frame_id="m", child_frame_id="b", velocity_map=v_map))
+def test_odometry_comes_back_with_its_twist() -> None:
+    sent = PoseEstimate(STAMP_NS, pose(), covariance(6))
+    twist = Twist(np.array([20.0, 1.0, -0.5]), np.array([0.1, -0.2, 0.3]), covariance(6))
+    message = serialised(convert.odometry_to_msg(sent, convert.twist_to_msg(twist), frame_id="m", child_frame_id="b"))
     assert_same(convert.odometry_from_msg(message), sent)
-    linear = message.twist.twist.linear
-    np.testing.assert_allclose(pose().R @ [linear.x, linear.y, linear.z], v_map, rtol=0, atol=1e-13)
+    got = message.twist
+    assert [got.twist.linear.x, got.twist.linear.y, got.twist.linear.z] == [20.0, 1.0, -0.5]
+    assert [got.twist.angular.x, got.twist.angular.y, got.twist.angular.z] == [0.1, -0.2, 0.3]
+    np.testing.assert_array_equal(got.covariance.reshape(6, 6), twist.covariance)
 
 
 def test_the_joint_information_comes_back(joint: JointInformation) -> None:
@@ -221,20 +231,19 @@ def test_a_navigation_state_whose_covariance_is_not_positive_definite_is_refused
 @pytest.mark.parametrize("w", [0.0, NAN])
 def test_an_invalid_orientation_is_refused(w: float) -> None:
     nav = convert.navigation_to_msg(navigation(), frame_id="m", child_frame_id="b")
-    odometry = convert.odometry_to_msg(PoseEstimate(STAMP_NS, pose(), covariance(6)), frame_id="m", child_frame_id="b")
-    for holder in (nav.pose, odometry.pose.pose):
+    moving = odometry()
+    for holder in (nav.pose, moving.pose.pose):
         q = holder.orientation
         q.w, q.x, q.y, q.z = w, 0.0, 0.0, 0.0
     assert refusal(convert.navigation_from_msg, nav) == "orientation"
-    assert refusal(convert.odometry_from_msg, odometry) == "orientation"
+    assert refusal(convert.odometry_from_msg, moving) == "orientation"
 
 
 def test_odometry_with_nan_is_refused() -> None:
-    estimate = PoseEstimate(STAMP_NS, pose(), covariance(6))
-    message = convert.odometry_to_msg(estimate, frame_id="m", child_frame_id="b")
+    message = odometry()
     message.pose.pose.position.z = NAN
     assert refusal(convert.odometry_from_msg, message) == "not_finite"
-    message = convert.odometry_to_msg(estimate, frame_id="m", child_frame_id="b")
+    message = odometry()
     message.pose.covariance = np.full(36, INFINITY)
     assert refusal(convert.odometry_from_msg, message) == "not_finite"
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from geometry_msgs.msg import TwistWithCovariance  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
@@ -91,7 +92,9 @@ class Flight:
 
     def _move(self, stamp_ns: int) -> None:
         pose = PoseEstimate(stamp_ns, self.joint(1, "uav1").T_map_body, np.eye(6))
-        self._odometry.publish(odometry_to_msg(pose, frame_id="uav1/map", child_frame_id="uav1/base_link"))
+        twist = TwistWithCovariance(covariance=np.eye(6).ravel())
+        twist.twist.linear.x = 20.0
+        self._odometry.publish(odometry_to_msg(pose, twist, frame_id="uav1/map", child_frame_id="uav1/base_link"))
 
     def peer(self, mode: str) -> Any:
         """Return uav2's publisher in that mode, once uav1 is matched."""
@@ -441,3 +444,18 @@ def test_the_frame_of_a_peer_without_a_common_origin_is_published(fly: Callable[
     t = edge.transform.translation
     np.testing.assert_allclose([t.x, t.y, t.z], -np.array(shift), rtol=0, atol=0.1)
     assert flight.node.notes["frame/uav2"] == "found"
+
+
+def test_fused_odometry_has_the_own_twist_and_the_frames_that_are_configured(fly: Callable[..., Flight]) -> None:
+    flight = fly("frames.world:=common", "frames.map:=first/map", "input.frames.base:=first/body")
+    fused: list[Odometry] = []
+    edges: list[Any] = []
+    flight.others.create_subscription(Odometry, "/uav1/fused/odometry", fused.append, STATE)
+    received = flight.others.create_subscription(TFMessage, "/tf", lambda m: edges.extend(m.transforms), STATE)
+    assert flight.spin(received.get_publisher_count)
+    flight.epoch(1)
+    assert flight.spin(lambda: fused and edges)
+    assert (fused[-1].header.frame_id, fused[-1].child_frame_id) == ("common", "first/body")
+    assert (edges[-1].header.frame_id, edges[-1].child_frame_id) == ("common", "first/map")
+    assert fused[-1].twist.twist.linear.x == 20.0
+    np.testing.assert_array_equal(fused[-1].twist.covariance.reshape(6, 6), np.eye(6))

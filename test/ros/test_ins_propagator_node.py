@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
-from geometry_msgs.msg import Vector3  # noqa: E402
+from geometry_msgs.msg import TransformStamped, Vector3  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
@@ -16,8 +17,10 @@ from uav_vslam.ins.startup_buffer import MAX_APART_S  # noqa: E402
 from uav_vslam.ros import calibration  # noqa: E402
 from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
+from uav_vslam.ros.qos import STATE  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
 NOW_NS = 1_700_000_000 * NS_PER_S
@@ -105,7 +108,7 @@ def test_rest_is_averaged_over_the_configured_time(make: Make, rest_s: float) ->
 
 @pytest.mark.parametrize("method", ["given", "static"])
 def test_one_sample_from_the_future_costs_one_sample(make: Make, method: str) -> None:
-    node = make(f"start.method:={method}", "start.rest_s:=0.5")
+    node = make(f"start.method:={method}", "start.rest_s:=0.5", "odometry_rate_hz:=0.0")
     if method == "given":
         deliver(node, "initial_state", start_at(NOW_NS))
     rest(node, NOW_NS, 0.2)
@@ -114,7 +117,7 @@ def test_one_sample_from_the_future_costs_one_sample(make: Make, method: str) ->
     assert node.counts["dropped/stamp_jump"] == 1
     assert node.counts["dropped/stamp"] == 0
     assert node._live is not None
-    assert node._live.state.stamp_ns == NOW_NS + 1_205_000_000
+    assert node._live.estimate.state.stamp_ns == NOW_NS + 1_205_000_000
     assert node.counts["imu_gaps"] == 0
 
 
@@ -122,7 +125,7 @@ def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_eve
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(calibration, "MAX_WAITING", 5)
-    node = make()
+    node = make("odometry_rate_hz:=0.0")
     deliver(node, "initial_state", start_at(NOW_NS))
     upside_down = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     gravity = node.config.imu.gravity
@@ -142,8 +145,47 @@ def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_eve
     edge = transform_to_msg(upside_down, stamp_ns=0, parent="uav1/base_link", child="imu_link")
     deliver(node, "/tf_static", TFMessage(transforms=[edge]))
     assert node._live is not None
-    assert node._live.state.stamp_ns == NOW_NS + 7 * STEP_NS  # those that waited are used
+    assert node._live.estimate.state.stamp_ns == NOW_NS + 7 * STEP_NS  # those that waited are used
     feed(8, 100)
     assert node.counts["dropped/imu_frame"] == 3
     assert "transform" not in node.notes | node.failures
-    np.testing.assert_allclose(node._live.pose.T_map_body.t, np.zeros(3), atol=1e-9)  # it hovers, and knows it
+    np.testing.assert_allclose(
+        node._live.estimate.state.T_map_body.t, np.zeros(3), atol=1e-9
+    )  # it hovers, and knows it
+
+
+def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_covariances(make: Make) -> None:
+    node = make("odometry_rate_hz:=50.0")
+    edges: list[TransformStamped] = []
+    odometry: list[Odometry] = []
+    other = rclpy.create_node("other", use_global_arguments=False)
+    other.create_subscription(TFMessage, "/tf", lambda message: edges.extend(message.transforms), STATE)
+    other.create_subscription(Odometry, "/uav1/ins/odometry", odometry.append, STATE)
+
+    def spin(until: Callable[[], object]) -> bool:
+        return wait_for(until, lambda: rclpy.spin_once(other, timeout_sec=0.02))
+
+    try:
+        assert spin(lambda: node._tf.get_subscription_count() and node._odometry.get_subscription_count())
+        deliver(node, "initial_state", start_at(NOW_NS))
+        rest(node, NOW_NS, 0.2)
+        assert spin(lambda: len(edges) == 20 and len(odometry) == 10)
+        moved = start_at(NOW_NS + 200_000_000)
+        moved.pose.position.x = 5.0
+        deliver(node, "slam/correction", moved)
+        rest(node, NOW_NS + 205_000_000, 0.1)
+        assert spin(lambda: len(edges) == 30 and len(odometry) == 15)
+    finally:
+        other.destroy_node()
+    poses = {
+        child: [edge.transform.translation.x for edge in edges if edge.child_frame_id == child]
+        for child in ("uav1/odom", "uav1/base_link")
+    }
+    assert {edge.header.frame_id for edge in edges} == {"uav1/map", "uav1/odom"}
+    np.testing.assert_allclose(poses["uav1/base_link"], 0.0, atol=1e-9)
+    np.testing.assert_allclose(poses["uav1/odom"], [0.0] * 10 + [5.0] * 5, atol=1e-9)
+    stamps = np.array([message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec for message in odometry])
+    np.testing.assert_array_equal(np.diff(stamps), 20_000_000)
+    assert all(np.linalg.eigvalsh(message.twist.covariance.reshape(6, 6))[0] > 0 for message in odometry)
+    sigmas_m = [np.sqrt(message.pose.covariance[0]) for message in odometry]
+    assert np.all(np.diff(sigmas_m[:10]) > 0)  # propagated to the stamp, not that of the last correction

@@ -16,6 +16,15 @@ class VehicleNodeConfig(Settings):
 
 
 @dataclass(frozen=True, slots=True)
+class InsNodeConfig(VehicleNodeConfig):
+    """Parameters of ins_propagator."""
+
+    odometry_rate_hz: float = setting(
+        50.0, "rate of ins/odometry and of the transforms; 0: at each IMU reading", unit="Hz", at_least=0
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class BackendNodeConfig(VehicleNodeConfig):
     """Parameters of slam_backend."""
 
@@ -88,11 +97,11 @@ def _parts(name: str) -> list[str]:
 
 NODES: dict[str, NodeParameters] = {
     "stereo_frontend": NodeParameters(VehicleNodeConfig, ("input", "rig", "frontend")),
-    "ins_propagator": NodeParameters(VehicleNodeConfig, ("input", "start", "imu")),
+    "ins_propagator": NodeParameters(InsNodeConfig, ("input", "frames", "start", "imu")),
     "slam_backend": NodeParameters(
-        BackendNodeConfig, ("input", "start", "imu", "rig", "backend", "frontend.ratio", "fusion.epoch_s")
+        BackendNodeConfig, ("input", "frames", "start", "imu", "rig", "backend", "frontend.ratio", "fusion.epoch_s")
     ),
-    "fusion": NodeParameters(FusionNodeConfig, ("fusion", "frontend.extractor")),
+    "fusion": NodeParameters(FusionNodeConfig, ("input.frames.base", "frames", "fusion", "frontend.extractor")),
     "replay": NodeParameters(ReplayNodeConfig),
     "link_emulator": NodeParameters(LinkNodeConfig),
     "recorder": NodeParameters(RecorderNodeConfig),

@@ -296,10 +296,20 @@ class FusionConfig(Settings):
 
 
 @dataclass(frozen=True, slots=True)
+class OutputFramesConfig(Settings):
+    """Names of the frames that the nodes publish (REP-105); that of the body is `input.frames.base`."""
+
+    world: str = setting("world", "common frame of the fleet, of the fused estimate")
+    map: str = setting("", "frame of the vehicle's own map; empty: VEHICLE/map")
+    odom: str = setting("", "frame in which the own pose has no jumps; empty: VEHICLE/odom")
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleConfig(Settings):
     """Everything that one vehicle's nodes, or its offline twin, need besides calibration and start state."""
 
     input: InputConfig = field(default_factory=InputConfig)
+    frames: OutputFramesConfig = field(default_factory=OutputFramesConfig)
     start: StartConfig = field(default_factory=StartConfig)
     imu: ImuConfig = field(default_factory=ImuConfig)
     rig: RigConfig = field(default_factory=RigConfig)

@@ -1,22 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inertial stage: readings and image stamps in, one increment per image out; INS baseline and live odometry."""
+"""The inertial stage: readings and image stamps in, one increment per image out; the INS baseline."""
 
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import ImuBuffer, bridged, has_gap, preintegrate
 from uav_vslam.ins.propagation import propagate, transition
-from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate, NavState, PoseEstimate
+from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, NavState
 
-Array = NDArray[np.float64]
-
-MAX_REPLAYED = 5000  # readings buffered for replay after a correction: 25 s at 200 Hz
 MAX_BUFFERED = 1000  # increments buffered until the start state is known
 
 
@@ -125,45 +119,3 @@ def advance(estimate: NavEstimate, increment: ImuIncrement, imu: ImuConfig) -> N
     F, Q = transition(estimate.state, increment, imu)
     state = propagate(estimate.state, increment, gravity=imu.gravity)
     return NavEstimate(state, F @ estimate.covariance @ F.T + Q)
-
-
-class InsOdometry:
-    """Navigation state at IMU rate: the newest correction propagated by the readings since."""
-
-    def __init__(self, initial: NavEstimate, imu: ImuConfig) -> None:
-        self._gravity = np.array([0.0, 0.0, -imu.gravity])
-        self._since: deque[ImuSample] = deque(maxlen=MAX_REPLAYED)
-        self._corrected = initial
-        self.state = initial.state
-
-    @property
-    def pose(self) -> PoseEstimate:
-        """The newest pose with the covariance of the newest correction, a fraction of a second old."""
-        return PoseEstimate(self.state.stamp_ns, self.state.T_map_body, self._corrected.pose.covariance)
-
-    def add_imu(self, sample: ImuSample) -> NavState:
-        """Propagate to a reading and return the state; readings before the state change nothing."""
-        self._since.append(sample)
-        self.state = self._step(self.state, sample)
-        return self.state
-
-    def correct(self, corrected: NavEstimate) -> None:
-        """Restart from a corrected state and replay the readings since its stamp."""
-        while self._since and self._since[0].stamp_ns <= corrected.state.stamp_ns:
-            self._since.popleft()
-        self._corrected = corrected
-        self.state = corrected.state
-        for sample in self._since:
-            self.state = self._step(self.state, sample)
-
-    def _step(self, state: NavState, sample: ImuSample) -> NavState:
-        """Zero-order hold of the reading: half a sample of delay is negligible here."""
-        dt = (sample.stamp_ns - state.stamp_ns) / NS_PER_S
-        if dt <= 0:
-            return state
-        R, v = state.T_map_body.R, state.v_map
-        accel_map = R @ (sample.accel - state.accel_bias) + self._gravity
-        pose = Pose(
-            R @ so3_exp((sample.gyro - state.gyro_bias) * dt), state.T_map_body.t + (v + 0.5 * accel_map * dt) * dt
-        )
-        return NavState(sample.stamp_ns, pose, v + accel_map * dt, state.gyro_bias, state.accel_bias)

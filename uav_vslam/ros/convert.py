@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion, TransformStamped, Vector3
+from geometry_msgs.msg import (
+    Point,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    TransformStamped,
+    TwistWithCovariance,
+    Vector3,
+)
 from geometry_msgs.msg import Pose as PoseMsg
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
@@ -28,6 +35,7 @@ from uav_vslam.types import (
     NavEstimate,
     PoseEstimate,
     StereoFeatures,
+    Twist,
 )
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
@@ -199,15 +207,18 @@ def navigation_from_msg(message: NavigationState) -> NavEstimate:
     return nav
 
 
-def odometry_to_msg(
-    pose: PoseEstimate, *, frame_id: str, child_frame_id: str, velocity_map: Array | None = None
-) -> Odometry:
-    """Return nav_msgs/Odometry: pose in the map frame, twist (if known) in the body frame, as the message defines."""
-    message = Odometry(header=header(pose.stamp_ns, frame_id), child_frame_id=child_frame_id)
+def odometry_to_msg(pose: PoseEstimate, twist: TwistWithCovariance, *, frame_id: str, child_frame_id: str) -> Odometry:
+    """Return nav_msgs/Odometry: the pose in `frame_id`, the twist in the body frame, as the message defines."""
+    message = Odometry(header=header(pose.stamp_ns, frame_id), child_frame_id=child_frame_id, twist=twist)
     message.pose.pose = pose_to_msg(pose.T_map_body)
     message.pose.covariance = pose.covariance.ravel()
-    if velocity_map is not None:
-        message.twist.twist.linear = Vector3(**_xyz(pose.T_map_body.R.T @ velocity_map))
+    return message
+
+
+def twist_to_msg(twist: Twist) -> TwistWithCovariance:
+    """Return geometry_msgs/TwistWithCovariance."""
+    message = TwistWithCovariance(covariance=twist.covariance.ravel())
+    message.twist.linear, message.twist.angular = Vector3(**_xyz(twist.linear)), Vector3(**_xyz(twist.angular))
     return message
 
 

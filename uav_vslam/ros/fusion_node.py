@@ -16,7 +16,7 @@ out  landmark_information                  uav_vslam_msgs/LandmarkInformation at
 
 from collections import deque
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TwistWithCovariance
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
 from tf2_msgs.msg import TFMessage
@@ -45,7 +45,6 @@ from uav_vslam.types import JointInformation, PoseEstimate
 from uav_vslam_msgs.msg import FusionStatus
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
 
-WORLD = "world"
 MAX_WAITING = 20  # odometry held for an epoch's joint information; then the epoch is skipped
 MAX_PATH = 2000  # poses in a published path
 
@@ -57,7 +56,7 @@ class FusionNode(VehicleNode):
         self._participant = open_participant("fusion")
         super().__init__("fusion")
         self._joints: dict[int, JointInformation] = {}
-        self._waiting: deque[PoseEstimate] = deque()
+        self._waiting: deque[tuple[PoseEstimate, TwistWithCovariance]] = deque()
         self._previous_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._fusion = Fusion(self.vehicle, self.config.fusion)
@@ -94,12 +93,12 @@ class FusionNode(VehicleNode):
         self._work()
 
     def _on_odometry(self, message: Odometry) -> None:
-        self._waiting.append(odometry_from_msg(message))
+        self._waiting.append((odometry_from_msg(message), message.twist))
         self._work()
 
     def _work(self) -> None:
         while self._waiting:
-            own = self._waiting[0]
+            own, twist = self._waiting[0]
             is_epoch = crosses_epoch(self._previous_ns, own.stamp_ns, self.config.fusion.epoch_s)
             joint = self._joints.get(own.stamp_ns) if is_epoch else None
             if is_epoch and joint is None and len(self._waiting) < MAX_WAITING:
@@ -111,28 +110,35 @@ class FusionNode(VehicleNode):
                 self.guarded("joint_information", self._run_epoch)(joint)  # if it fails, propagation goes on
             elif is_epoch:
                 self.drop("joint_lost", f"no joint information arrived for the epoch at {own.stamp_ns} ns")
-            self._publish_pose(own, self._fusion.propagate(own))
+            self._publish_pose(own, self._fusion.propagate(own), twist)
 
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
         self._exchange.send()
         stamp_ns = joint.stamp_ns
         self._publish_frames(stamp_ns, epoch)
-        self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=WORLD))
-        self._paths.publish(Path(header=header(stamp_ns, WORLD), poses=list(self._path)))
+        self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=self.config.frames.world))
+        self._paths.publish(Path(header=header(stamp_ns, self.config.frames.world), poses=list(self._path)))
         self._report(stamp_ns, epoch.weight)
 
-    def _publish_pose(self, own: PoseEstimate, fused: PoseEstimate) -> None:
+    def _publish_pose(self, own: PoseEstimate, fused: PoseEstimate, twist: TwistWithCovariance) -> None:
+        """Publish the fused pose; the twist, in the body frame, is the own one: packets hold no velocities."""
         T_world_map = fused.T_map_body @ own.T_map_body.inverse()
-        edge = transform_to_msg(T_world_map, stamp_ns=own.stamp_ns, parent=WORLD, child=self.map_frame)
+        edge = transform_to_msg(
+            T_world_map, stamp_ns=own.stamp_ns, parent=self.config.frames.world, child=self.map_frame
+        )
         self._tf.publish(TFMessage(transforms=[edge]))
-        self._path.append(PoseStamped(header=header(fused.stamp_ns, WORLD), pose=pose_to_msg(fused.T_map_body)))
-        self._odometry.publish(odometry_to_msg(fused, frame_id=WORLD, child_frame_id=self.base_frame))
+        self._path.append(
+            PoseStamped(header=header(fused.stamp_ns, self.config.frames.world), pose=pose_to_msg(fused.T_map_body))
+        )
+        self._odometry.publish(
+            odometry_to_msg(fused, twist, frame_id=self.config.frames.world, child_frame_id=self.base_frame)
+        )
 
     def _publish_frames(self, stamp_ns: int, epoch: FusedEpoch) -> None:
         """Publish the frames of peers without a common origin; the diagnostics say why one is unknown."""
         edges = [
-            transform_to_msg(frame.T_own_peer, stamp_ns=stamp_ns, parent=WORLD, child=f"{peer}/map")
+            transform_to_msg(frame.T_own_peer, stamp_ns=stamp_ns, parent=self.config.frames.world, child=f"{peer}/map")
             for peer, frame in epoch.frames.items()
         ]
         if edges:
@@ -142,7 +148,7 @@ class FusionNode(VehicleNode):
 
     def _report(self, stamp_ns: int, own_weight: float) -> None:
         before = set(self._reporter.silent)
-        status = self._reporter.report(stamp_ns, WORLD, own_weight=own_weight)
+        status = self._reporter.report(stamp_ns, self.config.frames.world, own_weight=own_weight)
         self._status.publish(status)
         self.alarms = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
         for peer in before - set(self._reporter.silent):

@@ -9,9 +9,10 @@ in   imu/data_raw         sensor_msgs/Imu
                           and from the back end with in_flight
      slam/correction      uav_vslam_msgs/NavigationState, from the back end
 out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
-     ins/dead_reckoning   nav_msgs/Odometry per image, odom frame, never corrected: the INS baseline
-     ins/odometry         nav_msgs/Odometry per IMU sample, map frame, corrected
-     /tf                  <vehicle>/odom to <vehicle>/base_link
+     ins/dead_reckoning   nav_msgs/Odometry per image, map frame, never corrected: the INS baseline
+     ins/odometry         nav_msgs/Odometry at odometry_rate_hz, map frame, corrected
+     /tf                  at odometry_rate_hz: <vehicle>/odom to <vehicle>/base_link, continuous, and <vehicle>/map to
+                          <vehicle>/odom, which takes the steps of corrections
 """
 
 from nav_msgs.msg import Odometry
@@ -21,7 +22,9 @@ from tf2_msgs.msg import TFMessage
 from uav_vslam.datasets.messages import header_stamp_ns, stamp_ns_of
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
-from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator, InsOdometry
+from uav_vslam.ins.body_twist import body_twist
+from uav_vslam.ins.live_odometry import LiveOdometry
+from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.ins.startup_buffer import MAX_APART_S, StartupBuffer
 from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
@@ -30,6 +33,7 @@ from uav_vslam.ros.convert import (
     navigation_to_msg,
     odometry_to_msg,
     transform_to_msg,
+    twist_to_msg,
 )
 from uav_vslam.ros.inputs import image_topics
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
@@ -40,14 +44,14 @@ from uav_vslam_msgs.msg import InsIncrement, NavigationState
 
 
 class InsPropagatorNode(VehicleNode):
-    """Feeds `ImuPreintegrator`, `DeadReckoning` and `InsOdometry`; buffers input until the start state arrives."""
+    """Feeds `ImuPreintegrator`, `DeadReckoning` and `LiveOdometry`; buffers input until the start state arrives."""
 
     def __init__(self) -> None:
         super().__init__("ins_propagator")
         method, topics = self.config.start.method, self.config.input.topics
         self._preintegrator = ImuPreintegrator(self.config.imu) if method == "in_flight" else None
         self._reckoner = DeadReckoning(self.config.imu)
-        self._live: InsOdometry | None = None
+        self._live: LiveOdometry | None = None
         self._startup_buffer = StartupBuffer(self.config.start.rest_s if method == "static" else MAX_APART_S)
         self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
         self._given_frame = ""
@@ -112,8 +116,9 @@ class InsPropagatorNode(VehicleNode):
     def _start(self, initial: NavEstimate) -> None:
         early = self._startup_buffer.take()
         for estimate in self._reckoner.start(initial):
-            self._publish_dead_reckoning(estimate)
-        self._live = InsOdometry(initial, self.config.imu)
+            self._publish_dead_reckoning(estimate, None)
+        rate_hz = self.own.odometry_rate_hz
+        self._live = LiveOdometry(initial, self.config.imu, period_s=1.0 / rate_hz if rate_hz else 0.0)
         already_running = self._preintegrator is not None  # in flight, increments are needed before the start state
         if self._preintegrator is None:
             self._preintegrator = ImuPreintegrator(self.config.imu, initial.state)
@@ -147,16 +152,16 @@ class InsPropagatorNode(VehicleNode):
             self._publish_increment(increment)
         self.counts["imu_gaps"] = preintegrator.gaps
 
-    def _propagate(self, live: InsOdometry, item: ImuSample | int) -> None:
-        if not isinstance(item, ImuSample):
+    def _propagate(self, live: LiveOdometry, item: ImuSample | int) -> None:
+        if not isinstance(item, ImuSample) or not live.add_imu(item):
             return
-        state = live.add_imu(item)
-        if self._odometry.get_subscription_count() and state.stamp_ns == item.stamp_ns:
-            self._odometry.publish(
-                odometry_to_msg(
-                    live.pose, frame_id=self.map_frame, child_frame_id=self.base_frame, velocity_map=state.v_map
-                )
-            )
+        if self._odometry.get_subscription_count():
+            self._odometry.publish(self._odometry_msg(live.estimate, live.increment))
+        if self._tf.get_subscription_count():
+            stamp_ns, odom = live.estimate.state.stamp_ns, self.odom_frame
+            jumps = transform_to_msg(live.T_map_odom, stamp_ns=stamp_ns, parent=self.map_frame, child=odom)
+            motion = transform_to_msg(live.T_odom_body, stamp_ns=stamp_ns, parent=odom, child=self.base_frame)
+            self._tf.publish(TFMessage(transforms=[jumps, motion]))
 
     def _align(self, samples: list[ImuSample]) -> None:
         """Estimate the start state from IMU samples at rest, and publish it."""
@@ -170,15 +175,14 @@ class InsPropagatorNode(VehicleNode):
         self.counts["increments"] += 1
         self._increments.publish(increment_to_msg(increment, frame_id=self.base_frame))
         for estimate in self._reckoner.add(increment):
-            self._publish_dead_reckoning(estimate)
+            self._publish_dead_reckoning(estimate, increment)
 
-    def _publish_dead_reckoning(self, nav: NavEstimate) -> None:
-        pose, velocity = nav.pose, nav.state.v_map
-        self._dead_reckoning.publish(
-            odometry_to_msg(pose, frame_id=self.odom_frame, child_frame_id=self.base_frame, velocity_map=velocity)
-        )
-        edge = transform_to_msg(pose.T_map_body, stamp_ns=pose.stamp_ns, parent=self.odom_frame, child=self.base_frame)
-        self._tf.publish(TFMessage(transforms=[edge]))
+    def _publish_dead_reckoning(self, nav: NavEstimate, increment: ImuIncrement | None) -> None:
+        self._dead_reckoning.publish(self._odometry_msg(nav, increment))
+
+    def _odometry_msg(self, nav: NavEstimate, increment: ImuIncrement | None) -> Odometry:
+        twist = twist_to_msg(body_twist(nav, increment, self.config.imu))
+        return odometry_to_msg(nav.pose, twist, frame_id=self.map_frame, child_frame_id=self.base_frame)
 
     def _on_correction(self, message: NavigationState) -> None:
         if self._live is not None:

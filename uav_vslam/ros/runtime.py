@@ -79,12 +79,12 @@ class VehicleNode(Node):
     @property
     def map_frame(self) -> str:
         """Name of the vehicle's map frame."""
-        return f"{self.vehicle}/map"
+        return self.config.frames.map or f"{self.vehicle}/map"
 
     @property
     def odom_frame(self) -> str:
-        """Name of the own-only frame, which fusion never corrects."""
-        return f"{self.vehicle}/odom"
+        """Name of the frame in which the own pose has no jumps."""
+        return self.config.frames.odom or f"{self.vehicle}/odom"
 
     @property
     def base_frame(self) -> str:

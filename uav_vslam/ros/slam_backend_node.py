@@ -14,7 +14,6 @@ out  odometry                              nav_msgs/Odometry per frame, map fram
      slam/smoothed                         geometry_msgs/PoseWithCovarianceStamped per frame, map frame: the pose of
                                            backend.window frames ago as later ones have corrected it
      slam/quality                          uav_vslam_msgs/FrameQuality per frame, for evaluation without ground truth
-     /tf                                   <vehicle>/map to <vehicle>/odom
 """
 
 from collections import deque
@@ -22,10 +21,9 @@ from collections import deque
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
-from tf2_msgs.msg import TFMessage
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import (
     cloud_to_msg,
@@ -38,12 +36,11 @@ from uav_vslam.ros.convert import (
     odometry_to_msg,
     pose_to_msg,
     pose_with_covariance_to_msg,
-    transform_to_msg,
+    twist_to_msg,
 )
 from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
-from uav_vslam.slam.backend import FrameReport
 from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.types import JointInformation as Joint
@@ -69,7 +66,6 @@ class SlamBackendNode(VehicleNode):
         self._correction = self.advertise(NavigationState, "slam/correction", STATE)
         self._smoothed = self.advertise(PoseWithCovarianceStamped, "slam/smoothed", STATE)
         self._quality = self.advertise(FrameQuality, "slam/quality", STATE)
-        self._tf = self.advertise(TFMessage, "/tf", STATE)
         self._rig = RigListener(self, self._work)
         self._finds_start = self.config.start.method == "in_flight"
         if self._finds_start:
@@ -114,7 +110,7 @@ class SlamBackendNode(VehicleNode):
         self._quality.publish(quality_to_msg(output.quality, frame_id=self.map_frame))
         if output.report.smoothed is not None:
             self._smoothed.publish(pose_with_covariance_to_msg(output.report.smoothed, frame_id=self.map_frame))
-        self._publish_frame(output.report, output.dead_reckoning.state.T_map_body)
+        self._publish_frame(output)
 
     def _publish_start(self, found: NavEstimate) -> None:
         """Publish the estimated start state once."""
@@ -128,16 +124,12 @@ class SlamBackendNode(VehicleNode):
         self._landmarks.publish(cloud_to_msg(joint.positions, stamp_ns=joint.stamp_ns, frame_id=self.map_frame))
         self._paths.publish(Path(header=header(joint.stamp_ns, self.map_frame), poses=list(self._path)))
 
-    def _publish_frame(self, report: FrameReport, T_odom_body: Pose) -> None:
-        pose, state = report.pose, report.nav.state
+    def _publish_frame(self, output: FrameOutput) -> None:
+        report, pose = output.report, output.report.pose
         self._correction.publish(navigation_to_msg(report.nav, frame_id=self.map_frame, child_frame_id=self.base_frame))
-        T_map_odom = pose.T_map_body @ T_odom_body.inverse()
-        edge = transform_to_msg(T_map_odom, stamp_ns=pose.stamp_ns, parent=self.map_frame, child=self.odom_frame)
-        self._tf.publish(TFMessage(transforms=[edge]))
         self._path.append(PoseStamped(header=header(pose.stamp_ns, self.map_frame), pose=pose_to_msg(pose.T_map_body)))
-        self._odometry.publish(
-            odometry_to_msg(pose, frame_id=self.map_frame, child_frame_id=self.base_frame, velocity_map=state.v_map)
-        )
+        twist = twist_to_msg(body_twist(report.nav, output.increment, self.config.imu))
+        self._odometry.publish(odometry_to_msg(pose, twist, frame_id=self.map_frame, child_frame_id=self.base_frame))
 
     def _count(self, output: FrameOutput) -> None:
         report = output.report
