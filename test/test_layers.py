@@ -56,7 +56,7 @@ ALLOWED: dict[str, set[str]] = {
     | {"overlay", "offline", "mapping", "memory"},
 }
 # What starts or watches ROS processes may import `ros`.
-ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "studies/engine/node_graph.py"}
+ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "cli/mode.py", "studies/engine/node_graph.py"}
 # What the command line takes from the laboratory; nothing else of the product knows it.
 LABORATORY_DOORS = {"cli/study.py", "cli/bench.py"}
 

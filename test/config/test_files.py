@@ -277,3 +277,24 @@ def test_every_link_of_ours_can_be_read_by_its_name(file: Path) -> None:
 def test_a_link_file_with_a_wrong_key_or_value_is_refused(write_vehicle: Write, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         load_link(str(write_vehicle(text)))
+
+
+def test_a_fleet_of_several_computers_has_addresses_on_a_radio(write: Write) -> None:
+    text = "vehicles: {a: {address: 10.77.0.1}, b: {address: 10.77.0.2}}\nradio: {domain_id: 42, interface: wlan0}"
+    fleet = load_fleet(write(text))
+    assert fleet.addresses == {"a": "10.77.0.1", "b": "10.77.0.2"}
+    assert (fleet.radio.domain_id, fleet.radio.interface) == (42, "wlan0")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("vehicles: {a: {address: 10.77.0.1}, b: }", "b has none"),
+        ("vehicles: {a: {address: computer-a}}", "vehicles.a.address = 'computer-a' must be like 10.77.0.1"),
+        ("vehicles: {a: }\nradio: {domain: 42}", "unknown key domain"),
+        ("vehicles: {a: }\nradio: 42", "radio must hold keys and values"),
+    ],
+)
+def test_a_wrong_radio_is_refused(write: Write, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_fleet(write(text))

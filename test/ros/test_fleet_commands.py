@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 from uav_vslam.config import BackendConfig, FleetConfig, LinkConfig, ReplayConfig, StartConfig, VehicleConfig
+from uav_vslam.config.fleet import RadioConfig
+from uav_vslam.errors import ConfigError
 from uav_vslam.ros.fleet_commands import VEHICLE_NODES, node_specs
+from uav_vslam.ros.supervisor import node_command
 
 ROOT = Path(__file__).parents[2]
 
@@ -101,10 +104,44 @@ def test_rclpy_reads_the_arguments_as_the_parameters_that_were_meant() -> None:
         context.try_shutdown()
 
 
-def test_the_launch_file_reads_the_same_description() -> None:
-    tree = ast.parse((ROOT / "launch" / "fleet.launch.py").read_text())
-    imported = {
-        (node.module, name.name) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for name in node.names
+def test_a_vehicle_with_its_own_computer_is_started_alone_and_reaches_its_peers_by_radio() -> None:
+    addresses = {"a": "10.77.0.1", "b": "10.77.0.2", "c": "10.77.0.3"}
+    radio = RadioConfig(domain_id=42, interface="wlan0")
+    whole = dataclasses.replace(fleet("a", "b", "c"), radio=radio, addresses=addresses)
+    *vehicle, replay = node_specs(whole, vehicles=["b"])
+    assert [(spec.namespace, spec.executable) for spec in vehicle] == [("/b", name) for name in VEHICLE_NODES]
+    assert replay.parameters["vehicles"] == ["b"]
+    *others, fusion = vehicle
+    assert fusion.parameters["peers"] == ["a", "c"]
+    assert fusion.parameters["radio_peers"] == ["10.77.0.1", "10.77.0.3"]
+    assert (fusion.parameters["radio_domain_id"], fusion.parameters["radio_interface"]) == (42, "wlan0")
+    assert Path(fusion.environment["FASTRTPS_DEFAULT_PROFILES_FILE"]).is_file()
+    assert node_command(fusion).environment == fusion.environment
+    assert not any(spec.environment for spec in others)
+    assert not any("radio_domain_id" in spec.parameters for spec in node_specs(whole))
+
+
+def test_a_vehicle_that_is_not_in_the_fleet_and_a_link_between_computers_are_refused() -> None:
+    with pytest.raises(ConfigError, match="'d' is not in the fleet file, which has a, b"):
+        node_specs(fleet("a", "b"), vehicles=["d"])
+    with pytest.raises(ConfigError, match="one computer"):
+        node_specs(fleet("a", "b"), vehicles=["a"], link=LinkConfig())
+
+
+def test_the_clock_of_others_is_used_if_asked_for() -> None:
+    specs = node_specs(fleet("uav1", bags=()), use_sim_time=True)
+    assert all(spec.parameters["use_sim_time"] for spec in specs)
+
+
+@pytest.mark.parametrize(("name", "one"), [("fleet", False), ("vehicle", True)])
+def test_the_launch_files_read_the_same_description(name: str, one: bool) -> None:
+    """`launch` comes with a ROS installation only, so their syntax tree has to do."""
+    tree = ast.parse((ROOT / "launch" / f"{name}.launch.py").read_text())
+    (function,) = (node for node in tree.body if isinstance(node, ast.FunctionDef))
+    assert function.name == "generate_launch_description"
+    assert ast.unparse(function.body[-1]) == f"return description(one_vehicle={one})"
+    source = (ROOT / "uav_vslam" / "ros" / "launch_description.py").read_text()
+    called = {
+        node.func.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call) and hasattr(node.func, "id")
     }
-    assert ("uav_vslam.ros.fleet_commands", "node_specs") in imported
-    assert "generate_launch_description" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert {"node_specs", "load_fleet", "load_link"} <= called

@@ -4,20 +4,21 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
 
+LOG_LEVELS = ("debug", "info", "warn", "error")
 HELP = "start a fleet's node graph, one process a node"
 EXAMPLES = """examples:
   uav-vslam launch config/fleet_demo.yaml                                 replay the file's recordings, in lock-step
   uav-vslam launch config/fleet_demo.yaml --bag flight --rate 1           another recording, in real time
   uav-vslam launch config/fleet_demo.yaml --mode none --record out/alone  without cooperation, estimates recorded
   uav-vslam launch config/fleet_demo.yaml --mode narrowband --link bad_radio    over 9.6 kbit/s with 20 % loss
+  uav-vslam launch fleet.yaml --vehicle uav1                              the vehicle of this computer alone
 
 The end of the replay ends the fleet; so does a node that dies, SIGINT and SIGTERM.
 """
@@ -26,6 +27,9 @@ The end of the replay ends the fleet; so does a node that dies, SIGINT and SIGTE
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("fleet", type=Path, metavar="FLEET.yaml", help="vehicles, recordings to replay, and the mode")
+    parser.add_argument(
+        "--vehicle", action="append", metavar="NAME", help="start only this one, the others have their own computers"
+    )
     parser.add_argument("--bag", type=Path, action="append", metavar="BAG", help="replay this instead; may be repeated")
     parser.add_argument(
         "--rate", type=float, metavar="R", help="multiple of real time; 0: paced by the graph (lock-step)"
@@ -34,6 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--record", type=Path, metavar="DIR", help="record the estimates into this new bag")
     parser.add_argument("--log-dir", type=Path, metavar="DIR", help="also keep each process's output in a file here")
+    parser.add_argument(
+        "--use-sim-time", action="store_true", help="take the time from /clock, as with a replay of others"
+    )
+    parser.add_argument("--log-level", choices=LOG_LEVELS, help="of all nodes (default info)")
     parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain, 0 to 101 (default: ROS_DOMAIN_ID)")
 
 
@@ -41,13 +49,29 @@ def run(args: argparse.Namespace) -> int:
     """Launch and return the exit code of the first process that failed, or 0."""
     from uav_vslam.config import load_link
 
-    fleet = read_fleet(args.fleet, bags=args.bag, rate=args.rate, mode=args.mode)
-    link = load_link(args.link) if args.link else None
-    return launch(fleet, record=args.record, log_dir=args.log_dir, domain_id=args.domain, link=link)
+    vehicles = args.vehicle or ()
+    fleet = read_fleet(args.fleet, bags=args.bag, rate=args.rate, mode=args.mode, vehicles=vehicles)
+    return launch(
+        fleet,
+        record=args.record,
+        log_dir=args.log_dir,
+        domain_id=args.domain,
+        link=load_link(args.link) if args.link else None,
+        vehicles=vehicles,
+        use_sim_time=args.use_sim_time or None,
+        log_level=args.log_level or "",
+    )
 
 
-def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, mode: str | None) -> FleetConfig:
-    """Read a fleet file; the arguments override its values.
+def read_fleet(
+    path: Path,
+    *,
+    bags: Sequence[Path] | None,
+    rate: float | None,
+    mode: str | None,
+    vehicles: Collection[str] = (),
+) -> FleetConfig:
+    """Read a fleet file; the arguments override its values, and recordings are checked for the vehicles to start.
 
     Raises:
         ConfigError: the file or a value is wrong.
@@ -56,21 +80,12 @@ def read_fleet(path: Path, *, bags: Sequence[Path] | None, rate: float | None, m
     """
     from uav_vslam.config import load_fleet
 
-    fleet = load_fleet(path)
-    replay = fleet.replay
-    if bags:
-        replay = dataclasses.replace(replay, bags=tuple(bags))
-    if rate is not None:
-        replay = dataclasses.replace(replay, rate=rate)
-    vehicles = fleet.vehicles
-    if replay.bags:
-        _check_recordings(replay.bags, vehicles)
-    if mode is not None:
-        vehicles = {
-            name: dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, mode=mode))
-            for name, config in vehicles.items()
-        }
-    return dataclasses.replace(fleet, vehicles=vehicles, replay=replay)
+    fleet = load_fleet(path).changed(bags=bags, rate=rate, mode=mode)
+    fleet.check_known(vehicles)
+    if fleet.replay.bags:
+        here = {name: config for name, config in fleet.vehicles.items() if name in vehicles or not vehicles}
+        _check_recordings(fleet.replay.bags, here)
+    return fleet
 
 
 def _check_recordings(bags: Sequence[Path], vehicles: Mapping[str, VehicleConfig]) -> None:
@@ -91,6 +106,9 @@ def launch(
     log_dir: Path | None = None,
     domain_id: int | None = None,
     link: LinkConfig | None = None,
+    vehicles: Collection[str] = (),
+    use_sim_time: bool | None = None,
+    log_level: str = "",
     on_line: Callable[[str, str], None] | None = None,
 ) -> int:
     """Run a fleet's processes to their end.
@@ -101,6 +119,8 @@ def launch(
         log_dir: folder for the output of each process.
         domain_id: ROS domain; None takes the environment's.
         link: emulated radio link to put between the vehicles.
+        vehicles, use_sim_time: see `node_specs`.
+        log_level: of all nodes; empty for their default.
         on_line: called with (process, line) for each line of output; the default prints it.
 
     Returns:
@@ -113,11 +133,15 @@ def launch(
 
     if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
-    specs = node_specs(fleet, link=link)
+    specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time)
     if record is not None:
-        parameters = {"output": str(record), "vehicles": list(fleet.vehicles)}
+        parameters = {
+            "output": str(record),
+            "vehicles": [name for name in fleet.vehicles if name in vehicles or not vehicles],
+        }
         specs.insert(0, NodeSpec("recorder", "recorder", "/", parameters))
     environment = {} if domain_id is None else {"ROS_DOMAIN_ID": str(domain_id)}
     if log_dir is not None:
         environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")
-    return Supervisor(environment, log_dir=log_dir, on_line=on_line).run(map(node_command, specs))
+    commands = [node_command(spec, log_level) for spec in specs]
+    return Supervisor(environment, log_dir=log_dir, on_line=on_line).run(commands)

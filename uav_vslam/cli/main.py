@@ -31,6 +31,7 @@ VERBS = (
     "study",
     "bench",
     "topic",
+    "mode",
 )
 EXAMPLES = """examples:
   uav-vslam demo                                     replay two vehicles' sample recordings and report

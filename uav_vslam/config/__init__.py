@@ -12,6 +12,7 @@ from uav_vslam.config.advice import idle_settings
 from uav_vslam.config.files import (
     difference_file,
     find_config,
+    find_dds_profile,
     load_fleet,
     load_link,
     load_vehicle,
@@ -68,6 +69,7 @@ __all__ = [
     "difference_file",
     "differences",
     "find_config",
+    "find_dds_profile",
     "idle_settings",
     "load_fleet",
     "load_link",

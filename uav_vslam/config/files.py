@@ -12,6 +12,7 @@ An unknown key, a wrong type or a value out of range raises `ConfigError` that n
 """
 
 import difflib
+import ipaddress
 import os
 from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping
@@ -20,7 +21,7 @@ from typing import Any
 
 import yaml
 
-from uav_vslam.config.fleet import FleetConfig, LinkConfig, ReplayConfig
+from uav_vslam.config.fleet import FleetConfig, LinkConfig, RadioConfig, ReplayConfig
 from uav_vslam.config.nodes import LinkNodeConfig
 from uav_vslam.config.settings import build, differences, flatten, flattened, plain
 from uav_vslam.config.vehicle import VehicleConfig
@@ -36,16 +37,31 @@ def find_config(name: str) -> Path:
     Raises:
         ConfigError: there is neither.
     """
-    beside = Path(__file__).resolve().parents[2] / "config"
-    prefixes = [
-        Path(prefix) / "share/uav_vslam/config" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":")
-    ]
-    candidates = [Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in [beside, *prefixes])]
+    candidates = [Path(name), *(folder / f"{name.removesuffix('.yaml')}.yaml" for folder in _folders())]
     for candidate in candidates:
         if candidate.is_file():
             return candidate
-    known = ", ".join(sorted(file.stem for file in beside.glob("*.yaml")))
+    known = ", ".join(sorted(file.stem for file in _folders()[0].glob("*.yaml")))
     raise ConfigError(f"configuration {name!r} is neither a file nor one of ours ({known})")
+
+
+def find_dds_profile(name: str) -> Path:
+    """Return a file of `config/dds`.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    for folder in _folders():
+        if (folder / "dds" / name).is_file():
+            return folder / "dds" / name
+    raise ConfigError(f"{name} is not in {_folders()[0] / 'dds'}; is the package installed completely?")
+
+
+def _folders() -> list[Path]:
+    """Return where this project's `config` folder may be: in the repository, or installed."""
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(":")
+    installed = [Path(prefix) / "share/uav_vslam/config" for prefix in prefixes]
+    return [Path(__file__).resolve().parents[2] / "config", *installed]
 
 
 def find_link(name: str) -> Path:
@@ -89,13 +105,14 @@ def load_link(name: str) -> LinkConfig:
 def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> FleetConfig:
     """Read a fleet file: `vehicles: {uav1: {config: kagaru.yaml}}`, `replay: {bags: [...], rate: 0}`, `mode: wideband`.
 
-    Paths in it are relative to the file; overrides such as {"backend.sigma_px": 0.5} reach every vehicle.
+    Vehicles with a computer each have an `address`, too, and share `radio: {domain_id: 42, interface: wlan0}`. Paths
+    are relative to the file; overrides such as {"backend.sigma_px": 0.5} reach every vehicle.
 
     Raises:
         ConfigError: the file can't be read, a key or value is wrong, or a vehicle's name is used twice.
     """
     tree = read_yaml(path)
-    _reject_unknown(tree, {"vehicles", "replay", "mode"}, where=str(path), prefix="")
+    _reject_unknown(tree, {"vehicles", "replay", "mode", "radio"}, where=str(path), prefix="")
     if not isinstance(tree.get("vehicles"), dict) or not tree["vehicles"]:
         raise ConfigError(
             f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}"
@@ -105,7 +122,10 @@ def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Fle
         name: load_vehicle(_vehicle_file(path, name, entry), overrides={**shared, **(overrides or {})})
         for name, entry in tree["vehicles"].items()
     }
-    return FleetConfig(vehicles, _replay(path, tree.get("replay") or {}))
+    radio = build(RadioConfig, _section(path, tree, "radio"), where=f"{path}: radio")
+    return FleetConfig(
+        vehicles, _replay(path, _section(path, tree, "replay")), radio, _addresses(path, tree["vehicles"])
+    )
 
 
 def parameter_file(configs: Mapping[str, VehicleConfig]) -> dict[str, Any]:
@@ -144,14 +164,34 @@ def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:
     entry = entry or {}
     if not (isinstance(entry, dict) and isinstance(entry.get("config") or "", str)):
         raise ConfigError(f"{path}: vehicles.{name} = {entry!r} must look like {{config: kagaru.yaml}}")
-    _reject_unknown(entry, {"config"}, where=str(path), prefix=f"vehicles.{name}.")
+    _reject_unknown(entry, {"config", "address"}, where=str(path), prefix=f"vehicles.{name}.")
     return path.parent / entry["config"] if entry.get("config") else None
 
 
-def _replay(path: Path, tree: Any) -> ReplayConfig:
-    if not isinstance(tree, dict):
-        raise ConfigError(f"{path}: replay must hold keys and values, not {tree!r}")
-    replay = build(ReplayConfig, {str(key): value for key, value in tree.items()}, where=f"{path}: replay")
+def _section(path: Path, tree: Mapping[Any, Any], name: str) -> dict[str, Any]:
+    """Return the keys and values of a part of a fleet file."""
+    values = tree.get(name) or {}
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: {name} must hold keys and values, not {values!r}")
+    return {str(key): value for key, value in values.items()}
+
+
+def _addresses(path: Path, entries: Mapping[str, Any]) -> dict[str, str]:
+    """Return the vehicles' addresses on the radio."""
+    given = {name: entry["address"] for name, entry in entries.items() if entry and "address" in entry}
+    for name, address in given.items():
+        try:
+            ipaddress.ip_address(address)
+        except ValueError:
+            raise ConfigError(f"{path}: vehicles.{name}.address = {address!r} must be like 10.77.0.1") from None
+    missing = sorted(set(entries) - set(given))
+    if given and missing:
+        raise ConfigError(f"{path}: vehicles have addresses on the radio, but {', '.join(missing)} has none; add it")
+    return given
+
+
+def _replay(path: Path, values: dict[str, Any]) -> ReplayConfig:
+    replay = build(ReplayConfig, values, where=f"{path}: replay")
     bags = tuple(path.parent / bag for bag in replay.bags)
     return ReplayConfig(bags, replay.rate, replay.timeout_s)
 

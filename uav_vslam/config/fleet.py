@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of a whole fleet: its vehicles, the replay of recordings, and the emulated radio link."""
 
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from uav_vslam.config.settings import Settings, refuse, setting
 from uav_vslam.config.vehicle import VehicleConfig
+from uav_vslam.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +56,51 @@ class LinkConfig(Settings):
 
 
 @dataclass(frozen=True, slots=True)
+class RadioConfig(Settings):
+    """The radio between vehicles that have a computer each."""
+
+    domain_id: int = setting(-1, "ROS domain of the radio; -1: the vehicles' own", at_least=-1, at_most=232)
+    interface: str = setting("", "network interface whose traffic is reported; empty for none")
+
+
+@dataclass(frozen=True, slots=True)
 class FleetConfig:
-    """A fleet description: vehicle configurations by name (the name is the ROS namespace), and what is replayed."""
+    """A fleet description.
+
+    Attributes:
+        vehicles: configurations by name, which is the ROS namespace.
+        replay: recordings, if any.
+        radio: between computers; vehicles that are launched together don't need it.
+        addresses: of vehicles on the radio, by name; of all or of none.
+    """
 
     vehicles: dict[str, VehicleConfig]
     replay: ReplayConfig
+    radio: RadioConfig = field(default_factory=RadioConfig)
+    addresses: dict[str, str] = field(default_factory=dict)
+
+    def changed(
+        self, *, bags: Sequence[Path] | None = None, rate: float | None = None, mode: str | None = None
+    ) -> "FleetConfig":
+        """Return the fleet with other recordings, pace or communication mode, where given."""
+        replay, vehicles = self.replay, self.vehicles
+        if bags:
+            replay = dataclasses.replace(replay, bags=tuple(bags))
+        if rate is not None:
+            replay = dataclasses.replace(replay, rate=rate)
+        if mode is not None:
+            vehicles = {
+                name: dataclasses.replace(config, fusion=dataclasses.replace(config.fusion, mode=mode))
+                for name, config in vehicles.items()
+            }
+        return dataclasses.replace(self, vehicles=vehicles, replay=replay)
+
+    def check_known(self, vehicles: Collection[str]) -> None:
+        """Refuse names that are not of the fleet.
+
+        Raises:
+            ConfigError: one is not.
+        """
+        for name in vehicles:
+            if name not in self.vehicles:
+                raise ConfigError(f"vehicle {name!r} is not in the fleet file, which has {', '.join(self.vehicles)}")

@@ -6,12 +6,14 @@ It imports no ROS, because launch files are read by the system's Python, which n
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig, differences
+from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig, differences, find_dds_profile
+from uav_vslam.errors import ConfigError
 
+DDS_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 VEHICLE_NODES = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
 
 
@@ -25,6 +27,7 @@ class NodeSpec:
         namespace: of the vehicle, with its slash ("/uav1"); "/" for nodes of the whole fleet.
         parameters: ROS parameters by dotted name; absent ones keep their defaults.
         remappings: other topics to use, by the name that the node itself uses.
+        environment: variables in addition to the launcher's.
     """
 
     executable: str
@@ -32,6 +35,7 @@ class NodeSpec:
     namespace: str
     parameters: dict[str, Any]
     remappings: dict[str, str] = dataclasses.field(default_factory=dict)
+    environment: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def ros_arguments(self) -> list[str]:
         """Return the arguments that make `executable` this node."""
@@ -43,34 +47,74 @@ class NodeSpec:
         return arguments
 
 
-def node_specs(fleet: FleetConfig, *, link: LinkConfig | None = None) -> list[NodeSpec]:
-    """List every node of the fleet: four per vehicle, then those of the whole fleet.
+def node_specs(
+    fleet: FleetConfig,
+    *,
+    link: LinkConfig | None = None,
+    vehicles: Collection[str] = (),
+    use_sim_time: bool | None = None,
+) -> list[NodeSpec]:
+    """List the nodes to start: four per vehicle, then those of the whole fleet.
 
     Args:
         fleet: with recordings, a replay of them comes last.
         link: emulated radio link; the vehicles then receive each other through it alone.
+        vehicles: those of this computer, which reach the others by the fleet's radio; none: all, without a radio.
+        use_sim_time: whether nodes take the time from /clock; None: with a replay.
+
+    Raises:
+        ConfigError: a vehicle is not in the fleet, or a link is to be emulated between computers.
     """
-    replayed = bool(fleet.replay.bags)
-    specs = []
-    for vehicle, config in fleet.vehicles.items():
-        shared = {"vehicle": vehicle, "use_sim_time": replayed, **differences(config)}
-        for executable in VEHICLE_NODES:
-            peers = [name for name in fleet.vehicles if name != vehicle]
-            own = {"peers": peers} if executable == "fusion" and peers else {}  # ROS can't type an empty list
-            via = {packets_of(p): link_output(vehicle, p) for p in peers} if executable == "fusion" and link else {}
-            via |= {feedback_to(vehicle): link_output(vehicle, "feedback")} if via else {}
-            specs.append(NodeSpec(executable, executable, f"/{vehicle}", {**shared, **own}, via))
+    fleet.check_known(vehicles)
+    if vehicles and link is not None:
+        raise ConfigError("an emulated link needs all vehicles on one computer; leave out the vehicles or the link")
+    here = {name: config for name, config in fleet.vehicles.items() if name in vehicles or not vehicles}
+    sim_time = bool(fleet.replay.bags) if use_sim_time is None else use_sim_time
+    specs = [
+        spec
+        for name, config in here.items()
+        for spec in _vehicle_specs(
+            fleet, name, {"vehicle": name, "use_sim_time": sim_time, **differences(config)}, link
+        )
+    ]
+    if vehicles:
+        specs = [_on_radio(fleet, spec) if spec.executable == "fusion" else spec for spec in specs]
     if link is not None:
-        parameters = {"vehicles": list(fleet.vehicles), "use_sim_time": replayed}
+        parameters = {"vehicles": list(fleet.vehicles), "use_sim_time": sim_time}
         parameters |= {f"link.{name}": value for name, value in differences(link).items()}
         specs.append(NodeSpec("link_emulator", "link_emulator", "/", parameters))
-    if replayed:
-        parameters = {"vehicles": list(fleet.vehicles), **differences(fleet.replay)}
-        finding = [name for name, config in fleet.vehicles.items() if config.start.method != "given"]
+    if fleet.replay.bags:
+        parameters = {"vehicles": list(here), **differences(fleet.replay)}
+        finding = [name for name, config in here.items() if config.start.method != "given"]
         parameters |= {"finding_start": finding} if finding else {}
-        parameters |= _replay_inputs(fleet.vehicles)
+        parameters |= _replay_inputs(here)
         specs.append(NodeSpec("replay", "replay", "/", parameters))
     return specs
+
+
+def _vehicle_specs(
+    fleet: FleetConfig, vehicle: str, parameters: dict[str, Any], link: LinkConfig | None
+) -> list[NodeSpec]:
+    """Return the nodes of a vehicle; its fusion node listens to all others of the fleet, through the link if any."""
+    peers = [name for name in fleet.vehicles if name != vehicle]
+    own = {"peers": peers} if peers else {}  # ROS can't type an empty list
+    via = {packets_of(peer): link_output(vehicle, peer) for peer in peers} if link else {}
+    via |= {feedback_to(vehicle): link_output(vehicle, "feedback")} if via else {}
+    namespace = f"/{vehicle}"
+    *others, fusion = (NodeSpec(name, name, namespace, parameters) for name in VEHICLE_NODES)
+    return [*others, dataclasses.replace(fusion, parameters=parameters | own, remappings=via)]
+
+
+def _on_radio(fleet: FleetConfig, fusion: NodeSpec) -> NodeSpec:
+    """Return a fusion node that reaches the other computers; see docs/radio.md."""
+    if fleet.radio.domain_id < 0:
+        return fusion
+    vehicle = fusion.parameters["vehicle"]
+    others = [address for name, address in fleet.addresses.items() if name != vehicle]
+    radio = {f"radio_{name}": value for name, value in differences(fleet.radio).items()}
+    radio |= {"radio_peers": others} if others else {}
+    environment = {DDS_PROFILES: str(find_dds_profile("radio.xml"))} if others else {}
+    return dataclasses.replace(fusion, parameters=fusion.parameters | radio, environment=environment)
 
 
 def _replay_inputs(vehicles: Mapping[str, VehicleConfig]) -> dict[str, list[str]]:

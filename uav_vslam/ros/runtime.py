@@ -56,7 +56,9 @@ class VehicleNode(Node):
             if setting in NODES[name].used_names:
                 self.get_logger().warning(text)
         namespace = self.get_namespace().strip("/").replace("/", "_")
-        self.vehicle: str = self.own.vehicle or namespace or "uav1"
+        self.vehicle: str = self.own.vehicle or namespace
+        if not self.vehicle:
+            raise ConfigError(f"start it in its vehicle's namespace, as in --ros-args -r __ns:=/uav1 (node {name})")
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
         self.alarms: dict[str, str] = {}

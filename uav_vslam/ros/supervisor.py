@@ -34,11 +34,13 @@ class Command:
         name: prefix of its output.
         argv: program and arguments.
         leads: its exit shuts down the fleet; otherwise only a signal or a failure does.
+        environment: variables in addition to the supervisor's.
     """
 
     name: str
     argv: list[str]
     leads: bool = False
+    environment: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -93,7 +95,7 @@ class Supervisor:
         self._signal = self._signal or number
 
     def _start(self, command: Command) -> _Child:
-        environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self.environment
+        environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self.environment | command.environment
         try:
             process = subprocess.Popen(
                 command.argv,
@@ -192,10 +194,12 @@ class Supervisor:
                 self._code = _shell_code(code)
 
 
-def node_command(spec: NodeSpec) -> Command:
+def node_command(spec: NodeSpec, log_level: str = "") -> Command:
     """Return the command that runs a node; its name is "uav1/slam_backend", or "replay" for the whole fleet."""
     name = f"{spec.namespace}/{spec.name}".strip("/")
-    return Command(name, [*find_executable(spec.executable), *spec.ros_arguments()], leads=spec.executable == "replay")
+    argv = [*find_executable(spec.executable), *spec.ros_arguments()]
+    argv += ["--log-level", log_level] if log_level else []
+    return Command(name, argv, leads=spec.executable == "replay", environment=spec.environment)
 
 
 def find_executable(name: str) -> list[str]:

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam mode`: read or switch a flying vehicle's communication mode, without the `ros2` command."""
+
+import argparse
+
+HELP = "read or switch the communication mode of a flying vehicle"
+EXAMPLES = """examples:
+  uav-vslam mode uav1                 print it
+  uav-vslam mode uav1 narrowband      switch: wideband, narrowband or none
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("vehicle", metavar="VEHICLE", help="its name")
+    parser.add_argument("mode", nargs="?", metavar="MODE", help="new mode; without it the present one is printed")
+    parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
+    parser.add_argument("--wait", type=float, default=5.0, metavar="S", help="time to find the vehicle [s] (default 5)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Switch and print the mode that the vehicle has afterwards."""
+    from uav_vslam.ros.mode_switch import current_mode, switch_mode
+    from uav_vslam.ros.topic_tools import observer
+
+    with observer(args.domain) as node:
+        if args.mode is not None:
+            switch_mode(node, args.vehicle, args.mode, wait_s=args.wait)
+        print(f"{args.vehicle}: {current_mode(node, args.vehicle, wait_s=args.wait)}")
+    return 0

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What launch/*.launch.py start under ROS 2 launch: the nodes of `uav-vslam launch`, with the same parameters.
+
+`launch` and `launch_ros` come with a ROS installation; the wheels from PyPI have neither.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+from uav_vslam.config import load_fleet, load_link
+from uav_vslam.ros.fleet_commands import NodeSpec, node_specs
+
+ARGUMENTS = {
+    "bag": "recording to replay instead of those of the fleet file",
+    "rate": "multiple of real time; 0: paced by the graph (lock-step)",
+    "mode": "how the vehicles communicate: wideband, narrowband or none",
+    "link": "emulated radio link: a name in config/links",
+    "record": "record the estimates into this new bag",
+    "use_sim_time": "true: nodes take the time from /clock (default: with a replay)",
+    "log_level": "of all nodes",
+}
+
+
+def description(*, one_vehicle: bool) -> LaunchDescription:
+    """Return the launch description of a whole fleet, or of one vehicle with its own computer."""
+    demo = PathJoinSubstitution([FindPackageShare("uav_vslam"), "config", "fleet_demo.yaml"])
+    required = [DeclareLaunchArgument("vehicle", description="name in the fleet file")] if one_vehicle else []
+    return LaunchDescription(
+        [
+            *required,
+            DeclareLaunchArgument("fleet", default_value=demo, description="fleet file: vehicles, replay, mode, radio"),
+            *(DeclareLaunchArgument(name, default_value="", description=text) for name, text in ARGUMENTS.items()),
+            OpaqueFunction(function=lambda context: _nodes(context, ["vehicle"] if one_vehicle else [])),
+        ]
+    )
+
+
+def _nodes(context: Any, names: list[str]) -> list[Node]:
+    """Return one action per node; when the replay ends, the launch shuts down."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in ("fleet", *ARGUMENTS, *names)}
+    fleet = load_fleet(Path(given["fleet"]).resolve()).changed(
+        bags=[Path(given["bag"])] if given["bag"] else None,
+        rate=float(given["rate"]) if given["rate"] else None,
+        mode=given["mode"] or None,
+    )
+    vehicles = [given[name] for name in names]
+    specs = node_specs(
+        fleet,
+        link=load_link(given["link"]) if given["link"] else None,
+        vehicles=vehicles,
+        use_sim_time=given["use_sim_time"].lower() == "true" if given["use_sim_time"] else None,
+    )
+    if given["record"]:
+        recorded = {"output": given["record"], "vehicles": vehicles or list(fleet.vehicles)}
+        specs.insert(0, NodeSpec("recorder", "recorder", "/", recorded))
+    return [_action(spec, given["log_level"]) for spec in specs]
+
+
+def _action(spec: NodeSpec, log_level: str) -> Node:
+    return Node(
+        package="uav_vslam",
+        executable=spec.executable,
+        name=spec.name,
+        namespace=spec.namespace,
+        parameters=[spec.parameters],
+        remappings=list(spec.remappings.items()),
+        additional_env=spec.environment,
+        ros_arguments=["--log-level", log_level] if log_level else [],
+        output="screen",
+        on_exit=Shutdown(reason="the replay has ended") if spec.executable == "replay" else None,
+    )
