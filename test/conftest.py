@@ -134,11 +134,20 @@ class Graph:
 
     def running(self) -> list[str]:
         """Command lines of the launcher and of whatever it started, as far as they live."""
-        needle, found = f"{MARK}={self.mark}".encode(), []
+        return list(self._processes().values())
+
+    def pid_of(self, node: str) -> int:
+        """Return the process of a node such as "uav1/fusion"."""
+        namespace, name = node.split("/")
+        wanted = f"__node:={name} -r __ns:=/{namespace} "
+        return next(pid for pid, command in self._processes().items() if wanted in command)
+
+    def _processes(self) -> dict[int, str]:
+        needle, found = f"{MARK}={self.mark}".encode(), {}
         for process in Path("/proc").iterdir():
             try:
                 if process.name.isdigit() and needle in (process / "environ").read_bytes():
-                    found.append((process / "cmdline").read_text().replace("\0", " "))
+                    found[int(process.name)] = (process / "cmdline").read_text().replace("\0", " ")
             except OSError:  # gone, or not ours
                 continue
         return found

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 
 from uav_vslam.datasets.messages import stamp_ns_of
-from uav_vslam.ros.qos import SENSOR, STATE
+from uav_vslam.ros.qos import NEWEST, SENSOR, STATE
 from uav_vslam.types import NS_PER_S
 from uav_vslam_msgs.msg import FusionStatus, JointInformation
 
@@ -28,7 +28,7 @@ def main(messages: Path, start_s: float, result: Path) -> None:
     vehicle = recorded["vehicle"]
     rclpy.init()
     node = rclpy.create_node("player", namespace=f"/{vehicle}")
-    publishers = {topic: node.create_publisher(kind, topic, STATE) for topic, kind in TYPES.items()}
+    publishers = {topic: node.create_publisher(kind, topic, NEWEST) for topic, kind in TYPES.items()}
     received = {"fused": [], "status": [], "diagnostics": {}}
 
     def on_fused(message: Odometry) -> None:

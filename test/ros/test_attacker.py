@@ -35,7 +35,7 @@ from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw  # noqa: E402
 from uav_vslam.ros.domain import claimed_domain  # noqa: E402
 from uav_vslam.ros.fleet_commands import NodeSpec, feedback_to, node_specs, packets_of  # noqa: E402
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg  # noqa: E402
-from uav_vslam.ros.qos import RADIO, STATE  # noqa: E402
+from uav_vslam.ros.qos import NEWEST, RADIO, STATE  # noqa: E402
 from uav_vslam.ros.supervisor import node_command  # noqa: E402
 from uav_vslam.simulation.recording import record  # noqa: E402
 from uav_vslam.simulation.scenario import SCENARIOS, START_NS  # noqa: E402
@@ -104,7 +104,7 @@ class Attacker:
         """
         self._node, self._honest, self._hostile = node, honest, hostile
         self._radio = [node.create_publisher(LandmarkInformation, topic, RADIO["wideband"]) for topic in TOPICS]
-        self._answer = node.create_publisher(Odometry, "/uav1/attacked", STATE)
+        self._answer = node.create_publisher(Odometry, "/uav1/attacked", NEWEST)
         self._waiting: list[bytes] = []
         self._unanswered: list[Odometry] = []
         self._mirrored: LandmarkInformation | None = None

@@ -24,7 +24,7 @@ from uav_vslam.errors import ConfigError, FilterDivergence  # noqa: E402
 from uav_vslam.ros.convert import joint_to_msg, odometry_to_msg  # noqa: E402
 from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
 from uav_vslam.ros.packet_message import packet_to_msg  # noqa: E402
-from uav_vslam.ros.qos import RADIO, STATE  # noqa: E402
+from uav_vslam.ros.qos import NEWEST, RADIO, STATE  # noqa: E402
 from uav_vslam.types import NS_PER_S, JointInformation, PoseEstimate  # noqa: E402
 from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg  # noqa: E402
@@ -56,8 +56,8 @@ class Flight:
         self.status: list[FusionStatus] = []
         self.received: list[LandmarkInformation] = []
         status = self.others.create_subscription(FusionStatus, "/uav1/fusion/status", self.status.append, STATE)
-        self._joints = self.others.create_publisher(JointInformationMsg, "/uav1/joint_information", STATE)
-        self._odometry = self.others.create_publisher(Odometry, "/uav1/odometry", STATE)
+        self._joints = self.others.create_publisher(JointInformationMsg, "/uav1/joint_information", NEWEST)
+        self._odometry = self.others.create_publisher(Odometry, "/uav1/odometry", NEWEST)
         assert self.spin(lambda: self._odometry.get_subscription_count() and self._joints.get_subscription_count())
         assert self.spin(lambda: status.get_publisher_count() and self.node._status.get_subscription_count())
         self._move(NS_PER_S // 2)  # a frame before the first epoch

@@ -29,7 +29,7 @@ from uav_vslam.errors import BagError  # noqa: E402
 from uav_vslam.geometry.camera import PinholeCamera  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.geometry.stereo import StereoRig  # noqa: E402
-from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE  # noqa: E402
+from uav_vslam.ros.qos import IMAGE, LATCHED, NEWEST, SENSOR, STATE  # noqa: E402
 from uav_vslam.ros.recording import Recording  # noqa: E402
 from uav_vslam.types import ImuSample, NavEstimate, NavState, StereoFrame  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
@@ -80,7 +80,7 @@ class Vehicle:
         self.answered: set[int] = set()
         self._answers = answers
         self._publishers = [
-            node.create_publisher(Odometry, f"/{name}/{t}", STATE) for t in ("odometry", "fused/odometry")
+            node.create_publisher(Odometry, f"/{name}/{t}", NEWEST) for t in ("odometry", "fused/odometry")
         ]
         self._ins = node.create_publisher(Odometry, f"/{name}/ins/odometry", STATE)
         node.create_subscription(NavigationState, f"/{name}/initial_state", self._on_start, LATCHED)

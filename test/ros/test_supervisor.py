@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A fleet's processes shut down together and in time, for any cause; tested with real processes, without ROS."""
 
+import dataclasses
+import itertools
 import signal
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from uav_vslam.errors import ConfigError
+from uav_vslam.ros import supervisor
 from uav_vslam.ros.supervisor import ESCALATION, Command, Supervisor, describe_exit, find_executable
 from waiting import wait_for
 
@@ -68,6 +72,41 @@ def supervised(
             yield process, [int((folder / name).read_text()) for name in codes]
         finally:
             process.kill()
+
+
+RESUMED = """
+    import sys, time
+    print("started with", *sys.argv[1:], flush=True)
+    sys.exit(0) if "again" in sys.argv else sys.exit({code})
+"""
+
+
+def test_a_process_that_fails_is_restarted_to_resume_and_the_others_go_on() -> None:
+    failing = dataclasses.replace(python("b", RESUMED.format(code=5)), resume=("again",))
+    leading = python("a", "import time; time.sleep(2.0); print('still here', flush=True)", leads=True)
+    lines: list[tuple[str, str]] = []
+    code = Supervisor(restarts=True, on_line=lambda name, line: lines.append((name, line))).run([failing, leading])
+    assert lines == [("b", "started with"), ("b", "started with again")]
+    assert code == 1  # whoever exits with 0 and does not lead still ends all
+
+
+def test_a_process_that_would_fail_again_is_not_restarted() -> None:
+    lines: list[str] = []
+    wrong = python("b", RESUMED.format(code=2))
+    assert Supervisor(restarts=True, on_line=lambda _, line: lines.append(line)).run([wrong]) == 2
+    assert lines == ["started with"]
+
+
+def test_pauses_between_restarts_grow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor, "BACKOFF_S", (0.05, 0.3, 0.6))
+    stamps: list[float] = []
+    leading = python("a", "import time; time.sleep(2.5)", leads=True)
+    failing = python("b", "import sys; print('x', flush=True); sys.exit(5)")
+    Supervisor(restarts=True, on_line=lambda *_: stamps.append(time.monotonic())).run([failing, leading])
+    pauses = [later - earlier for earlier, later in itertools.pairwise(stamps)]
+    assert len(pauses) >= 3
+    assert pauses[1] > 0.3
+    assert min(pauses[2:]) > 0.6
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

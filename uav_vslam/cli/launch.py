@@ -20,7 +20,7 @@ EXAMPLES = """examples:
   uav-vslam launch config/fleet_demo.yaml --mode narrowband --link bad_radio    over 9.6 kbit/s with 20 % loss
   uav-vslam launch fleet.yaml --vehicle uav1                              the vehicle of this computer alone
 
-The end of the replay ends the fleet; so does a node that dies, SIGINT and SIGTERM.
+The end of the replay ends the fleet, as do SIGINT, SIGTERM and, with --on-failure stop, a node that dies.
 """
 
 
@@ -42,6 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--use-sim-time", action="store_true", help="take the time from /clock, as with a replay of others"
     )
     parser.add_argument("--log-level", choices=LOG_LEVELS, help="of all nodes (default info)")
+    parser.add_argument(
+        "--on-failure",
+        choices=("restart", "stop"),
+        help="of a node: start it again, from its checkpoint, or end all (default: stop with recordings, else restart)",
+    )
     parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain, 0 to 101 (default: ROS_DOMAIN_ID)")
 
 
@@ -60,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
         vehicles=vehicles,
         use_sim_time=args.use_sim_time or None,
         log_level=args.log_level or "",
+        restarts=args.on_failure == "restart" or not (args.on_failure or fleet.replay.bags),
     )
 
 
@@ -109,6 +115,7 @@ def launch(
     vehicles: Collection[str] = (),
     use_sim_time: bool | None = None,
     log_level: str = "",
+    restarts: bool = False,
     on_line: Callable[[str, str], None] | None = None,
 ) -> int:
     """Run a fleet's processes to their end.
@@ -121,6 +128,7 @@ def launch(
         link: emulated radio link to put between the vehicles.
         vehicles, use_sim_time: see `node_specs`.
         log_level: of all nodes; empty for their default.
+        restarts: nodes that fail are started again; otherwise the first failure ends all.
         on_line: called with (process, line) for each line of output; the default prints it.
 
     Returns:
@@ -144,4 +152,4 @@ def launch(
     if log_dir is not None:
         environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")
     commands = [node_command(spec, log_level) for spec in specs]
-    return Supervisor(environment, log_dir=log_dir, on_line=on_line).run(commands)
+    return Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line).run(commands)

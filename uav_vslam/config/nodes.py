@@ -29,6 +29,10 @@ class BackendNodeConfig(VehicleNodeConfig):
     """Parameters of slam_backend."""
 
     session: int = setting(0, "number of this start of the vehicle; 0: above all earlier ones", at_least=0)
+    resume: bool = setting(
+        False, "go on from the checkpoint of a process that died; the launcher sets it when it restarts the node"
+    )
+    checkpoint_s: float = setting(1.0, "period of checkpoints, in the time of the images", unit="s", above=0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,6 +42,7 @@ class LiveOdometry:
         self._steps: deque[_Step] = deque(maxlen=MAX_STEPS)
         self._readings: list[ImuSample] = []  # from the newest output on, and the last one before it
         self._pending: NavEstimate | None = None
+        self._corrected_ns = -1  # stamp of the newest correction
         self.estimate = initial
         self.increment: ImuIncrement | None = None
         self.T_odom_body = initial.state.T_map_body
@@ -72,11 +73,13 @@ class LiveOdometry:
         return True
 
     def correct(self, corrected: NavEstimate) -> None:
-        """Restart from a corrected state and replay the motion since its stamp.
+        """Restart from a corrected state and replay the motion since its stamp; one that is not newer changes nothing.
 
         Raises:
             InvalidMessage: its stamp is far ahead of the readings.
         """
+        if corrected.state.stamp_ns <= self._corrected_ns:  # a restarted back end repeats itself
+            return
         ahead_s = (corrected.state.stamp_ns - self.estimate.state.stamp_ns) / NS_PER_S
         if ahead_s > MAX_AHEAD_S:
             raise InvalidMessage(
@@ -96,7 +99,7 @@ class LiveOdometry:
 
     def _apply(self, corrected: NavEstimate) -> None:
         self._pending = None
-        stamp_ns = corrected.state.stamp_ns
+        self._corrected_ns = stamp_ns = corrected.state.stamp_ns
         while self._steps and self._steps[0].increment.stamp_ns <= stamp_ns:
             self._steps.popleft()
         for step in self._steps:

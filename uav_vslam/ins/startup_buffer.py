@@ -6,6 +6,7 @@ from collections import deque
 from uav_vslam.types import NS_PER_S, ImuSample
 
 MAX_APART_S = 30.0  # largest time between start state and newest reading; also the buffered span
+MAX_UNCOVERED_S = 2.0  # largest time from a start state to the first reading: the motion in between is unknown
 
 
 class StartupBuffer:
@@ -42,6 +43,11 @@ class StartupBuffer:
     def ahead_s(self, stamp_ns: int) -> float | None:
         """Return the time from the newest reading to a start at this stamp [s]; None without readings."""
         return None if self._newest_ns is None else (stamp_ns - self._newest_ns) / NS_PER_S
+
+    def uncovered_s(self, stamp_ns: int) -> float:
+        """Return the time from a start at this stamp to the first reading that is buffered [s]."""
+        first_ns = next((item.stamp_ns for item in self._items if isinstance(item, ImuSample)), stamp_ns)
+        return (first_ns - stamp_ns) / NS_PER_S
 
 
 def _stamp_ns(item: ImuSample | int) -> int:

@@ -25,6 +25,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.convert import (
     cloud_to_msg,
     header,
@@ -35,7 +36,7 @@ from uav_vslam.ros.convert import (
     transform_to_msg,
 )
 from uav_vslam.ros.fusion_status import StatusReporter
-from uav_vslam.ros.qos import STATE
+from uav_vslam.ros.qos import NEWEST, STATE
 from uav_vslam.ros.radio import Radio
 from uav_vslam.ros.radio_participant import open_participant
 from uav_vslam.ros.runtime import VehicleNode, run_node
@@ -60,13 +61,13 @@ class FusionNode(VehicleNode):
         self._previous_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._fusion = Fusion(self.vehicle, self.config.fusion)
-        self._odometry = self.advertise(Odometry, "fused/odometry", STATE)
+        self._odometry = self.advertise(Odometry, "fused/odometry", NEWEST)
         self._paths = self.advertise(Path, "fused/path", STATE)
         self._landmarks = self.advertise(PointCloud2, "fused/landmarks", STATE)
         self._status = self.advertise(FusionStatus, "fusion/status", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
-        self.listen(JointInformationMsg, "joint_information", self._on_joint, STATE)
-        self.listen(Odometry, "odometry", self._on_odometry, STATE)
+        self.listen(JointInformationMsg, "joint_information", self._on_joint, NEWEST)
+        self.listen(Odometry, "odometry", self._on_odometry, NEWEST)
         if self._participant is not None:
             self._participant.serve(self)
         peers = [peer for peer in self.own.peers if peer != self.vehicle]
@@ -93,7 +94,13 @@ class FusionNode(VehicleNode):
         self._work()
 
     def _on_odometry(self, message: Odometry) -> None:
-        self._waiting.append((odometry_from_msg(message), message.twist))
+        pose = odometry_from_msg(message)
+        newest_ns = self._waiting[-1][0].stamp_ns if self._waiting else self._previous_ns
+        if newest_ns is not None and pose.stamp_ns <= newest_ns:
+            raise InvalidMessage(
+                "repeated", f"{pose.stamp_ns} ns is not after {newest_ns} ns; a restarted back end repeats"
+            )
+        self._waiting.append((pose, message.twist))
         self._work()
 
     def _work(self) -> None:

@@ -25,7 +25,7 @@ from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
-from uav_vslam.ins.startup_buffer import MAX_APART_S, StartupBuffer
+from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
 from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
     increment_to_msg,
@@ -36,7 +36,7 @@ from uav_vslam.ros.convert import (
     twist_to_msg,
 )
 from uav_vslam.ros.inputs import image_topics
-from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
+from uav_vslam.ros.qos import IMAGE, LATCHED, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
@@ -58,7 +58,7 @@ class InsPropagatorNode(VehicleNode):
         self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
         self._image_stamps = TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
         self._image_ns = -1
-        self._increments = self.advertise(InsIncrement, "ins/increment", SENSOR)
+        self._increments = self.advertise(InsIncrement, "ins/increment", RESUMABLE)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
@@ -74,7 +74,7 @@ class InsPropagatorNode(VehicleNode):
             for kind, name in image_topics(topics.left).items():  # serialised: only the stamps are read
                 on_image = lambda data: self._on_image(header_stamp_ns(data))  # noqa: E731
                 self.listen(kind, name, on_image, IMAGE, instead_of=topics.left, raw=True)
-        self.listen(NavigationState, "slam/correction", self._on_correction, STATE)
+        self.listen(NavigationState, "slam/correction", self._on_correction, NEWEST)
 
     def _on_image(self, stamp_ns: int) -> None:
         stamp_ns += self._sensors.time_offset_ns
@@ -101,17 +101,28 @@ class InsPropagatorNode(VehicleNode):
         if ahead_s > MAX_APART_S:
             return
         self._given = None
-        if ahead_s < -MAX_APART_S:
-            self.drop(
-                "start_stamp",
-                f"initial_state is stamped {given.state.stamp_ns} ns, {-ahead_s:.1f} s before the newest IMU sample, "
-                f"more than {MAX_APART_S:g} s; stamp it with its time of validity",
-            )
+        if refusal := self._start_refusal(given.state.stamp_ns, ahead_s):
+            self.drop("start_stamp", f"initial_state is stamped {given.state.stamp_ns} ns, {refusal}")
             return
         if conflict := self._sensors.conflict(self._given_frame):
             self.drop("start_frame", f"initial_state {conflict}")
             return
         self._start(given)
+
+    def _start_refusal(self, stamp_ns: int, ahead_s: float) -> str:
+        """Return why a start state of this stamp is of no use; empty if it is."""
+        if ahead_s < -MAX_APART_S:
+            return (
+                f"{-ahead_s:.1f} s before the newest IMU sample, more than {MAX_APART_S:g} s; stamp it with its time "
+                "of validity"
+            )
+        uncovered_s = self._startup_buffer.uncovered_s(stamp_ns)
+        if uncovered_s > MAX_UNCOVERED_S:
+            return (
+                f"{uncovered_s:.1f} s before the first IMU sample received, more than {MAX_UNCOVERED_S:g} s: the "
+                "motion since is unknown; publish a newer one, or start with the vehicle at rest (start.method: static)"
+            )
+        return ""
 
     def _start(self, initial: NavEstimate) -> None:
         early = self._startup_buffer.take()
@@ -185,8 +196,12 @@ class InsPropagatorNode(VehicleNode):
         return odometry_to_msg(nav.pose, twist, frame_id=self.map_frame, child_frame_id=self.base_frame)
 
     def _on_correction(self, message: NavigationState) -> None:
+        corrected = navigation_from_msg(message)
         if self._live is not None:
-            self._live.correct(navigation_from_msg(message))
+            self._live.correct(corrected)
+        elif self._preintegrator is None:  # restarted in flight: the back end knows better than the take-off state
+            self._given, self._given_frame = corrected, message.child_frame_id
+            self._start_if_confirmed()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -44,7 +44,7 @@ from uav_vslam.ros.pacing import (
     Recorded,
 )
 from uav_vslam.ros.params import declare, read
-from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
+from uav_vslam.ros.qos import IMAGE, LATCHED, RESUMABLE, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
 from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording
 from uav_vslam.ros.runtime import run_node
@@ -116,7 +116,8 @@ class ReplayNode(Node):
             )
         for topic, kind in topics.items():
             answer = partial(self._on_answer, vehicle, topic)
-            self.create_subscription(kind, f"/{vehicle}/{topic}", answer, SENSOR, raw=True)
+            qos = RESUMABLE if topic in self._wait_for else SENSOR  # a restarted node may answer before it is found
+            self.create_subscription(kind, f"/{vehicle}/{topic}", answer, qos, raw=True)
 
     def _on_start(self, vehicle: str, data: bytes) -> None:
         self._starts_ns.setdefault(vehicle, header_stamp_ns(data))

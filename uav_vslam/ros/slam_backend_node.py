@@ -23,6 +23,7 @@ from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import ConfigError
 from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import (
@@ -38,13 +39,15 @@ from uav_vslam.ros.convert import (
     pose_with_covariance_to_msg,
     twist_to_msg,
 )
-from uav_vslam.ros.qos import LATCHED, SENSOR, STATE
+from uav_vslam.ros.qos import LATCHED, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
 from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.state_folder import state_folder
+from uav_vslam.types import NS_PER_S, NavEstimate
 from uav_vslam.types import JointInformation as Joint
-from uav_vslam.types import NavEstimate
 from uav_vslam_msgs.msg import FrameQuality, InsIncrement, JointInformation, NavigationState
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
 
@@ -56,14 +59,15 @@ class SlamBackendNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("slam_backend")
-        session: int = self.own.session or next_session(self.vehicle)
-        self._stage = SlamStage(self.config, vehicle=self.vehicle, session=session)
+        self._checkpoint = checkpoint_file(state_folder(), self.vehicle)
+        self._saved_ns: int | None = None
+        self._stage = self._resumed() or self._fresh()
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
-        self._odometry = self.advertise(Odometry, "odometry", STATE)
+        self._odometry = self.advertise(Odometry, "odometry", NEWEST)
         self._paths = self.advertise(Path, "path", STATE)
         self._landmarks = self.advertise(PointCloud2, "landmarks", STATE)
-        self._joint = self.advertise(JointInformation, "joint_information", STATE)
-        self._correction = self.advertise(NavigationState, "slam/correction", STATE)
+        self._joint = self.advertise(JointInformation, "joint_information", NEWEST)
+        self._correction = self.advertise(NavigationState, "slam/correction", NEWEST)
         self._smoothed = self.advertise(PoseWithCovarianceStamped, "slam/smoothed", STATE)
         self._quality = self.advertise(FrameQuality, "slam/quality", STATE)
         self._rig = RigListener(self, self._work)
@@ -72,8 +76,25 @@ class SlamBackendNode(VehicleNode):
             self._initial_state = self.advertise(NavigationState, self.config.input.topics.initial_state, LATCHED)
         else:
             self.listen(NavigationState, self.config.input.topics.initial_state, self._on_initial_state, LATCHED)
-        self.listen(InsIncrement, "ins/increment", self._on_increment, SENSOR)
-        self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, STATE)
+        self.listen(InsIncrement, "ins/increment", self._on_increment, RESUMABLE)
+        self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, RESUMABLE)
+
+    def _fresh(self) -> SlamStage:
+        session: int = self.own.session or next_session(self.vehicle)
+        return SlamStage(self.config, vehicle=self.vehicle, session=session)
+
+    def _resumed(self) -> SlamStage | None:
+        """Return the stage of a process that died, if asked to go on from it."""
+        if not self.own.resume:
+            return None
+        try:
+            stage = load_checkpoint(self._checkpoint, self.vehicle)
+        except ConfigError as error:
+            self.get_logger().error(f"{error}; the vehicle starts again from its start state")
+            return None
+        stage.configure(self.config)
+        self.get_logger().warning(f"resumed from the checkpoint at {stage.stamp_ns} ns, session {stage.session}")
+        return stage
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
@@ -93,9 +114,10 @@ class SlamBackendNode(VehicleNode):
 
     def _work(self) -> None:
         """Process every frame whose features and increment have arrived."""
-        self._stage.rig = self._rig.rig
+        self._stage.rig = self._rig.rig or self._stage.rig  # that of a checkpoint until cameras are heard again
         for output in self._stage.run():
             self._publish(output)
+            self._save(output.report.pose.stamp_ns)
         for reason, count in self._stage.dropped.items():
             self.counts[f"dropped/{reason}"] = count
         if self._finds_start:
@@ -111,6 +133,17 @@ class SlamBackendNode(VehicleNode):
         if output.report.smoothed is not None:
             self._smoothed.publish(pose_with_covariance_to_msg(output.report.smoothed, frame_id=self.map_frame))
         self._publish_frame(output)
+
+    def _save(self, stamp_ns: int) -> None:
+        """Write a checkpoint at the first frame, and once in a period of stamps."""
+        if self._saved_ns is not None and stamp_ns - self._saved_ns < self.own.checkpoint_s * NS_PER_S:
+            return
+        self._saved_ns = stamp_ns
+        try:
+            save_checkpoint(self._checkpoint, self._stage, self.vehicle)
+            self.alarms.pop("checkpoint", None)
+        except OSError as error:
+            self.alarms["checkpoint"] = f"{self._checkpoint} can't be written: {error.strerror}"
 
     def _publish_start(self, found: NavEstimate) -> None:
         """Publish the estimated start state once."""

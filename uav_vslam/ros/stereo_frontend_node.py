@@ -24,7 +24,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import features_to_msg, image_from_msg
 from uav_vslam.ros.inputs import Input, image_topics
-from uav_vslam.ros.qos import IMAGE, STATE
+from uav_vslam.ros.qos import IMAGE, RESUMABLE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.types import NS_PER_S, StereoFrame
 from uav_vslam.types import StereoFeatures as Features
@@ -54,7 +54,7 @@ class StereoFrontendNode(VehicleNode):
         given = self.config.input
         self._pairer: StereoPairer[Pixels] = StereoPairer(tolerance_ns=round(given.pair_tolerance_s * NS_PER_S))
         self._waiting: deque[StereoFrame] = deque()
-        self._publisher = self.advertise(StereoFeatures, "stereo_features", STATE)
+        self._publisher = self.advertise(StereoFeatures, "stereo_features", RESUMABLE)
         self._choices: dict[str, dict[type, Input]] = {}  # by camera: its candidate topics, until one is selected
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
             topic, on_image = getattr(given.topics, side), partial(self._on_image, side, add)

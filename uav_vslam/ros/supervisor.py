@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -24,6 +24,9 @@ PACKAGE = "uav_vslam"
 DRAIN_S = 1.0  # after the replay's end, for messages in flight
 ESCALATION = ((0.0, signal.SIGINT), (2.0, signal.SIGTERM), (4.0, signal.SIGKILL))  # seconds after the shutdown starts
 POLL_S = 0.05
+BACKOFF_S = (0.2, 1.0, 2.0, 5.0, 10.0)  # before each restart of a process; the last one for all further ones
+STABLE_S = 60.0  # a process that ran for so long is restarted without waiting again
+WRONG_INPUT = 2  # exit code of a process that would fail again
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +38,14 @@ class Command:
         argv: program and arguments.
         leads: its exit shuts down the fleet; otherwise only a signal or a failure does.
         environment: variables in addition to the supervisor's.
+        resume: further arguments of a process that takes the place of one that failed.
     """
 
     name: str
     argv: list[str]
     leads: bool = False
     environment: dict[str, str] = field(default_factory=dict)
+    resume: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -49,6 +54,9 @@ class _Child:
     process: subprocess.Popen[bytes]
     log: IO[bytes] | None
     unfinished: bytes = b""
+    started_s: float = field(default_factory=time.monotonic)
+    failures: int = 0
+    restart_at_s: float | None = None
 
 
 @dataclass(slots=True)
@@ -56,6 +64,7 @@ class Supervisor:
     """Runs commands until the leading one exits, one fails or a signal arrives.
 
     Attributes:
+        restarts: a process that fails is started again, after a pause that grows, and the others go on.
         environment: variables in addition to ours.
         log_dir: folder for a log file of each process.
         escalation: what is sent to those that still run, and how many seconds after the order to end.
@@ -63,6 +72,7 @@ class Supervisor:
     """
 
     environment: dict[str, str] = field(default_factory=dict)
+    restarts: bool = False
     log_dir: Path | None = None
     on_line: Callable[[str, str], None] | None = None
     escalation: tuple[tuple[float, signal.Signals], ...] = ESCALATION
@@ -95,10 +105,15 @@ class Supervisor:
         self._signal = self._signal or number
 
     def _start(self, command: Command) -> _Child:
+        child = _Child(command, self._spawn(command), self._open_log(command.name))
+        self._follow(child)
+        return child
+
+    def _spawn(self, command: Command, more: Sequence[str] = ()) -> subprocess.Popen[bytes]:
         environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self.environment | command.environment
         try:
-            process = subprocess.Popen(
-                command.argv,
+            return subprocess.Popen(
+                [*command.argv, *more],
                 env=environment,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -108,11 +123,12 @@ class Supervisor:
             )
         except OSError as error:
             raise ConfigError(f"{command.name} can't be started: {command.argv[0]}: {error.strerror}") from None
-        child = _Child(command, process, self._open_log(command.name))
-        assert process.stdout is not None
-        os.set_blocking(process.stdout.fileno(), False)
-        self._selector.register(process.stdout, selectors.EVENT_READ, child)
-        return child
+
+    def _follow(self, child: _Child) -> None:
+        """Relay the output of a child's process."""
+        assert child.process.stdout is not None
+        os.set_blocking(child.process.stdout.fileno(), False)
+        self._selector.register(child.process.stdout, selectors.EVENT_READ, child)
 
     def _open_log(self, name: str) -> IO[bytes] | None:
         if self.log_dir is None:
@@ -141,12 +157,37 @@ class Supervisor:
         """Detect the first process that has exited: a failure, unless it is the leading one."""
         for child in self._children:
             code = child.process.poll()
-            if code is None:
+            if code is None or self._is_restarted(child, code):
                 continue
             if not child.command.leads or code != 0:
                 _log(f"{child.command.name} {describe_exit(code)}; the fleet is shut down")
             self._code = _shell_code(code) if child.command.leads else _shell_code(code) or 1
             return
+
+    def _is_restarted(self, child: _Child, code: int) -> bool:
+        """Restart a process that failed, when its time has come; return False if it is not to be restarted."""
+        if not self.restarts or child.command.leads or code in {0, WRONG_INPUT}:
+            return False
+        now_s = time.monotonic()
+        if child.restart_at_s is None:
+            child.failures = 0 if now_s - child.started_s > STABLE_S else child.failures
+            pause_s = BACKOFF_S[min(child.failures, len(BACKOFF_S) - 1)]
+            child.restart_at_s, child.failures = now_s + pause_s, child.failures + 1
+            _log(f"{child.command.name} {describe_exit(code)}; it is restarted in {pause_s:g} s")
+        elif now_s >= child.restart_at_s:
+            self._forget(child)
+            child.process = self._spawn(child.command, child.command.resume)
+            self._follow(child)
+            child.started_s, child.restart_at_s = now_s, None
+        return True
+
+    def _forget(self, child: _Child) -> None:
+        """Close the output of a child's process that has exited; its last lines have been relayed during the pause."""
+        pipe = child.process.stdout
+        assert pipe is not None
+        if pipe in {key.fileobj for key in self._selector.get_map().values()}:  # another process may still hold it
+            self._selector.unregister(pipe)
+        pipe.close()
 
     def _shut_down(self) -> None:
         """Signal the running processes, with escalation, and check their exit codes."""
@@ -199,7 +240,8 @@ def node_command(spec: NodeSpec, log_level: str = "") -> Command:
     name = f"{spec.namespace}/{spec.name}".strip("/")
     argv = [*find_executable(spec.executable), *spec.ros_arguments()]
     argv += ["--log-level", log_level] if log_level else []
-    return Command(name, argv, leads=spec.executable == "replay", environment=spec.environment)
+    resume = ("-p", "resume:=true") if spec.executable == "slam_backend" else ()
+    return Command(name, argv, leads=spec.executable == "replay", environment=spec.environment, resume=resume)
 
 
 def find_executable(name: str) -> list[str]:

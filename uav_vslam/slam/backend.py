@@ -34,6 +34,7 @@ from uav_vslam.types import (
 
 SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
 RECOVERY_INFLATION = 4.0  # covariance factor at re-initialisation
+SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
 
@@ -108,6 +109,10 @@ class SlamBackend:
     def landmarks(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
         """Identifiers (N,) and positions (N, 3) [m] of the landmarks in the state."""
         return self._map.ids, self._filter.landmarks
+
+    def skip_landmark_ids(self) -> None:
+        """Leave out identifiers that may have been given to other landmarks."""
+        self._map.skip_ids(SKIPPED_IDS)
 
     def process(self, features: StereoFeatures, increment: ImuIncrement | None) -> FrameReport:
         """Predict to a frame and update with its features.

@@ -38,6 +38,10 @@ class LandmarkMap:
         self._next_id += count
         return fresh
 
+    def skip_ids(self, count: int) -> None:
+        """Never give out the next `count` identifiers."""
+        self._next_id += count
+
     def append(
         self,
         descriptors: NDArray[np.uint8],

@@ -5,16 +5,11 @@ Peers drop packets of earlier sessions, so a vehicle whose number decreased woul
 in a file, and the clock is a second source: either may fail, a wrong clock or a lost file.
 """
 
-import os
 import time
 from pathlib import Path
 
 from uav_vslam.errors import ConfigError
-
-
-def state_folder() -> Path:
-    """Return the user's state folder, by the XDG base directory specification."""
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "uav_vslam"
+from uav_vslam.slam.state_folder import replace_file, state_folder
 
 
 def next_session(vehicle: str, *, folder: Path | None = None, now_s: float | None = None) -> int:
@@ -33,8 +28,7 @@ def next_session(vehicle: str, *, folder: Path | None = None, now_s: float | Non
     clock = int(time.time() if now_s is None else now_s)
     try:
         session = max(_last(path) + 1, clock)
-        folder.mkdir(parents=True, exist_ok=True)
-        _replace(path, f"{session}\n")
+        replace_file(path, f"{session}\n".encode("ascii"))
     except OSError as error:
         raise ConfigError(
             f"{path}: the session number can't be stored ({error.strerror}); set XDG_STATE_HOME to a folder that "
@@ -49,18 +43,3 @@ def _last(path: Path) -> int:
         return int(path.read_text(encoding="ascii"))
     except (FileNotFoundError, ValueError):
         return 0
-
-
-def _replace(path: Path, text: str) -> None:
-    """Replace a file atomically, even if power fails."""
-    new = path.with_name(f".{path.name}.{os.getpid()}")
-    with new.open("w", encoding="ascii") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)

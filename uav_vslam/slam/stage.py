@@ -11,12 +11,13 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import bridged
 from uav_vslam.ins.preintegrator import DeadReckoning
+from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.start_monitor import StartMonitor
-from uav_vslam.types import FrameQuality, ImuIncrement, JointInformation, NavEstimate, StereoFeatures
+from uav_vslam.types import NS_PER_S, FrameQuality, ImuIncrement, JointInformation, NavEstimate, StereoFeatures
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ class SlamStage:
         self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
-        self._motion_lost = 0
+        self._motion_lost = self._start_unreachable = 0
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
 
@@ -102,7 +103,23 @@ class SlamStage:
             "without_motion": self._queue.without_motion,
             "motion_lost": self._motion_lost,
             "motion_refused": self._queue.motion_refused,
+            "start_too_old": self._start_unreachable,
         }
+
+    @property
+    def session(self) -> int:
+        """Number of this start of the vehicle."""
+        return self._session
+
+    @property
+    def stamp_ns(self) -> int | None:
+        """Time of the estimate [ns]; None before the first frame."""
+        return self._backend.stamp_ns if self._backend is not None else None
+
+    def resume(self) -> None:
+        """Go on after a restart: landmarks since the checkpoint may be known to peers, so identifiers are skipped."""
+        if self._backend is not None:
+            self._backend.skip_landmark_ids()
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
@@ -140,13 +157,25 @@ class SlamStage:
     def _from_start_on(self, frame: Frame, rig: StereoRig) -> list[Frame]:
         """Return the frame; without a start state buffer it, and return all buffered frames once there is one."""
         if self.initial is not None:
-            return [frame]
+            return [frame] if self._is_reachable(frame) else []
         self._search = self._search or InFlightInitializer(rig, self._config)
         found = self._search.add(*frame)
         if found is None:
             return []
         self.start(found.initial)
         return found.frames
+
+    def _is_reachable(self, frame: Frame) -> bool:
+        """Return whether the motion from the start state to the first frame is known; otherwise the frame is dropped.
+
+        A back end that comes late, or is restarted without a checkpoint, must not take the take-off state for its own.
+        """
+        increment = frame[1]
+        if self._backend is not None or increment is None or self.initial is None:
+            return True
+        unknown_s = (increment.start_ns - self.initial.state.stamp_ns) / NS_PER_S
+        self._start_unreachable += unknown_s > MAX_UNCOVERED_S
+        return unknown_s <= MAX_UNCOVERED_S
 
     def _process(self, rig: StereoRig, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:
         if self._backend is None:

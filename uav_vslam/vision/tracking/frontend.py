@@ -34,6 +34,15 @@ DISPARITY_NOISE_PX = 0.3  # six sigma
 TYPICAL_DEPTH_SHARE = 0.5  # of the largest depth: initial guess while no depth is known
 
 
+def first_track_id(stamp_ns: int) -> int:
+    """Return the first track id of a front end whose first image has this stamp.
+
+    One that is restarted in flight must not repeat the ids that the back end knows: they grow by one a millisecond,
+    faster than tracks are made.
+    """
+    return stamp_ns // 1_000_000 % 2**31 + 1
+
+
 class TrackingFrontend(Frontend):
     """KLT front end; its output depends only on the images so far, not on timing."""
 
@@ -46,13 +55,14 @@ class TrackingFrontend(Frontend):
         self._left: FlowImage | None = None  # of the previous pair
         self._stamp_ns = 0
         self._since_search = 0  # frames
-        self._next_id = 1
+        self._next_id = 0  # until the first image
 
     def process(self, frame: StereoFrame) -> StereoFeatures:
         self._check_sizes(frame)
         grey_left, grey_right = to_grey8(frame.left), to_grey8(frame.right)
         left, right = FlowImage.of(grey_left), FlowImage.of(grey_right)
         usable = self._health.check_images(frame.stamp_ns, grey_left, grey_right)
+        self._next_id = self._next_id or first_track_id(frame.stamp_ns)
         self._track(frame.stamp_ns, left)
         self._left, self._stamp_ns = left, frame.stamp_ns
         if not usable:

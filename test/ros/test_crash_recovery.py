@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node that is killed in flight comes back under the launcher, and the flight ends as well as without."""
+
+import contextlib
+import os
+import re
+import signal
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_vslam import offline
+from uav_vslam.cli.recordings import open_flights
+from uav_vslam.config import load_fleet
+from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
+from uav_vslam.fleet import CooperativeTrack
+from waiting import wait_for
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+ROOT = Path(__file__).parents[2]
+Launched = Callable[..., AbstractContextManager[Any]]
+
+
+def fly(launched: Launched, folder: Path, kills: dict[int, str], *, rate: float) -> dict[str, RecordedOutputs]:
+    """Fly the sample recordings, kill nodes, each at that frame of uav1, and return the estimates."""
+    arguments = ["--on-failure", "restart", "--record", str(folder / "out"), "--rate", str(rate)]
+    printed: list[str] = []
+    with launched(str(ROOT / "config" / "fleet_demo.yaml"), *arguments, "--log-dir", str(folder / "log")) as graph:
+        pipe = graph.process.stdout.fileno()
+        os.set_blocking(pipe, False)
+
+        def listen() -> None:
+            time.sleep(0.02)
+            with contextlib.suppress(BlockingIOError):
+                printed.append(os.read(pipe, 1 << 16).decode())
+
+        for frame, node in kills.items():
+            assert wait_for(lambda frame=frame: replayed("".join(printed)) >= frame, listen, alive=graph.alive)
+            os.kill(graph.pid_of(node), signal.SIGKILL)
+        assert wait_for(lambda: not graph.alive(), listen)
+        listen()
+        assert graph.process.returncode == 0, "".join(printed)
+    for node in kills.values():
+        assert f"{node} was killed by SIGKILL; it is restarted" in "".join(printed)
+    outputs, damage = read_outputs([folder / "out", ROOT / "bags" / "sample"])
+    assert not damage
+    return outputs
+
+
+def replayed(printed: str) -> int:
+    """Return how many frames of uav1 the replay has reported."""
+    return max((int(count) for count in re.findall(r"uav1 (\d+)/64", printed)), default=0)
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> dict[str, CooperativeTrack]:
+    """The same flight without ROS, which the graph equals (test_parity)."""
+    bags = (ROOT / "bags" / "sample",)
+    configs = load_fleet(ROOT / "config" / "fleet_demo.yaml").vehicles
+    flights = open_flights(bags, configs)
+    _, fleet = offline.fly(list(flights.values()), configs, workers=2)
+    return fleet
+
+
+def test_a_back_end_killed_in_lock_step_catches_up_to_the_same_estimates(
+    launched: Launched, tmp_path: Path, undisturbed: dict[str, CooperativeTrack]
+) -> None:
+    outputs = fly(launched, tmp_path, {12: "uav1/slam_backend"}, rate=0.0)
+    for name, track in undisturbed.items():
+        expected = {pose.stamp_ns: pose for pose in track.poses}
+        assert {pose.stamp_ns for pose in outputs[name].fused} == set(expected)
+        last = outputs[name].fused[-1]
+        np.testing.assert_allclose(last.T_map_body.t, expected[last.stamp_ns].T_map_body.t, rtol=0, atol=1e-6)
