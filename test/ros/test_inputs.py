@@ -9,7 +9,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 from uav_vslam.ros.inputs import STREAM, Input, silent, stopped, unmatched  # noqa: E402
-from uav_vslam.ros.qos import STATE  # noqa: E402
+from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, STATE  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -52,6 +52,36 @@ def test_an_input_follows_a_driver_that_offers_best_effort_only(node):
     assert spin_until(node, lambda: bool(received), lambda: driver.publish(String(data="frame")))
     assert one.qos.reliability == ReliabilityPolicy.BEST_EFFORT
     assert not one.follow(node)  # once is enough
+
+
+def test_an_input_that_wants_what_was_published_before_it_does_without_if_nobody_offers_it(node):
+    received = []
+    one = Input(String, "plain", received.append, LATCHED, "plain")
+    one.subscribe(node)
+    plain = node.create_publisher(String, "plain", 10)
+    assert spin_until(node, lambda: one.follow(node))
+    assert one.qos.reliability == ReliabilityPolicy.RELIABLE
+    assert spin_until(node, lambda: bool(received), lambda: plain.publish(String(data="start")))
+
+
+@pytest.mark.parametrize("qos", [LATCHED, LATCHED_BY_MANY])
+def test_an_input_keeps_what_a_latched_publisher_offers(node, qos):
+    received = []
+    latched = node.create_publisher(String, "latched", LATCHED)
+    latched.publish(String(data="earlier"))
+    one = Input(String, "latched", received.append, qos, "latched")
+    one.subscribe(node)
+    assert spin_until(node, lambda: bool(received))
+    assert not one.follow(node)
+
+
+def test_of_many_latched_publishers_a_plain_one_does_not_stop_the_others(node):
+    one = Input(String, "many", [].append, LATCHED_BY_MANY, "many")
+    one.subscribe(node)
+    plain = node.create_publisher(String, "many", 10)
+    assert spin_until(node, lambda: node.count_publishers("many") == 1)
+    assert not one.follow(node)
+    node.destroy_publisher(plain)
 
 
 def test_an_input_stays_reliable_where_that_is_offered(node):

@@ -14,7 +14,7 @@ from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
 
 from uav_vslam.ros.convert import features_to_msg, header, navigation_from_msg, stamp_from_ns  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
-from uav_vslam.ros.qos import LATCHED, SENSOR, STATE  # noqa: E402
+from uav_vslam.ros.qos import LATCHED, RESUMABLE, SENSOR, STATE  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks  # noqa: E402
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle  # noqa: E402
@@ -48,7 +48,7 @@ class Graph:
             self.other.create_subscription(kind, topic, heard.append, qos)
         self._imu = self.other.create_publisher(Imu, "imu/data_raw", SENSOR)
         self._info = self.other.create_publisher(CameraInfo, "left/camera_info", STATE)
-        self._features = self.other.create_publisher(StereoFeaturesMsg, "stereo_features", STATE)
+        self._features = self.other.create_publisher(StereoFeaturesMsg, "stereo_features", RESUMABLE)
         self._executor = SingleThreadedExecutor()
         for node in (self.backend, self.ins, self.other):
             self._executor.add_node(node)

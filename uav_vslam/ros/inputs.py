@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of a node: which inputs are missing or have stopped, and the reliability that publishers offer.
+"""Subscriptions of a node: which inputs are missing or have stopped, and the QoS that publishers offer.
 
 Camera and IMU drivers often publish best effort, which a reliable subscription never matches; a best-effort one loses
-messages of a reliable publisher. So an input starts reliable and switches if only best effort is offered.
+messages of a reliable publisher. So an input starts reliable and switches if only best effort is offered. Likewise it
+asks for what was published before it came, and does without if nobody offers that.
 """
 
 import time
@@ -12,11 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image
 
 from uav_vslam.config.input import COMPRESSED, image_names
+from uav_vslam.ros.qos import LATCHED_BY_MANY
 
 STREAM = 10  # messages after which more are expected
 PAUSE_S = 5.0  # of a stream before it has stopped,
@@ -57,14 +59,20 @@ class Input:
         )
 
     def follow(self, node: Node) -> bool:
-        """Resubscribe as best effort if nothing else is offered; return whether it did."""
-        if self.received or self.qos.reliability != ReliabilityPolicy.RELIABLE:
+        """Resubscribe with less if nothing better is offered; return whether it did."""
+        if self.received:
             return False
-        offers = node.get_publishers_info_by_topic(self.subscription.topic_name)
-        if not offers or any(o.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT for o in offers):
+        offers = [o.qos_profile for o in node.get_publishers_info_by_topic(self.subscription.topic_name)]
+        reliability, durability = self.qos.reliability, self.qos.durability
+        if offers and all(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
+            reliability = ReliabilityPolicy.BEST_EFFORT
+        # Of many latched publishers, others may come later: they would not be heard any more.
+        if offers and self.qos != LATCHED_BY_MANY and all(o.durability == DurabilityPolicy.VOLATILE for o in offers):
+            durability = DurabilityPolicy.VOLATILE
+        if (reliability, durability) == (self.qos.reliability, self.qos.durability):
             return False
         node.destroy_subscription(self.subscription)
-        self.qos = QoSProfile(depth=self.qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.qos = QoSProfile(depth=self.qos.depth, reliability=reliability, durability=durability)
         self.subscription = node.create_subscription(
             self.message_type, self.topic, self._on_message, self.qos, raw=self.raw
         )

@@ -36,7 +36,7 @@ from uav_vslam.ros.convert import (
     twist_to_msg,
 )
 from uav_vslam.ros.inputs import image_topics
-from uav_vslam.ros.qos import IMAGE, LATCHED, NEWEST, RESUMABLE, STATE
+from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
@@ -58,7 +58,7 @@ class InsPropagatorNode(VehicleNode):
         self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
         self._image_stamps = TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
         self._image_ns = -1
-        self._increments = self.advertise(InsIncrement, "ins/increment", RESUMABLE)
+        self._increments = self.advertise(InsIncrement, "ins/increment", MOTION)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)

@@ -16,8 +16,9 @@ def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATI
 
 
 IMAGE = _reliable(5)  # reliable with the shared-memory profile; best effort loses images without it
-SENSOR = _reliable(500)  # IMU samples and increments: none may be lost, 2.5 s at 200 Hz
+SENSOR = _reliable(500)  # IMU samples: none may be lost, 2.5 s at 200 Hz
 STATE = _reliable(10)
+MOTION = _reliable(500, DurabilityPolicy.TRANSIENT_LOCAL)  # increments: none may be lost, not even by a restart
 RESUMABLE = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)  # for a back end that is restarted: 14 s to catch up
 NEWEST = _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL)  # for those that are restarted, or late
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)  # published once, for late joiners

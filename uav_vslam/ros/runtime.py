@@ -150,9 +150,8 @@ class VehicleNode(Node):
     def _follow_reliability(self) -> None:
         for one in self._inputs:
             if one.follow(self):
-                self.get_logger().info(
-                    f"{one.subscription.topic_name} switched to the offered reliability: {one.qos.reliability.name}"
-                )
+                offered = f"{one.qos.reliability.name}, {one.qos.durability.name}"
+                self.get_logger().info(f"{one.subscription.topic_name} switched to the QoS offered: {offered}")
 
     def _report_missing(self) -> None:
         waiting = []

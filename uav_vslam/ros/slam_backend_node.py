@@ -39,7 +39,7 @@ from uav_vslam.ros.convert import (
     pose_with_covariance_to_msg,
     twist_to_msg,
 )
-from uav_vslam.ros.qos import LATCHED, NEWEST, RESUMABLE, STATE
+from uav_vslam.ros.qos import LATCHED, MOTION, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
@@ -76,7 +76,7 @@ class SlamBackendNode(VehicleNode):
             self._initial_state = self.advertise(NavigationState, self.config.input.topics.initial_state, LATCHED)
         else:
             self.listen(NavigationState, self.config.input.topics.initial_state, self._on_initial_state, LATCHED)
-        self.listen(InsIncrement, "ins/increment", self._on_increment, RESUMABLE)
+        self.listen(InsIncrement, "ins/increment", self._on_increment, MOTION)
         self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, RESUMABLE)
 
     def _fresh(self) -> SlamStage:
