@@ -21,6 +21,8 @@ setup(
         (f"share/{package_name}/config/import", sorted(glob("config/import/*.yaml"))),
         (f"share/{package_name}/config/links", sorted(glob("config/links/*.yaml"))),
         (f"share/{package_name}/config/dds", sorted(glob("config/dds/*.xml"))),
+        (f"share/{package_name}/rviz", ["config/rviz/uav_vslam.rviz"]),
+        (f"share/{package_name}/foxglove", ["config/foxglove/uav_vslam.json"]),
         (f"share/{package_name}/launch", sorted(glob("launch/*.launch.py"))),
         # The nodes belong in lib/uav_vslam, where `ros2 run` looks; only the command is put on PATH.
         ("bin", ["bin/uav-vslam"]),

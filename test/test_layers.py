@@ -22,6 +22,7 @@ ALLOWED: dict[str, set[str]] = {
     "stamps": {"types"},
     "geometry": set(),
     "numerics": set(),
+    "monitor": set(),  # what is heard of a live fleet
     "memory": set(),
     "processes": {"memory"},
     # the estimator, in its order
@@ -41,7 +42,7 @@ ALLOWED: dict[str, set[str]] = {
     # recorded truth becomes a trajectory, readings move to the body, images show which legs overlap
     "datasets": EARLY | {"evaluation", "ins", "vision"},
     "calibration": EARLY | {"vision", "datasets"},  # image pairs of files and recordings
-    "report": {"types", "geometry", "evaluation", "calibration"},
+    "report": {"types", "geometry", "evaluation", "calibration", "monitor"},
     "overlay": ESTIMATOR | {"pipeline"},  # pictures of what the pipeline found
     "inspection": EARLY | {"ins", "vision", "datasets"},  # it judges what `datasets` reads, by what the graph allows
     # what puts them together without ROS
@@ -50,13 +51,14 @@ ALLOWED: dict[str, set[str]] = {
     | {"pipeline", "fleet", "offline", "processes", "evaluation", "report"}
     | {"datasets", "simulation", "calibration", "mapping"},
     # the top
-    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "mapping", "processes", "memory"},
+    "ros": ESTIMATOR | {"pipeline", "fleet", "datasets", "mapping", "processes", "memory", "monitor"},
     "cli": ESTIMATOR
     | {"pipeline", "fleet", "datasets", "inspection", "calibration", "evaluation", "simulation", "report"}
-    | {"overlay", "offline", "mapping", "memory"},
+    | {"overlay", "offline", "mapping", "memory", "monitor"},
 }
 # What starts or watches ROS processes may import `ros`.
-ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "cli/mode.py", "studies/engine/node_graph.py"}
+ROS_STARTERS = {"cli/launch.py", "cli/demo.py", "cli/topic.py", "cli/mode.py", "cli/monitor.py"}
+ROS_STARTERS |= {"studies/engine/node_graph.py"}
 # What the command line takes from the laboratory; nothing else of the product knows it.
 LABORATORY_DOORS = {"cli/study.py", "cli/bench.py"}
 

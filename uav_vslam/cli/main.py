@@ -32,6 +32,7 @@ VERBS = (
     "bench",
     "topic",
     "mode",
+    "monitor",
 )
 EXAMPLES = """examples:
   uav-vslam demo                                     replay two vehicles' sample recordings and report

@@ -21,8 +21,8 @@ SPIN_S = 0.1
 class Observer(Node):
     """A node with subscriptions only."""
 
-    def __init__(self, context: rclpy.Context) -> None:
-        super().__init__("uav_vslam_topic", context=context, start_parameter_services=False, enable_rosout=False)
+    def __init__(self, context: rclpy.Context, name: str) -> None:
+        super().__init__(name, context=context, start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
 
@@ -37,11 +37,11 @@ class Observer(Node):
 
 
 @contextmanager
-def observer(domain_id: int | None) -> Iterator[Observer]:
-    """Join a ROS domain as an observer."""
+def observer(domain_id: int | None, name: str = "uav_vslam_topic") -> Iterator[Observer]:
+    """Join a ROS domain as an observer of that node name."""
     context = rclpy.Context()
     context.init(domain_id=domain_id)
-    node = Observer(context)
+    node = Observer(context, name)
     try:
         yield node
     finally:
