@@ -188,7 +188,7 @@ class Vehicle:
     def _health(self, node: str, report: NodeReport, now_s: float) -> Health:
         age_s = now_s - report.heard_s
         if age_s > SILENT_S:
-            return Health(self.name, node, SILENT, f"silent for {age_s:.0f} s")
+            return Health(self.name, node, SILENT, f"no report for {age_s:.0f} s")
         return Health(self.name, node, report.level, report.text)
 
 

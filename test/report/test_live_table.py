@@ -6,7 +6,7 @@ import io
 import pytest
 from rich.console import Console
 
-from uav_vslam.monitor import ERROR, OK, WARN, Claim, Fleet, Link, NodeReport, Peer
+from uav_vslam.monitor import ERROR, OK, WARN, Claim, Fleet, Link, NodeReport, Peer, Stream
 from uav_vslam.report.live_table import live_lines, live_view
 
 NOW_S = 100.0
@@ -56,13 +56,17 @@ def test_nodes_that_are_well_are_counted_and_drops_named() -> None:
     assert "uav2 coasted 1 of 1 frames" in text
 
 
-def test_a_stopped_stream_shows_for_how_long() -> None:
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_stopped_stream_shows_for_how_long(width: int) -> None:
     fleet = flying()
     vehicle = fleet.vehicles["uav1"]
-    for stream in ("features", "odometry"):
-        vehicle.streams[stream]._arrivals_s = type(vehicle.streams[stream]._arrivals_s)([80.0, 80.1])
-    estimates = rows(shown(fleet), "uav1")[0]
-    assert estimates[3:7] == ["0", "(20", "s)", "0"]
+    for stream in ("imu", "ins", "features", "odometry", "fused"):
+        vehicle.streams[stream] = Stream()
+        vehicle.streams[stream].arrived(80.0)
+    text = shown(fleet, width)
+    assert rows(text, "uav1")[0] == ["uav1", *["0"] * 5, "1.250", "0.750", "0.573", "88"]
+    assert text.count("(20 s)") == 5
+    assert "IMU 0 (20 s), INS 0 (20 s)" in live_lines(fleet, NOW_S)[0]
 
 
 def test_a_vehicle_that_stops_keeps_its_last_claims_and_shows_its_age() -> None:

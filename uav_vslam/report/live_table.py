@@ -16,8 +16,8 @@ NAMES = dict(zip(STREAMS, ("IMU", "INS", "Feat.", "Odom.", "Fused"), strict=True
 TITLES = (
     *(f"{name}\n[Hz]" for name in NAMES.values()),
     "1σ own\n[m]",
-    "1σ fused\n[m]",
-    "heading\n1σ [deg]",
+    "1σ fus.\n[m]",
+    "1σ yaw\n[deg]",
     "Land-\nmarks",
 )
 RADIO_LABELS = ("Vehicle", "Mode", "Sent\n[kB/s]", "Peer")
@@ -39,7 +39,6 @@ def live_lines(fleet: Fleet, now_s: float) -> list[str]:
 
 def _estimates(vehicles: list[Vehicle], now_s: float) -> Table:
     table = new_table(("Vehicle",), TITLES)
-    table.columns[0].min_width = max(len(vehicle.name) for vehicle in vehicles)
     for vehicle in vehicles:
         silent = vehicle.is_silent(now_s)  # a line below says for how long
         rates = [Text(ABSENT) if silent else _rate(vehicle.streams[name], now_s) for name in STREAMS]
@@ -64,7 +63,7 @@ def _rate(stream: Stream, now_s: float) -> Text:
     """Return a rate, or how long ago a stream has stopped."""
     rate_hz = stream.rate_hz(now_s)
     if stream.is_silent(now_s):
-        return Text(f"0 ({stream.age_s(now_s):.0f} s)", "bold red")
+        return Text(f"0\n({stream.age_s(now_s):.0f} s)", "bold red")  # two lines: the table fits into 80 columns
     return Text(ABSENT if rate_hz is None else f"{rate_hz:.1f}")
 
 
@@ -129,7 +128,7 @@ def _counts(counts: dict[str, int]) -> str:
 
 
 def _line(vehicle: Vehicle, now_s: float) -> str:
-    rates = ", ".join(f"{NAMES[name]} {_rate(vehicle.streams[name], now_s)}" for name in STREAMS)
+    rates = ", ".join(f"{NAMES[name]} {_rate(vehicle.streams[name], now_s)}" for name in STREAMS).replace("\n", " ")
     own, fused, link = vehicle.own, vehicle.fused, vehicle.link
     received = sum(peer.received_bytes_per_s for peer in link.peers) if link else None
     return (
