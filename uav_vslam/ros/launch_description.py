@@ -24,6 +24,7 @@ ARGUMENTS = {
     "record": "record the estimates into this new bag",
     "use_sim_time": "true: nodes take the time from /clock (default: with a replay)",
     "log_level": "of all nodes",
+    "rviz": "true: start RViz with the layout for uav1 and uav2",
 }
 
 
@@ -59,7 +60,10 @@ def _nodes(context: Any, names: list[str]) -> list[Node]:
     if given["record"]:
         recorded = {"output": given["record"], "vehicles": vehicles or list(fleet.vehicles)}
         specs.insert(0, NodeSpec("recorder", "recorder", "/", recorded))
-    return [_action(spec, given["log_level"]) for spec in specs]
+    view = (
+        [_rviz(any(spec.parameters.get("use_sim_time") for spec in specs))] if given["rviz"].lower() == "true" else []
+    )
+    return [*(_action(spec, given["log_level"]) for spec in specs), *view]
 
 
 def _action(spec: NodeSpec, log_level: str) -> Node:
@@ -74,4 +78,11 @@ def _action(spec: NodeSpec, log_level: str) -> Node:
         ros_arguments=["--log-level", log_level] if log_level else [],
         output="screen",
         on_exit=Shutdown(reason="the replay has ended") if spec.executable == "replay" else None,
+    )
+
+
+def _rviz(use_sim_time: bool) -> Node:
+    layout = PathJoinSubstitution([FindPackageShare("uav_vslam"), "rviz", "uav_vslam.rviz"])
+    return Node(
+        package="rviz2", executable="rviz2", arguments=["-d", layout], parameters=[{"use_sim_time": use_sim_time}]
     )
