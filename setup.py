@@ -13,7 +13,7 @@ setup(
     description="Cooperative stereo-inertial SLAM for several UAVs without GPS and without a server.",
     license="Apache-2.0",
     packages=find_packages(include=["uav_vslam", "uav_vslam.*"]),
-    package_data={"uav_vslam.vision": ["data/*.npz"]},
+    package_data={"uav_vslam.vision": ["data/*.npz"], "uav_vslam.report.page": ["assets/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),

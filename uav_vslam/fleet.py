@@ -6,6 +6,7 @@ packets and the fusion follow in stamp order, exactly as in lock-step replay.
 """
 
 import itertools
+import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 
@@ -15,7 +16,7 @@ from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.slam.packet import payload_bytes
-from uav_vslam.types import LandmarkPacket, PoseEstimate
+from uav_vslam.types import LandmarkPacket, LinkEpoch, PoseEstimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +38,15 @@ class CooperativeTrack:
         fusion: the fusion core, which counts packets received, used and dropped.
         exchange: counts packets sent, refused and held back.
         poses: fused pose at every own-only frame.
+        epochs: traffic up to each fusion epoch.
+        fusion_s: processor time of fusion and packet [s], by the epoch's stamp [ns].
     """
 
     fusion: Fusion
     exchange: Exchange
     poses: list[PoseEstimate] = field(default_factory=list)
+    epochs: list[LinkEpoch] = field(default_factory=list)
+    fusion_s: dict[int, float] = field(default_factory=dict)
 
 
 def cooperate(
@@ -73,12 +78,28 @@ def cooperate(
         member = fleet[name]
         if output.joint is not None:
             air.deliver(stamp_ns)
+            began_s = time.process_time()
             member.fusion.fuse(output.joint)
             member.exchange.send()
+            member.fusion_s[stamp_ns] = time.process_time() - began_s
+            member.epochs.append(link_epoch(member, stamp_ns))
         member.poses.append(member.fusion.propagate(output.report.pose))
     if frames:
         air.deliver(max(stamp_ns for stamp_ns, _, _ in frames))
     return fleet
+
+
+def link_epoch(member: CooperativeTrack, stamp_ns: int) -> LinkEpoch:
+    """Return the traffic of a vehicle up to now, as of an epoch."""
+    peers = member.fusion.inbox.peers.values()
+    return LinkEpoch(
+        stamp_ns=stamp_ns,
+        packets_sent=member.exchange.outbox.packets_sent,
+        bytes_sent=member.exchange.outbox.bytes_sent,
+        packets_received=sum(record.received for record in peers),
+        bytes_received=sum(member.exchange.received_bytes.values()),
+        packets_used=sum(len(record.used) for record in peers),
+    )
 
 
 class Air:

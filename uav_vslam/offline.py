@@ -230,6 +230,8 @@ def _vehicle_result(
         dropped=track.dropped,
         joints=tuple(output.joint for output in track.outputs if output.joint is not None),
         link=link_counters(member) if member else LinkCounters(),
+        epochs=tuple(member.epochs) if member else (),
+        stage_s=track.stage_s | ({"fusion": member.fusion_s} if member else {}),
     )
 
 

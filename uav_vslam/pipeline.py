@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One vehicle without ROS: the nodes' stages, chained in one process."""
 
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -29,6 +30,7 @@ class VehicleTrack:
         alarms_at: subjects of such faults by the frame's stamp [ns].
         features: found in each frame, by its stamp [ns] and without descriptors; empty unless they are kept.
         smoothed: the most likely poses given the whole flight, one per output; empty unless it was smoothed.
+        stage_s: processor time of a stage on each frame [s], by the stage's name and the frame's stamp [ns].
         broken: why the recording ended early; empty if complete.
         warnings: problems for the user.
     """
@@ -42,6 +44,7 @@ class VehicleTrack:
     alarms_at: dict[int, tuple[str, ...]] = field(default_factory=dict)
     features: dict[int, StereoFeatures] = field(default_factory=dict)
     smoothed: list[PoseEstimate] = field(default_factory=list)
+    stage_s: dict[str, dict[int, float]] = field(default_factory=lambda: {"frontend": {}, "backend": {}})
     broken: str = ""
     warnings: list[str] = field(default_factory=list)
 
@@ -110,11 +113,13 @@ class VehiclePipeline:
 
         A refused pair becomes a frame without points: the vehicle is dead-reckoned.
         """
+        began_s = time.process_time()
         try:
             features = self._frontend.process(frame)
         except InvalidMessage as error:
             self._refused[error.reason] += 1
             features = StereoFeatures.empty(frame.stamp_ns)
+        self.track.stage_s["frontend"][frame.stamp_ns] = time.process_time() - began_s
         for subject, text in self._frontend.alarms.items():
             if subject not in self.track.alarms:
                 self.track.warnings.append(f"frame {self.track.frames_in}: {text}")
@@ -126,10 +131,19 @@ class VehiclePipeline:
     def _complete(self, increments: list[ImuIncrement]) -> list[FrameOutput]:
         for increment in increments:
             self._slam.add_increment(increment)
-        outputs = list(self._slam.run())
+        outputs = list(self._timed(self._slam.run()))
         self.track.start = self._slam.initial
         self.track.outputs += outputs
         self.track.warnings += [text for output in outputs for text in output.warnings]
         dropped = {**self._slam.dropped, **self._refused}
         self.track.dropped = {reason: count for reason, count in dropped.items() if count}
         return outputs
+
+    def _timed(self, outputs: Iterable[FrameOutput]) -> Iterator[FrameOutput]:
+        """Yield the back end's outputs and record the time that each took; results never depend on it."""
+        began_s = time.process_time()
+        for output in outputs:
+            ended_s = time.process_time()
+            self.track.stage_s["backend"][output.report.pose.stamp_ns] = ended_s - began_s
+            yield output
+            began_s = time.process_time()

@@ -229,6 +229,25 @@ class FrameQuality:
     events: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class LinkEpoch:
+    """The traffic of one vehicle up to a fusion epoch, counted from its start.
+
+    Attributes:
+        stamp_ns: of the epoch [ns].
+        packets_sent, bytes_sent: accepted by the budget, and their payload [byte].
+        packets_received, bytes_received: from all peers, dropped ones included.
+        packets_used: fused.
+    """
+
+    stamp_ns: int
+    packets_sent: int
+    bytes_sent: int
+    packets_received: int
+    bytes_received: int
+    packets_used: int
+
+
 def source_of(vehicle: str, session: int) -> str:
     """Return the provenance key of the measurements of one session (start) of a vehicle."""
     return f"{vehicle}/{session}"

@@ -6,9 +6,12 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from uav_vslam.cli.arguments import lengths_m, positive_seconds, results_folder
+
+if TYPE_CHECKING:
+    from uav_vslam.evaluation.result import FlightResult
 
 HELP = "score recordings, trajectory files and results folders against the truth"
 EXAMPLES = """examples:
@@ -84,16 +87,23 @@ def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, 
     from uav_vslam.datasets.recorded_result import flight_result
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
+    from uav_vslam.report.page.page import NAME as PAGE_NAME
+    from uav_vslam.report.page.page import write_page
     from uav_vslam.report.plots import write_plots
     from uav_vslam.report.table import print_summary
 
     outputs, damage = read_outputs(args.inputs)
     config = config or {"evaluated": [str(bag) for bag in args.inputs]}
     result = flight_result(args.name or args.inputs[0].stem, outputs, config=config, wall_s=wall_s)
-    plot = None if args.no_plots else write_plots
-    folder = write_results(result, args.results, plot=plot, alignment=args.alignment)
+
+    def plot(result: FlightResult, folder: Path) -> list[Path]:
+        return [*write_plots(result, folder), write_page([folder])]
+
+    folder = write_results(result, args.results, plot=None if args.no_plots else plot, alignment=args.alignment)
     print_summary(build_summary(result, git=None, alignment=args.alignment))
     print(f"written to {folder}")
+    if not args.no_plots:
+        print(f"page: {folder / PAGE_NAME}")
     if damage is not None:
         print(f"uav-vslam: evaluated up to a break: {damage}", file=sys.stderr)
     return 0 if damage is None else 2

@@ -26,6 +26,7 @@ VERBS = (
     "run",
     "launch",
     "evaluate",
+    "report",
     "export",
     "demo",
     "study",

@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--workers", type=positive, default=2, help="processes, one a vehicle at most (default 2)")
     parser.add_argument("--no-smoothing", action="store_true", help="do not smooth each whole flight afterwards")
-    parser.add_argument("--no-plots", action="store_true", help="draw no pictures")
+    parser.add_argument("--no-plots", action="store_true", help="draw no pictures, write no page")
     parser.add_argument(
         "--sheet", type=positive, default=12, metavar="N", help="images with tracks on the contact sheet (default 12)"
     )
@@ -65,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
+    from uav_vslam.report.page.page import NAME as PAGE_NAME
     from uav_vslam.report.table import print_summary
 
     more = {"fusion.mode": args.mode} if args.mode else {}
@@ -94,6 +95,8 @@ def run(args: argparse.Namespace) -> int:
     folder = write_results(result, args.results, plot=partial(_draw, flights=flights, tracks=tracks, args=args))
     print_summary(build_summary(result, git=None))
     print(f"results: {folder}")
+    if not args.no_plots:
+        print(f"page: {folder / PAGE_NAME}")
     for vehicle, track in tracks.items():
         _warn(f"{vehicle}: {text}" for text in track.warnings)
     broken = sorted(track.broken for track in tracks.values() if track.broken)
@@ -119,6 +122,7 @@ def _draw(
 ) -> list[Path]:
     """Write plots, contact sheets and videos, as far as they are wanted."""
     from uav_vslam.cli.track_pictures import write_film, write_sheet
+    from uav_vslam.report.page.page import write_page
     from uav_vslam.report.plots import write_plots
 
     written: list[Path | None] = []
@@ -128,6 +132,8 @@ def _draw(
     if args.video:
         with progress_bar("drawing", sum(len(track.outputs) for track in tracks.values())) as advance:
             written += [write_film(flights[name], track, folder, advance) for name, track in tracks.items()]
+    if not args.no_plots:
+        written.append(write_page([folder]))
     return [path for path in written if path is not None]
 
 

@@ -96,6 +96,7 @@ def seeds_of(args: argparse.Namespace) -> list[int]:
 def publish(name: str, findings: Findings, seeds: list[int], args: argparse.Namespace) -> None:
     """Write tables and plots into a new folder below the results, print the tables and say where they are."""
     from uav_vslam.evaluation.output import write_study
+    from uav_vslam.report.page.page import write_page
     from uav_vslam.studies.engine.columns import legend
 
     folder = write_study(
@@ -109,3 +110,4 @@ def publish(name: str, findings: Findings, seeds: list[int], args: argparse.Name
     )
     print((folder / "study.md").read_text(encoding="utf-8"))
     print(f"results: {folder}")
+    print(f"page: {write_page([folder])}")

@@ -11,7 +11,7 @@ import numpy as np
 from uav_vslam.datasets.messages import stamp_ns_of, truth_of
 from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw, topics_of
 from uav_vslam.errors import BagError
-from uav_vslam.types import FrameQuality, PoseEstimate
+from uav_vslam.types import FrameQuality, LinkEpoch, PoseEstimate
 
 POSES = {
     "odometry": "own_only",
@@ -54,6 +54,7 @@ class RecordedOutputs:
     Attributes:
         own_only, smoothed, fused, dead_reckoning, truth: pose estimates in recording order.
         link: the last fusion status, or None.
+        epochs: traffic up to each fusion epoch, in recording order.
         frames: how each frame went, in recording order; empty if not recorded.
         frames_in: image pairs replayed, or None if the bags have none.
     """
@@ -64,6 +65,7 @@ class RecordedOutputs:
     dead_reckoning: list[PoseEstimate] = field(default_factory=list)
     truth: list[PoseEstimate] = field(default_factory=list)
     link: LinkRecord | None = None
+    epochs: list[LinkEpoch] = field(default_factory=list)
     frames: list[FrameQuality] = field(default_factory=list)
     frames_in: int | None = None
 
@@ -118,6 +120,7 @@ def _store(outputs: RecordedOutputs, ending: str, raw: RawMessage) -> None:
     built = decode(raw)
     if ending == STATUS:
         outputs.link = _link(built)
+        outputs.epochs.append(_epoch(built))
         return
     if ending == QUALITY:
         outputs.frames.append(_frame_quality(built))
@@ -167,4 +170,15 @@ def _link(built: Any) -> LinkRecord:
         packets_used=sum(int(peer.packets_used) for peer in built.peers),
         dropped=dropped,
         peers=tuple(peer.peer for peer in built.peers),
+    )
+
+
+def _epoch(built: Any) -> LinkEpoch:
+    return LinkEpoch(
+        stamp_ns=stamp_ns_of(built),
+        packets_sent=int(built.packets_sent),
+        bytes_sent=int(built.bytes_sent),
+        packets_received=sum(int(peer.packets_received) for peer in built.peers),
+        bytes_received=sum(int(peer.received_bytes) for peer in built.peers),
+        packets_used=sum(int(peer.packets_used) for peer in built.peers),
     )

@@ -40,6 +40,7 @@ def _vehicle_result(name: str, recorded: RecordedOutputs, fleet: dict[str, Recor
         closures=sum(frame.closures for frame in frames) if frames else None,
         frames=tuple(frames) or None,
         link=_counters(recorded),
+        epochs=tuple(sorted(recorded.epochs, key=lambda epoch: epoch.stamp_ns)),
     )
 
 

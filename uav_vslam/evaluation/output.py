@@ -14,6 +14,7 @@ import yaml
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.writing import write_csv, write_tum
+from uav_vslam.evaluation.flight_tables import write_landmarks, write_link, write_timing
 from uav_vslam.evaluation.frame_table import write_frames
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.evaluation.revision import git_revision
@@ -165,3 +166,9 @@ def _write_vehicles(result: FlightResult, folder: Path) -> None:
                 write_csv(trajectory, folder / f"{name}_{track}.csv")
         if vehicle.frames is not None:
             write_frames(vehicle, folder / f"{name}_frames.csv")
+        if vehicle.epochs:
+            write_link(vehicle.epochs, folder / f"{name}_link.csv")
+        if any(vehicle.stage_s.values()):
+            write_timing(vehicle.stage_s, folder / f"{name}_timing.csv")
+        if vehicle.joints:
+            write_landmarks(vehicle.joints, folder / f"{name}_landmarks.csv")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.types import FrameQuality, JointInformation
+from uav_vslam.types import FrameQuality, JointInformation, LinkEpoch
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,9 @@ class VehicleResult:
         dropped: frames that were not processed, by reason.
         joints: beliefs over the map at epochs, in stamp order; empty if not recorded.
         link: radio counters.
+        epochs: traffic up to each fusion epoch, in stamp order; empty if not recorded.
+        stage_s: processor time of a stage on each frame [s], by the stage's name and the stamp [ns]; empty if not
+            recorded.
     """
 
     name: str
@@ -61,6 +64,8 @@ class VehicleResult:
     dropped: dict[str, int] = field(default_factory=dict)
     joints: tuple[JointInformation, ...] = ()
     link: LinkCounters = field(default_factory=LinkCounters)
+    epochs: tuple[LinkEpoch, ...] = ()
+    stage_s: dict[str, dict[int, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

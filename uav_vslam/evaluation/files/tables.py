@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads the CSV tables of a results folder back, by column."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import TrajectoryFileError
+
+Array = NDArray[np.float64]
+
+
+def read_columns(path: Path) -> dict[str, list[str]]:
+    """Return the cells of each column by its title, all of equal length.
+
+    Raises:
+        TrajectoryFileError: a row has another number of cells than the title.
+    """
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    if not rows:
+        return {}
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(rows[0]):
+            raise TrajectoryFileError(
+                f"{path}:{number}: {len(row)} cells, but the title has {len(rows[0])}; was the run interrupted?"
+            )
+    return {title: [row[k] for row in rows[1:]] for k, title in enumerate(rows[0])}
+
+
+def numbers(cells: list[str], path: Path) -> Array:
+    """Return (N,) numbers, NaN for an empty cell.
+
+    Raises:
+        TrajectoryFileError: a cell is no number.
+    """
+    try:
+        return np.array([float(cell) if cell else np.nan for cell in cells], dtype=float)
+    except ValueError as error:
+        raise TrajectoryFileError(f"{path}: {error}; correct or remove the file") from None

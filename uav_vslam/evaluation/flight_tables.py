@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of a vehicle's flight as CSV: traffic by epoch, time by frame, landmarks; the columns name their units."""
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_vslam.evaluation.landmarks import mapped_landmarks
+from uav_vslam.types import NS_PER_S, JointInformation, LinkEpoch
+
+TRAFFIC = ("packets_sent", "bytes_sent", "packets_received", "bytes_received", "packets_used")  # since the start
+COVARIANCE = ("cov_x_x", "cov_x_y", "cov_x_z", "cov_y_y", "cov_y_z", "cov_z_z")
+UPPER = np.triu_indices(3)
+
+
+def write_link(epochs: Sequence[LinkEpoch], path: Path) -> Path:
+    """Write the traffic of a vehicle up to each fusion epoch, one row an epoch."""
+    first_ns = epochs[0].stamp_ns if epochs else 0
+    rows = ((*_time(epoch.stamp_ns, first_ns), *(getattr(epoch, name) for name in TRAFFIC)) for epoch in epochs)
+    return _write(path, ("stamp_ns", "time_s", *TRAFFIC), rows)
+
+
+def write_timing(stage_s: Mapping[str, Mapping[int, float]], path: Path) -> Path:
+    """Write each stage's processor time on each frame [ms], empty for a stage that did not run."""
+    stamps_ns = sorted({stamp_ns for seconds in stage_s.values() for stamp_ns in seconds})
+    rows = (
+        (
+            *_time(stamp_ns, stamps_ns[0]),
+            *(f"{1000.0 * seconds[stamp_ns]:.3f}" if stamp_ns in seconds else "" for seconds in stage_s.values()),
+        )
+        for stamp_ns in stamps_ns
+    )
+    return _write(path, ("stamp_ns", "time_s", *(f"{stage}_ms" for stage in stage_s)), rows)
+
+
+def write_landmarks(joints: Sequence[JointInformation], path: Path) -> Path:
+    """Write each landmark in the map frame as it was last estimated, with its covariance [m^2]."""
+    found = mapped_landmarks(joints)
+    rows = zip(found.ids.tolist(), found.positions.tolist(), found.covariances, strict=True)
+    cells = ((key, *(f"{x:.4f}" for x in p), *(f"{x:.6g}" for x in P[UPPER].tolist())) for key, p, P in rows)
+    return _write(path, ("id", "x_m", "y_m", "z_m", *COVARIANCE), cells)
+
+
+def _time(stamp_ns: int, first_ns: int) -> tuple[int, str]:
+    return stamp_ns, f"{(stamp_ns - first_ns) / NS_PER_S:.6f}"
+
+
+def _write(path: Path, titles: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(titles)
+        writer.writerows(rows)
+    return path

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads the results folder of a flight for the page."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.files.results_folder import Tracks, read_results
+from uav_vslam.evaluation.files.tables import read_columns
+from uav_vslam.types import NS_PER_S
+
+Figures = dict[str, Any]
+Columns = dict[str, list[str]]
+
+TABLES = ("frames", "link", "timing", "landmarks")
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleFiles:
+    """What a results folder holds of one vehicle.
+
+    Attributes:
+        name: of the vehicle.
+        figures: its part of summary.json.
+        tracks: trajectories by name (`output.ALL_TRACKS`).
+        tables: cells of the columns of `<vehicle>_<table>.csv`, by `TABLES`; those that are there.
+        folder: of the results.
+    """
+
+    name: str
+    figures: Figures
+    tracks: Tracks
+    tables: dict[str, Columns]
+    folder: Path
+
+
+@dataclass(frozen=True, slots=True)
+class FlightFiles:
+    """What a results folder holds.
+
+    Attributes:
+        label: tells it from the other flights of the page.
+        folder: of the results.
+        summary: content of summary.json.
+        config: content of config.yaml.
+        vehicles: by name.
+        start_ns: first stamp of an own-only track, from which the page counts time.
+    """
+
+    label: str
+    folder: Path
+    summary: Figures
+    config: Figures
+    vehicles: dict[str, VehicleFiles]
+    start_ns: int
+
+    def seconds_of(self, stamps_ns: Any) -> Any:
+        """Return stamps [ns] as seconds since the start."""
+        return (stamps_ns - self.start_ns) / NS_PER_S
+
+
+def read_flight(folder: Path, label: str) -> FlightFiles:
+    """Read the results of a flight.
+
+    Raises:
+        UavVslamError: the folder holds no flight, or a file is damaged.
+    """
+    summary = read_json(folder / "summary.json")
+    tracks = read_results(folder)
+    vehicles = {
+        name: VehicleFiles(name, figures, tracks.get(name, {}), _tables(folder, name), folder)
+        for name, figures in summary["vehicles"].items()
+    }
+    firsts = [
+        int(track.stamps_ns[0])
+        for vehicle in vehicles.values()
+        for name, track in vehicle.tracks.items()
+        if name == "s_slam"
+    ]
+    return FlightFiles(label, folder, summary, _config(folder / "config.yaml"), vehicles, min(firsts, default=0))
+
+
+def read_json(path: Path) -> Figures:
+    """Read a tree.
+
+    Raises:
+        UavVslamError: the file is missing or is no JSON.
+    """
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UavVslamError(f"{path} can't be read: {error.strerror}; name a folder of results") from None
+    except ValueError as error:
+        raise UavVslamError(f"{path} is no JSON: {error}; was the run interrupted?") from None
+    return dict(tree)
+
+
+def _config(path: Path) -> Figures:
+    try:
+        return dict(yaml.safe_load(path.read_text(encoding="utf-8")) or {}) if path.exists() else {}
+    except (yaml.YAMLError, ValueError) as error:
+        raise UavVslamError(f"{path} is no configuration: {error}; restore or remove it") from None
+
+
+def _tables(folder: Path, vehicle: str) -> dict[str, Columns]:
+    paths = {name: folder / f"{vehicle}_{name}.csv" for name in TABLES}
+    return {name: read_columns(path) for name, path in paths.items() if path.exists()}

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a vehicle's tables hold over time: innovations, points, claims, traffic and processor time."""
+
+import numpy as np
+
+from uav_vslam.evaluation.files.tables import numbers
+from uav_vslam.evaluation.quality import claimed_sigma
+from uav_vslam.report.page.charts import Array, Band, Chart, Line
+from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
+from uav_vslam.report.style import STYLES
+
+POINTS = {"features": "line-6", "tracked": "line-4", "associated": "line-2", "landmarks": "line-1"}
+STAGES = {"frontend": "Front end", "backend": "Back end", "fusion": "Fusion"}
+KB = 1000.0
+
+
+def innovation_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
+    """Return NIS over its degrees of freedom with its band; none without a visual update."""
+    table = vehicle.tables.get("frames")
+    if table is None:
+        return []
+    x, value = _seconds(flight, vehicle, "frames"), _column(vehicle, "frames", "nis_per_dof")
+    rows = np.flatnonzero(value > 0)
+    if len(rows) == 0:
+        return []
+    low, high = (_column(vehicle, "frames", name)[rows] for name in ("band_low", "band_high"))
+    chart = Chart(
+        "NIS / dof",
+        (
+            Line("expected", "grey", x[rows[[0, -1]]], np.ones(2), width=1.0, dashed=True),
+            Line("S-SLAM", "track-s_slam", x[rows], value[rows]),
+        ),
+        (Band("95 % band", "band", x[rows], low, high),),
+        log=True,
+        shades=_coasted(x, table["coasted"]),
+        marks=tuple((float(at), text) for at, text in zip(x, table["events"], strict=True) if text),
+    )
+    return [chart]
+
+
+def point_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
+    """Return the counts of points and landmarks."""
+    if "frames" not in vehicle.tables:
+        return []
+    x = _seconds(flight, vehicle, "frames")
+    lines = tuple(Line(name, colour, x, _column(vehicle, "frames", name)) for name, colour in POINTS.items())
+    return [Chart("Count", lines, from_zero=True)]
+
+
+def sigma_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
+    """Return the claimed standard deviations of position and heading."""
+    known = {name: track for name, track in vehicle.tracks.items() if track.covariance is not None}
+    position, heading = [], []
+    for name, track in known.items():
+        x, style = flight.seconds_of(track.stamps_ns), STYLES[name]
+        position_m, heading_rad = claimed_sigma(track)
+        position.append(Line(style.label, f"track-{name}", x, position_m, width=style.width))
+        heading.append(Line(style.label, f"track-{name}", x, np.degrees(heading_rad), width=style.width))
+    if not known:
+        return []
+    return [
+        Chart("1σ position [m]", tuple(position), from_zero=True),
+        Chart("1σ heading [deg]", tuple(heading), from_zero=True),
+    ]
+
+
+def link_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
+    """Return the traffic of each epoch and its sum; none without packets."""
+    if "link" not in vehicle.tables:
+        return []
+    x = _seconds(flight, vehicle, "link")
+    sums = {name: _column(vehicle, "link", f"bytes_{name}") / KB for name in ("sent", "received")}
+    if not any(total.any() for total in sums.values()):
+        return []
+    colours = {"sent": "line-0", "received": "line-1"}
+    each = (Line(name, colours[name], x, np.diff(y, prepend=0.0), stepped=True) for name, y in sums.items())
+    total = (Line(name, colours[name], x, y, stepped=True) for name, y in sums.items())
+    return [
+        Chart("In an epoch [kB]", tuple(each), from_zero=True),
+        Chart("Since the start [kB]", tuple(total), from_zero=True),
+    ]
+
+
+def timing_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
+    """Return the processor time of each stage that was measured."""
+    if "timing" not in vehicle.tables:
+        return []
+    x, lines = _seconds(flight, vehicle, "timing"), []
+    for k, (stage, label) in enumerate(STAGES.items()):
+        if f"{stage}_ms" not in vehicle.tables["timing"]:
+            continue
+        value = _column(vehicle, "timing", f"{stage}_ms")
+        rows = np.flatnonzero(np.isfinite(value))
+        if len(rows):
+            lines.append(Line(label, f"line-{k}", x[rows], value[rows]))
+    return [Chart("Time [ms]", tuple(lines), from_zero=True)] if lines else []
+
+
+def _seconds(flight: FlightFiles, vehicle: VehicleFiles, table: str) -> Array:
+    stamps = np.array([int(cell) for cell in vehicle.tables[table]["stamp_ns"]], np.int64)
+    return np.asarray(flight.seconds_of(stamps), float)
+
+
+def _column(vehicle: VehicleFiles, table: str, name: str) -> Array:
+    return numbers(vehicle.tables[table][name], vehicle.folder / f"{vehicle.name}_{table}.csv")
+
+
+def _coasted(x: Array, flags: list[str]) -> tuple[tuple[float, float], ...]:
+    """Return the time of each coasted frame, back to the one before."""
+    return tuple((float(x[k - 1]), float(x[k])) for k, flag in enumerate(flags) if flag == "1" and k)

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories and landmarks for the plan view and the 3-D view."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.files.tables import numbers as column
+from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.report.page.charts import Data, numbers, thinned
+from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
+from uav_vslam.report.style import STYLES
+
+COVARIANCE = ("cov_x_x", "cov_x_y", "cov_x_z", "cov_y_y", "cov_y_z", "cov_z_z")
+ROWS, COLUMNS = np.triu_indices(3)
+MOST_LANDMARKS = 4000  # of a vehicle
+FLOOR_M2 = 1e-12  # variance at which an ellipsoid would be flat
+
+
+def scene_data(flights: list[FlightFiles]) -> Data:
+    """Return all flights' trajectories and landmarks [m] in their map frames."""
+    return {
+        "tracks": {name: {"label": style.label, "width": style.width} for name, style in STYLES.items()},
+        "flights": [
+            {"label": flight.label, "vehicles": [_vehicle(flight, vehicle) for vehicle in flight.vehicles.values()]}
+            for flight in flights
+        ],
+    }
+
+
+def _vehicle(flight: FlightFiles, vehicle: VehicleFiles) -> Data:
+    return {
+        "name": vehicle.name,
+        "tracks": {name: _track(flight, track) for name, track in vehicle.tracks.items()},
+        "landmarks": _landmarks(vehicle),
+    }
+
+
+def _track(flight: FlightFiles, track: Trajectory) -> Data:
+    found = track.select(thinned(len(track)))
+    x, y, z = (numbers(values, decimals=3) for values in found.positions.T)
+    data: Data = {"t": numbers(flight.seconds_of(found.stamps_ns), decimals=3), "x": x, "y": y, "z": z}
+    data["q_wxyz"] = numbers(found.quaternions_wxyz.ravel(), decimals=4)
+    if found.covariance is not None:
+        variances = np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2)[:, :3], 0.0)
+        data["sigma_m"] = numbers(np.sqrt(variances.sum(axis=1)), decimals=3)
+        data["cov_plane"] = numbers(found.covariance[:, [0, 0, 1], [0, 1, 1]].ravel())
+    return data
+
+
+def _landmarks(vehicle: VehicleFiles) -> Data | None:
+    """Return positions, and the lower triangle L of P = L L^T of each, which maps the unit sphere to its ellipsoid."""
+    table = vehicle.tables.get("landmarks")
+    if not table or not table["id"]:
+        return None
+    path = vehicle.folder / f"{vehicle.name}_landmarks.csv"
+    positions = np.stack([column(table[name], path) for name in ("x_m", "y_m", "z_m")], axis=1)
+    cells = np.stack([column(table[name], path) for name in COVARIANCE], axis=1)
+    rows = thinned(len(positions), MOST_LANDMARKS)
+    x, y, z = (numbers(values, decimals=2) for values in positions[rows].T)
+    factors = numbers(_lower(cells[rows])[:, COLUMNS, ROWS].ravel())
+    return {"count": len(positions), "x": x, "y": y, "z": z, "lower": factors}
+
+
+def _lower(cells: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (N, 3, 3) lower factors of covariances given by their upper triangles."""
+    P = np.zeros((len(cells), 3, 3))
+    P[:, ROWS, COLUMNS] = P[:, COLUMNS, ROWS] = cells
+    values, vectors = np.linalg.eigh(P)
+    P = (vectors * np.maximum(values, FLOOR_M2)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    return np.asarray(np.linalg.cholesky(P))

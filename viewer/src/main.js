@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fills the report page: Python wrote its tables, captions and data; here are charts, views and what can be operated.
+import { buildContents } from "./contents.js";
+import { Clock } from "./clock.js";
+import { drawFigures } from "./charts.js";
+import { showModels } from "./model.js";
+import { makePannable } from "./pan.js";
+import { showScene } from "./scene.js";
+import { filterTables, sortTables } from "./tables.js";
+import { startScheme } from "./theme.js";
+
+const root = document.documentElement;
+root.dataset.errors = "0";
+const countError = () => { root.dataset.errors = String(Number(root.dataset.errors) + 1); };
+window.addEventListener("error", countError);
+window.addEventListener("unhandledrejection", countError);
+
+async function start() {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  startScheme();
+  buildContents();
+  sortTables();
+  filterTables();
+  document.querySelectorAll("[data-pan]").forEach(makePannable);
+  const clock = new Clock(document.querySelector("[data-clock]"));
+  showScene(document.querySelector("[data-scene]"), data.scene, clock);
+  drawFigures(data.figures ?? {}, clock);
+  await showModels();
+  root.dataset.ready = String(Math.round(performance.now()));
+}
+
+start();
