@@ -104,7 +104,7 @@ def test_known_errors_come_out_as_figures(pair, tmp_path, capsys):
 def test_plots_and_tracks_are_written(pair, tmp_path):
     run(pair / "estimates", pair / "inputs", "--results", tmp_path)
     names = {path.name for path in (tmp_path / "latest").iterdir()}
-    assert {"plan_view.png", "view_3d.png", "errors.png", "uav1_c_slam.tum", "uav2_truth.tum", "config.yaml"} <= names
+    assert {"plan_view.png", "report.html", "errors.png", "uav1_c_slam.tum", "uav2_truth.tum", "config.yaml"} <= names
 
 
 def test_estimates_alone_are_evaluated_without_truth(pair, tmp_path):

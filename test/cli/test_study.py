@@ -46,7 +46,7 @@ PICTURES = {
 def test_a_study_leaves_its_tables_and_pictures(study: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["study", study, *SMALL[study], "--workers", "1", "--results", str(tmp_path)]) == 0
     folder = tmp_path / LATEST
-    assert {path.name for path in folder.iterdir()} == {"study.json", "study.md"} | PICTURES[study]
+    assert {path.name for path in folder.iterdir()} == {"study.json", "study.md", "report.html"} | PICTURES[study]
     assert json.loads((folder / "study.json").read_text())["study"] == f"study_{study}"
     assert (folder / "study.md").read_text() in capsys.readouterr().out
 

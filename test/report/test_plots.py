@@ -3,13 +3,12 @@ import dataclasses
 
 import cv2
 import numpy as np
-import pytest
 
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.error_plot import error_plot
 from uav_vslam.report.plots import write_plots
 from uav_vslam.report.style import STYLES, view_limits
-from uav_vslam.report.views import plan_view, view_3d
+from uav_vslam.report.views import plan_view
 
 
 def lines(axes, name):
@@ -18,7 +17,7 @@ def lines(axes, name):
 
 def test_every_plot_is_a_valid_image(pair, tmp_path):
     paths = write_plots(pair, tmp_path)
-    assert [path.name for path in paths] == ["plan_view.png", "view_3d.png", "errors.png", "nees.png"]
+    assert [path.name for path in paths] == ["plan_view.png", "errors.png", "nees.png"]
     for path in paths:
         picture = cv2.imread(str(path))
         assert min(picture.shape[:2]) > 400
@@ -32,12 +31,11 @@ def test_the_same_flight_is_drawn_to_the_same_bytes(pair, tmp_path):
 
 def test_without_ground_truth_there_is_no_error_plot(blind, tmp_path):
     assert error_plot(blind) is None
-    assert {path.name for path in write_plots(blind, tmp_path)} == {"plan_view.png", "view_3d.png"}
+    assert {path.name for path in write_plots(blind, tmp_path)} == {"plan_view.png"}
 
 
-@pytest.mark.parametrize("draw", [plan_view, view_3d])
-def test_views_show_each_track_of_each_vehicle_in_its_colour(pair, draw):
-    axes = draw(pair).axes[0]
+def test_the_plan_view_shows_each_track_of_each_vehicle_in_its_colour(pair):
+    axes = plan_view(pair).axes[0]
     assert {name: len(lines(axes, name)) for name in ("truth", "c_slam", "ins")} == {"truth": 2, "c_slam": 2, "ins": 2}
     assert axes.get_xlabel() == "East [m]"
     assert axes.get_ylabel() == "North [m]"
@@ -52,8 +50,7 @@ def test_the_plan_view_has_equal_scales(pair):
 def test_a_runaway_ins_does_not_shrink_the_flight(single):
     low, high = view_limits(list(single.vehicles.values()))
     assert (high - low).max() < 2.0 * 198.0
-    drawn = np.array(lines(view_3d(single).axes[0], "ins")[0].get_data_3d())
-    assert np.nanmax(drawn[1]) <= high[1]
+    assert plan_view(single).axes[0].get_ylim() == (low[1], high[1])
 
 
 def test_errors_are_those_of_the_tracks_inside_three_sigma(pair):
@@ -72,4 +69,4 @@ def test_a_flight_without_poses_is_drawn_empty(pair, tmp_path):
     empty = pair.vehicles["uav1"].s_slam.select(np.zeros(0, np.intp))
     vehicle = dataclasses.replace(pair.vehicles["uav1"], truth=None, ins=empty, s_slam=empty, c_slam=None)
     flight = FlightResult("empty", None, "none", 0.0, 0.0, {"uav1": vehicle})
-    assert len(write_plots(flight, tmp_path)) == 2
+    assert len(write_plots(flight, tmp_path)) == 1

@@ -40,7 +40,7 @@ def judged(blind):
 
 def test_without_truth_the_quality_and_the_landmarks_are_drawn(judged, tmp_path):
     names = [path.name for path in write_plots(judged, tmp_path)]
-    assert names == ["plan_view.png", "view_3d.png", "quality.png", "landmarks.png"]
+    assert names == ["plan_view.png", "quality.png", "landmarks.png"]
 
 
 def test_without_records_neither_is_drawn(blind):

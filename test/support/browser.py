@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A headless Chromium that tests drive through a pipe: it opens pages, and tells what they asked for and complained of."""
+"""A headless Chromium that tests drive through a pipe; it tells what pages asked for and complained of."""
 
 import base64
 import json

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plan view of the landmarks with their ellipses, along the estimated path."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
@@ -13,6 +16,7 @@ from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.report.style import LINE_COLOURS, clean
 
 Array = NDArray[np.float64]
+Maps = dict[str, MappedLandmarks]
 
 MOST_ELLIPSES = 400  # of a vehicle: more would hide each other
 LEAST_SHARE = 0.008  # of the view: the median ellipse is drawn at least so long
@@ -26,36 +30,67 @@ def landmark_view(result: FlightResult) -> Figure | None:
     A landmark is a dot where S-SLAM last estimated it at an epoch. Some of them, evenly over the flight, have their
     1-sigma ellipse. Ellipses too small to be seen are all drawn larger by one factor, which the title states.
     """
-    maps = {name: mapped_landmarks(vehicle.joints) for name, vehicle in result.vehicles.items()}
-    maps = {name: landmarks for name, landmarks in maps.items() if len(landmarks)}
+    maps = known_landmarks(result)
     if not maps:
         return None
     paths = {name: result.vehicles[name].s_slam.positions[:, :2] for name in maps}
     low, high = _limits([*paths.values()], [landmarks.positions[:, :2] for landmarks in maps.values()])
-    ellipses = {name: horizontal_ellipses(landmarks.covariances) for name, landmarks in maps.items()}
-    stretch = _stretch(np.concatenate([axes[:, 0] for axes, _ in ellipses.values()]), float((high - low).max()))
     aspect = float((high[1] - low[1]) / (high[0] - low[0]))
     figure = Figure(figsize=(10.0, float(np.clip(10.0 * aspect, 4.0, 12.0)) + 1.0), layout="constrained")
     axes = figure.add_subplot()
-    colours = {name: LINE_COLOURS[k % len(LINE_COLOURS)] for k, name in enumerate(maps)}
-    for name, landmarks in maps.items():
-        _draw(axes, landmarks, ellipses[name], paths[name], colours[name], stretch)
+    stretch = draw_landmarks(axes, maps, float((high - low).max()))
+    for name, colour in _colours(maps).items():
+        _draw_path(axes, paths[name], colour)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="East [m]", ylabel="North [m]", aspect="equal")
-    drawn = "" if stretch == 1 else f" drawn {stretch} times as large"
-    axes.set_title(f"{result.name}: S-SLAM's landmarks, 1-sigma ellipses{drawn}")
+    axes.set_title(f"{result.name}: S-SLAM's landmarks{ellipse_text(stretch)}")
     clean(axes)
     handles = [
-        Line2D([], [], color=colours[name], label=f"{name}: {len(landmarks)} landmarks")
+        Line2D([], [], color=_colours(maps)[name], label=f"{name}: {len(landmarks)} landmarks")
         for name, landmarks in maps.items()
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 
-def _draw(
-    axes: Axes, landmarks: MappedLandmarks, ellipses: tuple[Array, Array], path: Array, colour: str, stretch: int
-) -> None:
-    """Draw one vehicle's landmarks, some of their ellipses, and its path."""
+def known_landmarks(result: FlightResult) -> Maps:
+    """Return the landmarks of each vehicle whose map was recorded."""
+    maps = {name: mapped_landmarks(vehicle.joints) for name, vehicle in result.vehicles.items()}
+    return {name: landmarks for name, landmarks in maps.items() if len(landmarks)}
+
+
+def draw_landmarks(axes: Axes, maps: Maps, size_m: float) -> int:
+    """Draw landmarks and their ellipses in a view of that size; return how many times as large the ellipses are."""
+    ellipses = {name: horizontal_ellipses(landmarks.covariances) for name, landmarks in maps.items()}
+    lengths = [semi_axes[:, 0] for semi_axes, _ in ellipses.values()]
+    stretch = _stretch(np.concatenate(lengths), size_m) if lengths else 1
+    for name, colour in _colours(maps).items():
+        _draw(axes, maps[name], ellipses[name], colour, stretch)
+    return stretch
+
+
+def ellipse_text(stretch: int) -> str:
+    """Return what the title says of the ellipses."""
+    return ", 1-sigma ellipses" + ("" if stretch == 1 else f" drawn {stretch} times as large")
+
+
+def landmark_handles(maps: Maps) -> list[Line2D]:
+    """Return an entry of the legend for each vehicle's landmarks."""
+    dots: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 4, "markerfacecolor": "none"}
+    return [Line2D([], [], color=colour, label=f"Map of {name}", **dots) for name, colour in _colours(maps).items()]
+
+
+def inner_limits(points: Sequence[Array]) -> tuple[Array, Array]:
+    """Return lower and upper corner of all but the outermost of several sets of (N, D) points [m]."""
+    inner = np.concatenate([np.percentile(some, INNER_PERCENTILES, axis=0) for some in points])
+    return inner.min(axis=0), inner.max(axis=0)
+
+
+def _colours(maps: Maps) -> dict[str, str]:
+    return {name: LINE_COLOURS[k % len(LINE_COLOURS)] for k, name in enumerate(maps)}
+
+
+def _draw(axes: Axes, landmarks: MappedLandmarks, ellipses: tuple[Array, Array], colour: str, stretch: int) -> None:
+    """Draw one vehicle's landmarks and some of their ellipses."""
     rows = np.linspace(0, len(landmarks) - 1, min(len(landmarks), MOST_ELLIPSES)).astype(int)
     semi_axes, angles_deg = (values[rows] for values in ellipses)
     lengths = 2.0 * stretch * semi_axes
@@ -73,6 +108,9 @@ def _draw(
         )
     )
     axes.plot(*landmarks.positions[:, :2].T, ".", color=colour, markersize=1.5)
+
+
+def _draw_path(axes: Axes, path: Array, colour: str) -> None:
     axes.plot(*path.T, color="white", linewidth=4.5)  # a rim, so that the path stands out
     axes.plot(*path.T, color=colour, linewidth=2.0)
     axes.plot(*path[0], marker="o", color=colour, markerfacecolor="white", markersize=6)
@@ -88,8 +126,7 @@ def horizontal_ellipses(covariances: Array) -> tuple[Array, Array]:
 
 
 def _limits(paths: list[Array], landmarks: list[Array]) -> tuple[Array, Array]:
-    inner = [np.percentile(points, INNER_PERCENTILES, axis=0) for points in landmarks]
-    every = np.concatenate([*paths, *inner])
+    every = np.concatenate([*paths, np.array(inner_limits(landmarks))])
     low, high = every.min(axis=0), every.max(axis=0)
     margin = 0.05 * float((high - low).max()) or 1.0
     return low - margin, high + margin

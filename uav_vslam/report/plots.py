@@ -9,11 +9,10 @@ from uav_vslam.report.landmark_view import landmark_view
 from uav_vslam.report.nees_plot import nees_plot
 from uav_vslam.report.quality_plot import quality_plot
 from uav_vslam.report.style import save
-from uav_vslam.report.views import plan_view, view_3d
+from uav_vslam.report.views import plan_view
 
 DRAWINGS = {
     "plan_view.png": plan_view,
-    "view_3d.png": view_3d,
     "errors.png": error_plot,
     "nees.png": nees_plot,
     "quality.png": quality_plot,

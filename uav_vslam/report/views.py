@@ -1,63 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plan view and 3-D view of a flight."""
+"""Plan view of a flight: tracks above the landmarks."""
 
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.report.landmark_view import (
+    draw_landmarks,
+    ellipse_text,
+    inner_limits,
+    known_landmarks,
+    landmark_handles,
+)
 from uav_vslam.report.style import STYLES, clean, tracks_of, view_limits
 
 Array = NDArray[np.float64]
 
 MAX_POINTS = 3000  # of a drawn line: more of a 200 Hz INS would not be visible
-LABEL_BOX = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+MARGIN = 0.03  # of the size, around the landmarks
+LABEL_PT = 9.0  # from a vehicle's start to its name
+LOWEST_IN, HIGHEST_IN = 2.2, 11.0  # of the axes
 
 
 def plan_view(result: FlightResult) -> Figure:
-    """Return the view from above, north up."""
+    """Return the view from above, north up, with equal scales; landmarks have 1-sigma ellipses where they are known."""
     low, high = view_limits(list(result.vehicles.values()))
+    maps = known_landmarks(result)
+    if maps:
+        inner_low, inner_high = inner_limits([landmarks.positions for landmarks in maps.values()])
+        margin = MARGIN * float((high - low).max())
+        low, high = np.minimum(low, inner_low - margin)[:2], np.maximum(high, inner_high + margin)[:2]
     aspect = float((high[1] - low[1]) / (high[0] - low[0]))
-    figure = Figure(figsize=(9.0, float(np.clip(9.0 * aspect, 4.0, 11.0)) + 1.0), layout="constrained")
+    figure = Figure(figsize=(9.0, float(np.clip(8.0 * aspect, LOWEST_IN, HIGHEST_IN)) + 1.3), layout="constrained")
     axes = figure.add_subplot()
+    stretch = draw_landmarks(axes, maps, float((high - low).max()))
     for vehicle in result.vehicles.values():
         for name, track in tracks_of(vehicle).items():
             points = _thin(track)
             axes.plot(points[:, 0], points[:, 1], **_line(name))
-        _mark_ends_flat(axes, vehicle.name, vehicle.truth or vehicle.s_slam)
+        _mark_ends(axes, vehicle.name, vehicle.truth or vehicle.s_slam)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="East [m]", ylabel="North [m]", aspect="equal")
-    axes.set_title(f"{result.name}: plan view")
+    axes.set_title(f"{result.name}: plan view{ellipse_text(stretch) if maps else ''}")
     clean(axes)
-    figure.legend(handles=_legend(result), loc="outside lower center", ncols=7, frameon=False)
-    return figure
-
-
-def view_3d(result: FlightResult) -> Figure:
-    """Return the 3-D view."""
-    low, high = view_limits(list(result.vehicles.values()))
-    figure = Figure(figsize=(10.0, 7.0))
-    axes: Any = figure.add_axes((0.0, 0.04, 1.0, 0.96), projection="3d")
-    for vehicle in result.vehicles.values():
-        for name, track in tracks_of(vehicle).items():
-            axes.plot(*_inside(_thin(track), low, high).T, clip_on=False, **_line(name))
-        _mark_ends_3d(axes, vehicle.name, vehicle.truth or vehicle.s_slam)
-    # A flight is far wider than high: exaggerate the height until it can be seen.
-    size = high - low
-    box = np.maximum(size, 0.25 * size.max())
-    axes.set_box_aspect(box, zoom=1.25)  # larger than the axes' rectangle: lines must not be clipped to it
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_xlabel("East [m]", labelpad=10)
-    axes.set_ylabel("North [m]", labelpad=10)
-    axes.set_zlabel("Up [m]", labelpad=6)
-    axes.view_init(elev=28, azim=-60)
-    stretch = box[2] / size[2]
-    title = result.name + (f" (height drawn {stretch:.1f}x)" if stretch > 1.05 else "")
-    figure.text(0.5, 0.94, title, ha="center", fontsize="large")
-    figure.legend(handles=_legend(result), loc="lower center", ncols=7, frameon=False)
+    handles = [*_legend(result), *landmark_handles(maps)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(7, len(handles)), frameon=False)
     return figure
 
 
@@ -65,12 +58,6 @@ def _thin(track: Trajectory) -> Array:
     step = max(1, len(track) // MAX_POINTS)
     rows = np.unique(np.append(np.arange(0, len(track), step), len(track) - 1))
     return track.positions[rows]
-
-
-def _inside(points: Array, low: Array, high: Array) -> Array:
-    """Return the points with NaN for those out of view, which 3-D axes don't clip."""
-    seen = np.asarray(((points >= low) & (points <= high)).all(axis=1))
-    return np.where(seen[:, None], points, np.nan)
 
 
 def _line(name: str) -> dict[str, Any]:
@@ -83,29 +70,19 @@ def _line(name: str) -> dict[str, Any]:
     }
 
 
-def _mark_ends_flat(axes: Any, name: str, track: Trajectory) -> None:
+def _mark_ends(axes: Axes, name: str, track: Trajectory) -> None:
+    """Mark start and end, and write the vehicle's name behind the start, where its track is not."""
     if len(track) == 0:
         return
     start, end = track.positions[0, :2], track.positions[-1, :2]
     axes.plot(*start, marker="o", color="black", markersize=6, markerfacecolor="white", zorder=6)
     axes.plot(*end, marker="s", color="black", markersize=5, zorder=6)
     ahead = track.positions[len(track) // 20, :2] - start
-    beside = 11.0 * np.array([-ahead[1], ahead[0]]) / max(float(np.linalg.norm(ahead)), 1e-9)  # [pt]
-    side = "right" if beside[0] < 0 else "left"
-    axes.annotate(
-        name, start, xytext=beside, textcoords="offset points", ha=side, va="center", bbox=LABEL_BOX, zorder=7
-    )
-
-
-def _mark_ends_3d(axes: Any, name: str, track: Trajectory) -> None:
-    if len(track) == 0:
-        return
-    start, end = track.positions[0], track.positions[-1]
-    axes.plot(
-        *start[:, None], marker="o", color="black", markersize=6, markerfacecolor="white", zorder=6, clip_on=False
-    )
-    axes.plot(*end[:, None], marker="s", color="black", markersize=5, zorder=6, clip_on=False)
-    axes.text(*start, f"{name}   ", ha="right", va="bottom", zorder=7)
+    behind = -LABEL_PT * ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    side = "right" if behind[0] < -0.3 * LABEL_PT else "left" if behind[0] > 0.3 * LABEL_PT else "center"
+    where: dict[str, Any] = {"xy": start, "xytext": behind, "textcoords": "offset points"}
+    label = axes.annotate(name, **where, ha=side, va="center", zorder=7)
+    label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # no box, which would hide what is below
 
 
 def _legend(result: FlightResult) -> list[Line2D]:

@@ -4,8 +4,9 @@ import uPlot from "uplot";
 import uplotStyle from "uplot/dist/uPlot.min.css";
 import { colour, onScheme } from "./theme.js";
 
-const HEIGHT_PX = 210;
-const FEW = 120; // lines with fewer points show them
+const HEIGHT_PX = 212;
+const FEW = 40; // lines with fewer points show them
+const ROUND = [1, 2, 5, 10]; // ends of a logarithmic axis within a power of ten
 const FONT = "12px system-ui, sans-serif";
 const charts = new Set();
 
@@ -49,12 +50,12 @@ function drawCell(figure, cell, ranges, span, clock) {
     holder.setAttribute("role", "img");
     holder.setAttribute("aria-label", describe(figure, cell, chart));
     element.append(holder);
-    queueMicrotask(() => charts.add(drawChart(holder, chart, ranges[row], span, clock)));
+    queueMicrotask(() => charts.add(drawChart(holder, chart, { range: ranges[row], span }, clock)));
   });
   return element;
 }
 
-function drawChart(holder, chart, range, span, clock) {
+function drawChart(holder, chart, { range, span }, clock) {
   const tables = chart.lines.map((line) => [line.x, line.y]);
   const data = tables.length ? uPlot.join(tables) : [[]];
   const options = {
@@ -62,8 +63,11 @@ function drawChart(holder, chart, range, span, clock) {
     height: HEIGHT_PX,
     cursor: { sync: { key: "time", scales: ["x", null] }, y: false, drag: { x: true, y: false } },
     legend: { live: true },
-    scales: { x: { time: false, range: (u, low, high) => (low === high ? span : [low, high]) }, y: { distr: chart.log ? 3 : 1, range: () => range } },
-    axes: [axis("Time [s]", 44), axis(chart.title, 62, chart.log)],
+    scales: {
+      x: { time: false, range: (u, low, high) => (isWhole(u, low, high) ? span : [low, high]) },
+      y: { distr: chart.log ? 3 : 1, range: () => range },
+    },
+    axes: [axis("Time [s]", 30), axis(chart.title, 50, chart.log)],
     series: [{ label: "Time [s]", value: (u, v) => (v == null ? "–" : v.toFixed(2)) }, ...chart.lines.map(series)],
     hooks: { drawClear: [(u) => drawBelow(u, chart)], draw: [(u) => drawTime(u, clock)] },
   };
@@ -73,6 +77,12 @@ function drawChart(holder, chart, range, span, clock) {
     if (holder.clientWidth !== plot.width) plot.setSize({ width: holder.clientWidth, height: HEIGHT_PX });
   }).observe(holder);
   return plot;
+}
+
+/** Returns whether limits of the time are those of a chart's own data, not what the reader has chosen. */
+function isWhole(plot, low, high) {
+  const times = plot.data[0];
+  return low == null || (low <= times[0] && high >= times.at(-1));
 }
 
 function axis(label, size, isLog = false) {
@@ -97,8 +107,8 @@ function series(line) {
     width: line.width,
     dash: line.dashed ? [6, 4] : undefined,
     spanGaps: true,
-    paths: line.stepped ? uPlot.paths.stepped({ align: 1 }) : undefined,
-    points: { show: line.x.length < FEW && !line.dashed && !line.stepped, size: 3.5, fill: () => colour(line.colour) },
+    paths: line.stepped ? uPlot.paths.stepped({ align: line.stepped === "after" ? 1 : -1 }) : undefined,
+    points: { show: line.x.length < FEW && !line.dashed && line.stepped === "", size: 3.5, fill: () => colour(line.colour) },
     value: (u, v) => (v == null ? "–" : String(Number(v.toPrecision(4)))),
   };
 }
@@ -109,7 +119,7 @@ function addBandLegend(holder, chart) {
   if (chart.shades.length) rows.push(["no update", "coasted"]);
   for (const [label, name] of rows) {
     const row = document.createElement("tr");
-    row.className = "u-series";
+    row.className = "u-series u-plain";
     const cell = document.createElement("th");
     const marker = document.createElement("div");
     marker.className = "u-marker";
@@ -189,15 +199,25 @@ function limits(values, { log, zero }) {
   let low = values.reduce((a, b) => Math.min(a, b), Infinity);
   let high = values.reduce((a, b) => Math.max(a, b), -Infinity);
   if (!Number.isFinite(low)) return log ? [0.1, 10] : [0, 1];
-  if (log) return [low / 1.3, high * 1.3];
+  if (log) return [roundedDown(low), roundedUp(high)];
   if (zero) low = Math.min(low, 0);
   const margin = 0.06 * (high - low) || 0.5;
   return [zero && low === 0 ? 0 : low - margin, high + margin];
 }
 
+function roundedDown(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return power * ROUND.filter((factor) => factor * power <= value * (1 + 1e-9)).at(-1);
+}
+
+function roundedUp(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return power * ROUND.find((factor) => factor * power >= value * (1 - 1e-9));
+}
+
 function timeSpan(cells) {
   const times = cells.flatMap((cell) => cell.charts.flatMap((chart) => chart.lines.flatMap((one) => [one.x[0], one.x.at(-1)])));
-  return [Math.min(...times), Math.max(...times)];
+  return [Math.min(0, ...times), Math.max(...times)];
 }
 
 /** Puts a chart into words: each curve with its least and greatest value. */

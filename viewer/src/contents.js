@@ -5,7 +5,7 @@ export function buildContents() {
   for (const section of document.querySelectorAll("main > section")) {
     const link = document.createElement("a");
     link.href = `#${section.id}`;
-    link.textContent = section.querySelector("h2").textContent;
+    link.textContent = section.dataset.short ?? section.querySelector("h2").textContent;
     nav.append(link);
   }
 }

@@ -15,7 +15,7 @@ const countError = () => { root.dataset.errors = String(Number(root.dataset.erro
 window.addEventListener("error", countError);
 window.addEventListener("unhandledrejection", countError);
 
-async function start() {
+function start() {
   const data = JSON.parse(document.getElementById("data").textContent);
   startScheme();
   buildContents();
@@ -25,7 +25,7 @@ async function start() {
   const clock = new Clock(document.querySelector("[data-clock]"));
   showScene(document.querySelector("[data-scene]"), data.scene, clock);
   drawFigures(data.figures ?? {}, clock);
-  await showModels();
+  showModels();
   root.dataset.ready = String(Math.round(performance.now()));
 }
 

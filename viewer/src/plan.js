@@ -5,6 +5,7 @@ import { colour } from "./theme.js";
 
 const MARGIN_PX = { left: 52, right: 14, top: 14, bottom: 40 };
 const NEAR_PX = 14;
+const LABEL_PX = 46; // room for a vehicle's name beside its start
 const STEPS = [1, 2, 5];
 
 export class PlanView {
@@ -47,7 +48,8 @@ export class PlanView {
   fit() {
     const [[west, east], [south, north]] = extent(this.state);
     const room = [this.width - MARGIN_PX.left - MARGIN_PX.right, this.height - MARGIN_PX.top - MARGIN_PX.bottom];
-    this.scale = 0.9 * Math.min(room[0] / Math.max(east - west, 1e-3), room[1] / Math.max(north - south, 1e-3));
+    const [width, height] = [Math.max(east - west, 1e-3), Math.max(north - south, 1e-3)];
+    this.scale = Math.min(Math.max(room[0] - 2 * LABEL_PX, 50) / width, (0.9 * room[1]) / height);
     this.x = (west + east) / 2;
     this.y = (south + north) / 2;
   }

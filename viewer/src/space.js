@@ -28,7 +28,7 @@ export class SpaceView {
     this.stretch = ellipseStretch(state, this.length);
     this.things = new THREE.Group();
     this.vehicles = new THREE.Group();
-    stage.scene.add(this.things, this.vehicles, new THREE.HemisphereLight(0xffffff, 0x999999, 3));
+    stage.scene.add(this.things, this.vehicles);
     this.note = document.createElement("div");
     this.note.className = "note";
     Object.assign(this.note.style, { left: "0.5rem", top: "0.5rem" });
@@ -101,10 +101,12 @@ export class SpaceView {
       dashed: track.dashed,
       dashSize: this.length / 80,
       gapSize: this.length / 120,
+      depthWrite: false, // tracks lie within each other: those added later are drawn above
     });
     material.resolution.set(this.holder.clientWidth, this.holder.clientHeight);
     const line = new Line2(geometry, material);
     line.computeLineDistances();
+    line.renderOrder = 1 + this.state.kinds.indexOf(track.kind);
     this.things.add(line);
   }
 
@@ -119,7 +121,7 @@ export class SpaceView {
 
   /** Maps the unit sphere by each landmark's lower factor onto its 1-sigma ellipsoid. */
   ellipsoids(marks, places) {
-    const material = new THREE.MeshLambertMaterial({ color: colour(marks.colour), transparent: true, opacity: 0.35 });
+    const material = new THREE.MeshBasicMaterial({ color: colour(marks.colour), transparent: true, opacity: 0.3 });
     const mesh = new THREE.InstancedMesh(new THREE.SphereGeometry(this.stretch, 10, 7), material, places.length);
     const matrix = new THREE.Matrix4();
     places.forEach(([x, y, z], k) => {
@@ -135,7 +137,7 @@ export class SpaceView {
     const size = this.length / 35;
     const shape = new THREE.ConeGeometry(0.35 * size, size, 12);
     shape.rotateZ(-Math.PI / 2); // the body's x axis points ahead
-    const arrow = new THREE.Mesh(shape, new THREE.MeshLambertMaterial({ color: colour(track.colour) }));
+    const arrow = new THREE.Mesh(shape, new THREE.MeshBasicMaterial({ color: colour(track.colour) }));
     const rim = new THREE.LineSegments(new THREE.EdgesGeometry(shape), new THREE.LineBasicMaterial({ color: colour("ink") }));
     const whole = new THREE.Group();
     whole.add(arrow, rim);

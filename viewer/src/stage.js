@@ -5,6 +5,8 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 const FIELD_DEG = 40;
 const ELEVATION = 0.62; // [rad] of the first view
+const FILLING = 0.94; // of the view, by the corners of what is framed
+const HALVINGS = 24;
 const AZIMUTH = -1.2; // [rad] from east
 
 /** Returns a stage inside a holder; null, with a message to the reader, where the browser has no WebGL. */
@@ -23,6 +25,7 @@ export function makeStage(holder, label) {
   }
   holder.append(canvas);
   const renderer = new THREE.WebGLRenderer({ canvas, context, antialias: true, alpha: true });
+  renderer.debug.checkShaderErrors = false; // asking for them waits for the compiler, seconds without a graphics card
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(FIELD_DEG, 1, 0.1, 1e5);
   camera.up.set(0, 0, 1);
@@ -52,19 +55,43 @@ export function makeStage(holder, label) {
   resize();
 
   const frame = (size) => {
-    const flat = Math.hypot(size.x, size.y, size.z) || 1;
-    const half = Math.tan(THREE.MathUtils.degToRad(FIELD_DEG / 2)) * Math.min(1, camera.aspect);
-    const distance = (0.44 * flat) / half;
-    const level = distance * Math.cos(ELEVATION);
-    camera.position.set(level * Math.cos(AZIMUTH), level * Math.sin(AZIMUTH), distance * Math.sin(ELEVATION));
-    camera.near = distance / 1000;
-    camera.far = distance * 50;
-    camera.updateProjectionMatrix();
     controls.target.set(0, 0, 0);
+    let [near, far] = [size.length() / 10 || 0.1, size.length() * 10 || 10];
+    for (let k = 0; k < HALVINGS; k++) {
+      const middle = Math.sqrt(near * far);
+      if (overflows(camera, size, middle)) near = middle;
+      else far = middle;
+    }
+    place(camera, far);
     controls.update();
     render();
   };
   return { scene, camera, render, frame, canvas };
+}
+
+/** Looks at the origin from a distance. */
+function place(camera, distance) {
+  const level = distance * Math.cos(ELEVATION);
+  camera.position.set(level * Math.cos(AZIMUTH), level * Math.sin(AZIMUTH), distance * Math.sin(ELEVATION));
+  camera.near = distance / 1000;
+  camera.far = distance * 50;
+  camera.lookAt(0, 0, 0);
+  camera.updateProjectionMatrix();
+  camera.updateMatrixWorld();
+}
+
+/** Returns whether a box around the origin is larger than the view from a distance. */
+function overflows(camera, size, distance) {
+  place(camera, distance);
+  const corner = new THREE.Vector3();
+  for (let k = 0; k < 8; k++) {
+    corner.set(k & 1 ? 0.5 : -0.5, k & 2 ? 0.5 : -0.5, k & 4 ? 0.5 : -0.5).multiply(size);
+    corner.applyMatrix4(camera.matrixWorldInverse);
+    const behind = corner.z >= 0;
+    corner.applyMatrix4(camera.projectionMatrix);
+    if (behind || Math.max(Math.abs(corner.x), Math.abs(corner.y)) > FILLING) return true;
+  }
+  return false;
 }
 
 function steerByKeys(canvas, camera, controls, render) {

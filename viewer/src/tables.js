@@ -7,7 +7,7 @@ export function sortTables() {
     [...table.querySelectorAll("thead th")].forEach((head, column) => {
       const button = document.createElement("button");
       button.type = "button";
-      button.textContent = head.textContent;
+      button.append(...head.childNodes);
       button.addEventListener("click", () => sortBy(table, head, column));
       head.replaceChildren(button);
       const cells = [...table.querySelectorAll(`tbody td:nth-child(${column + 1})`)];

@@ -24,7 +24,7 @@ class Line:
         x, y: (N,) times [s] and values; NaN leaves a gap.
         width: of the line [px]; 0 draws points only.
         dashed: not solid.
-        stepped: a value holds until the next.
+        stepped: "after" if a value holds until the next, "before" if it is of the time since the last; "" for neither.
     """
 
     label: str
@@ -33,7 +33,7 @@ class Line:
     y: Array
     width: float = 1.5
     dashed: bool = False
-    stepped: bool = False
+    stepped: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,11 +17,13 @@ class Figure:
 
     Attributes:
         title: of the section.
+        short: its name in the contents.
         text: what is to be seen.
         charts: makes a vehicle's charts, none without data.
     """
 
     title: str
+    short: str
     text: str
     charts: Callable[[FlightFiles, VehicleFiles], Sequence[Chart]]
 
@@ -29,33 +31,37 @@ class Figure:
 FIGURES = {
     "errors": Figure(
         "Errors over time",
+        "Errors",
         "Estimate minus truth in the map frame, not aligned; bands: three claimed standard deviations.",
         error_charts,
     ),
     "nees": Figure(
         "Consistency: NEES",
+        "NEES",
         "Squared error normalised by the claimed covariance, over 3; 1 is expected, above the band over-confident. "
         "Band: 95 % of a consistent filter's poses (chi-square).",
         nees_charts,
     ),
     "innovations": Figure(
         "Innovations: NIS",
+        "NIS",
         "Squared innovations of S-SLAM normalised by their claimed covariance, over the degrees of freedom; needs no "
         "truth. Shaded: frames without a visual update; dashed: reported problems.",
         innovation_charts,
     ),
-    "sigmas": Figure("Claimed uncertainty", "Standard deviations that the estimates claim.", sigma_charts),
+    "sigmas": Figure("Claimed uncertainty", "Claims", "Standard deviations that the estimates claim.", sigma_charts),
     "points": Figure(
         "Features and tracks",
+        "Features",
         "Stereo points offered by the front end, those followed from the frame before, those that corrected the "
         "state, and landmarks in the state.",
         point_charts,
     ),
     "link": Figure(
-        "Radio link", "Payload of the packets between two fusion epochs, and since the start.", link_charts
+        "Radio link", "Link", "Payload of the packets between two fusion epochs, and since the start.", link_charts
     ),
     "timing": Figure(
-        "Time per stage", "Processor time on each frame; fusion runs once an epoch.", timing_charts
+        "Time per stage", "Timing", "Processor time on each frame; fusion runs once an epoch.", timing_charts
     ),
 }
 
@@ -63,19 +69,26 @@ FIGURES = {
 def figure_sections(flights: Sequence[FlightFiles]) -> tuple[list[Markup], dict[str, Data]]:
     """Return a section for each figure with data, and the data by the figure's key."""
     sections, data = [], {}
+    names = dict.fromkeys(name for flight in flights for name in flight.vehicles)  # a vehicle's flights side by side
     for key, figure in FIGURES.items():
-        cells = [cell for flight in flights for cell in _cells(flight, figure, several=len(flights) > 1)]
+        cells = [
+            cell for name in names for flight in flights for cell in _cells(flight, name, figure, len(flights) > 1)
+        ]
         if cells:
             data[key] = {"title": figure.title, "cells": cells}
-            sections.append(section(key, figure.title, tag("div", data_figure=key, class_="cells"), text=figure.text))
+            sections.append(_section(key, figure))
     return sections, data
 
 
-def _cells(flight: FlightFiles, figure: Figure, *, several: bool) -> list[Data]:
-    cells = []
-    for vehicle in flight.vehicles.values():
-        charts = figure.charts(flight, vehicle)
-        if charts:
-            title = f"{flight.label}: {vehicle.name}" if several else vehicle.name
-            cells.append({"title": title, "charts": [chart_data(chart) for chart in charts]})
-    return cells
+def _section(key: str, figure: Figure) -> Markup:
+    place = tag("div", data_figure=key, class_="cells")
+    return section(key, figure.title, place, text=figure.text, short=figure.short)
+
+
+def _cells(flight: FlightFiles, name: str, figure: Figure, several: bool) -> list[Data]:
+    """Return the charts of a vehicle in a flight; nothing if it did not take part, or has no data."""
+    charts = figure.charts(flight, flight.vehicles[name]) if name in flight.vehicles else ()
+    if not charts:
+        return []
+    title = f"{flight.label}: {name}" if several else name
+    return [{"title": title, "charts": [chart_data(chart) for chart in charts]}]

@@ -73,8 +73,8 @@ def link_charts(flight: FlightFiles, vehicle: VehicleFiles) -> list[Chart]:
     if not any(total.any() for total in sums.values()):
         return []
     colours = {"sent": "line-0", "received": "line-1"}
-    each = (Line(name, colours[name], x, np.diff(y, prepend=0.0), stepped=True) for name, y in sums.items())
-    total = (Line(name, colours[name], x, y, stepped=True) for name, y in sums.items())
+    each = (Line(name, colours[name], x, np.diff(y, prepend=0.0), stepped="before") for name, y in sums.items())
+    total = (Line(name, colours[name], x, y, stepped="after") for name, y in sums.items())
     return [
         Chart("In an epoch [kB]", tuple(each), from_zero=True),
         Chart("Since the start [kB]", tuple(total), from_zero=True),

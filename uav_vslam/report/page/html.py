@@ -36,12 +36,9 @@ def joined(children: Iterable[str | None]) -> Markup:
     return Markup("".join(child if isinstance(child, Markup) else escape(child) for child in children if child))
 
 
-def table(titles: Sequence[str], rows: Iterable[Sequence[Cell]], *, caption: str, hints: Sequence[str] = ()) -> Markup:
+def table(titles: Sequence[str], rows: Iterable[Sequence[Cell]], *, caption: str) -> Markup:
     """Return a table that scrolls by itself where it is too wide, and is sorted by a click on a title."""
-    heads = [
-        tag("th", title, scope="col", title=hint or None)
-        for title, hint in zip(titles, hints or [""] * len(titles), strict=True)
-    ]
+    heads = [tag("th", title, scope="col") for title in titles]
     body = [tag("tr", *(_cell(cell) for cell in row)) for row in rows]
     return tag(
         "div",
@@ -59,9 +56,10 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[Cell]], *, caption: str
     )
 
 
-def section(key: str, title: str, *children: str | None, text: str = "") -> Markup:
-    """Return a section of the page with its heading and a sentence on what it shows."""
-    return tag("section", tag("h2", title), tag("p", text, class_="about") if text else None, *children, id=key)
+def section(key: str, title: str, *children: str | None, text: str = "", short: str | None = None) -> Markup:
+    """Return a section of the page with its heading and a sentence on what it shows; the contents have a short name."""
+    about = tag("p", text, class_="about") if text else None
+    return tag("section", tag("h2", title), about, *children, id=key, data_short=short)
 
 
 def _attribute(key: str) -> str:

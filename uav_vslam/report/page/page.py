@@ -80,7 +80,7 @@ def _flight_page(folders: Sequence[Path]) -> str:
     flights = [read_flight(folder, label) for folder, label in zip(folders, labels_of(folders), strict=True)]
     figures, data = figure_sections(flights)
     sections = [
-        section("views", "Trajectories and landmarks", Markup(VIEWS)),
+        section("views", "Trajectories and landmarks", Markup(VIEWS), short="Views"),
         score_section(flights),
         quality_section(flights),
         *figures,
@@ -98,7 +98,8 @@ def _flight_page(folders: Sequence[Path]) -> str:
 def _study_page(folder: Path) -> str:
     tree, sections = study_sections(folder)
     seeds = tree["seeds"]
-    facts = f"code {tree['git'] or 'of unknown revision'}; {len(seeds)} seeds: {', '.join(map(str, seeds))}"
+    drawn = f"{len(seeds)} seed{'s' if len(seeds) != 1 else ''}: {', '.join(map(str, seeds))}" if seeds else "no seeds"
+    facts = f"code {tree['git'] or 'of unknown revision'}; {drawn}"
     return _page(tree["study"].replace("_", " "), [facts], sections, {})
 
 
@@ -131,8 +132,10 @@ def _sheets(flights: Sequence[FlightFiles]) -> Markup | None:
         figure(photograph(path, SHEET_BYTES // len(paths)), f"Feature tracks of {title}", pannable=True)
         for path, title in paths.items()
     ]
-    text = "Left images through the flight. Filled: associated with the map; circles: other features; lines: past frames."
-    return section("tracks", "Pictures of the tracks", *pictures, text=text)
+    text = (
+        "Left images through the flight. Filled: associated with the map; circles: other features; lines: past frames."
+    )
+    return section("tracks", "Pictures of the tracks", *pictures, text=text, short="Pictures")
 
 
 def _page(

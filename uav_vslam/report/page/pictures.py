@@ -45,7 +45,9 @@ def figure(source: tuple[str, tuple[int, int]], text: str, *, pannable: bool = F
     """Return a picture with its caption, which a script lets the reader move and enlarge if it is pannable."""
     where, (width, height) = source
     image = void("img", src=where, alt=text, width=str(width), height=str(height), loading="lazy")
-    held = tag("div", image, data_pan=True, class_="pan", tabindex="0", aria_label=f"{text}; arrow keys, + and - move it")
+    held = tag(
+        "div", image, data_pan=True, class_="pan", tabindex="0", aria_label=f"{text}; arrow keys, + and - move it"
+    )
     return tag("figure", held if pannable else image, tag("figcaption", text))
 
 
@@ -64,9 +66,8 @@ def opened(path: Path) -> Image.Image:
     try:
         with Image.open(path) as image:
             if image.mode in ("RGBA", "LA", "P"):
-                image = image.convert("RGBA")
                 white = Image.new("RGBA", image.size, "white")
-                return Image.alpha_composite(white, image).convert("RGB")
+                return Image.alpha_composite(white, image.convert("RGBA")).convert("RGB")
             return image.convert("RGB")
     except (UnidentifiedImageError, OSError) as error:
         raise UavVslamError(f"{path} is no picture: {error}; remove it or draw it again") from None

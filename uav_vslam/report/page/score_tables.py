@@ -20,9 +20,7 @@ def score_section(flights: Sequence[FlightFiles]) -> Markup:
     for alignment in dict.fromkeys(flight.summary["alignment"] for flight in scored):
         found = [flight for flight in scored if flight.summary["alignment"] == alignment]
         tables.append(_table(found, score_titles(alignment), "Errors against the truth", several=len(flights) > 1))
-        tables.append(
-            _table(found, RELATIVE_TITLES, "Relative errors over 14 m and 100 m", several=len(flights) > 1)
-        )
+        tables.append(_table(found, RELATIVE_TITLES, "Relative errors over 14 m and 100 m", several=len(flights) > 1))
     blind = [flight for flight in flights if flight not in scored]
     if blind:
         tables.append(_table(blind, CLAIMS, "Claims of the estimates (no truth)", several=len(flights) > 1))
@@ -72,7 +70,7 @@ def _losses(figures: Figures) -> dict[str, dict[str, int]]:
 
 def _line(text: str, figures: Figures) -> Markup:
     verdict = (figures["quality"] or {}).get("nis_verdict")
-    kind = VERDICTS.get(verdict, "") if text.startswith("innovations") else ""
+    kind = VERDICTS.get(str(verdict), "") if text.startswith("innovations") else ""
     return tag("p", text, class_=kind or None)
 
 

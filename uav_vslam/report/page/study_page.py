@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A study as sections of a page: its tables, notes and pictures."""
 
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +45,9 @@ def study_sections(folder: Path) -> tuple[dict[str, Any], list[Markup]]:
 def _table(rows: list[Row], caption: str) -> Markup:
     columns = list(dict.fromkeys(key for row in rows for key in row))
     return table(
-        [column.replace("_", " ") for column in columns],
+        [Markup("_<wbr>".join(map(escape, column.split("_")))) for column in columns],
         [[_cell(row.get(column)) for column in columns] for row in rows],
         caption=caption,
-        hints=columns,
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from uav_vslam.report.error_plot import error_plot
 from uav_vslam.report.style import save
-from uav_vslam.report.views import view_3d
+from uav_vslam.report.views import plan_view
 from uav_vslam.studies.engine.fusion_parts import Part
 from uav_vslam.studies.engine.fusion_plot import draw_fusion
 from uav_vslam.studies.thesis.compute import example
@@ -21,7 +21,7 @@ def draw_thesis(parts: Sequence[Part], seed: int) -> Callable[[dict[str, Any], P
         drawn = draw_fusion(tree, folder)
         for part in parts:
             result = example(part, seed)
-            for name, plot in (("trajectory", view_3d), ("errors", error_plot), ("covariance", ellipsoid_plot)):
+            for name, plot in (("trajectory", plan_view), ("errors", error_plot), ("covariance", ellipsoid_plot)):
                 figure = plot(result)
                 if figure is not None:
                     drawn.append(save(figure, folder / f"{part.table.replace(' ', '_')}_{name}.png"))
