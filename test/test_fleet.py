@@ -2,6 +2,7 @@
 """The offline twin's radio: packets go through the links between the vehicles and within the senders' budgets."""
 
 import dataclasses
+import itertools
 
 import pytest
 
@@ -112,3 +113,16 @@ def test_a_relay_forwards_packets_between_vehicles_out_of_range(tracks: dict[str
     assert 0 < record.received <= sent
     assert record.used
     assert record.packets[-1].sources == ("uav3/1",)
+
+
+def test_the_epochs_end_with_what_the_counters_say_and_never_fall(tracks: dict[str, VehicleTrack]) -> None:
+    for member in cooperate(tracks, configs(feedback=False)).values():
+        epochs = member.epochs
+        outbox = member.exchange.outbox
+        assert (epochs[-1].packets_sent, epochs[-1].bytes_sent) == (outbox.packets_sent, outbox.bytes_sent)
+        assert epochs[-1].packets_used == sum(len(record.used) for record in member.fusion.inbox.peers.values())
+        for before, after in itertools.pairwise(epochs):
+            assert before.stamp_ns < after.stamp_ns
+            assert before.bytes_sent <= after.bytes_sent
+            assert before.bytes_received <= after.bytes_received
+        assert set(member.fusion_s) == {epoch.stamp_ns for epoch in epochs}

@@ -13,6 +13,7 @@ from uav_vslam.datasets.messages import TruthSample, camera_info_message, truth_
 from uav_vslam.datasets.outputs import read_outputs
 from uav_vslam.datasets.rosbag import RawRecorder, encode, message
 from uav_vslam.errors import BagError
+from uav_vslam.evaluation.files.tables import read_columns
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
@@ -105,6 +106,8 @@ def test_plots_and_tracks_are_written(pair, tmp_path):
     run(pair / "estimates", pair / "inputs", "--results", tmp_path)
     names = {path.name for path in (tmp_path / "latest").iterdir()}
     assert {"plan_view.png", "report.html", "errors.png", "uav1_c_slam.tum", "uav2_truth.tum", "config.yaml"} <= names
+    link = read_columns(tmp_path / "latest" / "uav1_link.csv")
+    assert (link["packets_sent"], link["packets_used"]) == (["10", "20"], ["9", "19"])  # the two statuses recorded
 
 
 def test_estimates_alone_are_evaluated_without_truth(pair, tmp_path):

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each study runs from the command line and leaves its tables, notes and pictures."""
 
+import contextlib
+import io
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from browser import CHROMIUM, Browser, browser
 
 from uav_vslam.cli import main as command
 from uav_vslam.cli.study import seeds_of
@@ -25,6 +29,7 @@ SMALL = {
     "recordings": ["--seeds", "1", "--frames", "6"],
     "perturbed": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
 }
+LARGEST_PAGE_BYTES = 8_000_000
 PICTURES = {
     "frames": set(),
     "models": {"nees.png"},
@@ -41,14 +46,41 @@ PICTURES = {
 }
 
 
+@pytest.fixture(scope="module", params=SMALL)
+def done(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str]:
+    """Each study, run once: its name, the folder of its results, and what it printed."""
+    study, root, printed = str(request.param), tmp_path_factory.mktemp("study"), io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert command.main(["study", study, *SMALL[study], "--workers", "1", "--results", str(root)]) == 0
+    return study, (root / LATEST).resolve(), printed.getvalue()
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("browser")) as running:
+        yield running
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("study", SMALL)
-def test_a_study_leaves_its_tables_and_pictures(study: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["study", study, *SMALL[study], "--workers", "1", "--results", str(tmp_path)]) == 0
-    folder = tmp_path / LATEST
+def test_a_study_leaves_its_tables_pictures_and_page(done: tuple[str, Path, str]) -> None:
+    study, folder, printed = done
     assert {path.name for path in folder.iterdir()} == {"study.json", "study.md", "report.html"} | PICTURES[study]
     assert json.loads((folder / "study.json").read_text())["study"] == f"study_{study}"
-    assert (folder / "study.md").read_text() in capsys.readouterr().out
+    assert (folder / "study.md").read_text() in printed
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+def test_every_studys_page_opens_with_all_its_rows_and_pictures(done: tuple[str, Path, str], chromium: Browser) -> None:
+    _, folder, _ = done
+    chromium.open(folder / "report.html", width=390)
+    assert chromium.complaints == []
+    assert chromium.evaluate("document.documentElement.dataset.errors") == "0"
+    assert chromium.evaluate("document.documentElement.scrollWidth") == 390
+    rows = len(json.loads((folder / "study.json").read_text())["rows"])
+    assert chromium.evaluate("document.querySelectorAll('tbody tr').length") == rows
+    assert chromium.evaluate("document.images.length") == len(list(folder.glob("*.png")))
+    assert (folder / "report.html").stat().st_size < LARGEST_PAGE_BYTES
 
 
 @pytest.mark.parametrize("study", ["long", "outliers"])

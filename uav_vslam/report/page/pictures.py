@@ -11,6 +11,7 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.report.page.html import Markup, tag, void
 
 WIDTHS_PX = (2800, 2200, 1800, 1400, 1000, 700, 480)  # tried one after another until the file is small enough
+DRAWING_WIDTHS_PX = (1400, 1000, 700, 480, 320, 200)
 QUALITY = 82
 TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 
@@ -33,7 +34,7 @@ def photograph(path: Path, most_bytes: int) -> tuple[str, tuple[int, int]]:
 def drawing(path: Path, most_bytes: int) -> tuple[str, tuple[int, int]]:
     """Return a plot as the address of its PNG; one above so many bytes gets 128 colours, then is made narrower."""
     content, picture = path.read_bytes(), opened(path)
-    for width in (picture.width, *(width for width in WIDTHS_PX if width < picture.width)):
+    for width in (picture.width, *(width for width in DRAWING_WIDTHS_PX if width < picture.width)):
         if len(content) <= most_bytes:
             break
         picture = _narrowed(picture, width)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The charts show what the folder holds, and are absent where it holds nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_up_results import DARK, FRAMES, write_bare, write_full
+
+from uav_vslam.evaluation.consistency import chi_square_band
+from uav_vslam.report.page.charts import MOST_POINTS, Chart, Line, chart_data, numbers
+from uav_vslam.report.page.figures import FIGURES, figure_sections
+from uav_vslam.report.page.flight import read_flight
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> dict:
+    flight = read_flight(write_full(tmp_path_factory.mktemp("full")), "full")
+    return figure_sections([flight])[1]
+
+
+def lines(chart: dict) -> dict[str, dict]:
+    return {line["label"]: line for line in chart["lines"]}
+
+
+def test_a_flight_with_all_records_has_all_figures_for_each_vehicle(data: dict) -> None:
+    assert list(data) == list(FIGURES)
+    for figure in data.values():
+        assert [cell["title"] for cell in figure["cells"]] == ["uav1", "uav2"]
+
+
+def test_every_chart_names_its_quantity_and_unit(data: dict) -> None:
+    for figure in data.values():
+        for chart in figure["cells"][0]["charts"]:
+            assert "[" in chart["title"] or chart["title"] in ("Count", "NIS / dof") or "NEES" in chart["title"]
+
+
+def test_errors_and_their_bands_are_three_claimed_sigmas(data: dict) -> None:
+    east, north, up = data["errors"]["cells"][0]["charts"]
+    np.testing.assert_allclose(lines(north)["S-SLAM"]["y"], np.linspace(0, 2, FRAMES), atol=1e-4)
+    np.testing.assert_allclose(lines(east)["C-SLAM"]["y"], 0.0, atol=1e-9)
+    for chart in (east, north, up):
+        for band in chart["bands"]:
+            np.testing.assert_allclose(band["high"], 1.5)
+            np.testing.assert_allclose(band["low"], -1.5)
+
+
+def test_nees_is_the_normalised_error_with_the_chi_square_band(data: dict) -> None:
+    position = data["nees"]["cells"][0]["charts"][0]
+    assert position["log"]
+    assert lines(position)["S-SLAM"]["y"][-1] == pytest.approx((2.0 / 0.5) ** 2 / 3, rel=1e-4)
+    band = position["bands"][0]
+    assert (band["low"][0], band["high"][0]) == pytest.approx(chi_square_band(1), rel=1e-4)
+
+
+def test_innovations_leave_out_frames_without_update_and_mark_them(data: dict) -> None:
+    chart = data["innovations"]["cells"][0]["charts"][0]
+    updated = [k for k in range(FRAMES) if k not in DARK]
+    np.testing.assert_allclose(lines(chart)["S-SLAM"]["y"], [0.9 + 0.01 * k for k in updated], rtol=1e-4)
+    assert [round(end, 3) for _, end in chart["shades"]] == [0.1 * k for k in DARK]
+    assert [(mark["x"], mark["text"]) for mark in chart["marks"]] == [(4.0, "<b>a problem</b>")]
+
+
+def test_traffic_of_the_epochs_sums_to_that_since_the_start(data: dict) -> None:
+    each, total = data["link"]["cells"][0]["charts"]
+    np.testing.assert_allclose(np.cumsum(lines(each)["sent"]["y"]), lines(total)["sent"]["y"])
+    assert lines(total)["received"]["y"][-1] == 8.1  # kB
+
+
+def test_times_are_in_milliseconds(data: dict) -> None:
+    chart = data["timing"]["cells"][0]["charts"][0]
+    assert {label: set(line["y"]) for label, line in lines(chart).items()} == {"Front end": {10}, "Back end": {30}}
+
+
+def test_a_flight_without_records_and_truth_has_claims_alone(tmp_path: Path) -> None:
+    sections, data = figure_sections([read_flight(write_bare(tmp_path), "bare")])
+    assert list(data) == ["sigmas"]
+    assert len(sections) == 1
+
+
+def test_flights_of_a_vehicle_stand_side_by_side(tmp_path: Path) -> None:
+    flights = [read_flight(write_full(tmp_path), label) for label in ("a", "b")]
+    cells = figure_sections(flights)[1]["errors"]["cells"]
+    assert [cell["title"] for cell in cells] == ["a: uav1", "b: uav1", "a: uav2", "b: uav2"]
+
+
+def test_long_lines_are_thinned_but_keep_their_ends() -> None:
+    x = np.linspace(0.0, 900.0, 180_001)
+    shown = chart_data(Chart("y [m]", (Line("y", "line-0", x, np.sin(x)),)))["lines"][0]
+    assert len(shown["x"]) <= MOST_POINTS + 1
+    assert (shown["x"][0], shown["x"][-1]) == (0, 900)
+
+
+def test_what_is_not_finite_becomes_a_gap() -> None:
+    assert numbers(np.array([1.0, np.nan, np.inf, 123456.7])) == [1, None, None, 123460]

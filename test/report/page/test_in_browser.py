@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page in a browser: ready, without complaint or request, drawn, and no wider than the screen."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import pytest
+from browser import CHROMIUM, Browser, browser
+from made_up_map import write_map
+from made_up_results import write_bare, write_full
+
+from uav_vslam.report.page.page import write_page
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")]
+
+LOCAL = ("file:", "blob:", "data:", "about:")
+CHARTS = """
+Object.values(JSON.parse(document.getElementById('data').textContent).figures)
+  .flatMap((figure) => figure.cells.flatMap((cell) => cell.charts)).length
+"""
+# What each view shows, as the number of colours in its canvas: an empty one has a single colour.
+COLOURS = """
+(async (selector) => {
+  const canvas = document.querySelector(selector);
+  canvas.scrollIntoView({behavior: 'instant'});
+  const holder = canvas.parentElement;
+  await new Promise((done) => setTimeout(done, 300));
+  return holder.getBoundingClientRect().toJSON();
+})(%r)
+"""
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("browser")) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = write_full(tmp_path_factory.mktemp("full"))
+    write_map(folder / "map")
+    return write_page([folder])
+
+
+@pytest.fixture(scope="module")
+def opened(chromium: Browser, page: Path) -> Browser:
+    """The browser with the page as it is first seen; tests leave it as they found it, or scrolled."""
+    chromium.open(page)
+    return chromium
+
+
+def check_opened(chromium: Browser) -> None:
+    """Check what holds of every page once it is ready."""
+    assert chromium.complaints == []
+    assert chromium.evaluate("document.documentElement.dataset.errors") == "0"
+    assert [address[:80] for address in chromium.requests if not address.startswith(LOCAL)] == []
+
+
+def colours(chromium: Browser, selector: str, path: Path) -> int:
+    """Return how many colours a part of the page has, seen on the screen."""
+    box = chromium.evaluate(COLOURS % selector)
+    image = cv2.imread(str(chromium.picture(path)))
+    top, left = max(int(box["top"]), 0), int(box["left"])
+    part = image[top : int(box["bottom"]), left : int(box["right"])]
+    return len({tuple(pixel) for pixel in part.reshape(-1, 3)})
+
+
+def test_the_model_of_the_map_is_drawn_once_it_is_near(opened: Browser, tmp_path: Path) -> None:
+    assert opened.evaluate("document.querySelector('.model canvas')") is None
+    opened.evaluate("document.querySelector('.model').scrollIntoView({behavior: 'instant'})")
+    ready = "new Promise((done) => { const look = () => document.querySelector('.model').dataset.ready ? done(1) : "
+    opened.evaluate(ready + "setTimeout(look, 50); look(); })")
+    assert colours(opened, ".model canvas", tmp_path / "seen.png") > 500
+    check_opened(opened)
+
+
+def test_time_moves_the_vehicles(opened: Browser) -> None:
+    picture = "document.querySelector('.plan canvas').toDataURL()"
+    at_end = opened.evaluate(picture)
+    moved = "const s = document.querySelector('.clock input'); s.value = '2'; s.dispatchEvent(new Event('input'))"
+    opened.evaluate(moved)
+    opened.evaluate("new Promise((done) => setTimeout(done, 200))")
+    assert opened.evaluate("document.querySelector('.clock output').textContent") == "2.0 s"
+    assert opened.evaluate(picture) != at_end
+
+
+def test_a_hidden_track_is_not_drawn(opened: Browser) -> None:
+    picture = "document.querySelector('.plan canvas').toDataURL()"
+    before = opened.evaluate(picture)
+    box = "[...document.querySelectorAll('.layers label')].find((l) => l.textContent === 'Landmarks').firstChild"
+    opened.evaluate(f"{box}.click()")
+    assert opened.evaluate(picture) != before
+    opened.evaluate(f"{box}.click()")
+    assert opened.evaluate(picture) == before
+
+
+def test_pointing_at_the_plan_view_reads_it(opened: Browser) -> None:
+    opened.evaluate("document.querySelector('.plan').scrollIntoView({behavior: 'instant'})")
+    box = opened.evaluate("document.querySelector('.plan canvas').getBoundingClientRect().toJSON()")
+    for x in range(int(box["left"]) + 60, int(box["right"]), 8):  # along the middle, where a landmark or track lies
+        point = {"x": x, "y": (box["top"] + box["bottom"]) / 2}
+        opened.call("Input.dispatchMouseEvent", type="mouseMoved", **point)
+        text = opened.evaluate("document.querySelector('.plan .note').textContent")
+        if text:
+            break
+    assert "east" in text
+    assert " m" in text
+
+
+def test_a_click_on_a_title_sorts_the_table(opened: Browser) -> None:
+    column = "[...document.querySelectorAll('#scores tbody')][0].querySelectorAll('tr td:nth-child(3)')"
+    click = "document.querySelectorAll('#scores thead button')[2].click()"
+    read = f"[...{column}].map((cell) => parseFloat(cell.textContent))"
+    opened.evaluate(click)
+    rising = opened.evaluate(read)
+    assert rising == sorted(rising)
+    opened.evaluate(click)
+    assert opened.evaluate(read) == rising[::-1]
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "dark"), (390, "light")])
+def test_the_page_of_a_flight_opens(chromium: Browser, page: Path, tmp_path: Path, width: int, scheme: str) -> None:
+    chromium.open(page, width=width, scheme=scheme)
+    check_opened(chromium)
+    assert chromium.evaluate("document.documentElement.scrollWidth") == width
+    assert chromium.evaluate("document.documentElement.dataset.scheme") == scheme
+    for selector in (".plan canvas", ".space canvas", "#errors canvas"):
+        assert colours(chromium, selector, tmp_path / "seen.png") > 20, selector
+    assert chromium.evaluate("document.querySelectorAll('[data-figure] canvas').length") == chromium.evaluate(CHARTS)
+    assert chromium.complaints == []
+
+
+def test_pages_of_two_flights_and_of_a_bare_one_open(chromium: Browser, page: Path, tmp_path: Path) -> None:
+    bare = write_bare(tmp_path)
+    for folders in ([page.parent, bare], [bare]):
+        chromium.open(write_page(folders, tmp_path / "page.html"))
+        check_opened(chromium)
