@@ -70,6 +70,7 @@ AT_HOME = {
     "mcap": {"datasets"},
     "gtsam": {"studies"},  # a reference, no part of the estimator
     "matplotlib": {"report", "studies"},
+    "PIL": {"report"},
     "pyproj": {"evaluation"},  # geodetic coordinates of exported trajectories
     MESSAGES: {"ros"},
 }

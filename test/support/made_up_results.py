@@ -93,6 +93,31 @@ def write_full(root: Path) -> Path:
     return write_results(FLIGHT, root)
 
 
+def write_long(root: Path) -> Path:
+    """Write the two vehicles with tracks of 4000 poses of random errors and 5000 landmarks each."""
+    rng = np.random.default_rng(7)
+
+    def noisy(name: str) -> VehicleResult:
+        stamps = START_NS + 10_000_000 * np.arange(4_000, dtype=np.int64)
+        walks = [np.cumsum(rng.normal(size=(len(stamps), 3)), axis=0) for _ in range(4)]
+        covariance = rng.uniform(0.1, 9.0, (len(stamps), 1, 1)) * np.eye(6)
+        turned = rng.normal(size=(len(stamps), 4))
+        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+        truth, ins, own, fused = (Trajectory(stamps, walk, turned, covariance) for walk in walks)
+        frames = tuple(dataclasses.replace(frame(k), nis=float(rng.uniform(50, 150))) for k in range(2000))
+        return dataclasses.replace(
+            VEHICLES[name], truth=truth, ins=ins, s_slam=own, c_slam=fused, smoothed=own, frames=frames
+        )
+
+    folder = write_results(dataclasses.replace(FLIGHT, vehicles={name: noisy(name) for name in NAMES}), root)
+    for name in NAMES:
+        numbers = np.round(rng.uniform(1.0, 200.0, (5_000, 3)), 4)
+        rows = [f"{k},{x},{y},{z},3.14159,0.1,0.2,2.71828,0.3,1.61803" for k, (x, y, z) in enumerate(numbers.tolist())]
+        head = (folder / f"{name}_landmarks.csv").read_text().splitlines()[0]
+        (folder / f"{name}_landmarks.csv").write_text("\n".join([head, *rows]) + "\n")
+    return folder
+
+
 def write_bare(root: Path) -> Path:
     """Write one vehicle that knows neither truth, nor peers, nor records."""
     alone = VehicleResult("uav1", None, track(3.0, north_m=0.0), track(1.0, north_m=0.0), None, None, FRAMES)

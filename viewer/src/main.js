@@ -15,8 +15,15 @@ const countError = () => { root.dataset.errors = String(Number(root.dataset.erro
 window.addEventListener("error", countError);
 window.addEventListener("unhandledrejection", countError);
 
-function start() {
-  const data = JSON.parse(document.getElementById("data").textContent);
+/** Returns the page's data, compressed JSON in base64. */
+async function unpacked() {
+  const bytes = Uint8Array.from(atob(document.getElementById("data").textContent), (letter) => letter.charCodeAt(0));
+  const text = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(text).json();
+}
+
+async function start() {
+  const data = await unpacked();
   startScheme();
   buildContents();
   sortTables();

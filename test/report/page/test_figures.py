@@ -8,7 +8,7 @@ import pytest
 from made_up_results import DARK, FRAMES, write_bare, write_full
 
 from uav_vslam.evaluation.consistency import chi_square_band
-from uav_vslam.report.page.charts import MOST_POINTS, Chart, Line, chart_data, numbers
+from uav_vslam.report.page.charts import MOST_POINTS, Chart, Line, chart_data, numbers, points_of_each
 from uav_vslam.report.page.figures import FIGURES, figure_sections
 from uav_vslam.report.page.flight import read_flight
 
@@ -88,6 +88,7 @@ def test_long_lines_are_thinned_but_keep_their_ends() -> None:
     x = np.linspace(0.0, 900.0, 180_001)
     shown = chart_data(Chart("y [m]", (Line("y", "line-0", x, np.sin(x)),)))["lines"][0]
     assert len(shown["x"]) <= MOST_POINTS + 1
+    assert points_of_each(1) == MOST_POINTS > points_of_each(6) > points_of_each(1000) > 100
     assert (shown["x"][0], shown["x"][-1]) == (0, 900)
 
 

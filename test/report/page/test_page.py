@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page is one file that holds what the folders hold, and asks for nothing."""
 
+import base64
+import gzip
 import json
 import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from made_up_map import SUMMARY, write_map
-from made_up_results import write_bare, write_full
+from made_up_results import write_bare, write_full, write_long
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.report.page.configuration import differing, flat
@@ -78,9 +82,9 @@ def test_the_page_asks_for_nothing_and_names_its_pictures(full: Path) -> None:
 def test_text_of_the_results_is_no_markup(full: Path) -> None:
     text = write_page([full]).read_text()
     assert "<b>a problem" not in text
-    data = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    data = re.search(r'<script type="text/plain" id="data">(.*?)</script>', text)
     assert data is not None
-    assert set(json.loads(data[1])) == {"scene", "figures"}
+    assert set(json.loads(gzip.decompress(base64.b64decode(data[1])))) == {"scene", "figures"}
 
 
 def test_the_same_folder_gives_the_same_page(full: Path, tmp_path: Path) -> None:
@@ -121,7 +125,7 @@ def test_a_model_that_is_too_large_is_named_instead_of_shown(full: Path, tmp_pat
     (folder / "map" / "model.glb").write_bytes(bytes(LARGEST_MODEL_BYTES + 1))
     page = write_page([folder])
     assert "data-model" not in page.read_text().split("<script>")[0]
-    assert "model.glb has 3.2 MB" in read(page).text
+    assert "model.glb has 3.0 MB" in read(page).text
 
 
 def test_several_flights_share_a_page_that_marks_their_differences(full: Path, tmp_path: Path) -> None:
@@ -132,6 +136,20 @@ def test_several_flights_share_a_page_that_marks_their_differences(full: Path, t
     assert page.stat().st_size < LARGEST_BYTES
     table = page.read_text().split("Settings that differ")[2].split("</table>")[0]
     assert re.findall(r'class="key">([\w.]+)<', table) == ["backend.window", "backend.sigma_px"]
+
+
+def test_the_page_of_a_long_flight_with_a_large_map_stays_small(tmp_path: Path) -> None:
+    folder = write_long(tmp_path)
+    rng = np.random.default_rng(1)
+    for name in ("map/orthomosaic.jpg", "map/height.png", "map/overlap.png", "uav1_tracks.png", "uav2_tracks.png"):
+        noise = rng.integers(0, 255, (600, 900, 3), np.uint8)  # compresses worse than any picture
+        (folder / "map").mkdir(exist_ok=True)
+        assert cv2.imwrite(str(folder / name), noise)
+    (folder / "map" / "map.json").write_text(json.dumps(SUMMARY))
+    (folder / "map" / "model.glb").write_bytes(bytes(LARGEST_MODEL_BYTES))
+    page = write_page([folder])
+    assert "data-model" in page.read_text()
+    assert LARGEST_BYTES / 2 < page.stat().st_size < LARGEST_BYTES
 
 
 def test_settings_are_compared_by_their_full_names() -> None:

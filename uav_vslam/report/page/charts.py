@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Data = dict[str, Any]
 
-MOST_POINTS = 2500  # of a line: more would not be visible
+MOST_POINTS = 3000  # of the lines of all vehicles together; more would not be visible
+LEAST_POINTS = 150  # of a line, however many vehicles there are
 DIGITS = 5  # significant ones of a value
 
 
@@ -75,14 +76,19 @@ class Chart:
     marks: tuple[tuple[float, str], ...] = field(default=())
 
 
-def chart_data(chart: Chart) -> Data:
-    """Return the chart as the page's script expects it."""
+def points_of_each(vehicles: int, most: int = MOST_POINTS) -> int:
+    """Return how many points a line of each of so many vehicles may have."""
+    return max(LEAST_POINTS, most // max(vehicles, 1))
+
+
+def chart_data(chart: Chart, most: int = MOST_POINTS) -> Data:
+    """Return the chart as the page's script expects it, its lines with about so many points at most."""
     return {
         "title": chart.title,
         "log": chart.log,
         "zero": chart.from_zero,
-        "lines": [_line(line) for line in chart.lines],
-        "bands": [_band(band) for band in chart.bands],
+        "lines": [_line(line, most) for line in chart.lines],
+        "bands": [_band(band, most) for band in chart.bands],
         "shades": [numbers(shade) for shade in chart.shades],
         "marks": [{"x": round(x, 3), "text": text} for x, text in chart.marks],
     }
@@ -99,7 +105,7 @@ def numbers(values: ArrayLike, *, decimals: int | None = None) -> list[float | N
     return [_short(float(f"{value:{form}}")) if np.isfinite(value) else None for value in np.asarray(values, float)]
 
 
-def thinned(count: int, most: int = MOST_POINTS) -> NDArray[np.intp]:
+def thinned(count: int, most: int) -> NDArray[np.intp]:
     """Return at most about so many of `count` rows, evenly, the last among them."""
     step = max(1, -(-count // most))
     return np.unique(np.append(np.arange(0, count, step), count - 1)) if count else np.zeros(0, np.intp)
@@ -109,8 +115,8 @@ def _short(value: float) -> float:
     return int(value) if value.is_integer() and abs(value) < 1e15 else value
 
 
-def _line(line: Line) -> Data:
-    rows = thinned(len(line.x))
+def _line(line: Line, most: int) -> Data:
+    rows = thinned(len(line.x), most)
     return {
         "label": line.label,
         "colour": line.colour,
@@ -122,7 +128,7 @@ def _line(line: Line) -> Data:
     }
 
 
-def _band(band: Band) -> Data:
-    rows = thinned(len(band.x))
+def _band(band: Band, most: int) -> Data:
+    rows = thinned(len(band.x), most)
     values = {"x": numbers(band.x[rows], decimals=4), "low": numbers(band.low[rows]), "high": numbers(band.high[rows])}
     return {"label": band.label, "colour": band.colour, **values}

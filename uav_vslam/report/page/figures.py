@@ -4,7 +4,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from uav_vslam.report.page.charts import Chart, Data, chart_data
+from uav_vslam.report.page.charts import Chart, Data, chart_data, points_of_each
 from uav_vslam.report.page.error_charts import error_charts, nees_charts
 from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
 from uav_vslam.report.page.frame_charts import innovation_charts, link_charts, point_charts, sigma_charts, timing_charts
@@ -69,10 +69,14 @@ FIGURES = {
 def figure_sections(flights: Sequence[FlightFiles]) -> tuple[list[Markup], dict[str, Data]]:
     """Return a section for each figure with data, and the data by the figure's key."""
     sections, data = [], {}
+    most = points_of_each(sum(len(flight.vehicles) for flight in flights))
     names = dict.fromkeys(name for flight in flights for name in flight.vehicles)  # a vehicle's flights side by side
     for key, figure in FIGURES.items():
         cells = [
-            cell for name in names for flight in flights for cell in _cells(flight, name, figure, len(flights) > 1)
+            cell
+            for name in names
+            for flight in flights
+            for cell in _cells(flight, name, figure, several=len(flights) > 1, most=most)
         ]
         if cells:
             data[key] = {"title": figure.title, "cells": cells}
@@ -85,10 +89,10 @@ def _section(key: str, figure: Figure) -> Markup:
     return section(key, figure.title, place, text=figure.text, short=figure.short)
 
 
-def _cells(flight: FlightFiles, name: str, figure: Figure, several: bool) -> list[Data]:
+def _cells(flight: FlightFiles, name: str, figure: Figure, *, several: bool, most: int) -> list[Data]:
     """Return the charts of a vehicle in a flight; nothing if it did not take part, or has no data."""
     charts = figure.charts(flight, flight.vehicles[name]) if name in flight.vehicles else ()
     if not charts:
         return []
     title = f"{flight.label}: {name}" if several else name
-    return [{"title": title, "charts": [chart_data(chart) for chart in charts]}]
+    return [{"title": title, "charts": [chart_data(chart, most) for chart in charts]}]

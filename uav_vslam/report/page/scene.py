@@ -6,37 +6,47 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.tables import numbers as column
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.report.page.charts import Data, numbers, thinned
+from uav_vslam.report.page.charts import Data, numbers, points_of_each, thinned
 from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
 from uav_vslam.report.style import STYLES
 
 COVARIANCE = ("cov_x_x", "cov_x_y", "cov_x_z", "cov_y_y", "cov_y_z", "cov_z_z")
 ROWS, COLUMNS = np.triu_indices(3)
-MOST_LANDMARKS = 4000  # of a vehicle
+MOST_LANDMARKS = 8000  # of all vehicles together
 FLOOR_M2 = 1e-12  # variance at which an ellipsoid would be flat
 
 
 def scene_data(flights: list[FlightFiles]) -> Data:
     """Return all flights' trajectories and landmarks [m] in their map frames."""
+    vehicles = sum(len(flight.vehicles) for flight in flights)
     return {
         "tracks": {name: {"label": style.label, "width": style.width} for name, style in STYLES.items()},
         "flights": [
-            {"label": flight.label, "vehicles": [_vehicle(flight, vehicle) for vehicle in flight.vehicles.values()]}
+            {
+                "label": flight.label,
+                "vehicles": [_vehicle(flight, vehicle, vehicles) for vehicle in flight.vehicles.values()],
+            }
             for flight in flights
         ],
     }
 
 
-def _vehicle(flight: FlightFiles, vehicle: VehicleFiles) -> Data:
+def _flight(flight: FlightFiles, vehicles: int) -> Data:
+    shown = [_vehicle(flight, vehicle, vehicles) for vehicle in flight.vehicles.values()]
+    return {"label": flight.label, "vehicles": shown}
+
+
+def _vehicle(flight: FlightFiles, vehicle: VehicleFiles, vehicles: int) -> Data:
+    most = points_of_each(vehicles)
     return {
         "name": vehicle.name,
-        "tracks": {name: _track(flight, track) for name, track in vehicle.tracks.items()},
-        "landmarks": _landmarks(vehicle),
+        "tracks": {name: _track(flight, track, most) for name, track in vehicle.tracks.items()},
+        "landmarks": _landmarks(vehicle, points_of_each(vehicles, MOST_LANDMARKS)),
     }
 
 
-def _track(flight: FlightFiles, track: Trajectory) -> Data:
-    found = track.select(thinned(len(track)))
+def _track(flight: FlightFiles, track: Trajectory, most: int) -> Data:
+    found = track.select(thinned(len(track), most))
     x, y, z = (numbers(values, decimals=3) for values in found.positions.T)
     data: Data = {"t": numbers(flight.seconds_of(found.stamps_ns), decimals=3), "x": x, "y": y, "z": z}
     data["q_wxyz"] = numbers(found.quaternions_wxyz.ravel(), decimals=4)
@@ -47,7 +57,7 @@ def _track(flight: FlightFiles, track: Trajectory) -> Data:
     return data
 
 
-def _landmarks(vehicle: VehicleFiles) -> Data | None:
+def _landmarks(vehicle: VehicleFiles, most: int) -> Data | None:
     """Return positions, and the lower triangle L of P = L L^T of each, which maps the unit sphere to its ellipsoid."""
     table = vehicle.tables.get("landmarks")
     if not table or not table["id"]:
@@ -55,7 +65,7 @@ def _landmarks(vehicle: VehicleFiles) -> Data | None:
     path = vehicle.folder / f"{vehicle.name}_landmarks.csv"
     positions = np.stack([column(table[name], path) for name in ("x_m", "y_m", "z_m")], axis=1)
     cells = np.stack([column(table[name], path) for name in COVARIANCE], axis=1)
-    rows = thinned(len(positions), MOST_LANDMARKS)
+    rows = thinned(len(positions), most)
     x, y, z = (numbers(values, decimals=2) for values in positions[rows].T)
     factors = numbers(_lower(cells[rows])[:, COLUMNS, ROWS].ravel())
     return {"count": len(positions), "x": x, "y": y, "z": z, "lower": factors}
