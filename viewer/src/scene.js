@@ -76,7 +76,8 @@ class SceneState {
 function buildLayers(element, state) {
   const groups = [];
   if (state.several) groups.push(["Runs", state.flights.map((name, k) => [`flight ${name}`, name, `line-${k % 7}`])]);
-  const own = (name, k) => [`vehicle ${name}`, name, state.several ? null : `line-${k % 7}`];
+  const isMapped = !state.several && state.landmarks.length; // a vehicle's own colour is that of its landmarks
+  const own = (name, k) => [`vehicle ${name}`, name, isMapped ? `line-${k % 7}` : null];
   groups.push(["Vehicles", state.vehicles.map(own)]);
   const kind = (name) => [`track ${name}`, state.labels[name], state.several && name !== "truth" ? null : `track-${name}`];
   groups.push(["Tracks", state.kinds.map(kind)]);
