@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many views show each cell, from the outlines of their footprints; what stands is not considered."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.surface.grid import HeightGrid
+from uav_vslam.mapping.view import View
+
+Array = NDArray[np.float64]
+
+EDGE_POINTS = 5  # of each side of an image
+HEIGHT_STEPS = 3  # fixed-point steps from the ray to the surface
+FLATTEST_RAY = 0.2  # least fall of a ray of depth one; flatter ones are cut
+SUBPIXEL_BITS = 4  # of the outlines, as OpenCV draws them
+
+
+@dataclass(slots=True)
+class Overlap:
+    """The views of a map.
+
+    Attributes:
+        views: camera and pose of each.
+    """
+
+    views: list[tuple[PinholeCamera, Pose]] = field(default_factory=list)
+
+    def add(self, view: View) -> None:
+        """Note where a view was taken."""
+        self.views.append((view.camera, view.T_map_cam))
+
+    def extent(self, grid: HeightGrid) -> Raster:
+        """Return the smallest window that holds the grid's cells and all that the views show."""
+        known = grid.extent
+        if not self.views or known.rows == 0:
+            return known
+        height = _without_gaps(grid.height(known))
+        west, south, east, north = known.bounds_m
+        half = 0.5 * grid.cell_m
+        corners = [np.array([[west + half, south + half], [east - half, north - half]])]
+        corners += [footprint(camera, pose, height, known) for camera, pose in self.views]
+        return Raster.covering(np.vstack(corners), grid.cell_m)
+
+    def count(self, grid: HeightGrid, raster: Raster) -> NDArray[np.uint16]:
+        """Return the (rows, columns) number of views that show each cell of a window."""
+        count = np.zeros(raster.shape, np.uint16)
+        if 0 in raster.shape:
+            return count
+        height = _without_gaps(grid.height(raster))
+        for camera, T_map_cam in self.views:
+            outline = footprint(camera, T_map_cam, height, raster)
+            row, column = raster.index(outline)
+            shown = np.zeros(raster.shape, np.uint8)
+            corners = np.rint(np.stack([column, row], axis=-1) * (1 << SUBPIXEL_BITS)).astype(np.int32)
+            cv2.fillPoly(shown, [corners], 1, shift=SUBPIXEL_BITS)
+            count += shown
+        return count
+
+    def gsd_m(self, grid: HeightGrid, raster: Raster) -> float:
+        """Return the median size of a pixel on the ground [m]; NaN without views or heights."""
+        height = grid.height(raster)
+        if not self.views or not np.isfinite(height).any():
+            return float("nan")
+        ground_m = float(np.nanmedian(height))
+        return float(np.median([(pose.t[2] - ground_m) / camera.fx for camera, pose in self.views]))
+
+
+def _without_gaps(height: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return heights with the usual one where none is known."""
+    known = np.isfinite(height)
+    return np.where(known, height, np.median(height[known]) if known.any() else np.float32(0.0))
+
+
+def footprint(camera: PinholeCamera, T_map_cam: Pose, height: NDArray[np.floating], raster: Raster) -> Array:
+    """Return the (N, 2) outline of what a camera sees of a surface [m].
+
+    Args:
+        camera: without distortion.
+        T_map_cam: pose.
+        height: (rows, columns) surface over the window [m], without gaps; beyond its edge it goes on level.
+        raster: the window.
+    """
+    rays = camera.bearings(_border(camera)) @ T_map_cam.R.T
+    fall = np.maximum(-rays[:, 2], FLATTEST_RAY)
+    ground = np.full(len(rays), float(np.median(height)))
+    for _ in range(HEIGHT_STEPS + 1):
+        points = T_map_cam.t[:2] + ((T_map_cam.t[2] - ground) / fall)[:, None] * rays[:, :2]
+        row, column = (np.rint(index).astype(int) for index in raster.index(points))
+        ground = height[row.clip(0, raster.rows - 1), column.clip(0, raster.columns - 1)]
+    return np.asarray(points)
+
+
+def _border(camera: PinholeCamera) -> Array:
+    """Return (N, 2) pixels around the image, in order."""
+    share = np.linspace(0.0, 1.0, EDGE_POINTS, endpoint=False)
+    zero, one = np.zeros(EDGE_POINTS), np.ones(EDGE_POINTS)
+    u = np.concatenate([share, one, 1.0 - share, zero])
+    v = np.concatenate([zero, share, one, 1.0 - share])
+    return np.stack([u * (camera.width - 1.0), v * (camera.height - 1.0)], axis=-1)

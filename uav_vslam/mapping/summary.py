@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of a map: what `map.json` holds of its surface and its views."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from uav_vslam.mapping.overlap import Overlap
+from uav_vslam.mapping.surface.grid import HeightGrid
+
+
+def map_figures(grid: HeightGrid, overlap: Overlap, views: Mapping[str, int]) -> dict[str, Any]:
+    """Return the tree of `map.json`, in metres and in the map frame.
+
+    Coverage is the share of the cells which some view shows, over a surface without anything that stands, that have
+    a height; `filled` is the share of the cells with a height that are gaps.
+
+    Args:
+        grid: the surface.
+        overlap: of all views.
+        views: their number by vehicle.
+    """
+    extent = overlap.extent(grid)
+    window = grid.window(extent)
+    known = np.isfinite(window.height)
+    shown = overlap.count(grid, extent) > 0
+    cells, shown_cells, gsd_m = int(known.sum()), int(shown.sum()), overlap.gsd_m(grid, extent)
+    tree: dict[str, Any] = {
+        "frame": "map",
+        "cell_m": grid.cell_m,
+        "gsd_m": gsd_m if np.isfinite(gsd_m) else None,
+        "bounds_m": list(extent.bounds_m),
+        "vehicles": {vehicle: {"views": count} for vehicle, count in views.items()},
+        "surface": {
+            "cells": cells,
+            "coverage": int((known & shown).sum()) / max(shown_cells, 1),
+            "filled": int(window.filled.sum()) / max(cells, 1),
+        },
+    }
+    if cells:
+        tree["surface"]["median_sigma_m"] = float(np.nanmedian(window.sigma))
+        tree["surface"]["height_m"] = [float(np.nanmin(window.height)), float(np.nanmax(window.height))]
+    return tree
