@@ -18,7 +18,7 @@ from uav_vslam.mapping.surface.prepared import PreparedView
 from uav_vslam.mapping.surface.rectification import Depths, rectify
 from uav_vslam.mapping.surface.samples import sample
 from uav_vslam.mapping.surface.settings import SurfaceSettings
-from uav_vslam.mapping.surface.stereo import PairPoints, match
+from uav_vslam.mapping.surface.stereo import SPARSE, PairPoints, match
 from uav_vslam.mapping.view import View
 
 Array = NDArray[np.float64]
@@ -168,7 +168,7 @@ class SurfaceMapper:
 
 
 def _ground_of(points: PairPoints) -> Depths:
-    return Depths(*np.percentile(points.points_map[:, 2], RANGE_PERCENTILES).tolist())
+    return Depths(*np.percentile(points.points_map[::SPARSE, 2], RANGE_PERCENTILES).tolist())
 
 
 def _above(view: PreparedView, ground: Depths) -> float:

@@ -16,6 +16,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.surface.prepared import Grey, PreparedView
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 
 DOWN = np.array([0.0, 0.0, -1.0])
 OBLIQUE = 0.77  # cosine of the angle from the vertical, 40 degrees, beyond which depth is along the cameras
@@ -67,16 +68,26 @@ class RectifiedPair:
         left = self._warped(self.left, 0.0)
         return left, self._warped(self.right, self.shift_px)
 
-    def depth_m(self, disparity_px: NDArray[np.floating]) -> NDArray[np.floating]:
+    def depth_m(self, disparity_px: Floats) -> Floats:
         """Return depths of disparities of the windows [px]."""
-        return self.focal_px * self.baseline_m / (disparity_px + self.shift_px)
+        return np.float32(self.focal_px * self.baseline_m) / (disparity_px + np.float32(self.shift_px))
 
-    def points_map(self, u: NDArray[np.floating], v: NDArray[np.floating], depth_m: NDArray[np.floating]) -> Array:
-        """Return (N, 3) points in the map frame of pixels of the left window and their depths."""
-        x = (u + self.corner_px[0]) / self.focal_px * depth_m
-        y = (v + self.corner_px[1]) / self.focal_px * depth_m
-        rect = np.stack([x, y, depth_m], axis=-1)
-        return np.asarray(rect @ self.R_map_rect.T + self.left.T_map_cam.t)
+    def points_map(self, depth_m: Floats, chosen: NDArray[np.bool_]) -> Floats:
+        """Return (N, 3) points in the map frame [m] of some pixels of the left window, each axis contiguous.
+
+        Args:
+            depth_m: (H, W) of the window.
+            chosen: (H, W) which.
+        """
+        width, height = self.size
+        x = ((np.arange(width) + self.corner_px[0]) / self.focal_px).astype(np.float32)
+        y = ((np.arange(height) + self.corner_px[1]) / self.focal_px).astype(np.float32)[:, None]
+        depth, (row, column) = depth_m[chosen], np.nonzero(chosen)
+        R, t = self.R_map_rect.astype(np.float32), self.left.T_map_cam.t.astype(np.float32)
+        points = np.empty((3, len(depth)), np.float32)
+        for axis in range(3):
+            points[axis] = t[axis] + depth * (R[axis, 0] * x + (R[axis, 1] * y + R[axis, 2]))[row, column]
+        return points.T
 
     def _warped(self, view: PreparedView, shift_px: float) -> Grey:
         K = np.array(

@@ -74,10 +74,10 @@ def sample(points: PairPoints, cell_m: float) -> CellSamples | None:
 
 def _sorted(points: PairPoints, raster: Raster) -> tuple[NDArray[np.int64], NDArray[np.int64], float]:
     """Return cell and height of each point, sorted by both; heights in steps of RESOLUTION_M above the lowest [m]."""
-    xyz = points.points_map
-    column = np.floor(xyz[:, 0] / raster.cell_m).astype(np.int64) - raster.column
-    row = np.floor(xyz[:, 1] / raster.cell_m).astype(np.int64) - raster.row
-    low_m = float(xyz[:, 2].min())
-    step = np.minimum((xyz[:, 2] - low_m) / RESOLUTION_M, (1 << HEIGHT_BITS) - 1).astype(np.int64)
+    x, y, z = points.points_map.T.astype(float)
+    column = np.floor(x / raster.cell_m).astype(np.int64) - raster.column
+    row = np.floor(y / raster.cell_m).astype(np.int64) - raster.row
+    low_m = float(z.min())
+    step = np.minimum((z - low_m) / RESOLUTION_M, (1 << HEIGHT_BITS) - 1).astype(np.int64)
     keys = np.sort(((row * raster.columns + column) << HEIGHT_BITS) | step)
     return keys >> HEIGHT_BITS, keys & ((1 << HEIGHT_BITS) - 1), low_m

@@ -25,6 +25,7 @@ REFINED_PX = 7  # side of the block of the least-squares step
 LARGEST_STEP_PX = 0.75
 UNLIKE = 0.6  # variance of the difference of two blocks over the sum of theirs: 1 if they have nothing in common
 NOISE_GREY = 2.5  # grey levels by which blocks of one grey may differ
+SPARSE = 16  # every so many points suffice for a median
 SUBPIXEL = 16.0  # OpenCV's disparities are in sixteenths
 
 
@@ -33,14 +34,14 @@ class PairPoints:
     """What a pair shows.
 
     Attributes:
-        points_map: (N, 3) surface points [m].
+        points_map: (N, 3) surface points, each axis contiguous [m].
         camera_map: (3,) middle of the two cameras [m].
-        noise_m: standard deviation of the height of one point, from its disparity, at the median depth.
+        noise_m: standard deviation of the height of one point, from its disparity, at the median height.
         pose_m: standard deviation of the height that all points share, from the motion between the views.
         share: of the common window for which a disparity was found.
     """
 
-    points_map: Array
+    points_map: Floats
     camera_map: Array
     noise_m: float
     pose_m: float
@@ -53,13 +54,11 @@ def match(pair: RectifiedPair, settings: SurfaceSettings) -> PairPoints:
     inside = [cv2.erode(image, BORDER, borderValue=0) > 0 for image in (left, right)]
     disparity = _searched(pair, left, right)
     good = (disparity >= pair.first) & (disparity + pair.shift_px > 0.0) & inside[0]
-    good &= _seen_by_both(disparity, good, inside[1])
-    disparity, alike = _refined(disparity, good, left, right)
-    v, u = np.nonzero(good & alike)
-    depth_m = pair.depth_m(disparity[v, u])
-    points = pair.points_map(u.astype(np.float32), v.astype(np.float32), depth_m)
-    noise_m, pose_m = sigmas_m(pair, float(np.median(depth_m)) if len(depth_m) else 1.0, settings)
+    disparity, good = _refined(disparity, good, left, np.where(inside[1], right, 0))
+    points = pair.points_map(pair.depth_m(disparity), good)
     middle = 0.5 * (pair.left.T_map_cam.t + pair.right.T_map_cam.t)
+    below_m = middle[2] - float(np.median(points[::SPARSE, 2])) if len(points) else 1.0
+    noise_m, pose_m = sigmas_m(pair, below_m, settings)
     common = int(np.count_nonzero(inside[0] & inside[1]))
     return PairPoints(points, middle, noise_m, pose_m, len(points) / max(common, 1))
 
@@ -95,40 +94,34 @@ def _searched(pair: RectifiedPair, left: Grey, right: Grey) -> Floats:
     return np.asarray(matcher.compute(left, right).astype(np.float32) / SUBPIXEL)
 
 
-def _seen_by_both(disparity: Floats, good: Mask, inside_right: Mask) -> Mask:
-    """Return where the matched pixel lies inside of the right image."""
-    v, u = np.nonzero(good)
-    other = np.rint(u - disparity[v, u]).astype(np.intp)
-    seen = (other >= 0) & (other < good.shape[1])
-    seen[seen] = inside_right[v[seen], other[seen]]
-    both = np.zeros_like(good)
-    both[v[seen], u[seen]] = True
-    return both
-
-
 def _refined(disparity: Floats, good: Mask, left: Grey, right: Grey) -> tuple[Floats, Mask]:
-    """Return disparities after a least-squares step each, for a block of its own brightness, and where blocks agree.
+    """Return disparities after a least-squares step each, for a block of its own brightness, and which are right.
 
     The interpolation of the matching costs prefers whole pixels, which shows as terraces; this has no such preference.
+    Right are those whose pixel lies inside of the right image, where the blocks agree.
     """
-    v, u = np.indices(disparity.shape, np.float32)
+    columns = np.arange(disparity.shape[1], dtype=np.float32)
+    rows = np.arange(disparity.shape[0], dtype=np.float32)[:, None]
+    there = np.where(good, columns - disparity, np.float32(-1.0))
+    warped = cv2.remap(right.astype(np.float32), there, np.broadcast_to(rows, there.shape).copy(), cv2.INTER_LINEAR)
+    good = good & (warped >= 1.0)
     weight = good.astype(np.float32)
-    there = np.where(good, u - disparity, -1.0).astype(np.float32)
-    warped = cv2.remap(right.astype(np.float32), there, v, cv2.INTER_LINEAR)
-    slope = 0.125 * cv2.Sobel(warped, cv2.CV_32F, 1, 0) * weight
-    residual = (left - warped) * weight
-
-    def block(image: Floats) -> Floats:
-        return np.asarray(cv2.boxFilter(image, cv2.CV_32F, (REFINED_PX, REFINED_PX), normalize=False))
-
-    count = np.maximum(block(weight), 1.0)
-
-    def product(a: Floats, b: Floats) -> Floats:  # of deviations from the block's means
-        return np.asarray(block(a * b) - block(a) * block(b) / count)
-
-    step = -product(slope, residual) / np.maximum(product(slope, slope), 1e-3)
+    slope = np.float32(0.125) * cv2.Sobel(warped, cv2.CV_32F, 1, 0) * weight
     ours, theirs = left * weight, warped * weight
-    different = product(residual, residual)
-    alike = different < UNLIKE * (product(ours, ours) + product(theirs, theirs))
-    alike |= different < NOISE_GREY**2 * count
-    return np.asarray(disparity + np.where(np.abs(step) < LARGEST_STEP_PX, step, 0.0)), alike
+    residual = ours - theirs
+
+    count = np.maximum(_block(weight), np.float32(1.0))
+    sums = [_block(image) / count for image in (slope, residual, ours, theirs)]
+
+    def product(a: Floats, b: Floats, i: int, j: int) -> Floats:  # mean, of deviations from the block's means
+        return np.asarray(_block(a * b) / count - sums[i] * sums[j])
+
+    step = -product(slope, residual, 0, 1) / np.maximum(product(slope, slope, 0, 0), np.float32(1e-3))
+    different = product(residual, residual, 1, 1)
+    alike = different < UNLIKE * (product(ours, ours, 2, 2) + product(theirs, theirs, 3, 3))
+    alike |= different < NOISE_GREY**2
+    return disparity + np.where(np.abs(step) < LARGEST_STEP_PX, step, np.float32(0.0)), good & alike
+
+
+def _block(image: Floats) -> Floats:
+    return np.asarray(cv2.boxFilter(image, cv2.CV_32F, (REFINED_PX, REFINED_PX), normalize=False))
