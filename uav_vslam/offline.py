@@ -7,9 +7,10 @@ bit, for any number of workers.
 
 import multiprocessing
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
 import cv2
@@ -172,6 +173,7 @@ def flight_result(
     *,
     seed: int | None = None,
     wall_s: float = 0.0,
+    bags: Sequence[Path] = (),
 ) -> FlightResult:
     """Collect the data for evaluation."""
     modes = {vehicle: configs[vehicle].fusion.mode if len(tracks) > 1 else "none" for vehicle in tracks}
@@ -189,6 +191,7 @@ def flight_result(
         wall_s=wall_s,
         vehicles=vehicles,
         config=parameter_file({f"/{vehicle}/**": config for vehicle, config in configs.items()}),
+        bags=tuple(str(path.resolve()) for path in bags),
     )
 
 

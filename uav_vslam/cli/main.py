@@ -24,6 +24,7 @@ VERBS = (
     "check",
     "cut",
     "run",
+    "map",
     "launch",
     "evaluate",
     "report",

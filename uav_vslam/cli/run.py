@@ -34,6 +34,11 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("inputs", nargs="+", type=Path, metavar="BAG|FLEET.yaml", help="bags, or one fleet file")
+    add_options(parser)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare all but the inputs."""
     parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/ (bags only)")
     parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
     parser.add_argument(
@@ -54,6 +59,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run, evaluate, write; return 2 where a recording is truncated, after using what can be read."""
+    return flown(args)[1]
+
+
+def flown(args: argparse.Namespace) -> tuple[Path, int]:
+    """Run, evaluate, write; return the results folder and the exit code."""
     import time
     from functools import partial
 
@@ -91,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
             smoothing=not args.no_smoothing,
         )
     name = args.name or args.inputs[0].stem
-    result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started)
+    result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started, bags=bags)
     folder = write_results(result, args.results, plot=partial(_draw, flights=flights, tracks=tracks, args=args))
     print_summary(build_summary(result, git=None))
     print(f"results: {folder}")
@@ -101,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
         _warn(f"{vehicle}: {text}" for text in track.warnings)
     broken = sorted(track.broken for track in tracks.values() if track.broken)
     _warn(broken)
-    return 2 if broken else 0
+    return folder, 2 if broken else 0
 
 
 def _warn(texts: Iterable[str]) -> None:

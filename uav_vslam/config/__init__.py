@@ -15,6 +15,7 @@ from uav_vslam.config.files import (
     find_dds_profile,
     load_fleet,
     load_link,
+    load_resolved,
     load_vehicle,
     parameter_file,
 )
@@ -73,6 +74,7 @@ __all__ = [
     "idle_settings",
     "load_fleet",
     "load_link",
+    "load_resolved",
     "load_vehicle",
     "parameter_file",
     "replaced",

@@ -92,6 +92,21 @@ def load_vehicle(path: Path | None, *, overrides: Mapping[str, Any] | None = Non
     return build(VehicleConfig, values | dict(overrides or {}), where=str(path or "overrides"))
 
 
+def load_resolved(path: Path) -> dict[str, VehicleConfig]:
+    """Read the `config.yaml` of a results folder: the resolved configuration of each vehicle, by name.
+
+    Raises:
+        ConfigError: the file can't be read, or a key or value is wrong.
+    """
+    found = {}
+    for nodes, inner in read_yaml(path).items():
+        name = str(nodes).removeprefix("/").removesuffix(ALL_NODES)
+        if not isinstance(inner, dict) or not isinstance(inner.get(PARAMETERS), dict):
+            raise ConfigError(f"{path}: {nodes!r} holds no '{PARAMETERS}:'; name a folder that run or launch wrote")
+        found[name] = build(VehicleConfig, dict(flattened(inner[PARAMETERS])), where=str(path))
+    return found
+
+
 def load_link(name: str) -> LinkConfig:
     """Read the parameter file of an emulated radio link: a path, or the name of a file in `config/links`.
 

@@ -80,6 +80,7 @@ class FlightResult:
         wall_s: processing time [s].
         vehicles: by name.
         config: the resolved configuration, as a ROS parameter file has it.
+        bags: absolute paths of the recordings; empty for a simulated flight.
     """
 
     name: str
@@ -89,3 +90,4 @@ class FlightResult:
     wall_s: float
     vehicles: dict[str, VehicleResult]
     config: dict[str, Any] = field(default_factory=dict)
+    bags: tuple[str, ...] = ()

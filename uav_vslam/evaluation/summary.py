@@ -38,6 +38,7 @@ def build_summary(result: FlightResult, *, git: str | None, alignment: str = "no
                 "name": result.name,
                 "seed": result.seed,
                 "mode": result.mode,
+                "bags": list(result.bags),
                 "git": git,
                 "duration_s": result.duration_s,
                 "realtime_factor": result.duration_s / result.wall_s if result.wall_s > 0 else None,

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam map`: the surface of what was flown over, from the images of a flight and its smoothed poses."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uav_vslam.cli.arguments import positive_number
+from uav_vslam.cli.progress import progress_bar
+from uav_vslam.cli.run import add_options, flown
+
+if TYPE_CHECKING:
+    from uav_vslam.cli.map_inputs import MappedFlight
+    from uav_vslam.mapping.overlap import Overlap
+    from uav_vslam.mapping.surface.grid import HeightGrid
+    from uav_vslam.mapping.surface.mapper import SurfaceMapper
+    from uav_vslam.mapping.view import View
+
+FOLDER, TILES, FIGURES, PICTURE = "map", "tiles", "map.json", "height.png"
+HELP = "map the surface that was flown over: run recordings, or take a results folder, and read the images again"
+EXAMPLES = """examples:
+  uav-vslam map flight --config kagaru                fly, smooth, map; the map goes to RESULT/map/
+  uav-vslam map config/fleet_demo.yaml --cell 1       several vehicles in one map
+  uav-vslam map results/latest                        map a flight that has been run, with the poses found there
+  uav-vslam map results/latest --bags moved/flight    the recordings have moved since
+
+One vehicle is mapped with its smoothed poses; several with those moved to where the fused ones are (C-SLAM), in the
+map frame that they share. The height's sigma is that given the poses. RESULT/map/ holds height.png, map.json and the
+tiles of the height grid.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    text = "bags or one fleet file, as for run, or the results folder of a run"
+    parser.add_argument("inputs", nargs="+", type=Path, metavar="BAG|FLEET.yaml|RESULT", help=text)
+    add_options(parser)
+    text = "side of a cell of the height grid [m] (default 0.5)"
+    parser.add_argument("--cell", type=positive_number, default=0.5, metavar="M", help=text)
+    text = "recordings of a results folder (default: those that it names)"
+    parser.add_argument("--bags", nargs="+", type=Path, metavar="BAG", help=text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly, or take a flight; map; print figures and times."""
+    import cv2
+
+    from uav_vslam.cli.map_inputs import is_result, mapped_flights
+    from uav_vslam.errors import UavVslamError
+
+    code, folder = 0, args.inputs[0]
+    if not is_result(folder):
+        if args.bags:
+            raise UavVslamError("--bags goes with a results folder; name the recordings themselves to run them")
+        folder, code = flown(args)
+    elif len(args.inputs) > 1:
+        raise UavVslamError(f"{folder} is a results folder, so no other input goes with it; map one at a time")
+    if (folder / FOLDER).exists():
+        raise UavVslamError(f"{folder / FOLDER} exists already; move it away to map this flight again")
+    flights = mapped_flights(folder, args.bags, args.vehicles)
+    cv2.setNumThreads(1)
+    write_map(flights, folder / FOLDER, args.cell)
+    print(f"map: {folder / FOLDER}")
+    return code
+
+
+def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> None:
+    """Map flights into a new folder, and print what was found."""
+    from uav_vslam.evaluation.output import write_json
+    from uav_vslam.mapping.overlap import Overlap
+    from uav_vslam.mapping.summary import map_figures
+    from uav_vslam.mapping.surface.grid import HeightGrid
+    from uav_vslam.mapping.surface.mapper import SurfaceMapper
+    from uav_vslam.report.map_table import print_map
+
+    grid, overlap = HeightGrid(cell_m, folder / TILES), Overlap()
+    mapper = SurfaceMapper(grid)
+    with progress_bar("mapping", sum(len(flight) for flight in flights)) as advance:
+        for view in _views(flights, advance):
+            mapper.add_view(view)
+            overlap.add(view)
+    mapper.finish()
+    grid.flush()
+    tree = map_figures(grid, overlap, mapper.views)
+    write_json(folder / FIGURES, tree)
+    _draw(grid, overlap, folder)
+    print_map(tree, _times_ms(mapper))
+
+
+def _views(flights: list[MappedFlight], advance: Callable[..., None]) -> Iterator[View]:
+    for flight in flights:
+        for view in flight.views():
+            yield view
+            advance()
+
+
+def _times_ms(mapper: SurfaceMapper) -> dict[str, float]:
+    """Return the processor time of each stage for a frame flown [ms]."""
+    frames = max(sum(mapper.views.values()), 1)
+    return {stage: 1e3 * seconds / frames for stage, seconds in mapper.seconds.items()}
+
+
+def _draw(grid: HeightGrid, overlap: Overlap, folder: Path) -> list[Path]:
+    from uav_vslam.report.height_picture import height_picture, overlap_picture
+    from uav_vslam.report.style import save
+
+    extent = overlap.extent(grid)
+    figures: dict[str, Any] = {
+        PICTURE: height_picture(grid.height(extent), extent.bounds_m),
+        "overlap.png": overlap_picture(overlap.count(grid, extent), extent.bounds_m),
+    }
+    return [save(figure, folder / name) for name, figure in figures.items() if figure is not None]

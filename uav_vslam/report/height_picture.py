@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of a map for people: the height as shaded relief, and how many views show each place."""
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LightSource, Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+Bounds = tuple[float, float, float, float]  # west, south, east, north [m]
+
+COLOURS, COUNT_COLOURS = "viridis", "cividis"  # both of even lightness for the colour-blind
+LIGHT = LightSource(azdeg=315, altdeg=45)
+PERCENTILES = (0.5, 99.5)  # of the heights, between which the colours lie
+STEEPENED = 1.0  # factor of the slopes in the shading
+WIDTH_IN, LEAST_IN, MOST_IN = 10.0, 3.0, 14.0  # of the figure; the height follows the map
+SCALE_BAR_SHARE = 0.25  # of the width, at most
+
+
+def height_picture(height: NDArray[np.floating], bounds_m: Bounds) -> Figure | None:
+    """Return the shaded relief of (rows, columns) heights [m], south first; None if none is known."""
+    known = np.isfinite(height)
+    if not known.any():
+        return None
+    low, high = np.percentile(height[known], PERCENTILES)
+    scale, colours = Normalize(low, max(high, low + 1e-3)), colormaps[COLOURS]
+    level = np.where(known, height, np.median(height[known]))
+    cell_m = (bounds_m[2] - bounds_m[0]) / height.shape[1]
+    shade = LIGHT.hillshade(np.flipud(level), vert_exag=STEEPENED, dx=cell_m, dy=cell_m)
+    picture = LIGHT.blend_overlay(colours(scale(np.flipud(level)))[..., :3], shade[..., None])
+    picture = np.dstack([np.clip(picture, 0.0, 1.0), np.flipud(known)])
+    figure, axes = _figure(bounds_m)
+    axes.imshow(picture, extent=_extent(bounds_m), interpolation="nearest")
+    figure.colorbar(ScalarMappable(scale, colours), ax=axes, label="Height [m]", shrink=0.8, extend="both")
+    return figure
+
+
+def overlap_picture(count: NDArray[np.integer], bounds_m: Bounds) -> Figure | None:
+    """Return the number of views of each cell, (rows, columns), south first; None if there are no views."""
+    if count.size == 0 or not count.any():
+        return None
+    figure, axes = _figure(bounds_m)
+    shown = np.ma.masked_equal(np.flipud(count), 0)
+    drawn = axes.imshow(shown, extent=_extent(bounds_m), interpolation="nearest", cmap=COUNT_COLOURS)
+    figure.colorbar(drawn, ax=axes, label="Views", shrink=0.8)
+    return figure
+
+
+def _figure(bounds_m: Bounds) -> tuple[Figure, Axes]:
+    """Return a figure of the map's shape, with axes of equal scale and a scale bar."""
+    west, south, east, north = bounds_m
+    height_in = float(np.clip(0.8 * WIDTH_IN * (north - south) / max(east - west, 1e-9) + 1.0, LEAST_IN, MOST_IN))
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    axes = figure.add_subplot()
+    axes.set(xlabel="East [m]", ylabel="North [m]", aspect="equal", xlim=(west, east), ylim=(south, north))
+    length = _round_length(SCALE_BAR_SHARE * (east - west))
+    left, bottom = west + 0.03 * (east - west), south + 0.05 * (north - south)
+    axes.plot([left, left + length], [bottom, bottom], color="black", linewidth=3, solid_capstyle="butt", zorder=3)
+    axes.annotate(f"{length:g} m", (left + 0.5 * length, bottom), (0, 4), textcoords="offset points", ha="center")
+    return figure, axes
+
+
+def _round_length(most_m: float) -> float:
+    """Return the longest of 1, 2, 5, 10, … that is not longer."""
+    power = 10.0 ** np.floor(np.log10(max(most_m, 1e-9)))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= most_m * (1.0 + 1e-9)))
+
+
+def _extent(bounds_m: Bounds) -> tuple[float, float, float, float]:
+    west, south, east, north = bounds_m
+    return west, east, south, north
