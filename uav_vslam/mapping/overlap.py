@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many views show each cell, from the outlines of their footprints; what stands is not considered."""
+"""How many views show each cell, by projection of its height; what hides it is not considered."""
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +17,6 @@ Array = NDArray[np.float64]
 EDGE_POINTS = 5  # of each side of an image
 HEIGHT_STEPS = 3  # fixed-point steps from the ray to the surface
 FLATTEST_RAY = 0.2  # least fall of a ray of depth one; flatter ones are cut
-SUBPIXEL_BITS = 4  # of the outlines, as OpenCV draws them
 
 
 @dataclass(slots=True)
@@ -54,12 +52,10 @@ class Overlap:
             return count
         height = _without_gaps(grid.height(raster))
         for camera, T_map_cam in self.views:
-            outline = footprint(camera, T_map_cam, height, raster)
-            row, column = raster.index(outline)
-            shown = np.zeros(raster.shape, np.uint8)
-            corners = np.rint(np.stack([column, row], axis=-1) * (1 << SUBPIXEL_BITS)).astype(np.int32)
-            cv2.fillPoly(shown, [corners], 1, shift=SUBPIXEL_BITS)
-            count += shown
+            outline = Raster.covering(footprint(camera, T_map_cam, height, raster), raster.cell_m)
+            part = outline.intersection(raster)
+            cut = part.within(raster)
+            count[cut] += _shown(camera, T_map_cam, part, height[cut])
         return count
 
     def gsd_m(self, grid: HeightGrid, raster: Raster) -> float:
@@ -75,6 +71,17 @@ def _without_gaps(height: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return heights with the usual one where none is known."""
     known = np.isfinite(height)
     return np.where(known, height, np.median(height[known]) if known.any() else np.float32(0.0))
+
+
+def _shown(camera: PinholeCamera, T_map_cam: Pose, raster: Raster, height: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return whether a camera shows each cell of a window, (rows, columns)."""
+    x, y = np.meshgrid(raster.x, raster.y)
+    points = T_map_cam.inverse().apply(np.stack([x, y, height], axis=-1))
+    before = points[..., 2] > 0.0
+    points[~before] = [0.0, 0.0, 1.0]
+    pixels = camera.project(points)
+    inside = (pixels >= -0.5) & (pixels <= [camera.width - 0.5, camera.height - 0.5])
+    return np.asarray(before & inside.all(axis=-1))
 
 
 def footprint(camera: PinholeCamera, T_map_cam: Pose, height: NDArray[np.floating], raster: Raster) -> Array:

@@ -14,7 +14,9 @@ Bounds = tuple[float, float, float, float]  # west, south, east, north [m]
 COLOURS, COUNT_COLOURS = "viridis", "cividis"  # both of even lightness for the colour-blind
 LIGHT = LightSource(azdeg=315, altdeg=45)
 PERCENTILES = (0.5, 99.5)  # of the heights, between which the colours lie
-STEEPENED = 1.0  # factor of the slopes in the shading
+STEEPENED = 2.0  # factor of the slopes in the shading
+CONTRAST = 0.8  # of the shading
+DARKEST = 0.35  # part of the colour that is left in the shade
 WIDTH_IN, LEAST_IN, MOST_IN = 10.0, 3.0, 14.0  # of the figure; the height follows the map
 SCALE_BAR_SHARE = 0.25  # of the width, at most
 
@@ -28,8 +30,8 @@ def height_picture(height: NDArray[np.floating], bounds_m: Bounds) -> Figure | N
     scale, colours = Normalize(low, max(high, low + 1e-3)), colormaps[COLOURS]
     level = np.where(known, height, np.median(height[known]))
     cell_m = (bounds_m[2] - bounds_m[0]) / height.shape[1]
-    shade = LIGHT.hillshade(np.flipud(level), vert_exag=STEEPENED, dx=cell_m, dy=cell_m)
-    picture = LIGHT.blend_overlay(colours(scale(np.flipud(level)))[..., :3], shade[..., None])
+    shade = LIGHT.hillshade(np.flipud(level), vert_exag=STEEPENED, dx=cell_m, dy=cell_m, fraction=CONTRAST)
+    picture = colours(scale(np.flipud(level)))[..., :3] * (DARKEST + (1.0 - DARKEST) * shade[..., None])
     picture = np.dstack([np.clip(picture, 0.0, 1.0), np.flipud(known)])
     figure, axes = _figure(bounds_m)
     axes.imshow(picture, extent=_extent(bounds_m), interpolation="nearest")

@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.stereo import PairPoints
 
+Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 STEP_M = 0.6  # a gap between the heights in a cell that separates two surfaces
 TOP_SHARE = 0.35  # of a cell's points that the higher surface needs: the view's edge pixels lean outwards
 LEAST_POINTS = 4
 LEAST_SHARE = 0.25  # of the points of a usual cell: stray matches are few
+NEIGHBOURS = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0)]
+CONFIRMED = 2  # neighbours of about the same height
+SURROUNDED = 6  # lower neighbours of what stands alone
 RESOLUTION_M = 0.005  # heights are sorted as integers
 HEIGHT_BITS = 20  # of them, for a range of 5 km
 SPREAD_SHARE = 0.7413  # half of the quartiles' distance of a normal distribution, as its standard deviation
@@ -64,12 +68,26 @@ def sample(points: PairPoints, cell_m: float) -> CellSamples | None:
     height = low_m + RESOLUTION_M * heights[start + size // 2]
     spread = RESOLUTION_M * (heights[start + (3 * size) // 4] - heights[start + size // 4]) * SPREAD_SHARE
     rows, columns = np.divmod(owner[fits], raster.columns)
+    sound = _sound(raster, rows, columns, height)
+    rows, columns, height, spread, size = (each[sound] for each in (rows, columns, height, spread, size))
     sigma = np.sqrt(points.pose_m**2 + np.maximum(points.noise_m, spread) ** 2 / INDEPENDENT)
     across = np.hypot(raster.x[columns] - points.camera_map[0], raster.y[rows] - points.camera_map[1])
     angle = np.arctan2(across, points.camera_map[2] - height)
     return CellSamples(
         raster, rows, columns, height.astype(np.float32), sigma.astype(np.float32), size, angle.astype(np.float32)
     )
+
+
+def _sound(raster: Raster, rows: NDArray[np.intp], columns: NDArray[np.intp], height: Array) -> NDArray[np.bool_]:
+    """Return (N,) which cells two neighbours confirm, or rise from those around them: a lone pit is a mismatch."""
+    padded = np.full((raster.rows + 2, raster.columns + 2), np.nan)
+    padded[rows + 1, columns + 1] = height
+    confirmed, below = np.zeros(len(height), int), np.zeros(len(height), int)
+    for down, right in NEIGHBOURS:
+        beside = padded[rows + 1 + down, columns + 1 + right]
+        confirmed += np.abs(beside - height) < STEP_M + raster.cell_m  # slopes up to 45 degrees
+        below += beside < height
+    return np.asarray((confirmed >= CONFIRMED) | (below >= SURROUNDED))
 
 
 def _sorted(points: PairPoints, raster: Raster) -> tuple[NDArray[np.int64], NDArray[np.int64], float]:

@@ -34,6 +34,6 @@ class SurfaceSettings:
     above_m: float = 8.0
     below_m: float = 4.0
     most_disparities: int = 160
-    match_px: float = 0.2
+    match_px: float = 0.15
     relative_position_m: float = 0.004
     relative_attitude_rad: float = 5e-5

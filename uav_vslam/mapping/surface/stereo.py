@@ -21,9 +21,10 @@ UNIQUENESS = 5  # per cent by which the best cost is below the second best
 PREFILTER = 31
 SPECKLE_PX, SPECKLE_RANGE = 60, 1
 BORDER = np.ones((BLOCK_PX, BLOCK_PX), np.uint8)  # blocks over the edge of an image match its outline
+SMOOTHED_PX = 0.8  # standard deviation of a blur for which linear interpolation and differences are exact enough
 REFINED_PX = 7  # side of the block of the least-squares step
 LARGEST_STEP_PX = 0.75
-UNLIKE = 0.6  # variance of the difference of two blocks over the sum of theirs: 1 if they have nothing in common
+UNLIKE = 0.3  # variance of the difference of two blocks over the sum of theirs: 1 if they have nothing in common
 NOISE_GREY = 2.5  # grey levels by which blocks of one grey may differ
 SPARSE = 16  # every so many points suffice for a median
 SUBPIXEL = 16.0  # OpenCV's disparities are in sixteenths
@@ -54,7 +55,8 @@ def match(pair: RectifiedPair, settings: SurfaceSettings) -> PairPoints:
     inside = [cv2.erode(image, BORDER, borderValue=0) > 0 for image in (left, right)]
     disparity = _searched(pair, left, right)
     good = (disparity >= pair.first) & (disparity + pair.shift_px > 0.0) & inside[0]
-    disparity, good = _refined(disparity, good, left, np.where(inside[1], right, 0))
+    smooth = [cv2.GaussianBlur(image, (0, 0), SMOOTHED_PX) for image in (left, right)]
+    disparity, good = _refined(disparity, good, smooth[0], np.where(inside[1], smooth[1], 0))
     points = pair.points_map(pair.depth_m(disparity), good)
     middle = 0.5 * (pair.left.T_map_cam.t + pair.right.T_map_cam.t)
     below_m = middle[2] - float(np.median(points[::SPARSE, 2])) if len(points) else 1.0

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from rendered_views import ALTITUDE_M, ground, view
+from scipy.ndimage import binary_dilation
+
+from uav_vslam.mapping.overlap import Overlap
+from uav_vslam.mapping.surface.grid import HeightGrid
+from uav_vslam.mapping.surface.mapper import MOST_VIEWS, SurfaceMapper
+from uav_vslam.mapping.surface.settings import SurfaceSettings
+from uav_vslam.mapping.view import View
+
+SETTINGS = SurfaceSettings(scale=1.0)
+VIEWS = 14
+
+
+def mapped(views: list[View]) -> tuple[HeightGrid, SurfaceMapper, Overlap]:
+    grid, overlap = HeightGrid(1.0), Overlap()
+    mapper = SurfaceMapper(grid, SETTINGS)
+    for each in views:
+        mapper.add_view(each)
+        overlap.add(each)
+    mapper.finish()
+    return grid, mapper, overlap
+
+
+def errors(grid: HeightGrid, relief_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors and sigmas of the cells with a height of their own."""
+    window = grid.window(grid.extent)
+    x, y = np.meshgrid(window.raster.x, window.raster.y)
+    own = np.isfinite(window.height) & ~window.filled
+    return (window.height - ground(relief_m).relief.height(x, y))[own], window.sigma[own]
+
+
+@pytest.fixture(scope="module")
+def flight() -> tuple[HeightGrid, SurfaceMapper, Overlap]:
+    return mapped([view(k) for k in range(VIEWS)])
+
+
+def test_a_level_ground_is_recovered() -> None:
+    grid, _, _ = mapped([view(k, 0.0) for k in range(8)])
+    error, _ = errors(grid, 0.0)
+    assert np.median(np.abs(error)) < 0.05
+    assert np.percentile(np.abs(error), 95) < 0.3
+
+
+def test_hills_are_recovered_and_sigma_is_honest(flight: tuple[HeightGrid, SurfaceMapper, Overlap]) -> None:
+    error, sigma = errors(flight[0], 2.0)
+    assert np.median(np.abs(error)) < 0.05
+    normalised = error / sigma
+    assert 0.3 < np.mean(np.abs(normalised) < 1.0) / 0.683 < 1.46
+    assert np.mean(np.abs(normalised) > 3.0) < 0.02
+
+
+def test_nearly_all_that_the_views_show_is_mapped(flight: tuple[HeightGrid, SurfaceMapper, Overlap]) -> None:
+    grid, _, overlap = flight
+    raster = overlap.extent(grid)
+    shown = overlap.count(grid, raster)
+    known = np.isfinite(grid.height(raster))
+    assert known[shown > 1].mean() > 0.95  # one view alone has no depth
+    assert known[shown > 2].mean() > 0.98
+    assert not (known & ~binary_dilation(shown > 0, np.ones((3, 3)))).any()
+
+
+def test_banked_views_are_mapped_beside_the_strip() -> None:
+    banks = [0.0] * 5 + [15.0] * 2 + [0.0] * 5
+    grid, _, overlap = mapped([view(k, 2.0, bank) for k, bank in enumerate(banks)])
+    raster = overlap.extent(grid)
+    shown, known = overlap.count(grid, raster), np.isfinite(grid.height(raster))
+    assert known[shown > 1].mean() > 0.9
+    error, sigma = errors(grid, 2.0)
+    assert np.median(np.abs(error) / sigma) < 1.0
+
+
+def test_two_vehicles_share_one_grid() -> None:
+    own = [view(k) for k in range(6)]
+    peer = [view(k, 2.0, 0.0, (0.0, 20.0), "uav2") for k in range(6)]
+    grid, mapper, _ = mapped([each for pair in zip(own, peer, strict=True) for each in pair])
+    assert mapper.views == {"uav1": 6, "uav2": 6}
+    rows = grid.extent.rows
+    assert rows > mapped(own)[0].extent.rows + 15
+    error, sigma = errors(grid, 2.0)
+    assert np.median(np.abs(error) / sigma) < 1.0
+
+
+def test_equal_views_give_equal_bits() -> None:
+    views = [view(k) for k in range(6)]
+    one, other = mapped(views)[0], mapped(views)[0]
+    assert np.array_equal(one.height(one.extent), other.height(other.extent), equal_nan=True)
+
+
+def test_views_without_motion_or_texture_map_nothing() -> None:
+    still = [view(0)] * 6
+    assert mapped(still)[1].pairs == 0
+    blank = [View("uav1", k, view(k).camera, view(k).T_map_cam, np.full((360, 480), 90, np.uint8)) for k in range(6)]
+    assert mapped(blank)[0].extent.rows == 0
+    assert mapped([])[1].pairs == 0
+
+
+def test_a_hovering_vehicle_keeps_few_views() -> None:
+    mapper = SurfaceMapper(HeightGrid(1.0), SETTINGS)
+    for k in range(5):
+        mapper.add_view(view(k))
+    pairs = mapper.pairs
+    for _ in range(MOST_VIEWS + 6):
+        mapper.add_view(view(4))
+    assert mapper.pairs == pairs
+    (lane,) = mapper._lanes.values()
+    assert len(lane.views) == MOST_VIEWS
+
+
+def test_colour_is_mapped_like_its_grey() -> None:
+    views = [view(k) for k in range(6)]
+    colour = [View(v.vehicle, v.stamp_ns, v.camera, v.T_map_cam, np.dstack([v.image] * 3)) for v in views]
+    one, other = mapped(views)[0], mapped(colour)[0]
+    assert np.array_equal(one.height(one.extent), other.height(other.extent), equal_nan=True)
+
+
+def test_the_footprint_count_is_that_of_the_geometry() -> None:
+    grid, _, overlap = mapped([view(k, 0.0) for k in range(6)])
+    count = overlap.count(grid, overlap.extent(grid))
+    camera = view(0).camera
+    area = (camera.width / camera.fx) * (camera.height / camera.fy) * ALTITUDE_M**2
+    assert count.sum() == pytest.approx(6 * area, rel=0.03)
+    assert count.max() == 6
+    assert overlap.gsd_m(grid, grid.extent) == pytest.approx(ALTITUDE_M / camera.fx, rel=0.01)

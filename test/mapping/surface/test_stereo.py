@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from rendered_views import ground, pose, view
+
+from uav_vslam.mapping.surface.prepared import PreparedView
+from uav_vslam.mapping.surface.rectification import Depths, rectify
+from uav_vslam.mapping.surface.settings import SurfaceSettings
+from uav_vslam.mapping.surface.stereo import PairPoints, match, sigmas_m
+
+SETTINGS = SurfaceSettings(scale=1.0)
+
+
+def points(last: int = 4, relief_m: float = 2.0) -> PairPoints:
+    left, right = (PreparedView.of(view(k, relief_m), 1.0) for k in (0, last))
+    pair = rectify(left, right, Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2)
+    assert pair is not None
+    return match(pair, SETTINGS)
+
+
+def errors(found: PairPoints, relief_m: float) -> np.ndarray:
+    x, y, z = found.points_map.T.astype(float)
+    return np.asarray(z - ground(relief_m).relief.height(x, y))
+
+
+@pytest.mark.parametrize("relief_m", [0.0, 2.0])
+def test_the_surface_is_found_without_bias_as_exactly_as_claimed(relief_m: float) -> None:
+    found = points(relief_m=relief_m)
+    error = errors(found, relief_m)
+    assert found.share > 0.8
+    assert abs(np.median(error)) < 0.3 * found.noise_m
+    assert 0.3 < np.percentile(np.abs(error), 68) / found.noise_m < 1.2
+
+
+def test_a_shorter_baseline_is_claimed_and_found_to_be_worse() -> None:
+    near, far = points(2), points(4)
+    assert near.noise_m == pytest.approx(2.0 * far.noise_m, rel=0.05)
+    assert np.percentile(np.abs(errors(near, 2.0)), 68) > 1.5 * np.percentile(np.abs(errors(far, 2.0)), 68)
+
+
+def test_heights_have_no_terraces_at_whole_disparities() -> None:
+    """The share of heights near whole disparities is that of chance; interpolated matching costs double it."""
+    left, right = (PreparedView.of(view(k), 1.0) for k in (0, 4))
+    pair = rectify(left, right, Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2)
+    assert pair is not None
+    depth = pose(0).t[2] - match(pair, SETTINGS).points_map[:, 2].astype(float)
+    fraction = (pair.focal_px * pair.baseline_m / depth - pair.shift_px) % 1.0
+    near_whole = np.mean((fraction < 0.15) | (fraction > 0.85))
+    assert near_whole == pytest.approx(0.3, abs=0.06)
+
+
+def test_a_wrong_relative_pose_shifts_the_heights_as_the_sigma_says() -> None:
+    """First order: dZ = Z/B dB and Z^2/B da, against a pair whose poses are wrong by just that."""
+    wrong = pose(4)
+    wrong.t[0] += 0.2
+    left, right = PreparedView.of(view(0, 0.0), 1.0), PreparedView.of(view(4, 0.0), 1.0)
+    moved = rectify(
+        left, PreparedView(1, right.camera, wrong, right.grey), Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2
+    )
+    assert moved is not None
+    settings = SurfaceSettings(scale=1.0, relative_position_m=0.2, relative_attitude_rad=0.0)
+    shift = abs(float(np.median(match(moved, settings).points_map[:, 2])))
+    assert sigmas_m(moved, 70.0, settings)[1] == pytest.approx(shift, rel=0.1)
+
+
+def test_different_grounds_do_not_match() -> None:
+    left = PreparedView.of(view(0), 1.0)
+    other = PreparedView(1, left.camera, pose(4), PreparedView.of(view(40), 1.0).grey)
+    pair = rectify(left, other, Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2)
+    assert pair is not None
+    assert match(pair, SETTINGS).share < 0.1
+
+
+def test_matching_is_deterministic() -> None:
+    assert np.array_equal(points().points_map, points().points_map)
