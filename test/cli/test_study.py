@@ -28,6 +28,7 @@ SMALL = {
     "association": ["--seeds", "1", "--frames", "6", "--methods", "gated", "hgtm"],
     "recordings": ["--seeds", "1", "--frames", "6"],
     "perturbed": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
+    "surface": ["--seeds", "1", "--frames", "8", "--bare"],
 }
 LARGEST_PAGE_BYTES = 8_000_000
 PICTURES = {
@@ -42,6 +43,7 @@ PICTURES = {
     "revisit": {"revisit.png"},
     "association": {"association.png", "matching.png"},
     "recordings": set(),
+    "surface": set(),
     "perturbed": {"perturbed.png", "nees_landmark_level.png", "nees_rendered_images.png"},
 }
 

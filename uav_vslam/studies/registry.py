@@ -22,6 +22,7 @@ from uav_vslam.studies import (
     rig,
     split,
     start,
+    surface,
     thesis,
 )
 from uav_vslam.studies.engine.study import Study
@@ -48,4 +49,5 @@ STUDIES: dict[str, Study] = {
     "association": association.STUDY,
     "start": start.STUDY,
     "recordings": recordings.STUDY,
+    "surface": surface.STUDY,
 }

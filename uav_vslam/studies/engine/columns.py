@@ -50,6 +50,17 @@ COLUMNS: dict[str, str] = {
             "attitude_mrad": "angle of the rotation",
         }.items()
     },
+    # heights of a map
+    "height_median_m": "error of the map's height over open ground, own error removed, median",
+    "height_95_m": "the same, 95 %",
+    "height_level_median_m": "the same with one constant removed, median",
+    "height_level_95_m": "the same with one constant removed, 95 %",
+    "standing_median_m": "error of the height over everything that stands, median",
+    "barn_edge_m": "distance of the barns' edges from the true ones, median",
+    "coverage_share": "of the cells that an image shows",
+    "absolute_median_m": "error of the map's height over open ground, nothing removed, median",
+    "own_height_median_m": "error of the height of the poses, median",
+    "nees_height": "squared error of the height over the claimed variance, mean",
     "drift_before_rms_m": "position error before the loop is closed",
     "rer": "relative error rate of the thesis, SLAM over INS",
     **{f"rer_w{k}": f"the same under noise scale w{k}" for k in range(1, 5)},

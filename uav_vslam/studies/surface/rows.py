@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of the surfaces and of the poses they were made with."""
+
+from collections.abc import Sequence
+
+from uav_vslam.studies.engine.columns import Row
+from uav_vslam.studies.engine.flights import LABELS
+from uav_vslam.studies.engine.pool import mean, rms
+from uav_vslam.studies.surface.compute import MappedSeed
+
+POSE_KEYS = {
+    "ate_rms_m": "ate_m",
+    "height_rms_m": "height_rms_m",
+    **{f"rpe_14m_{what}": f"rpe_14m_{what}" for what in ("along_m", "across_m", "height_m", "attitude_mrad")},
+}
+
+
+def surface_rows(found: Sequence[MappedSeed]) -> list[Row]:
+    """Return a row for each method and kind of poses: means over the seeds, and the worst standing one."""
+    rows: list[Row] = []
+    for method, kind in found[0].surfaces:
+        scores = [seed.surfaces[method, kind] for seed in found]
+        row: Row = {"table": "Surfaces", "method": method, "condition": f"{kind} poses", "runs": len(found)}
+        for key in scores[0]:
+            values = [score[key] for score in scores if score[key] is not None]
+            row[key] = mean([float(value) for value in values if value is not None])
+        rows.append(row)
+    return rows
+
+
+def pose_rows(found: Sequence[MappedSeed]) -> list[Row]:
+    """Return a row for each kind of poses: root mean squares over seeds and vehicles."""
+    rows: list[Row] = []
+    for kind in found[0].poses:
+        scores = [score for seed in found for score in seed.poses[kind]]
+        row: Row = {"table": "Poses", "method": LABELS.get(kind, kind), "condition": "rendered images"}
+        row |= {
+            key: rms([score[name] for score in scores if score[name] is not None]) for key, name in POSE_KEYS.items()
+        }
+        rows.append(row)
+    return rows
