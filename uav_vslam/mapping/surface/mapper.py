@@ -34,7 +34,7 @@ SEARCHED_VIEWS = 4  # kept while the ground is not found
 
 @dataclass(slots=True)
 class _Lane:
-    """The latest views of one vehicle, where it last saw the ground, and the latest pair's view."""
+    """The latest views of one vehicle, where it last saw the ground, and the view of the latest pair."""
 
     views: deque[PreparedView] = field(default_factory=lambda: deque(maxlen=MOST_VIEWS))
     ground: Depths | None = None
@@ -103,7 +103,8 @@ class SurfaceMapper:
         ):
             return
         partner = self._partner(lane, view, settings.baseline_ratio * height_m)
-        if partner is not None and self._add_pair(lane, partner, view, ground):
+        if partner is not None:
+            self._add_pair(lane, partner, view, ground)
             lane.last_pair = view
 
     def _partner(self, lane: _Lane, view: PreparedView, baseline_m: float) -> PreparedView | None:
@@ -132,34 +133,33 @@ class SurfaceMapper:
 
     def _add_pair(
         self, lane: _Lane, left: PreparedView, right: PreparedView, ground: Depths, region: Array | None = None
-    ) -> bool:
-        """Match a pair and add it to the grid; return whether it was good.
+    ) -> None:
+        """Match a pair and add it to the grid if it is good.
 
         Only the surroundings of a region are matched, if there is one: (N, 3) points in the map frame.
         """
         settings, started = self._settings, time.process_time()
         if _turn_deg(left, right) > settings.largest_turn_deg:
             self.refused["turn"] += 1
-            return False
+            return
         searched = Depths(ground.low_m - settings.below_m, ground.middle_m, ground.high_m + settings.above_m)
         pair = rectify(
             left, right, searched, most=settings.most_disparities, overlap=settings.least_overlap, region=region
         )
         if pair is None:
             self.refused["geometry"] += 1
-            return False
+            return
         points = match(pair, settings)
         started = self._count("match", started)
         if points.share < LEAST_SHARE:
             self.refused["few matches"] += 1
-            return False
+            return
         samples = sample(points, self.grid.cell_m)
         if samples is not None:
             self.grid.add(samples)
         lane.ground = _ground_of(points)
         self.pairs += 1
         self._count("fuse", started)
-        return True
 
     def _count(self, stage: str, started: float) -> float:
         now = time.process_time()

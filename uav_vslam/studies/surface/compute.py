@@ -33,8 +33,8 @@ NOTES = {
     "Heights": "cells with a height of their own or filled, against the true surface at the place where the vehicle "
     "really was: the error of the nearest pose is removed, but not in absolute_median_m. Open ground is 1.5 m and more "
     "from what stands; medians and 95 % are of the absolute error, and figures are means over the seeds",
-    "Methods": "motion stereo between views of one flight; the rig's pair: landmarks and a lattice of points matched in "
-    "single stereo pairs, then Delaunay (5.6.1 of the thesis); landmarks: Delaunay of tracked features (5.4)",
+    "Methods": "motion stereo between views of one flight; the rig's pair: landmarks and a lattice of points matched "
+    "in single stereo pairs, then Delaunay (5.6.1 of the thesis); landmarks: Delaunay of tracked features (5.4)",
     "Poses": "smoothed: the own-only smoother's; anchored: those, moved to where C-SLAM is",
     "Times": "processor time for a frame flown, on top of the estimation",
 }

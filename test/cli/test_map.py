@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`map` flies and maps, or maps a flight that has been run: the same map."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_vslam.cli.main import main
+from uav_vslam.datasets.flight_writer import ImageCoding
+from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.surface.grid import HeightGrid
+from uav_vslam.simulation.recording import record
+from uav_vslam.simulation.scenario import SCENARIOS
+from uav_vslam.simulation.terrain import ground_of
+
+SCENARIO = dataclasses.replace(SCENARIOS["sample"], frames=10, vehicles=2)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("flight") / "bag"
+    record(SCENARIO, path, coding=ImageCoding("png"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("results")
+    options = ["--no-plots", "--workers", "1", "--cell", "1"]
+    assert main(["map", str(bag), "--config", "sample", *options, "--results", str(root)]) == 0
+    return (root / "latest").resolve()
+
+
+def test_a_map_of_two_vehicles_lies_on_the_true_ground(result: Path) -> None:
+    tree = json.loads((result / "map/map.json").read_text())
+    assert tree["vehicles"] == {"uav1": {"views": 10}, "uav2": {"views": 10}}
+    assert tree["surface"]["coverage"] > 0.8
+    assert tree["gsd_m"] == pytest.approx(70.0 / (1642.0 * 0.375), rel=0.05)
+    grid = HeightGrid.open(result / "map/tiles")
+    west, south, east, north = tree["bounds_m"]
+    raster = Raster(1.0, round(west), round(south), round(east - west), round(north - south))
+    truth = ground_of(SCENARIO).height(*np.meshgrid(raster.x, raster.y))
+    assert np.nanmedian(np.abs(grid.height(raster) - truth)) < 0.3
+    assert {"height.png", "overlap.png"} <= {path.name for path in (result / "map").iterdir()}
+
+
+def test_a_flight_that_has_been_run_gives_the_same_map(
+    result: Path, bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = (result / "map/map.json").read_bytes()
+    assert main(["map", str(result)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    shutil.move(result / "map", result / "before")
+    assert main(["map", str(result), "--cell", "1"]) == 0
+    assert "processor time for a frame flown" in capsys.readouterr().out
+    assert (result / "map/map.json").read_bytes() == first
+    for tile in (result / "before/tiles").glob("*.npz"):
+        assert np.array_equal(np.load(tile)["cells"], np.load(result / "map/tiles" / tile.name)["cells"])
+    shutil.rmtree(result / "map")
+    assert main(["map", str(result), "--bags", str(bag), "--vehicles", "uav2", "--cell", "1"]) == 0
+    assert list(json.loads((result / "map/map.json").read_text())["vehicles"]) == ["uav2"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "message"),
+    [
+        ({}, ["--vehicles", "uav9"], "no flight of uav9"),
+        ({"bags": []}, [], "names no recordings"),
+        ({"bags": ["/nowhere"]}, [], "/nowhere"),
+    ],
+)
+def test_what_is_missing_is_named_in_one_line(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict, words: list[str], message: str
+) -> None:
+    copy = tmp_path / "result"
+    shutil.copytree(result, copy, ignore=shutil.ignore_patterns("map", "before"))
+    tree = json.loads((copy / "summary.json").read_text())
+    (copy / "summary.json").write_text(json.dumps(tree | change))
+    assert main(["map", str(copy), *words]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (copy / "map").exists()
+
+
+def test_bags_are_refused_without_a_result(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["map", str(bag), "--bags", str(bag)]) == 2
+    assert "goes with a results folder" in capsys.readouterr().err
