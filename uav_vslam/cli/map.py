@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,13 +63,15 @@ def run(args: argparse.Namespace) -> int:
         raise UavVslamError(f"{folder / FOLDER} exists already; move it away to map this flight again")
     flights = mapped_flights(folder, args.bags, args.vehicles)
     cv2.setNumThreads(1)
-    write_map(flights, folder / FOLDER, args.cell)
+    cells = write_map(flights, folder / FOLDER, args.cell)
     print(f"map: {folder / FOLDER}")
-    return code
+    if cells == 0:
+        print("uav-vslam: nothing was mapped: no two views show one surface below the cameras", file=sys.stderr)
+    return code if cells else max(code, 1)
 
 
-def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> None:
-    """Map flights into a new folder, and print what was found."""
+def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
+    """Map flights into a new folder, print what was found, and return the number of cells with a height."""
     from uav_vslam.evaluation.output import write_json
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.summary import map_figures
@@ -85,9 +88,11 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> None:
     mapper.finish()
     grid.flush()
     tree = map_figures(grid, overlap, mapper.views)
+    tree["surface"] |= {"pairs": mapper.pairs, "refused_pairs": dict(mapper.refused)}
     write_json(folder / FIGURES, tree)
     _draw(grid, overlap, folder)
     print_map(tree, _times_ms(mapper))
+    return int(tree["surface"]["cells"])
 
 
 def _views(flights: list[MappedFlight], advance: Callable[..., None]) -> Iterator[View]:

@@ -10,8 +10,8 @@ by a correction c, position and rotation (map frame, R' = Exp(xi) R), that is es
 
 Fused poses err together over long: they hold the same start and the same landmarks. A pose every dt of a process that
 forgets in tau counts as dt / 2 tau independent ones, so their covariance is inflated by 2 tau / dt. Nothing else is
-known of c: the smoothed poses' own place is part of the fused ones', and would count twice. A Kalman filter and the
-smoother of Rauch, Tung and Striebel solve the chain.
+known of c: the smoothed poses' own place is part of the fused ones', and would count twice. A Kalman filter and a
+Rauch-Tung-Striebel smoother [rauch65] solve the chain.
 """
 
 import itertools

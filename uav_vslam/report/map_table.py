@@ -29,6 +29,8 @@ def print_map(tree: Mapping[str, Any], times_ms: Mapping[str, float], console: C
     texts = map(figure_text, (*figures, surface.get("median_sigma_m"), low_m, high_m))
     table.add_row(", ".join(tree["vehicles"]), str(views), *texts)
     console.print(table)
+    refused = ", ".join(f"{reason} {count}" for reason, count in surface["refused_pairs"].items()) or "none"
+    console.print(f"pairs of views: {surface['pairs']}; refused: {refused}", markup=False, highlight=False)
     stages = ", ".join(f"{stage} {ms:.1f}" for stage, ms in times_ms.items())
     total = sum(times_ms.values())
     console.print(f"processor time for a frame flown: {total:.1f} ms ({stages})", markup=False, highlight=False)
