@@ -27,6 +27,7 @@ LARGEST_MISS_RAD = 1e-3  # root mean square distance of the rays from their poin
 LATTICE_PX = 32
 BORDER_PX = 16
 PATCH_PX, LEVELS = 21, 1
+LARGEST_PARALLAX_PX = 5.0  # from the prediction: farther ones are wrong matches
 EPIPOLAR_PX = 0.5
 LEAST_FEATURES = 8
 HOMOGRAPHY_PX = 3.0
@@ -118,7 +119,8 @@ def extra_points(left: Grey, right: Grey, features: StereoFeatures, T_map_body: 
         maxLevel=LEVELS,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    pixels = np.hstack([lattice[:, 0], found[:, 0]]).astype(float)[good[:, 0] > 0]
+    near = np.linalg.norm(found - predicted, axis=-1) < LARGEST_PARALLAX_PX
+    pixels = np.hstack([lattice[:, 0], found[:, 0]]).astype(float)[near[:, 0] & (good[:, 0] > 0)]
     pixels = pixels[rig.epipolar_distance(pixels) < EPIPOLAR_PX]
     points = rig.triangulate(pixels)
     return (T_map_body @ rig.T_body_left).apply(points[np.isfinite(points).all(axis=1)])

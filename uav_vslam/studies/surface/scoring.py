@@ -61,12 +61,12 @@ def score(
     true_x, true_y = x + shift[..., 0], y + shift[..., 1]
     truth, labels = ground.height(true_x, true_y), ground.labels(true_x, true_y)
     error = surface.height - (truth - shift[..., 2])
-    known, standing = np.isfinite(error), labels > 0
+    shown = _shown(surface.raster, x, y, ground, flights)
+    known, standing = np.isfinite(error) & shown, labels > 0  # triangles also span what no image shows
     reach = round(APART_M / surface.raster.cell_m)
     free = known & ~binary_dilation(standing, iterations=reach)
     absolute = (surface.height - ground.height(x, y))[free]
     own = np.concatenate([_height_errors(poses[name], truth) for name, truth in truths.items()])
-    shown = _shown(surface.raster, x, y, ground, flights)
     open_error = error[free]
     level = open_error - np.median(open_error)
     scores: Scores = {
