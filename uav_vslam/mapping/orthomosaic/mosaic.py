@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The orthomosaic: views are added one by one, at a cost that depends on what each one sees and not on the map's size.
+
+A view is drawn onto the surface, corrected in brightness, taken apart into bands and merged into the tiles under it.
+At any time the picture of any window can be put together. The result does not depend on the order of the views but for
+their gains; solve these first (`two_passes`) and it does not depend on it at all, but for ties of the score.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.orthomosaic.exposure import Correction, Exposure
+from uav_vslam.mapping.orthomosaic.heights import Heights
+from uav_vslam.mapping.orthomosaic.pyramid import ALIGN, LEVELS, MARGIN, put_together, take_apart
+from uav_vslam.mapping.orthomosaic.rectification import Rectified, rectify
+from uav_vslam.mapping.orthomosaic.thumbnail import thumbnail
+from uav_vslam.mapping.orthomosaic.tiles import KEPT_BYTES, SIDE, UNSEEN, TileStore
+from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.view import View
+
+Array = NDArray[np.float64]
+
+STRIP_TILES = 4  # tiles that are put together at a time
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A window of the mosaic.
+
+    Attributes:
+        raster: the window; arrays have south first.
+        image: (rows, columns) grey or (rows, columns, 3) BGR uint8; 0 where nothing was seen.
+        labels: (rows, columns) int32 number of the view that each pixel's detail comes from, -1 for none.
+    """
+
+    raster: Raster
+    image: NDArray[np.uint8]
+    labels: NDArray[np.int32]
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(rows, columns) where there is a picture."""
+        return np.asarray(self.labels != UNSEEN)
+
+
+@dataclass(frozen=True, slots=True)
+class AddedView:
+    """What the mosaic remembers of a view.
+
+    Attributes:
+        vehicle, stamp_ns: which view it was.
+        position: (3,) of the camera in the map frame [m].
+        correction: of its brightness.
+        tiles: number of tiles under it.
+    """
+
+    vehicle: str
+    stamp_ns: int
+    position: Array
+    correction: Correction
+    tiles: int
+
+
+class Orthomosaic:
+    """A picture of the ground that grows with each view."""
+
+    def __init__(
+        self,
+        surface: Heights,
+        m_per_px: float,
+        *,
+        folder: Path | None = None,
+        exposure: Exposure | None = None,
+        kept_bytes: int = KEPT_BYTES,
+    ) -> None:
+        """Start without any view.
+
+        Args:
+            surface: heights in the map frame; it may change between views.
+            m_per_px: side of a pixel [m].
+            folder: for tiles that are not in use; None keeps all in memory.
+            exposure: with all views added and solved, in the order in which they are added here; None corrects each
+                view's brightness by those before it.
+            kept_bytes: largest size of the tiles in memory.
+
+        Raises:
+            UavVslamError: the size of a pixel is not positive.
+        """
+        if not m_per_px > 0:
+            raise UavVslamError(f"the mosaic's pixel of {m_per_px} m must have a positive size, for instance 0.1")
+        self.surface, self.m_per_px = surface, m_per_px
+        self.views: list[AddedView] = []
+        self._folder, self._kept_bytes = folder, kept_bytes
+        self._known_exposure, self._exposure = exposure, Exposure()
+        self._considered = 0
+        self._tiles: TileStore | None = None
+
+    @property
+    def tiles(self) -> TileStore:
+        """The tiles so far.
+
+        Raises:
+            UavVslamError: no view was added.
+        """
+        if self._tiles is None:
+            raise UavVslamError("the mosaic is empty: no view saw the surface; check the poses and the surface's frame")
+        return self._tiles
+
+    def add(self, view: View, *, sharpness: float = 1.0) -> AddedView | None:
+        """Merge a view; None if it sees nothing of the surface.
+
+        Args:
+            view: the image, its camera and pose.
+            sharpness: factor of its score, less for a blurred image.
+
+        Raises:
+            UavVslamError: it is grey among views in colour, or the reverse.
+        """
+        considered = self._considered
+        self._considered += 1
+        drawn = rectify(view, self.surface, self.m_per_px, sharpness=sharpness, align=ALIGN, margin=MARGIN)
+        thumb = thumbnail(view, self.surface, self.m_per_px)
+        if drawn is None or thumb is None:
+            return None
+        self._prepare(drawn.image.shape[-1])
+        correction = self._correction(considered, thumb, view.vehicle)
+        touched = self._merge(drawn, correction)
+        added = AddedView(view.vehicle, view.stamp_ns, view.T_map_cam.t, correction, touched)
+        self.views.append(added)
+        return added
+
+    def picture(self, raster: Raster | None = None) -> Picture:
+        """Put a window together; None for all that was seen.
+
+        Raises:
+            UavVslamError: no view was added.
+        """
+        raster = self.seen() if raster is None else raster
+        image = np.zeros((*raster.shape, self._channels), np.uint8)
+        labels = np.full(raster.shape, UNSEEN, np.int32)
+        for strip in raster.tiles(SIDE * STRIP_TILES):
+            part = strip.intersection(raster)
+            at = part.within(raster)
+            image[at], labels[at] = self._window(part)
+        return Picture(raster, image[..., 0] if self._channels == 1 else image, labels)
+
+    def seen(self) -> Raster:
+        """Return the smallest window with all that was seen.
+
+        Raises:
+            UavVslamError: no view was added.
+        """
+        corners: list[tuple[float, float]] = []
+        for raster, labels in self._labels():
+            rows, columns = np.nonzero(labels != UNSEEN)
+            if len(rows):
+                x, y = raster.x[[columns.min(), columns.max()]], raster.y[[rows.min(), rows.max()]]
+                corners += list(zip(x, y, strict=True))
+        return Raster.covering(np.array(corners).reshape(-1, 2), self.m_per_px)
+
+    def shares(self) -> dict[str, float]:
+        """Return each vehicle's share of the picture's pixels."""
+        counts = np.zeros(len(self.views) + 1, int)
+        for _, labels in self._labels():
+            counts += np.bincount(labels.ravel() + 1, minlength=len(counts))
+        shares = dict.fromkeys(sorted({view.vehicle for view in self.views}), 0.0)
+        for view, count in zip(self.views, counts[1:], strict=True):
+            shares[view.vehicle] += float(count / max(counts[1:].sum(), 1))
+        return shares
+
+    @property
+    def _channels(self) -> int:
+        return self.tiles.channels
+
+    def _labels(self) -> Iterator[tuple[Raster, NDArray[np.int32]]]:
+        for raster in self.tiles.rasters(self.m_per_px):
+            tile = self.tiles.get(raster)
+            if tile is not None:
+                yield raster, tile.labels
+
+    def _prepare(self, channels: int) -> None:
+        if self._tiles is None:
+            self._tiles = TileStore(channels, self._folder, kept_bytes=self._kept_bytes)
+        if channels != self._tiles.channels:
+            raise UavVslamError("the mosaic has views in grey and in colour; convert them to one kind")
+
+    def _correction(self, considered: int, thumb: Rectified, camera: str) -> Correction:
+        if self._known_exposure is not None:
+            return self._known_exposure.correction(considered)
+        return self._exposure.add(thumb, camera)
+
+    def _merge(self, drawn: Rectified, correction: Correction) -> int:
+        """Merge a drawn view into the tiles under it; return how many there are."""
+        bands = take_apart(correction.applied(drawn.image, drawn.radius2), drawn.score)
+        touched = 0
+        for raster in drawn.raster.tiles(SIDE):
+            common = raster.intersection(drawn.raster)
+            tile = self.tiles.change(raster)
+            tile.merge(len(self.views), bands, drawn.score, common.within(raster), common.within(drawn.raster))
+            touched += 1
+        return touched
+
+    def _window(self, raster: Raster) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+        """Return image (rows, columns, channels) and labels of a window."""
+        around = _around(raster)
+        bands = [
+            np.zeros((around.rows >> level, around.columns >> level, self._channels), np.float32)
+            for level in range(LEVELS + 1)
+        ]
+        labels = np.full(around.shape, UNSEEN, np.int32)
+        for tile_raster in around.tiles(SIDE):
+            tile = self.tiles.get(tile_raster)
+            if tile is None:
+                continue
+            common = tile_raster.intersection(around)
+            labels[common.within(around)] = tile.labels[common.within(tile_raster)]
+            for level, band in enumerate(bands):
+                at, cut = (_at_level(common.within(window), level) for window in (around, tile_raster))
+                band[at] = tile.coefficients(level)[cut]
+        picture = np.clip(np.rint(put_together(bands)), 0, 255).astype(np.uint8)
+        picture[labels == UNSEEN] = 0
+        inside = raster.within(around)
+        return picture[inside], labels[inside]
+
+
+def _around(raster: Raster) -> Raster:
+    """Return an aligned window that holds all bands that reach into a window."""
+    column, row = ((start - MARGIN) // ALIGN * ALIGN for start in (raster.column, raster.row))
+    columns = -(-(raster.column + raster.columns + MARGIN - column) // ALIGN) * ALIGN
+    rows = -(-(raster.row + raster.rows + MARGIN - row) // ALIGN) * ALIGN
+    return Raster(raster.cell_m, column, row, columns, rows)
+
+
+def _at_level(at: tuple[slice, slice], level: int) -> tuple[slice, slice]:
+    rows, columns = at
+    return slice(rows.start >> level, rows.stop >> level), slice(columns.start >> level, columns.stop >> level)

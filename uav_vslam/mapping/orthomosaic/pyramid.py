@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bands of a rectified view, on grids that are the same for all views and tiles.
+
+Level l has pixels of 2^l. A window whose edges are multiples of 2^LEVELS has the same centres at every level as any
+other, so bands of different views can stand side by side and still add up to a picture without a step [burt83].
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Real = NDArray[np.float32]
+
+LEVELS = 5  # beside the finest
+ALIGN = 2**LEVELS
+MARGIN = 2 * ALIGN  # around what is seen: as far as the coarsest band reaches
+FILLED_WEIGHT = 1e-4  # of a band where the view sees nothing: enough to continue what it saw
+MIXED_POWER = 4  # with which a band's weight falls with the share of it that is not seen
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """A view, taken apart.
+
+    Attributes:
+        coefficients: LEVELS + 1 arrays (rows >> l, columns >> l, channels) float32; the last one is the coarse rest.
+        weights: (rows >> l, columns >> l) float32 each, positive everywhere.
+    """
+
+    coefficients: list[Real]
+    weights: list[Real]
+
+
+def take_apart(image: Real, score: Real) -> Bands:
+    """Return the bands of an image.
+
+    Args:
+        image: (rows, columns, channels) float32; both sides are multiples of ALIGN.
+        score: (rows, columns) float32; 0 where the image is not known.
+    """
+    filled = fill(image, score > 0)
+    coefficients, weights = [], []
+    seen = (score > 0).astype(np.float32)
+    continued = fill(score[..., None], score > 0)[..., 0]
+    for level in range(LEVELS + 1):
+        weights.append(np.maximum(score * seen**MIXED_POWER, np.float32(FILLED_WEIGHT) * continued))
+        if level == LEVELS:
+            coefficients.append(filled)
+            break
+        smaller = _down(filled)
+        coefficients.append(filled - _up(smaller))
+        filled = smaller
+        score, seen, continued = (cv2.pyrDown(a) for a in (score, seen, continued))
+    return Bands(coefficients, weights)
+
+
+def put_together(coefficients: list[Real]) -> Real:
+    """Return the (rows, columns, channels) picture of its bands, finest first."""
+    picture = coefficients[-1]
+    for finer in coefficients[-2::-1]:
+        picture = _up(picture) + finer
+    return picture
+
+
+def fill(image: Real, known: NDArray[np.bool_]) -> Real:
+    """Continue an image smoothly where it is not known, from averages over ever larger surroundings."""
+    if known.all():
+        return image
+    weight = known.astype(np.float32)
+    return _filled(image * weight[..., None], weight)
+
+
+def _filled(weighted: Real, weight: Real) -> Real:
+    if min(weight.shape) <= 2 or float(weight.min()) > 0.5:
+        mean = weighted.sum(axis=(0, 1)) / np.maximum(weight.sum(), np.float32(1e-12))
+        known = np.minimum(weight, 1.0)[..., None]
+        return np.asarray(weighted + (1.0 - known) * mean, dtype=np.float32)
+    coarse_weight = cv2.pyrDown(weight)
+    coarse = _down(weighted)
+    normal = np.where(coarse_weight > 1e-3, 1.0 / np.maximum(coarse_weight, 1e-3), 0.0)
+    known = (coarse_weight > 1e-3).astype(np.float32)
+    behind = _filled(coarse * normal[..., None], known)
+    size = weight.shape[1], weight.shape[0]
+    enlarged = cv2.pyrUp(behind, dstsize=size).reshape(weighted.shape)
+    return np.asarray(weighted + (1.0 - weight[..., None]) * enlarged, dtype=np.float32)
+
+
+def _down(image: Real) -> Real:
+    smaller = cv2.pyrDown(image)
+    return np.asarray(smaller.reshape(*smaller.shape[:2], -1))
+
+
+def _up(image: Real) -> Real:
+    rows, columns = image.shape[:2]
+    return np.asarray(cv2.pyrUp(image, dstsize=(2 * columns, 2 * rows)).reshape(2 * rows, 2 * columns, -1))

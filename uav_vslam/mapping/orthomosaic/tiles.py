@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mosaic's tiles: the last used ones in memory, the others in files.
+
+Fine bands hold the coefficients of the view that sees a spot best, coarse bands the mean over all views, weighted by
+how well each one sees the spot; so detail is never averaged, and brightness has no step. Bands of the best view by tile are those of [bu16], which
+chooses in the coarse ones too.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.orthomosaic.pyramid import LEVELS, Bands
+from uav_vslam.mapping.raster import Raster
+
+Real = NDArray[np.float32]
+Labels = NDArray[np.int32]
+
+SIDE = 256  # pixels, a multiple of 2^LEVELS
+BEST_LEVELS = 3  # finest bands that come from one view
+MEAN_POWER = 2  # of the weight in the mean of the coarse bands
+UNSEEN = -1
+KEPT_BYTES = 256 * 2**20
+
+Key = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """What is known of one tile.
+
+    Attributes:
+        labels: (SIDE, SIDE) int32 number of the view that sees a pixel best; UNSEEN without any.
+        bands: of each level (SIDE >> l, SIDE >> l, channels): coefficients, of the coarse ones times their weight.
+        weights: of each level (SIDE >> l, SIDE >> l): of the best view, of the coarse ones their sum.
+    """
+
+    labels: Labels
+    bands: list[NDArray[np.floating]]
+    weights: list[Real]
+
+    @staticmethod
+    def empty(channels: int) -> "Tile":
+        """Return a tile that nothing was seen of."""
+        kinds = [np.float16 if level < BEST_LEVELS else np.float32 for level in range(LEVELS + 1)]
+        sides = [SIDE >> level for level in range(LEVELS + 1)]
+        return Tile(
+            np.full((SIDE, SIDE), UNSEEN, np.int32),
+            [np.zeros((side, side, channels), kind) for side, kind in zip(sides, kinds, strict=True)],
+            [np.zeros((side, side), np.float32) for side in sides],
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """Size in memory."""
+        return self.labels.nbytes + sum(a.nbytes for a in (*self.bands, *self.weights))
+
+    def merge(self, view: int, bands: Bands, score: Real, at: tuple[slice, slice], cut: tuple[slice, slice]) -> None:
+        """Add a view in place.
+
+        Args:
+            view: its number.
+            bands: of its window.
+            score: (rows, columns) of its window; 0 where it sees nothing.
+            at, cut: slices of the common pixels in the tile and in the window; multiples of 2^LEVELS.
+        """
+        seen = score[cut] > 0
+        for level in range(LEVELS + 1):
+            here, there = _smaller(at, level), _smaller(cut, level)
+            weight, coefficients = bands.weights[level][there], bands.coefficients[level][there]
+            own_weight, own = self.weights[level][here], self.bands[level][here]
+            if level < BEST_LEVELS:
+                better = weight > own_weight
+                if level == 0:
+                    np.copyto(self.labels[here], view, where=better & seen)
+                np.copyto(own_weight, weight, where=better)
+                np.copyto(own, coefficients.astype(np.float16), where=better[..., None])
+            else:
+                weight = weight**MEAN_POWER
+                own_weight += weight
+                own += weight[..., None] * coefficients
+
+    def coefficients(self, level: int) -> Real:
+        """Return the band of a level (SIDE >> level, SIDE >> level, channels) as it adds to the picture."""
+        band = self.bands[level].astype(np.float32)
+        if level < BEST_LEVELS:
+            return band
+        return np.asarray(band / np.maximum(self.weights[level], np.float32(1e-30))[..., None])
+
+
+class TileStore:
+    """Tiles by their column and row; a bounded number in memory, the rest in a folder."""
+
+    def __init__(self, channels: int, folder: Path | None = None, *, kept_bytes: int = KEPT_BYTES) -> None:
+        """Prepare an empty store.
+
+        Args:
+            channels: of the picture.
+            folder: for tiles that are not used; None keeps all in memory.
+            kept_bytes: largest size of the tiles in memory.
+        """
+        self.channels, self._folder = channels, folder
+        self._kept = max(4, kept_bytes // Tile.empty(channels).nbytes)
+        self._tiles: OrderedDict[Key, Tile] = OrderedDict()
+        self._known: dict[Key, None] = {}
+        self._changed: set[Key] = set()
+        self.touched = 0  # tiles written or read since the start
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    @property
+    def in_memory(self) -> int:
+        """Number of tiles in memory."""
+        return len(self._tiles)
+
+    def rasters(self, cell_m: float) -> Iterator[Raster]:
+        """Yield the windows of all tiles that exist, from south to north and west to east."""
+        for column, row in sorted(self._known, key=lambda key: key[::-1]):
+            yield Raster(cell_m, column * SIDE, row * SIDE, SIDE, SIDE)
+
+    def get(self, raster: Raster) -> Tile | None:
+        """Return a tile to read; None if it does not exist."""
+        key = _key(raster)
+        return self._use(key) if key in self._known else None
+
+    def change(self, raster: Raster) -> Tile:
+        """Return a tile to change in place; it is created if need be."""
+        key = _key(raster)
+        self._changed.add(key)
+        return self._use(key)
+
+    def _use(self, key: Key) -> Tile:
+        """Return a tile from memory, its file, or new, and keep it in memory."""
+        self.touched += 1
+        tile = self._tiles.get(key)
+        if tile is None:
+            tile = self._read(key) if key in self._known else Tile.empty(self.channels)
+        self._known[key] = None
+        self._keep(key, tile)
+        return tile
+
+    def _keep(self, key: Key, tile: Tile) -> None:
+        self._tiles[key] = tile
+        self._tiles.move_to_end(key)
+        while self._folder is not None and len(self._tiles) > self._kept:
+            old, unused = self._tiles.popitem(last=False)
+            if old in self._changed:
+                self._write(old, unused)
+
+    def _path(self, key: Key) -> Path:
+        assert self._folder is not None
+        return self._folder / f"{key[0]}_{key[1]}.npz"
+
+    def _write(self, key: Key, tile: Tile) -> None:
+        arrays = {f"band_{level}": band for level, band in enumerate(tile.bands)}
+        arrays |= {f"weight_{level}": weight for level, weight in enumerate(tile.weights)}
+        np.savez(self._path(key), labels=tile.labels, **arrays)  # type: ignore[arg-type]
+        self._changed.discard(key)
+
+    def _read(self, key: Key) -> Tile:
+        path = self._path(key)
+        try:
+            with np.load(path) as arrays:
+                levels = range(LEVELS + 1)
+                return Tile(
+                    arrays["labels"], [arrays[f"band_{i}"] for i in levels], [arrays[f"weight_{i}"] for i in levels]
+                )
+        except (OSError, ValueError, KeyError) as error:
+            raise UavVslamError(f"tile {path} of the mosaic can't be read ({error}); make the map anew") from error
+
+
+def _key(raster: Raster) -> Key:
+    return raster.column // SIDE, raster.row // SIDE
+
+
+def _smaller(at: tuple[slice, slice], level: int) -> tuple[slice, slice]:
+    rows, columns = at
+    return slice(rows.start >> level, rows.stop >> level), slice(columns.start >> level, columns.stop >> level)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which ground a camera sees past the things that stand on it.
+
+From each cell a path runs towards the camera, over the ground, in equal steps. The cell is hidden if the surface is
+higher somewhere along it than the ray to the camera. The walk ends where no ray is below the highest point.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.mapping.raster import Raster
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TOLERANCE_M = 0.3  # by which something must stick out over the ray, above the noise of heights
+WALK_CELL_M = 0.2  # about the length of a step
+
+
+def visible(raster: Raster, heights: NDArray[np.float32], camera_position: Array) -> Mask:
+    """Return (rows, columns): whether the camera sees the centre of each cell.
+
+    Args:
+        raster: the cells.
+        heights: (rows, columns) of the surface [m]; NaN hides nothing and counts as visible.
+        camera_position: (3,) in the map frame [m].
+    """
+    stride = max(1, round(WALK_CELL_M / raster.cell_m))
+    coarse = np.ascontiguousarray(heights[stride // 2 :: stride, stride // 2 :: stride])
+    if coarse.size == 0 or not np.isfinite(coarse).any():
+        return np.ones(raster.shape, bool)
+    x = raster.x[stride // 2 :: stride] - camera_position[0]
+    y = raster.y[stride // 2 :: stride] - camera_position[1]
+    hidden = _hidden(coarse, x, y, float(camera_position[2]), stride * raster.cell_m)
+    hidden = cv2.dilate(hidden.astype(np.uint8), np.ones((5, 5), np.uint8))  # the rim, too
+    return np.asarray(cv2.resize(hidden, raster.shape[::-1], interpolation=cv2.INTER_NEAREST) == 0)
+
+
+def _hidden(heights: NDArray[np.float32], x: Array, y: Array, camera_height_m: float, step_m: float) -> Mask:
+    """Return which cells are hidden; x, y are relative to the camera [m]."""
+    highest = np.float32(np.nanmax(heights))
+    blocking = np.where(np.isfinite(heights), heights, np.float32(-1e9))
+    ground = np.where(np.isfinite(heights), heights, highest)
+    away = np.hypot(x, y[:, None]).astype(np.float32)
+    rise = (camera_height_m - ground) / np.maximum(away, np.float32(step_m))  # of the ray, per metre towards the camera
+    towards_x = (-x / step_m).astype(np.float32) / np.maximum(away, 1e-6) * np.float32(step_m)
+    towards_y = (-y[:, None] / step_m).astype(np.float32) / np.maximum(away, 1e-6) * np.float32(step_m)
+    columns, rows = np.meshgrid(np.arange(len(x), dtype=np.float32), np.arange(len(y), dtype=np.float32))
+    length_m = np.minimum((highest - ground) / np.maximum(rise, 1e-6), away)  # beyond it, the ray passes over all
+    hidden = np.zeros(heights.shape, bool)
+    for step in range(1, int(np.ceil(float(length_m.max()) / step_m)) + 1):
+        met = cv2.remap(
+            blocking,
+            columns + step * towards_x,
+            rows + step * towards_y,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        hidden |= met > ground + rise * np.float32(step * step_m) + np.float32(TOLERANCE_M)
+    return hidden & np.isfinite(heights)
