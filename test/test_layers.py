@@ -35,7 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "pipeline": ESTIMATOR,
     "fleet": ESTIMATOR | {"pipeline"},
     "smoothing": EARLY | {"ins", "estimation", "slam"},  # a finished flight; the estimator does not know it
-    "mapping": EARLY | {"vision"},  # images and poses, from anywhere
+    "mapping": EARLY | {"vision", "evaluation"},  # images and poses, from anywhere; the datum of its files
     # the side branches
     "simulation": EARLY | {"datasets"},  # a simulated flight is recorded as a bag
     "evaluation": EARLY | {"estimation"},
@@ -71,6 +71,9 @@ AT_HOME = {
     "gtsam": {"studies"},  # a reference, no part of the estimator
     "matplotlib": {"report", "studies"},
     "PIL": {"report"},
+    "tifffile": {"mapping"},
+    "trimesh": {"mapping"},
+    "fast_simplification": {"mapping"},
     "pyproj": {"evaluation"},  # geodetic coordinates of exported trajectories
     MESSAGES: {"ros"},
 }

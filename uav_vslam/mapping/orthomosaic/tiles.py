@@ -2,8 +2,8 @@
 """The mosaic's tiles: the last used ones in memory, the others in files.
 
 Fine bands hold the coefficients of the view that sees a spot best, coarse bands the mean over all views, weighted by
-how well each one sees the spot; so detail is never averaged, and brightness has no step. Bands of the best view by tile are those of [bu16], which
-chooses in the coarse ones too.
+how well each one sees the spot; so detail is never averaged, and brightness has no step. [bu16] chooses one view in
+the coarse bands too.
 """
 
 from collections import OrderedDict

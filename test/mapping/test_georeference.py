@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files are read back as a GIS does: by their tags, and PROJ for the projection that these describe."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyproj
+import pytest
+import tifffile
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
+from uav_vslam.mapping.georeference import write_bands, write_picture
+from uav_vslam.mapping.raster import Raster
+
+RASTER = Raster(0.5, -4000, 2000, 300, 200)  # two kilometres west, one north of the datum
+RNG = np.random.default_rng(1)
+IMAGE = RNG.integers(0, 255, (*RASTER.shape, 3)).astype(np.uint8)
+DATUM = Datum(-28.2325, 153.0012, 820.0)
+TURNED = Datum(47.4, 8.5, 400.0, yaw_deg=25.0)
+SPOT = (150, 40)  # row from the south, column
+
+
+def place(path: Path, row: float, column: float) -> tuple[float, float]:
+    """Return longitude and latitude of a pixel's centre, by the file alone."""
+    with tifffile.TiffFile(path) as file:
+        page = file.pages[0]
+        tags = {tag.code: tag.value for tag in page.tags.values()}
+        geo = page.geotiff_tags
+        if 34264 in tags:
+            matrix = np.reshape(tags[34264], (4, 4))
+        else:
+            (sx, sy, _), (_, _, _, x, y, _) = tags[33550], tags[33922]
+            matrix = np.array([[sx, 0, 0, x], [0, -sy, 0, y], [0, 0, 0, 0], [0, 0, 0, 1.0]])
+        assert geo["GTRasterTypeGeoKey"] == 1
+        crs = (
+            f"+proj=tmerc +ellps=WGS84 +units=m +lat_0={geo['ProjNatOriginLatGeoKey']:.10f} "
+            f"+lon_0={geo['ProjNatOriginLongGeoKey']:.10f} +k_0={geo['ProjScaleAtNatOriginGeoKey']:.12f}"
+        )
+    x, y, *_ = matrix @ [column + 0.5, row + 0.5, 0.0, 1.0]
+    return pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(x, y)
+
+
+@pytest.mark.parametrize("datum", [DATUM, TURNED], ids=["north up", "turned"])
+@pytest.mark.parametrize("height_m", [0.0, 12.0])
+def test_a_pixel_of_a_geotiff_is_where_the_datum_puts_it(tmp_path: Path, datum: Datum, height_m: float) -> None:
+    path = write_picture(tmp_path / "orthomosaic", IMAGE, RASTER, datum)
+    row, column = SPOT
+    found = place(path, RASTER.rows - 1 - row, column)
+    lon, lat, _ = to_geodetic(np.array([[RASTER.x[column], RASTER.y[row], height_m]]), datum)[0]
+    east_m = np.deg2rad(found[0] - lon) * 6.38e6 * np.cos(np.deg2rad(lat))
+    north_m = np.deg2rad(found[1] - lat) * 6.38e6
+    assert np.hypot(east_m, north_m) < 0.001 + height_m * 2300.0 / 6.3e6  # what is higher is projected outwards
+    np.testing.assert_array_equal(tifffile.imread(path)[RASTER.rows - 1 - row, column, :3], IMAGE[row, column, ::-1])
+
+
+def test_without_a_datum_a_world_file_places_the_picture(tmp_path: Path) -> None:
+    seen = IMAGE[..., 0] > 30
+    path = write_picture(tmp_path / "orthomosaic", IMAGE, RASTER, seen=seen)
+    a, d, b, e, c, f = map(float, path.with_suffix(".pgw").read_text().split())
+    row, column = SPOT
+    from_top = RASTER.rows - 1 - row
+    assert (a * column + b * from_top + c, d * column + e * from_top + f) == pytest.approx(
+        (RASTER.x[column], RASTER.y[row])
+    )
+    read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[::-1]
+    np.testing.assert_array_equal(read[..., :3], IMAGE)
+    np.testing.assert_array_equal(read[..., 3] > 0, seen)
+
+
+@pytest.mark.parametrize("datum", [DATUM, None], ids=["datum", "map frame"])
+def test_bands_keep_their_names_values_and_gaps(tmp_path: Path, datum: Datum | None) -> None:
+    height = RNG.normal(size=RASTER.shape).astype(np.float32)
+    height[:20, :20] = np.nan
+    count = RNG.integers(0, 9, RASTER.shape).astype(np.uint16)
+    write_bands(tmp_path / "height.tif", {"height": height, "count": count}, RASTER, datum)
+    with tifffile.TiffFile(tmp_path / "height.tif") as file:
+        read = file.asarray()
+        tags = {tag.code: tag.value for tag in file.pages[0].tags.values()}
+    np.testing.assert_array_equal(read[0], height[::-1])
+    np.testing.assert_array_equal(read[1], count[::-1])
+    assert tags[42112].index(">height<") < tags[42112].index(">count<")
+    assert tags[42113] == "nan"
+    assert tags[33922][3:5] == pytest.approx((-2000.0, 1100.0))
+
+
+def test_grey_pictures_have_one_band_and_opacity(tmp_path: Path) -> None:
+    read = tifffile.imread(write_picture(tmp_path / "grey", IMAGE[..., 0], RASTER, DATUM, seen=IMAGE[..., 1] > 100))
+    np.testing.assert_array_equal(read[::-1, :, 0], IMAGE[..., 0])
+    np.testing.assert_array_equal(read[::-1, :, 1] > 0, IMAGE[..., 1] > 100)
+
+
+def test_a_missing_folder_is_one_line(tmp_path: Path) -> None:
+    for datum in (DATUM, None):
+        with pytest.raises(UavVslamError, match="can't be written"):
+            write_picture(tmp_path / "none" / "picture", IMAGE, RASTER, datum)

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rasters as files that a GIS puts in their place.
+
+With a datum, a file is a GeoTIFF in a transverse Mercator projection of its own, centred on the datum, whose scale is
+that of the datum's altitude: within 5 km of it, map and projection agree to a millimetre in the plane, so that no pixel
+has to be resampled. A map that is turned against north gets a turned grid. Without a datum, coordinates are those of
+the map frame. Files have north first; arrays here have south first, as `Raster` has it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.files.geodetic import Datum
+from uav_vslam.mapping.raster import Raster
+
+TILE_PX = 256
+WGS84_A_M, WGS84_F = 6378137.0, 1.0 / 298.257223563
+USER_DEFINED, PROJECTED, AREA, TRANSVERSE_MERCATOR, METRE, WGS84 = 32767, 1, 1, 1, 9001, 4326
+# Tags of GeoTIFF and GDAL, and their TIFF types.
+PIXEL_SCALE, TIE_POINT, TRANSFORMATION, KEYS, DOUBLES, TEXTS, METADATA, NO_DATA = (
+    33550,
+    33922,
+    34264,
+    34735,
+    34736,
+    34737,
+    42112,
+    42113,
+)
+SHORT, DOUBLE, ASCII = 3, 12, 2
+
+
+def write_picture(
+    path: Path,
+    image: NDArray[np.uint8],
+    raster: Raster,
+    datum: Datum | None = None,
+    *,
+    seen: NDArray[np.bool_] | None = None,
+) -> Path:
+    """Write a picture and where it lies: a GeoTIFF with a datum, else PNG with a world file (.pgw).
+
+    Args:
+        path: without a suffix.
+        image: (rows, columns) grey or (rows, columns, 3) BGR.
+        raster: its window of the map frame.
+        datum: of the map frame, if known.
+        seen: (rows, columns); the rest becomes transparent.
+
+    Returns:
+        The picture's path.
+
+    Raises:
+        UavVslamError: the picture can't be written.
+    """
+    opaque = np.full(raster.shape, 255, np.uint8) if seen is None else np.where(seen, 255, 0).astype(np.uint8)
+    channels = [image] if image.ndim == 2 else [image[..., k] for k in range(3)]
+    if datum is not None:
+        stack = np.stack([*channels[::-1], opaque], axis=-1)
+        path = path.with_suffix(".tif")
+        kind = "minisblack" if image.ndim == 2 else "rgb"
+        _write_tiff(path, stack, _tags(raster, datum), photometric=kind, planarconfig="contig")
+        return path
+    path = path.with_suffix(".png")
+    bgr = channels * 3 if image.ndim == 2 else channels
+    if not cv2.imwrite(str(path), np.stack([*bgr, opaque], axis=-1)[::-1]):
+        raise UavVslamError(f"picture {path} can't be written; is the folder there, and the disk not full?")
+    path.with_suffix(".pgw").write_text(world_file(raster), encoding="ascii")
+    return path
+
+
+def write_bands(
+    path: Path, bands: Mapping[str, NDArray[np.generic]], raster: Raster, datum: Datum | None = None
+) -> None:
+    """Write a float32 GeoTIFF of several bands; NaN is no data.
+
+    Args:
+        path: of the file, `.tif`.
+        bands: (rows, columns) each, by name.
+        raster: their window of the map frame.
+        datum: of the map frame, if known.
+
+    Raises:
+        UavVslamError: the file can't be written.
+    """
+    stack = np.stack([np.asarray(band, np.float32) for band in bands.values()])
+    items = [
+        f'<Item name="DESCRIPTION" sample="{k}" role="description">{escape(name)}</Item>'
+        for k, name in enumerate(bands)
+    ]
+    metadata = f"<GDALMetadata>{''.join(items)}</GDALMetadata>"
+    tags = [*_tags(raster, datum), _text(METADATA, metadata), _text(NO_DATA, "nan")]
+    _write_tiff(path, np.moveaxis(stack, 0, -1), tags, photometric="minisblack", planarconfig="separate")
+
+
+def world_file(raster: Raster) -> str:
+    """Return the six lines that place a picture with north first: pixel size, turns, centre of its first pixel."""
+    values = (raster.cell_m, 0.0, 0.0, -raster.cell_m, raster.x[0], raster.y[-1])
+    return "".join(f"{value:.10g}\n" for value in values)
+
+
+def scale_at(datum: Datum) -> float:
+    """Return the projection's scale: one metre of the map is this many metres on the ellipsoid, inverted."""
+    e2 = WGS84_F * (2.0 - WGS84_F)
+    w2 = 1.0 - e2 * np.sin(np.deg2rad(datum.latitude_deg)) ** 2
+    radius_m = WGS84_A_M * np.sqrt(1.0 - e2) / w2  # Gaussian radius of curvature
+    return float(1.0 + datum.altitude_m / radius_m)
+
+
+def _write_tiff(path: Path, stack: NDArray[Any], tags: list[Any], *, photometric: str, planarconfig: str) -> None:
+    """Write (rows, columns, bands) with south first as a tiled, deflated TIFF."""
+    north_first = np.ascontiguousarray(stack[::-1])
+    bands = stack.shape[-1]
+    separate = planarconfig == "separate"
+    colours = 3 if photometric == "rgb" else 1
+    try:
+        tifffile.imwrite(
+            path,
+            np.moveaxis(north_first, -1, 0) if separate else north_first,
+            photometric=photometric,
+            planarconfig=planarconfig,
+            extrasamples=["unspecified"] * (bands - 1) if separate else ["unassalpha"] * (bands - colours),
+            tile=(TILE_PX, TILE_PX),
+            compression="zlib",
+            extratags=tags,
+            metadata=None,
+            software=False,
+        )
+    except OSError as error:
+        raise UavVslamError(f"{path} can't be written: {error.strerror or error}") from error
+
+
+def _tags(raster: Raster, datum: Datum | None) -> list[Any]:
+    """Return the tags that place a raster."""
+    keys, doubles, texts = _keys(datum)
+    placed = [(KEYS, SHORT, len(keys), keys, True), _text(TEXTS, texts)]
+    if doubles:
+        placed.append((DOUBLES, DOUBLE, len(doubles), doubles, True))
+    west, _, _, north = raster.bounds_m
+    size = raster.cell_m
+    if datum is None or datum.yaw_deg == 0.0:
+        corner = (0.0, 0.0, 0.0, west, north, 0.0)
+        return [*placed, (PIXEL_SCALE, DOUBLE, 3, (size, size, 0.0), True), (TIE_POINT, DOUBLE, 6, corner, True)]
+    c, s = np.cos(np.deg2rad(datum.yaw_deg)), np.sin(np.deg2rad(datum.yaw_deg))
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[c * size, s * size], [s * size, -c * size]]  # columns along the map's x, rows against its y
+    matrix[:2, 3] = c * west - s * north, s * west + c * north
+    matrix[2, 2] = 0.0
+    return [*placed, (TRANSFORMATION, DOUBLE, 16, tuple(matrix.ravel()), True)]
+
+
+def _keys(datum: Datum | None) -> tuple[tuple[int, ...], tuple[float, ...], str]:
+    """Return the directory of GeoKeys, its doubles and its texts."""
+    if datum is None:
+        text = "map frame: metres east and north of its origin, without datum|"
+        entries = [(1024, 0, 1, USER_DEFINED), (1025, 0, 1, AREA), (1026, TEXTS, len(text), 0)]
+        return _directory(entries), (), text
+    text = "transverse Mercator centred on the map's datum|"
+    doubles = (datum.longitude_deg, datum.latitude_deg, 0.0, 0.0, scale_at(datum))
+    entries = [
+        (1024, 0, 1, PROJECTED),
+        (1025, 0, 1, AREA),
+        (1026, TEXTS, len(text), 0),
+        (2048, 0, 1, WGS84),
+        (3072, 0, 1, USER_DEFINED),
+        (3073, TEXTS, len(text), 0),
+        (3074, 0, 1, USER_DEFINED),
+        (3075, 0, 1, TRANSVERSE_MERCATOR),
+        (3076, 0, 1, METRE),
+        *((key, DOUBLES, 1, k) for k, key in enumerate((3080, 3081, 3082, 3083, 3092))),
+    ]
+    return _directory(entries), doubles, text
+
+
+def _directory(entries: list[tuple[int, int, int, int]]) -> tuple[int, ...]:
+    return (1, 1, 0, len(entries), *(value for entry in entries for value in entry))
+
+
+def _text(tag: int, text: str) -> Any:
+    return tag, ASCII, len(text) + 1, text, True
