@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GLB and PLY of the model.
+
+PLY has the map's axes (x east, y north, z up) and a colour per vertex. glTF prescribes y up: GLB has x east, y up,
+z south, which three.js and other viewers show upright as it is. Coordinates are metres from the map's origin in both.
+"""
+
+import io
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.model.triangles import Mesh, mesh_of, simplified
+from uav_vslam.mapping.model.walls import wall_colours
+from uav_vslam.mapping.orthomosaic.heights import Heights
+from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic, Picture
+from uav_vslam.mapping.orthomosaic.pyramid import fill
+from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.view import View
+
+Array = NDArray[np.float64]
+
+CELL_M = 0.5
+LARGEST_GLB_BYTES = 3_000_000
+TEXTURE_SHARE = 0.68  # of these
+TRIANGLES = 30_000  # of GLB, about 22 bytes each
+PLY_TRIANGLES = 200_000
+LONGEST_TEXTURE_PX = 4096  # that every graphics card takes
+QUALITIES = (88, 80, 70, 60)
+Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def write_model(
+    surface: Heights,
+    mosaic: Orthomosaic,
+    folder: Path,
+    *,
+    views: Callable[[], Iterable[View]] = list,
+    cell_m: float = CELL_M,
+) -> dict[str, Any]:
+    """Write `model.glb` and `model.ply`.
+
+    Args:
+        surface: heights in the map frame.
+        mosaic: of the same ground.
+        folder: to write to.
+        views: yields the views again, for the colours of walls; by default these get a shade of what is above them.
+        cell_m: side of a cell of the mesh [m].
+
+    Returns:
+        "triangles" and "bytes" of the GLB, and "vehicles": the share of the picture that each one coloured.
+
+    Raises:
+        UavVslamError: the mosaic is empty, no height is known under it, or a file can't be written.
+    """
+    picture = mosaic.picture()
+    west, south, east, north = picture.raster.bounds_m
+    raster = Raster.covering([[west, south], [east - 1e-6, north - 1e-6]], cell_m)
+    heights = surface.height(raster)
+    mesh = mesh_of(heights, raster)
+    if len(mesh.faces) == 0:
+        raise UavVslamError("the model has no triangle: no height is known under the mosaic")
+    colour = _closed(picture)
+    coarse = simplified(mesh, TRIANGLES)
+    walls = coarse.part(coarse.steep)
+    shades = wall_colours(walls, _inside(walls, colour, picture.raster, cell_m), views(), heights, raster)
+    glb = folder / "model.glb"
+    _write(glb, _scene(coarse.part(~coarse.steep), colour, picture.raster, walls, shades).export(file_type="glb"))
+    _write(
+        folder / "model.ply", _coloured(simplified(mesh, PLY_TRIANGLES), colour, picture.raster).export(file_type="ply")
+    )
+    return {"triangles": len(coarse.faces), "bytes": glb.stat().st_size, "vehicles": mosaic.shares()}
+
+
+def _write(path: Path, content: Any) -> None:
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise UavVslamError(f"{path} can't be written: {error.strerror}") from error
+
+
+def _closed(picture: Picture) -> NDArray[np.uint8]:
+    """Return (rows, columns, 3) BGR in which ground that no view shows continues its surroundings."""
+    image = picture.image if picture.image.ndim == 3 else np.repeat(picture.image[..., None], 3, axis=2)
+    return np.clip(np.rint(fill(image.astype(np.float32), picture.seen)), 0, 255).astype(np.uint8)
+
+
+def _inside(walls: Mesh, colour: NDArray[np.uint8], raster: Raster, cell_m: float) -> Array:
+    """Return (F, 3) colours of what is above each wall, one cell behind its face."""
+    centres = walls.vertices[walls.faces].mean(axis=1) - cell_m * walls.normals
+    return _looked_up(colour, raster, centres)
+
+
+def _looked_up(colour: NDArray[np.uint8], raster: Raster, points: Array) -> Array:
+    row, column = (np.rint(k).astype(int) for k in raster.index(points))
+    found = colour[np.clip(row, 0, raster.rows - 1), np.clip(column, 0, raster.columns - 1)]
+    return np.asarray(found, dtype=float)
+
+
+def _scene(ground: Mesh, colour: NDArray[np.uint8], raster: Raster, walls: Mesh, shades: Array) -> trimesh.Scene:
+    scene = trimesh.Scene()
+    if len(ground.faces):
+        scene.add_geometry(_textured(ground, colour, raster), geom_name="ground", node_name="ground")
+    if len(walls.faces):
+        corners = Mesh(walls.vertices[walls.faces].reshape(-1, 3), np.arange(walls.faces.size).reshape(-1, 3))
+        rgba = _rgba(np.repeat(shades, 3, axis=0))
+        made = trimesh.Trimesh(corners.vertices, corners.faces, vertex_colors=rgba, process=False)
+        scene.add_geometry(made, geom_name="walls", node_name="walls")
+    scene.apply_transform(Y_UP)
+    return scene
+
+
+def _textured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster) -> trimesh.Trimesh:
+    west, south, east, north = raster.bounds_m
+    uv = (mesh.vertices[:, :2] - [west, south]) / [east - west, north - south]
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=_texture(colour), metallicFactor=0.0, roughnessFactor=1.0
+    )
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
+
+
+def _texture(colour: NDArray[np.uint8]) -> PillowImage.Image:
+    """Return the picture as a JPEG of north first, as good as its share of the file allows."""
+    north_first = colour[::-1]
+    scale = min(1.0, LONGEST_TEXTURE_PX / max(north_first.shape[:2]))
+    while True:
+        size = max(1, round(colour.shape[1] * scale)), max(1, round(colour.shape[0] * scale))
+        smaller = cv2.resize(north_first, size, interpolation=cv2.INTER_AREA)
+        for quality in QUALITIES:
+            _, data = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, quality])
+            if len(data) <= TEXTURE_SHARE * LARGEST_GLB_BYTES:
+                return PillowImage.open(io.BytesIO(data.tobytes()))
+        scale *= 0.8
+
+
+def _coloured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster) -> trimesh.Trimesh:
+    rgba = _rgba(_looked_up(colour, raster, mesh.vertices))
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=rgba, process=False)
+
+
+def _rgba(bgr: Array) -> NDArray[np.uint8]:
+    opaque = np.full((len(bgr), 1), 255.0)
+    return np.clip(np.rint(np.hstack([bgr[:, ::-1], opaque])), 0, 255).astype(np.uint8)
