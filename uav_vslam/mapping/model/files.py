@@ -28,12 +28,12 @@ from uav_vslam.mapping.view import View
 Array = NDArray[np.float64]
 
 CELL_M = 0.5
+HIDDEN_M = 6.0  # width of hidden ground that still belongs to the model
 LARGEST_GLB_BYTES = 3_000_000
 TEXTURE_SHARE = 0.68  # of these
 TRIANGLES = 30_000  # of GLB, about 22 bytes each
 PLY_TRIANGLES = 200_000
 LONGEST_TEXTURE_PX = 4096  # that every graphics card takes
-QUALITIES = (88, 80, 70, 60)
 Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -63,7 +63,7 @@ def write_model(
     picture = mosaic.picture()
     west, south, east, north = picture.raster.bounds_m
     raster = Raster.covering([[west, south], [east - 1e-6, north - 1e-6]], cell_m)
-    heights = surface.height(raster)
+    heights = np.where(_shown(picture, raster), surface.height(raster), np.float32(np.nan))
     mesh = mesh_of(heights, raster)
     if len(mesh.faces) == 0:
         raise UavVslamError("the model has no triangle: no height is known under the mosaic")
@@ -84,6 +84,19 @@ def _write(path: Path, content: Any) -> None:
         path.write_bytes(content)
     except OSError as error:
         raise UavVslamError(f"{path} can't be written: {error.strerror}") from error
+
+
+def _shown(picture: Picture, raster: Raster) -> NDArray[np.bool_]:
+    """Return (rows, columns) which cells the picture shows, or hides behind what stands among them."""
+    row, column = (np.clip(np.rint(k).astype(int), 0, None) for k in picture.raster.index(_centres(raster)))
+    rows, columns = picture.seen.shape
+    seen = picture.seen[np.minimum(row, rows - 1), np.minimum(column, columns - 1)].astype(np.uint8)
+    side = 2 * round(0.5 * HIDDEN_M / raster.cell_m) + 1
+    return cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)) > 0
+
+
+def _centres(raster: Raster) -> Array:
+    return np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
 
 
 def _closed(picture: Picture) -> NDArray[np.uint8]:
@@ -121,24 +134,26 @@ def _textured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster) -> trimesh.
     west, south, east, north = raster.bounds_m
     uv = (mesh.vertices[:, :2] - [west, south]) / [east - west, north - south]
     material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=_texture(colour), metallicFactor=0.0, roughnessFactor=1.0
+        baseColorTexture=_texture(colour), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
     )
     visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
     return trimesh.Trimesh(mesh.vertices, mesh.faces, visual=visual, process=False)
 
 
 def _texture(colour: NDArray[np.uint8]) -> PillowImage.Image:
-    """Return the picture as a JPEG of north first, as good as its share of the file allows."""
-    north_first = colour[::-1]
-    scale = min(1.0, LONGEST_TEXTURE_PX / max(north_first.shape[:2]))
+    """Return the picture with north first, as large as its share of the file allows once trimesh writes it as JPEG."""
+    rgb = np.ascontiguousarray(colour[::-1, :, ::-1])
+    scale = min(1.0, LONGEST_TEXTURE_PX / max(rgb.shape[:2]))
     while True:
-        size = max(1, round(colour.shape[1] * scale)), max(1, round(colour.shape[0] * scale))
-        smaller = cv2.resize(north_first, size, interpolation=cv2.INTER_AREA)
-        for quality in QUALITIES:
-            _, data = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, quality])
-            if len(data) <= TEXTURE_SHARE * LARGEST_GLB_BYTES:
-                return PillowImage.open(io.BytesIO(data.tobytes()))
-        scale *= 0.8
+        size = max(1, round(rgb.shape[1] * scale)), max(1, round(rgb.shape[0] * scale))
+        data = io.BytesIO()
+        PillowImage.fromarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)).save(data, format="JPEG", quality=95)
+        made = PillowImage.open(data)
+        again = io.BytesIO()
+        made.save(again, format="JPEG")
+        if again.tell() <= TEXTURE_SHARE * LARGEST_GLB_BYTES:
+            return made
+        scale *= 0.85
 
 
 def _coloured(mesh: Mesh, colour: NDArray[np.uint8], raster: Raster) -> trimesh.Trimesh:

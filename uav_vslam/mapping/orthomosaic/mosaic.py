@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +26,7 @@ from uav_vslam.mapping.view import View
 
 Array = NDArray[np.float64]
 
+GAP_M = 0.6  # width of gaps across which what is around them continues
 STRIP_TILES = 4  # tiles that are put together at a time
 
 
@@ -222,10 +224,21 @@ class Orthomosaic:
             for level, band in enumerate(bands):
                 at, cut = (_at_level(common.within(window), level) for window in (around, tile_raster))
                 band[at] = tile.coefficients(level)[cut]
+        labels = _without_gaps(labels, round(GAP_M / self.m_per_px))
         picture = np.clip(np.rint(put_together(bands)), 0, 255).astype(np.uint8)
         picture[labels == UNSEEN] = 0
         inside = raster.within(around)
         return picture[inside], labels[inside]
+
+
+def _without_gaps(labels: NDArray[np.int32], width_px: int) -> NDArray[np.int32]:
+    """Return the labels with those of their surroundings in unseen gaps of at most this width."""
+    if width_px < 1:
+        return labels
+    kernel = np.ones((width_px + 1, width_px + 1), np.uint8)
+    closed = cv2.morphologyEx((labels != UNSEEN).astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
+    nearby = cv2.dilate(labels.astype(np.float32), kernel).astype(np.int32)  # exact below 2^24 views
+    return np.where(closed & (labels == UNSEEN), nearby, labels)
 
 
 def _around(raster: Raster) -> Raster:
