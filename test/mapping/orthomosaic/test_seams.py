@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flown_scene import Scene
+
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.mapping.orthomosaic import Orthomosaic
+from uav_vslam.mapping.orthomosaic.seams import seams
+from uav_vslam.mapping.view import View
+
+RNG = np.random.default_rng(4)
+GRAIN = RNG.uniform(40.0, 200.0, (400, 400))
+
+
+def grain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return square patches of 0.3 m in random grey."""
+    column, row = (np.floor(k / 0.3).astype(int) + 200 for k in (x, y))
+    return GRAIN[np.clip(row, 0, 399), np.clip(column, 0, 399)]
+
+
+SCENE = Scene(colour=grain)
+VIEWS = [SCENE.view((x, 0.0, 30.0), stamp_ns=round(x)) for x in (0.0, 9.0)]
+
+
+def moved(view: View, east_m: float) -> View:
+    return replace(view, T_map_cam=Pose(view.T_map_cam.R, view.T_map_cam.t + np.array([east_m, 0.0, 0.0])))
+
+
+@pytest.mark.parametrize("error_m", [0.0, 0.3, -0.12])
+def test_a_wrong_pose_shows_as_the_shift_across_its_seam(error_m: float) -> None:
+    views = [VIEWS[0], moved(VIEWS[1], error_m)]
+    mosaic = Orthomosaic(SCENE, 0.1)
+    for view in views:
+        mosaic.add(view)
+    found = seams(mosaic, views)
+    assert len(found.points) >= 3
+    np.testing.assert_allclose(found.points[:, 0], 4.5, atol=0.5)
+    np.testing.assert_allclose(found.shifts_px, np.tile([error_m / 0.1, 0.0], (len(found.points), 1)), atol=0.15)
+    assert found.figures()["median_px"] == pytest.approx(abs(error_m) / 0.1, abs=0.12)
+    assert found.figures()["p90_step"] < 0.02
+
+
+def test_one_view_has_no_seam() -> None:
+    mosaic = Orthomosaic(SCENE, 0.1)
+    mosaic.add(VIEWS[0])
+    found = seams(mosaic, VIEWS)
+    assert len(found.points) == 0
+    assert np.isnan(found.figures()["median_px"])

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from flown_scene import CAMERA, Scene
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.homography_chain import chain_homographies, chained_mosaic
+
+RNG = np.random.default_rng(2)
+GRAIN = RNG.uniform(40.0, 200.0, (300, 300))
+
+
+def grain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    column, row = (np.floor(k / 0.8).astype(int) + 150 for k in (x, y))
+    return GRAIN[np.clip(row, 0, 299), np.clip(column, 0, 299)]
+
+
+SCENE = Scene(colour=grain)
+VIEWS = [SCENE.view((5.0 * k, 0.0, 30.0), (2.0 * k, -k, 3.0 * k)) for k in range(4)]
+IMAGES = [view.image for view in VIEWS]
+
+
+def plane_to_pixels(view) -> np.ndarray:
+    """Return the homography from x, y of the plane z = 0 to pixels."""
+    T = view.T_map_cam.inverse()
+    return CAMERA.K @ np.column_stack([T.R[:, 0], T.R[:, 1], T.t])
+
+
+def test_over_a_plane_the_chain_is_the_true_homography() -> None:
+    found = chain_homographies(IMAGES)
+    pixels = np.array([[20.0, 20.0, 1.0], [300.0, 30.0, 1.0], [160.0, 220.0, 1.0]]).T
+    for view, H in zip(VIEWS, found, strict=True):
+        true = plane_to_pixels(VIEWS[0]) @ np.linalg.inv(plane_to_pixels(view)) @ pixels
+        chained = H @ pixels
+        np.testing.assert_allclose(chained[:2] / chained[2], true[:2] / true[2], atol=1.0)
+
+
+def test_images_are_drawn_to_scale_and_later_ones_on_top() -> None:
+    to_map = [np.linalg.inv(plane_to_pixels(view)) for view in VIEWS]
+    chained = chained_mosaic(IMAGES, to_map, 0.1)
+    error = (chained.image - SCENE.truth(chained.raster))[chained.labels >= 0]
+    assert np.median(np.abs(error)) < 3.0
+    row, column = (int(k) for k in chained.raster.index([13.0, 0.0]))
+    assert chained.labels[row, column] == 3
+
+
+def test_images_without_a_common_place_are_named() -> None:
+    with pytest.raises(UavVslamError, match="images 0 and 1 have"):
+        chain_homographies([IMAGES[0], SCENE.view((90.0, 60.0, 30.0)).image])

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The thesis's mosaic, section 5.5 of [thesis], as a baseline: neighbouring images joined by homographies.
+
+SIFT points of consecutive images are matched, RANSAC finds the homography between the two, and the product of all maps
+each image onto the first one. Errors accumulate along the chain, and ground that is not a plane does not fit. Later
+images cover earlier ones, without blending.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FrontendConfig
+from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.view import Image
+from uav_vslam.vision.features.base import Keypoints
+from uav_vslam.vision.features.sift import SiftExtractor
+from uav_vslam.vision.matching.nn_ratio import nn_mutual
+from uav_vslam.vision.matching.ransac import same_homography
+
+Array = NDArray[np.float64]
+
+FEATURES = 2000
+RATIO = 0.8
+LEAST_MATCHES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Chained:
+    """A mosaic of a chain.
+
+    Attributes:
+        raster: its window; arrays have south first.
+        image: (rows, columns) or (rows, columns, 3) uint8, 0 where nothing was seen.
+        labels: (rows, columns) int32 number of the image that a pixel comes from, -1 for none.
+    """
+
+    raster: Raster
+    image: NDArray[np.uint8]
+    labels: NDArray[np.int32]
+
+
+def chain_homographies(images: Iterable[Image]) -> list[Array]:
+    """Return (3, 3) homographies from the pixels of each image to those of the first.
+
+    Raises:
+        UavVslamError: two consecutive images have too little in common.
+    """
+    extractor = SiftExtractor(FrontendConfig(max_features=FEATURES))
+    found: list[Array] = []
+    before: Keypoints | None = None
+    for image in images:
+        points = extractor.detect(image)
+        found.append(found[-1] @ _between(points, before, len(found)) if before is not None else np.eye(3))
+        before = points
+    return found
+
+
+def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float) -> Chained:
+    """Draw images on a plane, later ones over earlier ones.
+
+    Args:
+        images: as many as there are homographies, all of one size.
+        to_map: (3, 3) homographies from pixels to x, y of the map [m].
+        m_per_px: side of a pixel of the mosaic [m].
+    """
+    raster, picture, labels = Raster(m_per_px, 0, 0, 0, 0), np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.int32)
+    for number, (image, H) in enumerate(zip(images, to_map, strict=True)):
+        if number == 0:
+            raster = _window(to_map, image, m_per_px)
+            picture = np.zeros((*raster.shape, *image.shape[2:]), np.uint8)
+            labels = np.full(raster.shape, -1, np.int32)
+        west, south, _, _ = raster.bounds_m
+        place = np.array([[1 / m_per_px, 0.0, -west / m_per_px - 0.5], [0.0, 1 / m_per_px, -south / m_per_px - 0.5]])
+        warp = np.vstack([place, [0.0, 0.0, 1.0]]) @ H
+        size = raster.shape[::-1]
+        drawn = cv2.warpPerspective(image, warp, size, flags=cv2.INTER_LINEAR)
+        seen = cv2.warpPerspective(np.ones(image.shape[:2], np.uint8), warp, size, flags=cv2.INTER_NEAREST) > 0
+        picture[seen], labels[seen] = drawn[seen], number
+    return Chained(raster, picture, labels)
+
+
+def _between(points: Keypoints, before: Keypoints, number: int) -> Array:
+    """Return the homography from an image to the one before."""
+    pairs = nn_mutual(points, before, RATIO)
+    a, b = points.pixels[pairs[:, 0]], before.pixels[pairs[:, 1]]
+    agreeing = same_homography(a, b)
+    if len(agreeing) < LEAST_MATCHES:
+        raise UavVslamError(
+            f"images {number - 1} and {number} have {len(agreeing)} points in common, a chain of homographies needs "
+            f"{LEAST_MATCHES}; take images that overlap more"
+        )
+    H, _ = cv2.findHomography(a[agreeing], b[agreeing], 0)
+    return np.asarray(H)
+
+
+def _window(to_map: list[Array], image: Image, m_per_px: float) -> Raster:
+    rows, columns = image.shape[:2]
+    corners = np.array([[[0, 0], [columns - 1, 0], [columns - 1, rows - 1], [0, rows - 1]]], float)
+    return Raster.covering(np.concatenate([cv2.perspectiveTransform(corners, H)[0] for H in to_map]), m_per_px)
