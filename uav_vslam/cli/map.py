@@ -29,8 +29,8 @@ EXAMPLES = """examples:
   uav-vslam map results/latest --bags moved/flight    the recordings have moved since
 
 One vehicle is mapped with its smoothed poses; several with those moved to where the fused ones are (C-SLAM), in the
-map frame that they share. The height's sigma is that given the poses. RESULT/map/ holds height.png, map.json and the
-tiles of the height grid.
+map frame that they share. The height's sigma is that given the poses. RESULT/map/ holds height.png, height.tif,
+the orthomosaic (PNG with a world file), the textured model (GLB, PLY), map.json and the tiles of the height grid.
 """
 
 
@@ -72,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
 def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
     """Map flights into a new folder, print what was found, and return the number of cells with a height."""
+    from uav_vslam.cli.map_picture import write_picture_and_model
     from uav_vslam.evaluation.output import write_json
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.summary import map_figures
@@ -89,6 +90,10 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
     grid.flush()
     tree = map_figures(grid, overlap, mapper.views)
     tree["surface"] |= {"pairs": mapper.pairs, "refused_pairs": dict(mapper.refused)}
+    if grid.extent.columns:
+        tree |= write_picture_and_model(flights, grid, folder)
+        for vehicle, share in tree.pop("shares").items():
+            tree["vehicles"][vehicle]["share"] = share
     write_json(folder / FIGURES, tree)
     _draw(grid, overlap, folder)
     print_map(tree, _times_ms(mapper))

@@ -187,6 +187,17 @@ def test_nothing_seen_is_an_error_that_says_what_to_check() -> None:
         Orthomosaic(PLAIN, 0.0)
 
 
+def test_ground_of_unknown_height_is_left_out_and_disturbs_nothing() -> None:
+    partly = Scene(lambda x, y: np.where((x > 4.0) | (np.hypot(x, y) < 1.0), np.nan, 0.0))
+    mosaic = blended_mosaic(lambda: ALONG, partly, M_PER_PX)
+    picture = mosaic.picture()
+    x, y = np.meshgrid(picture.raster.x, picture.raster.y)
+    assert picture.raster.bounds_m[2] == pytest.approx(4.0, abs=0.11)
+    assert not picture.seen[np.hypot(x, y) < 0.6].any()
+    error = (picture.image - PLAIN.truth(picture.raster))[picture.seen]
+    assert np.sqrt(np.mean(error**2)) < 1.5
+
+
 def test_shares_count_the_pixels_of_each_vehicle() -> None:
     mosaic = Orthomosaic(PLAIN, M_PER_PX)
     for vehicle, view in zip(("uav1", "uav2", "uav2"), ALONG, strict=True):

@@ -69,7 +69,7 @@ def fill(image: Real, known: NDArray[np.bool_]) -> Real:
     if known.all():
         return image
     weight = known.astype(np.float32)
-    return _filled(image * weight[..., None], weight)
+    return _filled(np.where(known[..., None], image, np.float32(0.0)), weight)
 
 
 def _filled(weighted: Real, weight: Real) -> Real:

@@ -65,7 +65,7 @@ def rectify(
     ground_m_per_px = float(np.median(depth[score > 0])) / view.camera.fx
     image = _drawn(view.image, u, v, ground_m_per_px * OVERSAMPLING / m_per_px)
     radius2 = ((u - view.camera.cx) / view.camera.fx) ** 2 + ((v - view.camera.cy) / view.camera.fy) ** 2
-    return Rectified(raster, image, score, radius2.astype(np.float32))
+    return Rectified(raster, image, score, np.nan_to_num(radius2.astype(np.float32)))
 
 
 def sharpness_of(image: Image) -> float:

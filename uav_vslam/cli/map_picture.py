@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The orthomosaic and the model of `uav-vslam map`, over its height grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uav_vslam.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from uav_vslam.cli.map_inputs import MappedFlight
+    from uav_vslam.mapping.surface.grid import HeightGrid
+    from uav_vslam.mapping.view import View
+
+M_PER_PX = 0.1
+PASSES = 3  # over the key frames: brightness, picture, seams and walls
+
+
+def write_picture_and_model(
+    flights: list[MappedFlight], grid: HeightGrid, folder: Path, *, m_per_px: float = M_PER_PX
+) -> dict[str, Any]:
+    """Write `height.tif`, the orthomosaic and the model; return their parts of `map.json`.
+
+    Raises:
+        UavVslamError: no view shows the surface.
+    """
+    from uav_vslam.mapping.georeference import write_bands
+    from uav_vslam.mapping.model import write_model
+    from uav_vslam.mapping.orthomosaic import blended_mosaic
+    from uav_vslam.mapping.orthomosaic.heights import GridHeights
+    from uav_vslam.mapping.orthomosaic.output import write_orthomosaic
+    from uav_vslam.mapping.orthomosaic.seams import seams
+
+    write_bands(folder / "height.tif", _bands(grid), grid.extent)
+    stamps = _key_frames(flights, grid)
+    surface = GridHeights(grid)
+    with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
+        views = _counted(flights, stamps, advance)
+        mosaic = blended_mosaic(lambda: _chosen(flights, stamps), surface, m_per_px, on_view=advance)
+        found = seams(mosaic, views()).figures()
+    written = write_orthomosaic(mosaic, folder)
+    model = write_model(surface, mosaic, folder, views=lambda: _chosen(flights, stamps), cell_m=grid.cell_m)
+    shares = {name: vehicle["share"] for name, vehicle in written.pop("vehicles").items()}
+    finite = {name: value for name, value in found.items() if np.isfinite(value)}
+    picture = written | {"seam_px": finite.get("median_px"), "seam_p90_px": finite.get("p90_px")}
+    return {"orthomosaic": picture, "model": {key: model[key] for key in ("triangles", "bytes")}, "shares": shares}
+
+
+def _bands(grid: HeightGrid) -> dict[str, np.ndarray]:
+    window = grid.window(grid.extent)
+    return {
+        "height": window.height,
+        "sigma": window.sigma,
+        "count": window.count,
+        "view angle": window.angle,
+        "filled": window.filled,
+    }
+
+
+def _key_frames(flights: list[MappedFlight], grid: HeightGrid) -> set[tuple[str, int]]:
+    """Return vehicle and stamp of the views that the picture is made of."""
+    from uav_vslam.mapping.orthomosaic import KeyFrames
+
+    ground_m = float(np.nanmedian(grid.height(grid.extent))) if grid.extent.columns else 0.0
+    chosen: set[tuple[str, int]] = set()
+    with progress_bar("key frames", sum(len(flight) for flight in flights)) as advance:
+        for flight in flights:
+            keys = KeyFrames()
+            for view in flight.views():
+                if keys.takes(view, ground_m):
+                    chosen.add((view.vehicle, view.stamp_ns))
+                advance()
+    return chosen
+
+
+def _chosen(flights: list[MappedFlight], stamps: set[tuple[str, int]]) -> Iterator[View]:
+    """Yield the chosen views; no other images are read."""
+    for flight in flights:
+        name = flight.flight.vehicle
+        yield from replace(flight, poses={k: T for k, T in flight.poses.items() if (name, k) in stamps}).views()
+
+
+def _counted(
+    flights: list[MappedFlight], stamps: set[tuple[str, int]], advance: Callable[..., None]
+) -> Callable[[], Iterator[View]]:
+    """Return a source of the chosen views that advances the bar with each one."""
+
+    def views() -> Iterator[View]:
+        for view in _chosen(flights, stamps):
+            yield view
+            advance()
+
+    return views
