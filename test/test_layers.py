@@ -92,6 +92,8 @@ AT_HOME_FILES = {
         "cli/simulate.py",
         "cli/bench.py",
         "studies/bench/compute.py",
+        "studies/orthomosaic/displacement.py",  # measures
+        "studies/orthomosaic/stitcher.py",  # the reference
         "studies/bench/recordings.py",
         "studies/surface/compute.py",
         "ros/runtime.py",

@@ -29,6 +29,7 @@ SMALL = {
     "recordings": ["--seeds", "1", "--frames", "6"],
     "perturbed": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
     "surface": ["--seeds", "1", "--frames", "8", "--bare"],
+    "orthomosaic": ["--seeds", "1", "--frames", "12", "--m-per-px", "0.3"],
 }
 LARGEST_PAGE_BYTES = 8_000_000
 PICTURES = {
@@ -44,6 +45,7 @@ PICTURES = {
     "association": {"association.png", "matching.png"},
     "recordings": set(),
     "surface": set(),
+    "orthomosaic": {"orthomosaic.png"},
     "perturbed": {"perturbed.png", "nees_landmark_level.png", "nees_rendered_images.png"},
 }
 

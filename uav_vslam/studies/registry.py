@@ -14,6 +14,7 @@ from uav_vslam.studies import (
     live,
     long,
     models,
+    orthomosaic,
     outliers,
     perturbed,
     radio,
@@ -50,4 +51,5 @@ STUDIES: dict[str, Study] = {
     "start": start.STUDY,
     "recordings": recordings.STUDY,
     "surface": surface.STUDY,
+    "orthomosaic": orthomosaic.STUDY,
 }

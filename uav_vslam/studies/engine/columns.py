@@ -194,6 +194,18 @@ COLUMNS: dict[str, str] = {
     "true_deg": "the same",
     "true_worst_m": "the same, worst run",
     "true_worst_deg": "the same, worst run",
+    # pictures of the ground
+    "place_rms_m": "distance between where the picture shows ground and where it is",
+    "place_worst_m": "the same, worst run",
+    "place_rigid_rms_m": "the same after the best rigid motion in the plane",
+    "place_rigid_worst_m": "the same, worst run",
+    "found_share": "of the patches, found in the true picture",
+    "brightness_spread": "standard deviation of the patches' brightness over the truth's",
+    "seam_median_px": "shift of the views that meet at a seam, in pixels of the picture, median",
+    "seam_p90_px": "the same, 90th percentile",
+    "seam_step": "step of their brightness, share, median",
+    "key_frames": "views that the picture is made of",
+    "ms_per_key_frame": "processor time of one, without mapping the surface",
     # the estimated start
     "start_velocity_rms_m_per_s": "error",
     "start_tilt_rms_deg": "error",

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a picture of the ground shows what is elsewhere: patches of it against the true picture.
+
+A patch's displacement is found by phase correlation; the truth is drawn again where the patch seems to belong, until
+the rest is less than half a pixel. Each patch begins with the displacement of its nearest neighbour, so that errors
+much larger than a patch are followed as long as they grow slowly.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.alignment import align_yaw
+from uav_vslam.mapping.raster import Raster
+
+Array = NDArray[np.float64]
+TruePicture = Callable[[Array, Array], NDArray[np.floating]]  # x, y [m] to grey levels
+
+PATCH_PX = 96
+SPACING_PX = 96
+SUBSAMPLES = 2  # of the truth, along each side of a pixel
+ROUNDS = 5
+LEAST_RESPONSE = 0.25
+SETTLED_PX = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Displacements:
+    """Patches of a picture that were found in the truth.
+
+    Attributes:
+        points: (N, 2) true x, y [m].
+        errors: (N, 2) of the picture's x, y [m].
+        brightness: (N,) mean of the patch over the truth's.
+        patches: number of all patches.
+    """
+
+    points: Array
+    errors: Array
+    brightness: Array
+    patches: int
+
+    def rms_m(self) -> float:
+        """Return the root mean square distance [m]."""
+        return float(np.sqrt(np.mean(np.sum(self.errors**2, axis=1))))
+
+    def rigid_rms_m(self) -> float:
+        """Return the same after the best rigid motion in the plane [m]."""
+        truth = np.pad(self.points, ((0, 0), (0, 1)))
+        drawn = np.pad(self.points + self.errors, ((0, 0), (0, 1)))
+        rest = align_yaw(drawn, truth).apply(drawn) - truth
+        return float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
+
+
+def displacements(
+    image: NDArray[np.uint8], seen: NDArray[np.bool_], raster: Raster, truth: TruePicture, start: tuple[float, float]
+) -> Displacements:
+    """Measure a picture.
+
+    Args:
+        image: (rows, columns) grey or (rows, columns, 3) BGR, south first.
+        seen: (rows, columns).
+        raster: its window of the map.
+        truth: the true picture.
+        start: x, y [m] from which patches are searched outwards.
+    """
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    corners = [
+        (row, column)
+        for row in range(0, raster.rows - PATCH_PX + 1, SPACING_PX)
+        for column in range(0, raster.columns - PATCH_PX + 1, SPACING_PX)
+        if seen[row : row + PATCH_PX, column : column + PATCH_PX].all()
+    ]
+    windows = [Raster(raster.cell_m, raster.column + c, raster.row + r, PATCH_PX, PATCH_PX) for r, c in corners]
+    middles = np.array([[w.x.mean(), w.y.mean()] for w in windows]).reshape(-1, 2)
+    points: list[Array] = []
+    errors: list[Array] = []
+    brightness: list[float] = []
+    for k in np.argsort(np.linalg.norm(middles - start, axis=1), kind="stable"):
+        guess = np.zeros(2)
+        if points:
+            guess = errors[int(np.argmin(np.linalg.norm(np.array(points) - middles[k], axis=1)))]
+        row, column = corners[k]
+        patch = grey[row : row + PATCH_PX, column : column + PATCH_PX].astype(np.float32)
+        found = _displacement(patch, windows[k], truth, guess)
+        if found is not None:
+            points.append(middles[k])
+            errors.append(found[0])
+            brightness.append(found[1])
+    moved = np.array(errors).reshape(-1, 2)
+    return Displacements(np.array(points).reshape(-1, 2) - moved, moved, np.array(brightness), len(corners))
+
+
+def _displacement(
+    patch: NDArray[np.float32], window: Raster, truth: TruePicture, guess: Array
+) -> tuple[Array, float] | None:
+    """Return the patch's error [m] and brightness over the truth's; None where it is not found."""
+    hanning = cv2.createHanningWindow((PATCH_PX, PATCH_PX), cv2.CV_32F)
+    error = np.asarray(guess, float).copy()
+    for _ in range(ROUNDS):
+        true = _drawn(truth, window, error)
+        shift, response = cv2.phaseCorrelate(true, patch, hanning)
+        error = error + np.array(shift) * window.cell_m
+        if np.hypot(*shift) < SETTLED_PX:
+            return (error, float(patch.mean() / max(true.mean(), 1.0))) if response > LEAST_RESPONSE else None
+    return None
+
+
+def _drawn(truth: TruePicture, window: Raster, error: Array) -> NDArray[np.float32]:
+    """Return the true picture that a patch shows if the picture is displaced by `error` there."""
+    n = SUBSAMPLES
+    fine = Raster(window.cell_m / n, window.column * n, window.row * n, window.columns * n, window.rows * n)
+    grey = np.asarray(truth(*np.meshgrid(fine.x - error[0], fine.y - error[1])), np.float32)
+    return np.asarray(cv2.resize(grey, (window.columns, window.rows), interpolation=cv2.INTER_AREA))

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OpenCV's stitcher for flat scenes (SCANS: affine motion, gain blocks, graph-cut seams, multi-band blending)."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FrontendConfig
+from uav_vslam.mapping.view import Image
+from uav_vslam.vision.features.sift import SiftExtractor
+from uav_vslam.vision.matching.nn_ratio import nn_mutual
+from uav_vslam.vision.matching.ransac import same_homography
+
+Array = NDArray[np.float64]
+
+SCALE = 0.5  # of the images that it is given
+FEATURES = 4000
+FEATURES_OF_PICTURE = 20000
+RATIO = 0.8
+
+
+def stitched(images: Sequence[Image]) -> tuple[Image, Array] | None:
+    """Return the stitcher's picture and the (3, 3) affinity from the first image's pixels to it; None if it fails."""
+    small = [cv2.resize(image, None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_AREA) for image in images]
+    stitcher = cv2.Stitcher.create(cv2.Stitcher_SCANS)
+    stitcher.setPanoConfidenceThresh(0.3)
+    status, picture = stitcher.stitch([cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in small])
+    if status != cv2.Stitcher_OK:
+        return None
+    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    extractor = SiftExtractor(FrontendConfig(max_features=FEATURES))
+    first, whole = (
+        extractor.detect(images[0]),
+        SiftExtractor(FrontendConfig(max_features=FEATURES_OF_PICTURE)).detect(grey),
+    )
+    pairs = nn_mutual(first, whole, RATIO)
+    a, b = first.pixels[pairs[:, 0]], whole.pixels[pairs[:, 1]]
+    agreeing = same_homography(a, b)
+    if len(agreeing) < 3:
+        return None
+    affinity, _ = cv2.estimateAffine2D(a[agreeing], b[agreeing])
+    return grey, np.vstack([affinity, [0.0, 0.0, 1.0]])
