@@ -119,7 +119,7 @@ def _compared(places: list[_Place], patches: dict[tuple[_Place, int], Real], m_p
         a, b = (patches.get((place, number)) for number in place.views)
         if a is None or b is None:
             continue
-        shift, response = cv2.phaseCorrelate(a, b, window)
+        shift, response = cv2.phaseCorrelate(a.copy(), b.copy(), window)  # it changes what it is given
         if response < LEAST_RESPONSE:
             continue
         points.append(((place.column + 0.5) * m_per_px, (place.row + 0.5) * m_per_px))

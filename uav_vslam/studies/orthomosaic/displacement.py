@@ -2,7 +2,7 @@
 """Where a picture of the ground shows what is elsewhere: patches of it against the true picture.
 
 A patch's displacement is found by phase correlation; the truth is drawn again where the patch seems to belong, until
-the rest is less than half a pixel. Each patch begins with the displacement of its nearest neighbour, so that errors
+the rest is less than a tenth of a pixel. Each patch begins with the displacement of its nearest neighbour, so that errors
 much larger than a patch are followed as long as they grow slowly.
 """
 
@@ -21,10 +21,10 @@ TruePicture = Callable[[Array, Array], NDArray[np.floating]]  # x, y [m] to grey
 
 PATCH_PX = 96
 SPACING_PX = 96
-SUBSAMPLES = 2  # of the truth, along each side of a pixel
-ROUNDS = 5
+SUBSAMPLES = 3  # of the truth, along each side of a pixel
+ROUNDS = 8
 LEAST_RESPONSE = 0.25
-SETTLED_PX = 0.5
+SETTLED_PX = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +102,7 @@ def _displacement(
     error = np.asarray(guess, float).copy()
     for _ in range(ROUNDS):
         true = _drawn(truth, window, error)
-        shift, response = cv2.phaseCorrelate(true, patch, hanning)
+        shift, response = cv2.phaseCorrelate(true.copy(), patch.copy(), hanning)  # it changes what it is given
         error = error + np.array(shift) * window.cell_m
         if np.hypot(*shift) < SETTLED_PX:
             return (error, float(patch.mean() / max(true.mean(), 1.0))) if response > LEAST_RESPONSE else None
