@@ -7,6 +7,7 @@ alone; these come first, from all pairs so far. Then the gains: as views come ea
 together (`solve`), as in [brown07]. A weak pull towards the view's own brightness keeps a chain of gains from drifting.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,11 +18,13 @@ from uav_vslam.mapping.orthomosaic.rectification import Rectified
 Array = NDArray[np.float64]
 Real = NDArray[np.float32]
 
+BLOCK_CELLS = 32  # side of a block of ground by which views are found
 LEAST_SAMPLES = 12  # common cells of a pair
 MOST_PAIRS = 12  # of a new view with earlier ones, so that its cost is bounded
 SIGMA_LOG = 0.15  # spread of the log gains of a camera's exposures, the pull
 SIGMA_PAIR_LOG = 0.01  # of a pair's median difference
-HUBER_LOG = 0.05
+OUTLIER_LOG = 0.1  # difference of a cell from its pair's from which it counts less: shadows that move, reflections
+SIGMA_CELL_LOG = 0.05
 DARK, BRIGHT = 8.0, 247.0  # grey levels between which a camera is taken for linear
 FALLOFF_SIGMA = 1.0  # prior of a and b
 SOLVE_ROUNDS = 3
@@ -77,6 +80,7 @@ class Exposure:
         self._falloffs: dict[str, _Falloff] = {}
         self._pairs: list[_Pair] = []
         self._log_gains: list[Array] = []
+        self._blocks: defaultdict[tuple[int, int], list[int]] = defaultdict(list)  # views by the ground below them
 
     def __len__(self) -> int:
         return len(self._thumbs)
@@ -142,11 +146,14 @@ class Exposure:
         return np.asarray(total / weights)
 
     def _neighbours(self, index: int) -> list[int]:
-        """Return the earlier views whose windows share most with a view's."""
+        """Return the earlier views whose windows share most with a view's; only those nearby are looked at."""
         own = self._thumbs[index].raster
-        areas = [
-            (float(np.prod(own.intersection(other.raster).shape)), i) for i, other in enumerate(self._thumbs[:index])
-        ]
+        near: set[int] = set()
+        for block in own.tiles(BLOCK_CELLS):
+            there = self._blocks[block.column, block.row]
+            near |= set(there)
+            there.append(index)
+        areas = [(float(np.prod(own.intersection(self._thumbs[i].raster).shape)), i) for i in near]
         return [i for area, i in sorted(areas, reverse=True)[:MOST_PAIRS] if area >= LEAST_SAMPLES]
 
     def _pair(self, first: int, second: int) -> _Pair | None:
@@ -195,7 +202,7 @@ def _learn_falloff(falloff: _Falloff, first: Rectified, second: Rectified, prese
     y, A = difference.mean(axis=1), powers_2 - powers_1
     residual = y - A @ present
     residual = np.abs(residual - np.median(residual))
-    weights = np.minimum(1.0, HUBER_LOG / np.maximum(residual, 1e-12)) / HUBER_LOG**2
+    weights = 1.0 / (1.0 + (residual / OUTLIER_LOG) ** 2) ** 2 / SIGMA_CELL_LOG**2
     y, A = y - np.average(y, weights=weights), A - np.average(A, axis=0, weights=weights)
     falloff.information += (A * weights[:, None]).T @ A
     falloff.vector += (A * weights[:, None]).T @ y

@@ -2,8 +2,8 @@
 """Where a picture of the ground shows what is elsewhere: patches of it against the true picture.
 
 A patch's displacement is found by phase correlation; the truth is drawn again where the patch seems to belong, until
-the rest is less than a tenth of a pixel. Each patch begins with the displacement of its nearest neighbour, so that errors
-much larger than a patch are followed as long as they grow slowly.
+the rest is less than a tenth of a pixel. Each patch begins with the displacement of its nearest neighbour, so that
+errors much larger than a patch are followed as long as they grow slowly.
 """
 
 from collections.abc import Callable
