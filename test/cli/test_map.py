@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -37,7 +38,8 @@ def result(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_map_of_two_vehicles_lies_on_the_true_ground(result: Path) -> None:
     tree = json.loads((result / "map/map.json").read_text())
-    assert tree["vehicles"] == {"uav1": {"views": 10}, "uav2": {"views": 10}}
+    assert {name: vehicle["views"] for name, vehicle in tree["vehicles"].items()} == {"uav1": 10, "uav2": 10}
+    assert sum(vehicle["share"] for vehicle in tree["vehicles"].values()) == pytest.approx(1.0)
     assert tree["surface"]["coverage"] > 0.8
     assert tree["gsd_m"] == pytest.approx(70.0 / (1642.0 * 0.375), rel=0.05)
     grid = HeightGrid.open(result / "map/tiles")
@@ -46,6 +48,22 @@ def test_a_map_of_two_vehicles_lies_on_the_true_ground(result: Path) -> None:
     truth = ground_of(SCENARIO).height(*np.meshgrid(raster.x, raster.y))
     assert np.nanmedian(np.abs(grid.height(raster) - truth)) < 0.3
     assert {"height.png", "overlap.png"} <= {path.name for path in (result / "map").iterdir()}
+
+
+def test_the_orthomosaic_of_two_vehicles_shows_the_true_ground_at_its_place(result: Path) -> None:
+    picture = cv2.imread(str(result / "map/orthomosaic.png"), cv2.IMREAD_UNCHANGED)
+    size, _, _, _, west, north = map(float, (result / "map/orthomosaic.pgw").read_text().split())
+    x, y = np.meshgrid(west + size * np.arange(picture.shape[1]), north - size * np.arange(picture.shape[0]))
+    true, drawn = (
+        cv2.blur(grey.astype(np.float32), (7, 7)) for grey in (ground_of(SCENARIO).grey(x, y), picture[..., 0])
+    )
+    inside = cv2.erode(picture[..., 3], np.ones((9, 9))) > 0
+    assert inside.mean() > 0.5
+    assert np.corrcoef(true[inside], drawn[inside])[0, 1] > 0.9
+    figures = json.loads((result / "map/map.json").read_text())
+    assert figures["orthomosaic"]["seam_px"] < 1.0
+    assert figures["model"]["bytes"] == (result / "map/model.glb").stat().st_size <= 3_000_000
+    assert {"model.ply", "height.tif", "orthomosaic.jpg"} <= {path.name for path in (result / "map").iterdir()}
 
 
 def test_a_flight_that_has_been_run_gives_the_same_map(
