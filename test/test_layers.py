@@ -89,6 +89,7 @@ AT_HOME_FILES = {
         "cli/calibrate.py",
         "cli/check.py",
         "cli/map.py",
+        "cli/mosaic.py",
         "cli/simulate.py",
         "cli/bench.py",
         "studies/bench/compute.py",

@@ -26,6 +26,10 @@ class TrajectoryFileError(UavVslamError):
     """A trajectory file is missing, malformed, or does not belong to its ground truth."""
 
 
+class PictureError(UavVslamError):
+    """A picture or the table of positions beside it can't be used, or the pictures do not determine a mosaic."""
+
+
 class InvalidMessage(UavVslamError, ValueError):
     """A received message or reading can't be used; `reason` is a short key under which the drop is counted."""
 

@@ -25,6 +25,7 @@ VERBS = (
     "cut",
     "run",
     "map",
+    "mosaic",
     "launch",
     "evaluate",
     "report",

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam mosaic`: a folder of aerial pictures to an orthomosaic, without SLAM."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uav_vslam.cli.arguments import positive_number, results_folder
+from uav_vslam.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from uav_vslam.mapping.pictures.reading import Folder
+    from uav_vslam.mapping.pictures.reconstruction import Reconstruction
+
+HELP = "join a folder of aerial pictures into an orthomosaic"
+EXAMPLES = """examples:
+  uav-vslam mosaic pictures                       JPEG, PNG or TIFF; focal length and GPS from EXIF or gps.csv
+  uav-vslam mosaic pictures --focal-px 2890       a known focal length in pixels; else it is estimated
+  uav-vslam mosaic pictures --height 70           no GPS: flown 70 m above the ground, for a mosaic in metres
+  uav-vslam mosaic pictures --pixel 0.1           a coarser mosaic, 10 cm a pixel
+
+Pictures should look down, and overlap by 60 % along and 30 % across the path. gps.csv, in the same folder, has the
+columns file,lat_deg,lon_deg,alt_m and optionally datetime. Writes poses.csv, cameras.json, mosaic.json (quality) and
+map/: orthomosaic, overlap.png and map.json, into a new folder below results/, to which results/latest leads.
+"""
+MOST_PIXELS = 80e6  # of a mosaic whose pixel is not given
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument("folder", type=Path, help="of the pictures")
+    parser.add_argument("--focal-px", type=positive_number, metavar="PX", help="focal length of all pictures [px]")
+    parser.add_argument(
+        "--height", type=positive_number, metavar="M", help="median height above ground [m]; it scales the mosaic"
+    )
+    parser.add_argument(
+        "--pixel",
+        type=positive_number,
+        metavar="M",
+        help="side of the mosaic's pixels [m] (default: that of the pictures)",
+    )
+    parser.add_argument("--name", help="of the results folder (default: that of the pictures' folder)")
+    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Adjust, draw, write, print; return the exit status."""
+    import sys
+
+    import cv2
+
+    from uav_vslam.evaluation.output import new_folder
+    from uav_vslam.mapping.pictures.reading import read_folder
+    from uav_vslam.report.mosaic_table import print_mosaic
+
+    cv2.setNumThreads(1)
+    folder = read_folder(args.folder, focal_px=args.focal_px)
+    for text in folder.warnings:
+        print(f"uav-vslam: warning: {text}", file=sys.stderr)
+    found = _reconstructed(folder, args)
+    for text in found.warnings:
+        print(f"uav-vslam: warning: {text}", file=sys.stderr)
+    with new_folder(args.results, args.name or f"{args.folder.resolve().name}_mosaic") as results:
+        figures = _write(found, args.pixel, results)
+    print_mosaic(figures)
+    print(f"results: {results}")
+    return 0
+
+
+def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
+    from uav_vslam.mapping.pictures.features import detect
+    from uav_vslam.mapping.pictures.pairs import candidates, match_all
+    from uav_vslam.mapping.pictures.placement import local_positions
+    from uav_vslam.mapping.pictures.reconstruction import reconstruct
+
+    pictures = folder.pictures
+    features = []
+    with progress_bar("finding points", len(pictures)) as advance:
+        for picture in pictures:
+            features.append(detect(picture))
+            advance()
+    pairs = candidates(features, local_positions(pictures)[0][:, :2])
+    sides = [max(picture.width, picture.height) for picture in pictures]
+    with progress_bar("matching pairs", len(pairs)) as advance:
+        matched = match_all(features, sides, pairs, on_pair=advance)
+    return reconstruct(pictures, features, matched, focal_known=args.focal_px is not None, height_m=args.height)
+
+
+def _write(found: Reconstruction, pixel_m: float | None, results: Path) -> dict[str, Any]:
+    """Draw the mosaic and write everything; return the figures of quality."""
+    from uav_vslam.evaluation.output import write_json
+    from uav_vslam.mapping.pictures import output
+    from uav_vslam.mapping.pictures.drawing import PASSES, draw
+
+    folder = results / "map"
+    folder.mkdir()
+    overlap = output.overlap_figures(found, folder / "overlap.png")
+    pixel_m = pixel_m or output.pixel_size_m(found.gsd_m, overlap["area_m2"], MOST_PIXELS)
+    with progress_bar("drawing", PASSES * len(found.adjusted.used)) as advance:
+        drawn = draw(found, pixel_m, folder, on_view=advance)
+    figures = output.quality(found) | {"overlap": overlap} | drawn
+    output.write_poses(found, results / "poses.csv")
+    write_json(results / "cameras.json", figures["cameras"])
+    write_json(results / "mosaic.json", figures)
+    return figures

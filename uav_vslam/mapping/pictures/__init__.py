@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of plain pictures, without SLAM: structure from motion for folders of aerial pictures.
+
+picture      one picture's file, size and metadata
+exif         focal length, time and GPS of a file's EXIF data
+reading      a folder's pictures in the order of time, and the table of positions beside them
+features     SIFT points of downscaled pictures
+retrieval    which pictures look alike, by VLAD
+pairs        candidates for matching, and matching with a geometric check
+layout       pictures laid out flat: the similarity chain that starts everything
+tracks       one ground point in many pictures
+lens         focal length and radial distortion of pictures from one camera
+bundle       least squares over poses, points and lenses
+procedure    adjustment in rounds: outliers out, lost pictures in
+datum        the result's frame: levelled by the ground, scaled and placed by GPS if that agrees
+surface      height of the ground from the points
+densification  all matched points, intersected from the adjusted poses
+views        undistorted images with their poses, as all mapping takes them
+overlap      how many pictures see each place
+reconstruction  from matched pairs to poses, surface and warnings
+drawing      the orthomosaic and its files
+output       tables of poses, cameras and figures of quality
+"""

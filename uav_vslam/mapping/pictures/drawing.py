@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The orthomosaic of a reconstruction, its files and its seams."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from uav_vslam.mapping.georeference import write_bands
+from uav_vslam.mapping.orthomosaic import blended_mosaic
+from uav_vslam.mapping.orthomosaic.output import write_orthomosaic
+from uav_vslam.mapping.orthomosaic.seams import seams
+from uav_vslam.mapping.pictures.output import map_figures, seam_figures
+from uav_vslam.mapping.pictures.reconstruction import Reconstruction
+from uav_vslam.mapping.pictures.views import PictureViews
+from uav_vslam.mapping.view import View
+
+Figures = dict[str, Any]
+
+PASSES = 3  # over all pictures: brightness, picture, seams
+
+
+def draw(found: Reconstruction, pixel_m: float, folder: Path, *, on_view: Callable[[], None] = lambda: None) -> Figures:
+    """Write the orthomosaic, heights and map.json into a folder; return size, pixel and seams of the mosaic.
+
+    Args:
+        found: poses and surface.
+        pixel_m: side of the mosaic's pixels [m].
+        folder: where the files go.
+        on_view: called `PASSES` times for each picture used.
+    """
+    views = PictureViews(found.pictures, found.adjusted)
+
+    def told() -> Iterator[View]:
+        for view in views:
+            yield view
+            on_view()
+
+    mosaic = blended_mosaic(lambda: iter(views), found.surface, pixel_m, on_view=on_view)
+    datum = found.placement.datum
+    drawn = write_orthomosaic(mosaic, folder, datum)
+    write_bands(folder / "height.tif", {"height": found.surface.grid}, found.surface.raster, datum)
+    seam = seam_figures(seams(mosaic, told()))
+    size = {key: drawn[key] for key in ("m_per_px", "width", "height")}
+    tree = map_figures(found) | {"orthomosaic": size | {"seam_px": seam["median_px"]}}
+    (folder / "map.json").write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return size | {"seam": seam}

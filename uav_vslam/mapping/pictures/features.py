@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SIFT points of downscaled pictures, spread over each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import FrontendConfig
+from uav_vslam.geometry.image_grid import spread
+from uav_vslam.mapping.pictures.picture import Picture
+from uav_vslam.vision.features.sift import SiftExtractor
+from uav_vslam.vision.images import shrink, to_full_resolution, to_grey8
+
+Array = NDArray[np.float64]
+
+LONGEST_SIDE_PX = 1600  # of the image that is searched
+MOST_POINTS = 3000
+CANDIDATES = 8000  # strongest points, among which those kept are chosen for their spread
+CONTRAST = 0.015  # grass and fields have little
+
+
+@dataclass(frozen=True, slots=True)
+class PictureFeatures:
+    """Points of one picture.
+
+    Attributes:
+        pixels: (N, 2) in the full image [px].
+        descriptors: (N, 128) uint8.
+    """
+
+    pixels: Array
+    descriptors: NDArray[np.uint8]
+
+
+def detect(picture: Picture, *, longest_side_px: int = LONGEST_SIDE_PX) -> PictureFeatures:
+    """Return the points of a picture.
+
+    Raises:
+        PictureError: it can't be read.
+    """
+    image = picture.read()
+    small = shrink(image, min(1.0, longest_side_px / max(image.shape)))
+    extractor = SiftExtractor(FrontendConfig(max_features=CANDIDATES, contrast_threshold=CONTRAST))
+    found = extractor.detect(to_grey8(small))
+    rows = np.sort(spread(found.pixels, MOST_POINTS, size=(small.shape[1], small.shape[0])))
+    pixels = to_full_resolution(found.pixels[rows], small.shape[:2], image.shape[:2])
+    return PictureFeatures(pixels, found.descriptors[rows])

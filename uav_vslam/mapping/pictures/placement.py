@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frame of the result: z up from the ground, and east, north and metres as far as GPS tells them.
+
+Pictures alone leave a similarity open. The plane through the ground's points is made level. If GPS is there, scale, yaw
+and position follow from the similarity in the plane that brings half of the positions nearest, whatever the others are
+(least median of squares [rousseeuw84], then re-weighted). How far the positions then lie from the pictures' tells
+whether they can be believed; if so, they enter a last adjustment.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic
+from uav_vslam.mapping.pictures.bundle import Priors, Scene
+from uav_vslam.mapping.pictures.picture import Picture
+from uav_vslam.mapping.pictures.procedure import Adjusted, finish, lens_priors
+
+Array = NDArray[np.float64]
+
+HEIGHT_WITHOUT_SCALE = 100.0  # median height above the ground in units of the map, if nothing tells metres
+FEWEST_POSITIONS = 3
+BELIEVED_M = 6.0  # median distance up to which positions agree with the pictures: a plain receiver's worst
+WRONG_M, WRONG_SIGMAS = 10.0, 4.0  # a single position farther off, and beyond so many sigmas, is reported
+LEAST_SIGMA_M = 0.1
+VERTICAL_FACTOR = 1.5  # altitudes by GPS are worse than positions
+LEVEL_SIGMA_RAD = 0.01  # positions that tell the level worse than this leave it to the ground
+TRIALS = 3000
+SEED = 3
+REWEIGHTINGS = 30
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """How the map's frame came about.
+
+    Attributes:
+        scale: "gps", "height" (given) or "none": one unit is then a hundredth of the flight's height.
+        datum: of the map's origin; None without GPS.
+        gps_m: (N,) distances in the plane between the pictures' and the GPS positions [m]; NaN without. None: no GPS.
+        believed: GPS agrees with the pictures and took part in the adjustment.
+        wrong: numbers of pictures whose single position is wrong.
+    """
+
+    scale: str
+    datum: Datum | None
+    gps_m: Array | None
+    believed: bool
+    wrong: tuple[int, ...]
+
+
+def local_positions(pictures: Sequence[Picture]) -> tuple[Array, Datum | None]:
+    """Return (N, 3) east, north, up of the pictures by GPS [m], NaN where unknown, and the origin; None without any."""
+    known = [k for k, picture in enumerate(pictures) if picture.position is not None]
+    positions = np.full((len(pictures), 3), np.nan)
+    geodetic = [(p.longitude_deg, p.latitude_deg, p.height_m) for picture in pictures if (p := picture.position)]
+    if not known:
+        return positions, None
+    longitude, latitude, height = np.median(np.array(geodetic), axis=0)
+    datum = Datum(float(latitude), float(longitude), float(height))
+    positions[known] = from_geodetic(np.array(geodetic), datum)
+    return positions, datum
+
+
+def levelled(adjusted: Adjusted) -> Adjusted:
+    """Return the scene with z up from the plane of its points, at a median height of one."""
+    scene = adjusted.scene
+    normal, point = ground_plane(scene.points)
+    centres = scene.centres[adjusted.used]
+    if np.median((centres - point) @ normal) < 0.0:
+        normal = -normal
+    R = _rotation_to_up(normal)
+    moved = transformed(scene, 1.0, R, -R @ point)
+    height = float(np.median(moved.centres[adjusted.used, 2]))
+    return replace(adjusted, scene=transformed(moved, 1.0 / height, np.eye(3), np.zeros(3)))
+
+
+def ground_plane(points: Array) -> tuple[Array, Array]:
+    """Return the unit normal of a plane through (P, 3) points, and a point on it, in spite of outliers."""
+    weight = np.ones(len(points))
+    for _ in range(REWEIGHTINGS):
+        middle = weight @ points / weight.sum()
+        apart = points - middle
+        normal = np.linalg.eigh((apart * weight[:, None]).T @ apart)[1][:, 0]
+        distance = np.abs(apart @ normal)
+        weight = 1.0 / (1.0 + (distance / max(1.5 * float(np.median(distance)), 1e-12)) ** 2)
+    return normal, middle
+
+
+def transformed(scene: Scene, scale: float, R: Array, t: Array) -> Scene:
+    """Return the scene after x -> scale R x + t."""
+    return replace(
+        scene,
+        R_cam_map=scene.R_cam_map @ R.T,
+        centres=scale * scene.centres @ R.T + t,
+        points=scale * scene.points @ R.T + t,
+    )
+
+
+def place(
+    adjusted: Adjusted, pictures: Sequence[Picture], *, height_m: float | None, focal_known: bool
+) -> tuple[Adjusted, Placement]:
+    """Give the result its frame, and let GPS take part if it agrees.
+
+    Args:
+        adjusted: the outcome by pictures alone.
+        pictures: all of the folder.
+        height_m: the flight's median height above the ground, given by the user; it takes precedence over GPS's scale.
+        focal_known: focal lengths are given by the user.
+    """
+    adjusted = levelled(adjusted)
+    positions, datum = local_positions(pictures)
+    used = adjusted.used[np.isfinite(positions[adjusted.used]).all(axis=1)]
+    if datum is None or len(used) < FEWEST_POSITIONS:
+        size = HEIGHT_WITHOUT_SCALE if height_m is None else height_m
+        adjusted = replace(adjusted, scene=transformed(adjusted.scene, size, np.eye(3), np.zeros(3)))
+        return adjusted, Placement("none" if height_m is None else "height", None, None, False, ())
+    adjusted = _by_gps(adjusted, positions, used, height_m)
+    distance = _distances(adjusted, positions, used)
+    rise = np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])
+    believed = max(float(np.median(distance[used])), float(np.median(rise)) / VERTICAL_FACTOR) <= BELIEVED_M
+    wrong: tuple[int, ...] = ()
+    if believed:
+        adjusted = _with_gps(adjusted, pictures, positions, distance[used], focal_known=focal_known)
+        distance = _distances(adjusted, positions, used)
+        bound = max(WRONG_M, WRONG_SIGMAS * 1.4826 * float(np.median(distance[used])))
+        wrong = tuple(int(k) for k in used if distance[k] > bound)
+    ground = float(np.median(adjusted.scene.points[:, 2]))
+    adjusted = replace(adjusted, scene=transformed(adjusted.scene, 1.0, np.eye(3), np.array([0.0, 0.0, -ground])))
+    datum = replace(datum, altitude_m=datum.altitude_m + ground)
+    return adjusted, Placement("gps" if height_m is None else "height", datum, distance, believed, wrong)
+
+
+def plane_similarity(a: Array, b: Array) -> tuple[complex, complex]:
+    """Return complex (scale and rotation, shift) that maps (N, 2) points to others, robust to almost half of them."""
+    p, q = (points @ np.array([1.0, 1j]) for points in (a, b))
+    rng = np.random.default_rng(SEED)
+    i, j = rng.integers(len(p), size=(2, TRIALS))
+    apart = np.abs(p[i] - p[j]) > 0.25 * np.abs(p - np.median(p.real) - 1j * np.median(p.imag)).max()
+    i, j = i[apart], j[apart]
+    turn = (q[j] - q[i]) / (p[j] - p[i])
+    shift = q[i] - turn * p[i]
+    errors = np.median(np.abs(turn[:, None] * p + shift[:, None] - q), axis=1)
+    best = int(np.argmin(np.where(np.abs(turn) > 0.0, errors, np.inf)))
+    return _refined(p, q, complex(turn[best]), complex(shift[best]))
+
+
+def _refined(p: Array, q: Array, turn: complex, shift: complex) -> tuple[complex, complex]:
+    """Return the re-weighted least-squares similarity near a given one."""
+    for _ in range(REWEIGHTINGS):
+        error = np.abs(turn * p + shift - q)
+        weight = 1.0 / (1.0 + (error / max(2.0 * float(np.median(error)), 1e-9)) ** 2)
+        p0, q0 = (weight @ points / weight.sum() for points in (p, q))
+        turn = complex((weight * np.conj(p - p0)) @ (q - q0) / (weight @ np.abs(p - p0) ** 2))
+        shift = complex(q0 - turn * p0)
+    return turn, shift
+
+
+def _by_gps(adjusted: Adjusted, positions: Array, used: NDArray[np.intp], height_m: float | None) -> Adjusted:
+    """Return the levelled scene scaled, turned and shifted to the positions by a similarity alone."""
+    centres = adjusted.scene.centres[used]
+    turn, shift = plane_similarity(centres[:, :2], positions[used, :2])
+    scale = abs(turn) if height_m is None else height_m
+    c, s = turn.real / abs(turn), turn.imag / abs(turn)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    t = np.median(positions[used] - scale * centres @ R.T, axis=0)
+    if height_m is None:
+        t[:2] = shift.real, shift.imag
+    return replace(adjusted, scene=transformed(adjusted.scene, scale, R, t))
+
+
+def _distances(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> Array:
+    """Return (N,) distances in the plane, NaN for pictures not used."""
+    distance = np.full(len(positions), np.nan)
+    distance[used] = np.linalg.norm(adjusted.scene.centres[used, :2] - positions[used, :2], axis=1)
+    return distance
+
+
+def _with_gps(
+    adjusted: Adjusted, pictures: Sequence[Picture], positions: Array, distance: Array, *, focal_known: bool
+) -> Adjusted:
+    """Adjust again with GPS, whose standard deviation is what its distances show."""
+    sigma = max(LEAST_SIGMA_M, float(np.median(distance)) / 1.1774)  # of a Rayleigh distribution
+    level_known = _level_sigma(positions, sigma) <= LEVEL_SIGMA_RAD
+    vertical = VERTICAL_FACTOR * sigma if level_known else 1e6
+    lenses, lens_sigmas = lens_priors(pictures, known=focal_known)
+    priors = Priors(lenses, lens_sigmas, positions, np.array([sigma, sigma, vertical]))
+    side = float(np.median([max(picture.width, picture.height) for picture in pictures]))
+    return finish(adjusted.scene, adjusted.tracks, priors, side)
+
+
+def _level_sigma(positions: Array, sigma_m: float) -> float:
+    """Return how well positions tell the level [rad]: a straight strip does not about its own direction."""
+    plane = positions[np.isfinite(positions).all(axis=1), :2]
+    across = float(np.linalg.svd(plane - plane.mean(axis=0), compute_uv=False)[-1])
+    return VERTICAL_FACTOR * sigma_m / max(across, 1e-9)
+
+
+def _rotation_to_up(normal: Array) -> Array:
+    """Return the smallest rotation that turns a unit vector up."""
+    axis = np.cross(normal, [0.0, 0.0, 1.0])
+    c = float(normal[2])
+    if c < -1.0 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    return np.asarray(np.eye(3) + K + K @ K / (1.0 + c))

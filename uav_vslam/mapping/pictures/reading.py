@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A folder's pictures in the order of time, and the table of positions that may lie beside them.
+
+`gps.csv` has a header and one row a picture. Columns: `file`; `lat_deg`, `lon_deg` (WGS 84, degrees); `alt_m` [m]; and
+optionally `datetime` as in EXIF, "2014:10:19 13:21:23". It takes precedence over EXIF.
+"""
+
+import csv
+import dataclasses
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image as PillowImage
+from PIL import UnidentifiedImageError
+
+from uav_vslam.errors import PictureError
+from uav_vslam.mapping.pictures.exif import clock_s, metadata_of
+from uav_vslam.mapping.pictures.picture import Geodetic, Picture
+
+SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
+TABLE = "gps.csv"
+NEEDED = ("file", "lat_deg", "lon_deg", "alt_m")
+FEWEST = 2
+NAMED = 5  # files that a message lists
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """What a folder holds: pictures in the order of time, and warnings about what was left out."""
+
+    pictures: tuple[Picture, ...]
+    warnings: tuple[str, ...]
+
+
+def read_folder(folder: Path, *, focal_px: float | None = None) -> Folder:
+    """Return a folder's pictures, without decoding them.
+
+    Args:
+        folder: holds JPEG, PNG or TIFF files and, optionally, `gps.csv`.
+        focal_px: focal length of all pictures [px]; None takes EXIF's.
+
+    Raises:
+        PictureError: there are fewer than two pictures, or the table is malformed.
+    """
+    if not folder.is_dir():
+        raise PictureError(f"{folder} is not a folder; name the one that holds the pictures")
+    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    pictures, unreadable = _opened(files)
+    pictures, copies = _without_copies(pictures)
+    if len(pictures) < FEWEST:
+        raise PictureError(
+            f"{folder} holds {len(pictures)} different pictures ({', '.join(sorted(SUFFIXES))}) that can be read; "
+            f"a mosaic needs {FEWEST} or more"
+        )
+    table = folder / TABLE
+    positions = read_positions(table) if table.is_file() else {}
+    pictures = [_with_row(picture, positions) for picture in _lying_alike(pictures)]
+    if focal_px is not None:
+        pictures = [dataclasses.replace(picture, focal_px=focal_px) for picture in pictures]
+    return Folder(tuple(_by_time(pictures)), tuple(_warnings(unreadable, copies, positions, pictures)))
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of the table."""
+
+    position: Geodetic
+    time_s: float | None
+
+
+def read_positions(path: Path) -> dict[str, Row]:
+    """Return the rows of a table of positions by the pictures' file names.
+
+    Raises:
+        PictureError: a column is missing, or a value is no number or out of range.
+    """
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        reader = csv.DictReader(file)
+        missing = [name for name in NEEDED if name not in (reader.fieldnames or ())]
+        if missing:
+            raise PictureError(f"{path} has no column {', '.join(missing)}; it needs {','.join(NEEDED)}[,datetime]")
+        return {row["file"]: _row(row, f"{path}, line {reader.line_num}") for row in reader}
+
+
+def _row(row: dict[str, str], where: str) -> Row:
+    try:
+        latitude, longitude, height = (float(row[name]) for name in NEEDED[1:])
+    except (TypeError, ValueError):
+        values = ", ".join(str(row[name]) for name in NEEDED[1:])
+        raise PictureError(f"{where}: lat_deg, lon_deg, alt_m are {values}; each must be a number") from None
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(height) < 1e5):
+        raise PictureError(f"{where}: {latitude}, {longitude}, {height} is no WGS 84 position")
+    return Row(Geodetic(latitude, longitude, height), clock_s(row.get("datetime")))
+
+
+def _opened(files: Sequence[Path]) -> tuple[list[Picture], list[Path]]:
+    """Return the pictures of files, and the files that are none."""
+    found, unreadable = [], []
+    for path in files:
+        try:
+            with PillowImage.open(path) as image:
+                size, data = image.size, metadata_of(image)
+        except (UnidentifiedImageError, OSError, SyntaxError):
+            unreadable.append(path)
+            continue
+        found.append(Picture(path, *size, False, data.camera, data.focal_px, data.time_s, data.position))
+    return found, unreadable
+
+
+def _without_copies(pictures: Sequence[Picture]) -> tuple[list[Picture], list[Path]]:
+    """Return the pictures whose files differ, and the files that are copies of earlier ones."""
+    seen: set[bytes] = set()
+    kept, copies = [], []
+    for picture in pictures:
+        digest = hashlib.sha256(picture.path.read_bytes()).digest()
+        if digest in seen:
+            copies.append(picture.path)
+        else:
+            kept.append(picture)
+        seen.add(digest)
+    return kept, copies
+
+
+def _lying_alike(pictures: Sequence[Picture]) -> list[Picture]:
+    """Return the pictures with portrait and landscape images of one camera turned the same way, and named cameras."""
+    sizes = Counter((picture.width, picture.height) for picture in pictures)
+    return [_lying(picture, sizes) for picture in pictures]
+
+
+def _lying(picture: Picture, sizes: Counter[tuple[int, int]]) -> Picture:
+    upright, across = (picture.width, picture.height), (picture.height, picture.width)
+    turned = (sizes[across], across) > (sizes[upright], upright)
+    width, height = across if turned else upright
+    camera = f"{picture.camera or 'camera'} {width}x{height}"
+    return dataclasses.replace(picture, width=width, height=height, turned=turned, camera=camera)
+
+
+def _with_row(picture: Picture, rows: dict[str, Row]) -> Picture:
+    row = rows.get(picture.name)
+    if row is None:
+        return picture
+    return dataclasses.replace(picture, position=row.position, time_s=row.time_s or picture.time_s)
+
+
+def _by_time(pictures: Sequence[Picture]) -> list[Picture]:
+    """Return the pictures by time if all have one, else by name."""
+    if any(picture.time_s is None for picture in pictures):
+        return sorted(pictures, key=lambda picture: picture.name)
+    return sorted(pictures, key=lambda picture: (picture.time_s, picture.name))
+
+
+def _warnings(
+    unreadable: Sequence[Path], copies: Sequence[Path], rows: dict[str, Row], pictures: Sequence[Picture]
+) -> Iterator[str]:
+    if unreadable:
+        yield f"left out, no pictures: {listed([path.name for path in unreadable])}"
+    if copies:
+        yield f"left out, copies of other files: {listed([path.name for path in copies])}"
+    if rows and not any(picture.name in rows for picture in pictures):
+        yield f"{TABLE} names none of the pictures; its column `file` must hold names such as {pictures[0].name}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first names, and how many more there are."""
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")

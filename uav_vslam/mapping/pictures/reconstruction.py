@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From matched pairs to poses, surface and what there is to warn of."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_vslam.errors import PictureError
+from uav_vslam.mapping.pictures.densification import all_points
+from uav_vslam.mapping.pictures.features import PictureFeatures
+from uav_vslam.mapping.pictures.layout import lay_out
+from uav_vslam.mapping.pictures.pairs import MatchedPair
+from uav_vslam.mapping.pictures.picture import Picture
+from uav_vslam.mapping.pictures.placement import Placement, place
+from uav_vslam.mapping.pictures.procedure import Adjusted, adjust, cameras_of
+from uav_vslam.mapping.pictures.reading import listed
+from uav_vslam.mapping.pictures.surface import PointSurface
+from uav_vslam.mapping.pictures.tracks import join
+
+UNCERTAIN_FOCAL = 0.02  # as a share: above it, heights are uncertain enough to tell
+
+
+@dataclass(frozen=True, slots=True)
+class Reconstruction:
+    """Poses and surface of a folder.
+
+    Attributes:
+        pictures: all of the folder, in the order of time.
+        adjusted: poses, lenses and points in the map frame.
+        placement: how that frame came about.
+        surface: of the ground.
+        pairs: number of pairs of pictures that were matched and agree.
+        warnings: for the user.
+    """
+
+    pictures: tuple[Picture, ...]
+    adjusted: Adjusted
+    placement: Placement
+    surface: PointSurface
+    pairs: int
+    warnings: tuple[str, ...]
+
+    @property
+    def height_m(self) -> float:
+        """Median height of the cameras above the ground."""
+        ground = float(np.median(self.adjusted.scene.points[:, 2]))
+        return float(np.median(self.adjusted.scene.centres[self.adjusted.used, 2])) - ground
+
+    @property
+    def gsd_m(self) -> float:
+        """Median size of a picture's pixel on the ground."""
+        scene, used = self.adjusted.scene, self.adjusted.used
+        return self.height_m / float(np.median(np.exp(scene.lenses[scene.lens_of[used], 0])))
+
+
+def reconstruct(
+    pictures: Sequence[Picture],
+    features: Sequence[PictureFeatures],
+    pairs: Sequence[MatchedPair],
+    *,
+    focal_known: bool = False,
+    height_m: float | None = None,
+) -> Reconstruction:
+    """Return poses and surface of pictures.
+
+    Args:
+        pictures: all of a folder, in the order of time.
+        features: of each.
+        pairs: matched pairs.
+        focal_known: focal lengths are given by the user and stay.
+        height_m: the flight's median height above the ground, if the user knows it.
+
+    Raises:
+        PictureError: the pictures do not overlap enough.
+    """
+    if not pairs:
+        raise PictureError(
+            f"none of the {len(pictures)} pictures shows ground that another one shows; "
+            "a mosaic needs neighbours that overlap by half or more, of ground with texture"
+        )
+    centre = [np.array([0.5 * (picture.width - 1), 0.5 * (picture.height - 1)]) for picture in pictures]
+    centred = [each.pixels - middle for each, middle in zip(features, centre, strict=True)]
+    sides = np.array([float(max(picture.width, picture.height)) for picture in pictures])
+    layout = lay_out(len(pictures), pairs, centred, sides)
+    tracks = join(features, layout.pairs)
+    adjusted = adjust(pictures, layout, tracks, focal_known=focal_known)
+    adjusted, placement = place(adjusted, pictures, height_m=height_m, focal_known=focal_known)
+    surface = PointSurface(all_points(adjusted, tracks, pictures))
+    warnings = tuple(_warnings(pictures, adjusted, placement))
+    return Reconstruction(tuple(pictures), adjusted, placement, surface, len(layout.pairs), warnings)
+
+
+def _warnings(pictures: Sequence[Picture], adjusted: Adjusted, placement: Placement) -> Iterator[str]:
+    missing = [picture.name for k, picture in enumerate(pictures) if k not in set(adjusted.used.tolist())]
+    if missing:
+        yield (
+            f"{len(missing)} of {len(pictures)} pictures left out, they share too little ground with the others: "
+            f"{listed(missing)}"
+        )
+    yield from _about_focal(pictures, adjusted)
+    yield from _about_gps(pictures, placement)
+
+
+def _about_focal(pictures: Sequence[Picture], adjusted: Adjusted) -> Iterator[str]:
+    names, _ = cameras_of(pictures)
+    for name, lens, sigma in zip(names, adjusted.scene.lenses, adjusted.lens_sigmas, strict=True):
+        if sigma[0] > UNCERTAIN_FOCAL:
+            yield (
+                f"the focal length of {name}, {np.exp(lens[0]):.0f} px, is uncertain by {100 * sigma[0]:.0f} %: "
+                "pictures that look straight down on flat ground fit any, at another height. The mosaic is hardly "
+                "affected, heights are in proportion; give --focal-px if you know it"
+            )
+
+
+def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[str]:
+    if placement.scale == "none":
+        yield (
+            "no GPS positions, so the scale is arbitrary: one unit of the map is a hundredth of the flight's height; "
+            "--height gives metres"
+        )
+    if placement.gps_m is None:
+        return
+    if not placement.believed:
+        low, middle, high = np.nanpercentile(placement.gps_m, [10, 50, 90])
+        yield (
+            f"GPS contradicts the pictures: it is {low:.0f}–{high:.0f} m (median {middle:.0f} m) off after the best "
+            "fit; scale, heading and position come from that fit alone, and are as uncertain"
+        )
+    if placement.wrong:
+        named = [f"{pictures[k].name} ({placement.gps_m[k]:.0f} m)" for k in placement.wrong]
+        yield f"single GPS positions are wrong and have no influence: {listed(named)}"
