@@ -30,13 +30,13 @@ def observed(scene: Scene, rng: np.random.Generator, noise_px: float = NOISE_PX)
     return replace(empty, pixels=scene.residuals(empty) + rng.normal(0.0, noise_px, (len(point), 2)))
 
 
-def disturbed(scene: Scene, rng: np.random.Generator) -> Scene:
+def disturbed(scene: Scene, rng: np.random.Generator, size: float = 1.0) -> Scene:
     return replace(
         scene,
-        R_cam_map=so3_exp(rng.normal(0.0, 0.05, (CAMERAS, 3))) @ scene.R_cam_map,
-        centres=scene.centres + rng.normal(0.0, 0.05, (CAMERAS, 3)),
-        lenses=scene.lenses + [[0.1, 0.05, -0.01]],
-        points=scene.points + rng.normal(0.0, 0.05, (POINTS, 3)),
+        R_cam_map=so3_exp(size * rng.normal(0.0, 0.05, (CAMERAS, 3))) @ scene.R_cam_map,
+        centres=scene.centres + size * rng.normal(0.0, 0.05, (CAMERAS, 3)),
+        lenses=scene.lenses + size * np.array([[0.1, 0.05, -0.01]]),
+        points=scene.points + size * rng.normal(0.0, 0.05, (POINTS, 3)),
     )
 
 
@@ -81,7 +81,7 @@ def test_false_observations_do_not_pull() -> None:
     tracks = observed(truth, rng)
     false = rng.random(len(tracks.point)) < 0.05
     pixels = tracks.pixels + false[:, None] * rng.normal(0.0, 60.0, tracks.pixels.shape)
-    found = disturbed(truth, rng)
+    found = disturbed(truth, rng, 0.2)
     for huber_px in (30.0, 1.0):  # far from the truth, a narrow kernel follows whatever is near
         found = Bundle(replace(tracks, pixels=pixels), LOOSE, huber_px=huber_px).adjust(found)
     assert aligned_error(found, truth) < 0.006

@@ -99,9 +99,9 @@ def _turn_error(pair: MatchedPair, turn: Complex) -> float:
 def _turns(count: int, used: NDArray[np.intp], pairs: Sequence[MatchedPair]) -> Complex:
     """Return each picture's scale and rotation: along the best tree first, then over all pairs."""
     turn = _along_tree(count, used, pairs)
-    for _ in range(REWEIGHTINGS):
+    for sigma in np.geomspace(np.pi, TURN_SIGMA, REWEIGHTINGS):  # a false pair of the tree has no error at first
         error = np.array([np.log(turn[p.first] / (turn[p.second] * _measured(p))) for p in pairs])
-        weight = np.minimum(1.0, TURN_SIGMA / np.maximum(np.abs(error), 1e-12)) * np.sqrt([len(p.rows) for p in pairs])
+        weight = np.minimum(1.0, sigma / np.maximum(np.abs(error), 1e-12)) * np.sqrt([len(p.rows) for p in pairs])
         step = _differences(count, used, pairs, np.stack([error.real, error.imag], axis=1), weight)
         turn = turn * np.exp(step[:, 0] + 1j * step[:, 1])
     return turn
