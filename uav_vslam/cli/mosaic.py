@@ -20,6 +20,7 @@ EXAMPLES = """examples:
   uav-vslam mosaic pictures --focal-px 2890       a known focal length in pixels; else it is estimated
   uav-vslam mosaic pictures --height 70           no GPS: flown 70 m above the ground, for a mosaic in metres
   uav-vslam mosaic pictures --pixel 0.1           a coarser mosaic, 10 cm a pixel
+  uav-vslam mosaic pictures --method homography   a chain of homographies, as a baseline; in pixels of the first picture
 
 Pictures should look down, and overlap by 60 % along and 30 % across the path. gps.csv, in the same folder, has the
 columns file,lat_deg,lon_deg,alt_m and optionally datetime. Writes poses.csv, cameras.json, mosaic.json (quality) and
@@ -41,6 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="side of the mosaic's pixels [m] (default: that of the pictures)",
     )
+    parser.add_argument(
+        "--method",
+        choices=("bundle", "homography"),
+        default="bundle",
+        help="homography: the thesis's chain, without poses, surface and blending, as a baseline (default bundle)",
+    )
     parser.add_argument("--name", help="of the results folder (default: that of the pictures' folder)")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
@@ -59,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
     folder = read_folder(args.folder, focal_px=args.focal_px)
     for text in folder.warnings:
         print(f"uav-vslam: warning: {text}", file=sys.stderr)
+    if args.method == "homography":
+        return _chained(folder, args)
     found = _reconstructed(folder, args)
     for text in found.warnings:
         print(f"uav-vslam: warning: {text}", file=sys.stderr)
@@ -86,6 +95,21 @@ def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
     with progress_bar("matching pairs", len(pairs)) as advance:
         matched = match_all(features, sides, pairs, on_pair=advance)
     return reconstruct(pictures, features, matched, focal_known=args.focal_px is not None, height_m=args.height)
+
+
+def _chained(folder: Folder, args: argparse.Namespace) -> int:
+    """Draw the baseline; return the exit status."""
+    from uav_vslam.evaluation.output import new_folder
+    from uav_vslam.mapping.pictures.chain import draw_chain
+
+    with (
+        progress_bar("joining", 2 * len(folder.pictures)) as advance,
+        new_folder(args.results, args.name or f"{args.folder.resolve().name}_chain") as results,
+    ):
+        (results / "map").mkdir()
+        path = draw_chain(folder.pictures, args.pixel or 1.0, results / "map", on_picture=advance)
+    print(f"results: {results}, {path.name} in pixels of the first picture")
+    return 0
 
 
 def _write(found: Reconstruction, pixel_m: float | None, results: Path) -> dict[str, Any]:

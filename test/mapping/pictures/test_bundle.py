@@ -102,7 +102,7 @@ def test_a_wrong_position_loses_its_pull() -> None:
 def test_a_given_focal_length_stays() -> None:
     rng = np.random.default_rng(6)
     truth = true_scene(rng)
-    held = replace(LOOSE, lenses=LENS + [[0.02, 0.0, 0.0]], lens_sigmas=np.array([[0.0, 0.1, 0.1]]))
+    held = replace(LOOSE, lenses=LENS + np.array([[0.02, 0.0, 0.0]]), lens_sigmas=np.array([[0.0, 0.1, 0.1]]))
     start = replace(disturbed(truth, rng), lenses=held.lenses.copy())
     found = Bundle(observed(truth, rng), held, huber_px=2.0).adjust(start)
     assert found.lenses[0, 0] == held.lenses[0, 0]

@@ -19,5 +19,6 @@ views        undistorted images with their poses, as all mapping takes them
 overlap      how many pictures see each place
 reconstruction  from matched pairs to poses, surface and warnings
 drawing      the orthomosaic and its files
+chain        the thesis's chain of homographies, as a baseline
 output       tables of poses, cameras and figures of quality
 """

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`uav-vslam mosaic` on real pictures at reduced size: all of them, where COLMAP has them, with seams that meet."""
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.cli.main import main
+
+SIZE = (480, 360)
+CENTRES_SHARE = 0.01  # of the flight's extent, from COLMAP's
+SEAM_PX = 1.5
+
+
+def similarity_errors(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    U, S, Vt = np.linalg.svd(b.T @ a)
+    D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    scale = float((S * np.diag(D)).sum() / (a**2).sum())
+    return np.asarray(np.linalg.norm(scale * a @ (U @ D @ Vt).T - b, axis=1))
+
+
+def rows_of(path: Path) -> list[list[str]]:
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    return list(csv.reader(lines))[1:]
+
+
+@pytest.mark.data
+def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, folder = data_root / "odm_caliterra", tmp_path / "pictures"
+    folder.mkdir()
+    for file in sorted(source.glob("*.jpg")):
+        cv2.imwrite(str(folder / file.name), cv2.resize(cv2.imread(str(file)), SIZE, interpolation=cv2.INTER_AREA))
+    (folder / "gps.csv").write_bytes((source / "gps.csv").read_bytes())
+    assert main(["mosaic", str(folder), "--results", str(tmp_path / "results"), "--pixel", "0.16"]) == 0
+    assert "GPS contradicts the pictures" in capsys.readouterr().err
+    results = tmp_path / "results" / "latest"
+    figures = json.loads((results / "mosaic.json").read_text())
+    assert figures["used"] == 24
+    assert figures["seam"]["median_px"] < SEAM_PX
+    truth = {row[0]: np.array(row[1:4], float) for row in rows_of(source / "reference_poses.csv")}
+    poses = {row[0]: np.array(row[1:4], float) for row in rows_of(results / "poses.csv")}
+    reference = np.array([truth[name] for name in poses])
+    error = similarity_errors(np.array(list(poses.values())), reference)
+    assert error.max() < CENTRES_SHARE * float(np.linalg.norm(np.ptp(reference, axis=0)))
+    tree = json.loads((results / "map" / "map.json").read_text())
+    assert tree["orthomosaic"]["width"] == figures["width"]
+    assert (results / "map" / "orthomosaic.tif").is_file()
+
+
+def test_a_folder_without_pictures_is_one_line_and_exit_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["mosaic", str(tmp_path), "--results", str(tmp_path / "results")]) == 2
+    assert "holds 0 different pictures" in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a folder holds is read from files, EXIF and the table beside them; what can't be used is named."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from uav_vslam.errors import PictureError
+from uav_vslam.mapping.pictures.exif import clock_s, focal_px
+from uav_vslam.mapping.pictures.reading import read_folder
+
+TABLE = "file,lat_deg,lon_deg,alt_m,datetime\n"
+
+
+def picture(
+    path: Path, size: tuple[int, int] = (64, 48), *, seed: int = 0, tags: dict[int, object] | None = None
+) -> None:
+    noise = np.random.default_rng(seed).integers(0, 255, (size[1], size[0], 3), np.uint8)
+    image = Image.fromarray(noise)
+    exif = image.getexif()
+    for tag, value in (tags or {}).items():
+        if isinstance(value, dict):
+            exif.get_ifd(tag).update(value)
+        else:
+            exif[tag] = value
+    image.save(path, exif=exif)
+
+
+def test_exif_gives_focal_length_time_and_position(tmp_path: Path) -> None:
+    north, west = (
+        (IFDRational(30), IFDRational(10), IFDRational(36)),
+        (IFDRational(98), IFDRational(5), IFDRational(24)),
+    )
+    gps = {1: "N", 2: north, 3: "W", 4: west, 5: b"\x00", 6: IFDRational(3470, 10)}
+    details = {0xA405: 24, 0x9003: "2014:10:19 13:21:23"}
+    picture(tmp_path / "a.jpg", tags={0x0110: "X1", 0x8769: details, 0x8825: gps})
+    picture(tmp_path / "b.jpg", seed=1)
+    first = next(each for each in read_folder(tmp_path).pictures if each.name == "a.jpg")
+    assert first.focal_px == pytest.approx(24.0 / 43.2666 * 80.0)
+    assert first.time_s == clock_s("2014:10:19 13:21:23")
+    assert first.position is not None
+    assert (first.position.latitude_deg, first.position.longitude_deg) == pytest.approx((30.17667, -98.09), abs=1e-5)
+    assert first.position.height_m == pytest.approx(347.0)
+
+
+def test_the_focal_plane_gives_the_focal_length_of_a_shrunk_picture() -> None:
+    tags = {0x920A: 8.8, 0xA20E: 4000 / 13.2 * 10.0, 0xA210: 3, 0xA002: 4000}
+    assert focal_px(tags, (1000, 750)) == pytest.approx(8.8 * 1000 / 13.2)
+
+
+def test_the_table_takes_precedence_and_gives_the_order(tmp_path: Path) -> None:
+    for k, name in enumerate("ab"):
+        picture(tmp_path / f"{name}.png", seed=k)
+    rows = "a.png,30.1,-98.1,350,2014:10:19 13:21:25\nb.png,30.2,-98.2,351,2014:10:19 13:21:23\n"
+    (tmp_path / "gps.csv").write_text(TABLE + rows)
+    found = read_folder(tmp_path).pictures
+    assert [each.name for each in found] == ["b.png", "a.png"]
+    assert found[1].position is not None
+    assert found[1].position.latitude_deg == 30.1
+
+
+def test_copies_and_damaged_files_are_left_out_by_name(tmp_path: Path) -> None:
+    for k, name in enumerate("ab"):
+        picture(tmp_path / f"{name}.png", seed=k)
+    shutil.copy(tmp_path / "a.png", tmp_path / "c.png")
+    (tmp_path / "d.jpg").write_text("no picture")
+    found = read_folder(tmp_path)
+    assert [each.name for each in found.pictures] == ["a.png", "b.png"]
+    assert any("c.png" in text for text in found.warnings)
+    assert any("d.jpg" in text for text in found.warnings)
+
+
+def test_a_portrait_picture_is_turned_to_lie_like_the_others(tmp_path: Path) -> None:
+    for k in range(3):
+        picture(tmp_path / f"{k}.png", seed=k)
+    picture(tmp_path / "3.png", (48, 64), seed=3)
+    found = read_folder(tmp_path).pictures
+    assert [each.turned for each in found] == [False, False, False, True]
+    assert {each.camera for each in found} == {"camera 64x48"}
+    assert found[3].read().shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("file,lat_deg,lon_deg\na.png,1,2\n", "alt_m"),
+        (TABLE + "a.png,30.1,x,350,\n", "line 2"),
+        (TABLE + "a.png,130.1,20,350,\n", "WGS 84"),
+    ],
+)
+def test_a_malformed_table_is_an_error_that_says_where(tmp_path: Path, text: str, told: str) -> None:
+    for k, name in enumerate("ab"):
+        picture(tmp_path / f"{name}.png", seed=k)
+    (tmp_path / "gps.csv").write_text(text)
+    with pytest.raises(PictureError, match=told):
+        read_folder(tmp_path)
+
+
+def test_a_folder_without_pictures_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(PictureError, match="0 different pictures"):
+        read_folder(tmp_path)
+    with pytest.raises(PictureError, match="not a folder"):
+        read_folder(tmp_path / "missing")
