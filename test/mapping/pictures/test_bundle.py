@@ -54,8 +54,8 @@ def test_the_gradient_is_the_numerical_one_of_the_cost(with_positions: bool) -> 
     rng = np.random.default_rng(1)
     truth = true_scene(rng)
     scene = disturbed(truth, rng)
-    priors = replace(LOOSE, positions=truth.centres, position_sigmas=np.full(3, 1e-3)) if with_positions else LOOSE
-    bundle = Bundle(observed(truth, rng), priors, huber_px=40.0, noise_px=5.0)
+    priors = replace(LOOSE, positions=truth.centres, position_sigmas=np.full(3, 0.02)) if with_positions else LOOSE
+    bundle = Bundle(observed(truth, rng), priors, huber_px=40.0, noise_px=1000.0)  # so that the priors weigh, too
     gradient = bundle._normal(scene).gradient
     still = np.zeros((POINTS, 3))
     for k in (0, 4, POSE + 2, POSE + 5, *range(POSE * CAMERAS, POSE * CAMERAS + 3)):
