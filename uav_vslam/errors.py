@@ -30,6 +30,10 @@ class PictureError(UavVslamError):
     """A picture or the table of positions beside it can't be used, or the pictures do not determine a mosaic."""
 
 
+class MapError(UavVslamError):
+    """A saved map is missing, damaged or does not suit the flight."""
+
+
 class InvalidMessage(UavVslamError, ValueError):
     """A received message or reading can't be used; `reason` is a short key under which the drop is counted."""
 

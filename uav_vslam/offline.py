@@ -66,6 +66,7 @@ def track_vehicle(
     *,
     keep_features: bool = False,
     smoothing: bool = False,
+    keep_map: bool = False,
 ) -> VehicleTrack:
     """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the damage.
 
@@ -75,6 +76,7 @@ def track_vehicle(
         on_frame: called after each frame.
         keep_features: in the track, for pictures.
         smoothing: smooth the whole flight afterwards.
+        keep_map: in the track.
 
     Raises:
         UavVslamError: the source has no start state and the configuration does not set how to find one, or none was
@@ -87,6 +89,7 @@ def track_vehicle(
         config=config,
         vehicle=source.vehicle,
         keep_features=keep_features or smoothing,
+        keep_map=keep_map,
     )
     try:
         for _ in pipeline.run(source.iter_events()):
@@ -99,11 +102,21 @@ def track_vehicle(
             f"the last: {pipeline.missing_start}"
         )
     _count_unpaired(source, pipeline.track)
+    if keep_map:
+        keep_saved_map(pipeline)
     if smoothing:
         smooth_track(pipeline.track, source.rig, config)
     if not keep_features:
         pipeline.track.features.clear()
     return pipeline.track
+
+
+def keep_saved_map(pipeline: VehiclePipeline) -> None:
+    """Add the map to a pipeline's track; without one, why there is none."""
+    try:
+        pipeline.track.saved_map = pipeline.saved_map()
+    except (FilterDivergence, np.linalg.LinAlgError) as error:
+        pipeline.track.warnings.append(f"the map could not be saved: {error}")
 
 
 def smooth_track(track: VehicleTrack, rig: StereoRig, config: VehicleConfig) -> None:
@@ -143,6 +156,7 @@ def fly(
     links: Callable[[str, str], PacketLink] | None = None,
     keep_features: bool = False,
     smoothing: bool = False,
+    keep_maps: bool = False,
 ) -> tuple[dict[str, VehicleTrack], dict[str, CooperativeTrack]]:
     """Run a fleet.
 
@@ -154,8 +168,9 @@ def fly(
         links: makes the radio link from a sender to a receiver; without it packets arrive at once.
         keep_features: in the tracks, for pictures.
         smoothing: smooth each whole flight afterwards.
+        keep_maps: in the tracks.
     """
-    track = partial(track_vehicle, keep_features=keep_features, smoothing=smoothing)
+    track = partial(track_vehicle, keep_features=keep_features, smoothing=smoothing, keep_map=keep_maps)
     if workers == 1 or len(sources) == 1:
         tracks = [track(source, configs[source.vehicle], lambda: on_frame(1)) for source in sources]
     else:

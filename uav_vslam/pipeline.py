@@ -10,6 +10,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegrator import ImuPreintegrator
+from uav_vslam.slam.saved_map import SavedMap
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.stamps import IMU_TIME_JUMP_S, TimeJumpGuard
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, PoseEstimate, StereoFeatures, StereoFrame
@@ -31,6 +32,7 @@ class VehicleTrack:
         features: found in each frame, by its stamp [ns] and without descriptors; empty unless they are kept.
         smoothed: the most likely poses given the whole flight, one per output; empty unless it was smoothed.
         stage_s: processor time of a stage on each frame [s], by the stage's name and the frame's stamp [ns].
+        saved_map: all landmarks mapped; None unless they are kept.
         broken: why the recording ended early; empty if complete.
         warnings: problems for the user.
     """
@@ -45,6 +47,7 @@ class VehicleTrack:
     features: dict[int, StereoFeatures] = field(default_factory=dict)
     smoothed: list[PoseEstimate] = field(default_factory=list)
     stage_s: dict[str, dict[int, float]] = field(default_factory=lambda: {"frontend": {}, "backend": {}})
+    saved_map: SavedMap | None = None
     broken: str = ""
     warnings: list[str] = field(default_factory=list)
 
@@ -61,16 +64,18 @@ class VehiclePipeline:
         vehicle: str,
         session: int = 1,
         keep_features: bool = False,
+        keep_map: bool = False,
     ) -> None:
         """Start at a state; with `start.method: in_flight` it may be None and is estimated.
 
-        The track keeps its features, for pictures and smoothing, if asked to: some 10 kB a frame.
+        The track keeps its features, for pictures and smoothing, if asked to: some 10 kB a frame. With `keep_map`
+        all landmarks are collected for `saved_map`.
         """
         self._keep_features = keep_features
         self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._preintegrator = ImuPreintegrator(config.imu, initial.state if initial else None)
         self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
-        self._slam = SlamStage(config, vehicle=vehicle, session=session)
+        self._slam = SlamStage(config, vehicle=vehicle, session=session, keep_map=keep_map)
         self._slam.rig = rig
         if initial is not None:
             self._slam.start(initial)
@@ -81,6 +86,10 @@ class VehiclePipeline:
     def missing_start(self) -> str:
         """Reason for the missing start state; empty once there is one."""
         return self._slam.missing_start
+
+    def saved_map(self) -> SavedMap:
+        """Return all landmarks mapped until the last epoch."""
+        return self._slam.saved_map()
 
     def run(self, events: Iterable[ImuSample | StereoFrame | StereoFeatures]) -> Iterator[FrameOutput]:
         """Feed sensor data in stamp order and yield each frame's output as soon as it is complete."""

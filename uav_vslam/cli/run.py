@@ -51,6 +51,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=positive, default=2, help="processes, one a vehicle at most (default 2)")
     parser.add_argument("--no-smoothing", action="store_true", help="do not smooth each whole flight afterwards")
     parser.add_argument("--no-plots", action="store_true", help="draw no pictures, write no page")
+    parser.add_argument("--no-maps", action="store_true", help="write no <vehicle>_map.npz")
     parser.add_argument(
         "--sheet", type=positive, default=12, metavar="N", help="images with tracks on the contact sheet (default 12)"
     )
@@ -99,11 +100,13 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
             links=links,
             keep_features=args.video or not args.no_plots,
             smoothing=not args.no_smoothing,
+            keep_maps=not args.no_maps,
         )
     name = args.name or args.inputs[0].stem
     result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started, bags=bags)
     folder = write_results(result, args.results, plot=partial(_draw, flights=flights, tracks=tracks, args=args))
     print_summary(build_summary(result, git=None))
+    _save_maps(tracks, folder)
     print(f"results: {folder}")
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")
@@ -112,6 +115,16 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     broken = sorted(track.broken for track in tracks.values() if track.broken)
     _warn(broken)
     return folder, 2 if broken else 0
+
+
+def _save_maps(tracks: dict[str, VehicleTrack], folder: Path) -> None:
+    """Write each vehicle's map beside its results, for `run --map`."""
+    from uav_vslam.slam.saved_map import save_map
+
+    for vehicle, track in tracks.items():
+        if track.saved_map is not None and len(track.saved_map):
+            size = save_map(track.saved_map, folder / f"{vehicle}_map.npz")
+            print(f"{vehicle}_map.npz: {len(track.saved_map)} landmarks in {size / 1e3:.0f} kB")
 
 
 def _warn(texts: Iterable[str]) -> None:

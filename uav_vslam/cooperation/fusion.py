@@ -19,10 +19,10 @@ from uav_vslam.cooperation.common_landmarks import comparable
 from uav_vslam.cooperation.epoch_fusion import EpochFusion
 from uav_vslam.cooperation.fused_pose import FusedEpoch, propagated
 from uav_vslam.cooperation.inbox import Inbox
-from uav_vslam.cooperation.memory import LandmarkMemory
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
 from uav_vslam.estimation.belief import state_rows
 from uav_vslam.numerics import inverse_spd, submatrix
+from uav_vslam.slam.landmark_memory import LandmarkMemory
 from uav_vslam.slam.packet import ANCHOR, POSE_DIM, PacketPolicy, checksum, make_packet, packet_policy
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
 

@@ -16,6 +16,8 @@ from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.rig_monitor import RigMonitor
+from uav_vslam.slam.saved_map import MapOrigin, SavedMap
+from uav_vslam.slam.saved_map.archive import MapArchive
 from uav_vslam.slam.start_monitor import StartMonitor
 from uav_vslam.types import NS_PER_S, FrameQuality, ImuIncrement, JointInformation, NavEstimate, StereoFeatures
 
@@ -68,7 +70,8 @@ class SlamStage:
         initial: start state; None until given or found.
     """
 
-    def __init__(self, config: VehicleConfig, *, vehicle: str, session: int = 1) -> None:
+    def __init__(self, config: VehicleConfig, *, vehicle: str, session: int = 1, keep_map: bool = False) -> None:
+        """Wait for start state and rig; with `keep_map` all landmarks are collected for `saved_map`."""
         self._config, self._vehicle, self._session = config, vehicle, session
         self._in_flight = config.start.method == "in_flight"
         self._queue = FrameQueue()
@@ -78,6 +81,8 @@ class SlamStage:
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
         self._motion_lost = self._start_unreachable = 0
+        origin = MapOrigin(vehicle, session, frame=f"{vehicle}/map", stamp_ns=0)
+        self._archive = MapArchive(origin) if keep_map else None
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
 
@@ -136,6 +141,12 @@ class SlamStage:
             if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
+    def saved_map(self) -> SavedMap:
+        """Return all landmarks mapped until the last epoch; empty without `keep_map`."""
+        if self._archive is None:
+            return SavedMap(MapOrigin(self._vehicle, self._session, frame=f"{self._vehicle}/map", stamp_ns=0))
+        return self._archive.saved_map()
+
     def add_features(self, features: StereoFeatures) -> None:
         """Add a frame's features."""
         self._queue.add_features(features)
@@ -192,9 +203,17 @@ class SlamStage:
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
         joint = self._backend.joint_information() if at_epoch else None
+        self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
         return FrameOutput(report, dead_reckoned, joint, increment, self._warnings(report, dead_reckoned))
+
+    def _archive_landmarks(self, report: FrameReport, joint: JointInformation | None) -> None:
+        if self._archive is None:
+            return
+        self._archive.count(report.sightings)
+        if joint is not None:
+            self._archive.add(joint)
 
     def _warnings(self, report: FrameReport, dead_reckoned: NavEstimate) -> tuple[str, ...]:
         if report.recovery:

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Collects the landmarks of a flight: each is kept in a section before or soon after it leaves the filter.
+
+Landmarks that have left are remembered, conditioned on those that stay, until there are enough of them for a section;
+those in view that have been observed often enough join it. So a section covers about one view of the ground, and its
+landmarks, of one joint belief, have a true joint covariance. The bound of it is computed when the map is wanted.
+"""
+
+import dataclasses
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.geometry.image_grid import spread_on_ground
+from uav_vslam.slam.landmark_memory import LandmarkMemory
+from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.slam.saved_map.record import MapOrigin, MapSection, SavedMap
+from uav_vslam.types import JointInformation
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+MIN_OBSERVATIONS = 3  # of a landmark in the filter that joins a section
+LEFT_FOR_SECTION = 24  # landmarks that have left: a section is made of them and of those in view
+SECTION_LANDMARKS = 64  # at most: the time to bound its covariance grows with the cube
+
+
+@dataclass(frozen=True, slots=True)
+class _Marginal:
+    """Landmarks of one belief: (N,) ids, (N, 3) positions and their covariance (3N, 3N) [m], descriptors."""
+
+    ids: NDArray[np.uint32]
+    positions: Array
+    covariance: Array
+    descriptors: NDArray[np.uint8]
+
+
+class MapArchive:
+    """All landmarks that one vehicle has mapped in one session."""
+
+    def __init__(self, origin: MapOrigin) -> None:
+        """Start empty; the origin's stamp follows the beliefs."""
+        self._origin = origin
+        self._memory = LandmarkMemory(SECTION_LANDMARKS)
+        self._observations: Counter[int] = Counter()
+        self._stored: set[int] = set()
+        self._parts: list[_Marginal] = []
+        self._last: JointInformation | None = None  # with the remembered landmarks
+        self._in_state: NDArray[np.uint32] = np.zeros(0, np.uint32)  # of its landmarks, those in the filter
+
+    def __len__(self) -> int:
+        return len(self._stored)
+
+    def count(self, sightings: Rows) -> None:
+        """Count a frame's observations: (K, 2) identifier and feature row."""
+        self._observations.update(sightings[:, 0].tolist())
+
+    def add(self, joint: JointInformation) -> None:
+        """Take over a belief, later than the last one.
+
+        Raises:
+            FilterDivergence: its information is not positive definite.
+        """
+        if self._last is not None and not np.isin(self._in_state, joint.ids).any():
+            self._parts += self._rest()  # the filter was re-initialised: nothing relates it to the past
+            self._stored |= set(self._last.ids.tolist())
+        wanted = set() if self._last is None else set(self._last.ids.tolist()) - self._stored
+        belief = self._memory.extended(joint, wanted)
+        self._last, self._in_state = belief, joint.ids
+        open_rows = self._open(belief)
+        left = open_rows[~np.isin(belief.ids[open_rows], joint.ids)]
+        if len(left) >= LEFT_FOR_SECTION:
+            rows = self._chosen(belief, left, open_rows)
+            self._parts.append(_marginal(belief, rows))
+            self._stored |= set(belief.ids[rows].tolist())
+
+    def saved_map(self) -> SavedMap:
+        """Return all that has been mapped; what is still in the filter is in the last section.
+
+        Raises:
+            FilterDivergence: a covariance is not positive definite.
+        """
+        return SavedMap(
+            dataclasses.replace(self._origin, stamp_ns=0 if self._last is None else self._last.stamp_ns),
+            tuple(
+                MapSection.bounding(
+                    part.ids,
+                    part.positions,
+                    part.covariance,
+                    descriptors=part.descriptors,
+                    observations=self._counted(part.ids),
+                )
+                for part in [*self._parts, *self._rest()]
+            ),
+        )
+
+    def _counted(self, ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        return np.array([self._observations[i] for i in ids.tolist()], np.uint32)
+
+    def _open(self, belief: JointInformation) -> Rows:
+        """Return the rows of landmarks that are in no section yet: remembered, or observed often enough."""
+        stored = np.isin(belief.ids, np.fromiter(self._stored, np.uint32, len(self._stored)))
+        young = np.isin(belief.ids, self._in_state) & (self._counted(belief.ids) < MIN_OBSERVATIONS)
+        return np.flatnonzero(~stored & ~young)
+
+    def _chosen(self, belief: JointInformation, left: Rows, rows: Rows) -> Rows:
+        """Return the rows of a section: those that have left, then the others, spread over the ground."""
+        first = left[spread_on_ground(belief.positions[left], SECTION_LANDMARKS)]
+        others = rows[~np.isin(rows, left)]
+        others = others[spread_on_ground(belief.positions[others], SECTION_LANDMARKS - len(first))]
+        return np.sort(np.concatenate([first, others]))
+
+    def _rest(self) -> list[_Marginal]:
+        """Return sections of all landmarks of the last belief that are in none yet."""
+        belief, parts = self._last, []
+        rows = np.zeros(0, np.intp) if belief is None else self._open(belief)
+        while belief is not None and len(rows):
+            some = self._chosen(belief, rows[:0], rows)
+            parts.append(_marginal(belief, some))
+            rows = rows[~np.isin(rows, some)]
+        return parts
+
+
+def _marginal(belief: JointInformation, rows: Rows) -> _Marginal:
+    columns = landmark_rows(POSE_DIM, rows)
+    return _Marginal(
+        belief.ids[rows],
+        belief.positions[rows].copy(),
+        belief.covariance[np.ix_(columns, columns)],
+        belief.descriptors[rows].copy(),
+    )
