@@ -9,6 +9,7 @@ import itertools
 import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange, Receiver
@@ -16,6 +17,7 @@ from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.slam.packet import payload_bytes
+from uav_vslam.slam.saved_map import load_map
 from uav_vslam.types import LandmarkPacket, LinkEpoch, PoseEstimate
 
 
@@ -70,7 +72,8 @@ def cooperate(
     air = Air(tracks, links, lambda packet: on_packet(fleet[packet.vehicle].fusion, packet, payload_bytes(packet)))
     for name in tracks:
         settings = configs[name].fusion
-        fusion, peers = Fusion(name, settings), [peer for peer in tracks if peer != name]
+        loaded = load_map(Path(configs[name].start.map)) if configs[name].start.map else None
+        fusion, peers = Fusion(name, settings, loaded), [peer for peer in tracks if peer != name]
         fleet[name] = CooperativeTrack(fusion, Exchange(fusion, peers, LinkTransport(air, name), settings))
         fleet[name].exchange.configure(settings)
     frames = [(output.report.pose.stamp_ns, name, output) for name, track in tracks.items() for output in track.outputs]

@@ -192,7 +192,8 @@ def flight_result(
 ) -> FlightResult:
     """Collect the data for evaluation."""
     modes = {vehicle: configs[vehicle].fusion.mode if len(tracks) > 1 else "none" for vehicle in tracks}
-    members = {vehicle: None if modes[vehicle] == "none" else fleet[vehicle] for vehicle in tracks}
+    fused = {vehicle for vehicle in tracks if modes[vehicle] != "none" or configs[vehicle].start.map}
+    members = {vehicle: fleet[vehicle] if vehicle in fused else None for vehicle in tracks}
     vehicles = {
         vehicle: _vehicle_result(track, members[vehicle], truths[vehicle], configs[vehicle])
         for vehicle, track in tracks.items()
@@ -231,7 +232,7 @@ def _vehicle_result(
     track: VehicleTrack, member: CooperativeTrack | None, truth: Trajectory | None, config: VehicleConfig
 ) -> VehicleResult:
     own = [output.report.pose for output in track.outputs]
-    if truth is not None and own and config.start.method != "given":  # the vehicle's start defined its map
+    if truth is not None and own and config.start.defines_map:
         truth = in_start_frame(truth, own[0].stamp_ns)
     return VehicleResult(
         name=track.vehicle,
@@ -255,14 +256,15 @@ def _vehicle_result(
 
 def _start(source: FlightSource, config: VehicleConfig) -> NavEstimate | None:
     """Return the start state, None if it is to be estimated in flight."""
-    if config.start.method == "in_flight":
+    if config.start.searches:
         return None
     if config.start.method == "static":
         return _static_start(source, config)
     if source.initial_state is None:
         raise UavVslamError(
             f"{source.vehicle}: the recording has no {source.vehicle}/initial_state; record one, or set "
-            "start.method: static for a vehicle that starts at rest, in_flight for one that is already flying"
+            "start.method: static for a vehicle that starts at rest, in_flight for one that is already flying, map for "
+            "one over ground that it has a map of"
         )
     return source.initial_state
 

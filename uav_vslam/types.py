@@ -265,6 +265,8 @@ class JointInformation:
         positions: (N, 3) landmarks in the map frame [m].
         information: (6+3N, 6+3N) information matrix, order position, rotation (map frame), landmarks.
         descriptors: (N, D) uint8.
+        prior_id: hash of the map that the start depends on; "" for none.
+        other_sources: "vehicle/session" of that map's measurements.
     """
 
     stamp_ns: int
@@ -275,11 +277,18 @@ class JointInformation:
     positions: Array
     information: Array
     descriptors: NDArray[np.uint8]
+    prior_id: str = ""
+    other_sources: tuple[str, ...] = ()
 
     @property
     def source(self) -> str:
         """Provenance key of these measurements: "vehicle/session"."""
         return source_of(self.vehicle, self.session)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """All provenance keys, the own first."""
+        return (self.source, *(source for source in self.other_sources if source != self.source))
 
     @cached_property
     def covariance(self) -> Array:

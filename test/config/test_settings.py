@@ -131,7 +131,7 @@ WRONG = [
     (FusionConfig, "signing_key_file", "own.pem", "signing_key_file and peer_keys_folder together"),
     (FusionConfig, "max_packet_landmarks", 401, "at most 400"),
     (FusionConfig, "gate_probability", 1.0, "above 0 and below 1"),
-    (StartConfig, "method", "magic", "one of given, static, in_flight"),
+    (StartConfig, "method", "magic", "one of given, static, in_flight, map"),
     (RigConfig, "rigid_sigma_deg", -1e-9, "at least 0"),
     (ImuConfig, "gravity", -9.8, "above 0"),
     (ReplayConfig, "rate", -1.0, "at least 0"),

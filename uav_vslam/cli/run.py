@@ -24,6 +24,7 @@ HELP = "run recordings through the graph offline, without ROS, and evaluate"
 EXAMPLES = """examples:
   uav-vslam run config/fleet_demo.yaml                a fleet file: vehicles, configurations, recordings
   uav-vslam run flight --config kagaru           every vehicle of a bag, one configuration for all
+  uav-vslam run flight --config kagaru --vehicles uav2 --map results/latest/uav1_map.npz     start in an earlier map
   uav-vslam run v101 --config euroc --set backend.sigma_px=0.8
   uav-vslam run uav1_bag uav2_bag --config kagaru --mode none
   uav-vslam run flight --config kagaru --sheet 24 --video            pictures of the feature tracks
@@ -45,6 +46,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting of all vehicles"
     )
     parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="communication mode")
+    parser.add_argument(
+        "--map", type=Path, metavar="FILE", help="start in flight over the ground of an earlier run's <vehicle>_map.npz"
+    )
     parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--name", help="of the results folder (default: that of the input)")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
@@ -80,6 +84,8 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.report.table import print_summary
 
     more = {"fusion.mode": args.mode} if args.mode else {}
+    if args.map is not None:
+        more |= {"start.method": "map", "start.map": str(args.map.resolve())}
     bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles), more)
     _warn(text for config in configs.values() for text in idle_settings(config).values())
     links = partial(link_between, load_link(args.link)) if args.link else None

@@ -105,7 +105,9 @@ NODES: dict[str, NodeParameters] = {
     "slam_backend": NodeParameters(
         BackendNodeConfig, ("input", "frames", "start", "imu", "rig", "backend", "frontend.ratio", "fusion.epoch_s")
     ),
-    "fusion": NodeParameters(FusionNodeConfig, ("input.frames.base", "frames", "fusion", "frontend.extractor")),
+    "fusion": NodeParameters(
+        FusionNodeConfig, ("input.frames.base", "frames", "start.map", "fusion", "frontend.extractor")
+    ),
     "replay": NodeParameters(ReplayNodeConfig),
     "link_emulator": NodeParameters(LinkNodeConfig),
     "recorder": NodeParameters(RecorderNodeConfig),

@@ -7,7 +7,7 @@ from uav_vslam.config.imu import ImuConfig
 from uav_vslam.config.input import InputConfig
 from uav_vslam.config.settings import Settings, refuse, setting
 
-START_METHODS = ("given", "static", "in_flight")
+START_METHODS = ("given", "static", "in_flight", "map")
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,13 +16,27 @@ class StartConfig(Settings):
 
     method: str = setting(
         "given",
-        "given: topic initial_state; static: gravity at rest; in_flight: gravity and stereo odometry",
+        "given: topic initial_state; static: gravity at rest; in_flight: gravity and stereo odometry; map: as "
+        "in_flight, with the pose in the map of start.map",
         choices=START_METHODS,
     )
     rest_s: float = setting(1.0, "static: time over which readings are averaged", unit="s", above=0)
-    velocity_sigma: float = setting(
-        5.0, "in_flight: prior standard deviation of the start's velocity, per axis", unit="m/s", above=0
+    map: str = setting(
+        "", "file of a map to fly in: fusion corrects by it, and method map starts in it; empty for none"
     )
+    velocity_sigma: float = setting(
+        5.0, "in_flight, map: prior standard deviation of the start's velocity, per axis", unit="m/s", above=0
+    )
+
+    @property
+    def defines_map(self) -> bool:
+        """Whether the start state is the origin of the map frame, and its heading east."""
+        return self.method in ("static", "in_flight")
+
+    @property
+    def searches(self) -> bool:
+        """Whether the vehicle finds its start state itself, in flight."""
+        return self.method in ("in_flight", "map")
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,6 +332,8 @@ class VehicleConfig(Settings):
     fusion: FusionConfig = field(default_factory=FusionConfig)
 
     def _check_together(self) -> None:
+        if self.start.map and self.fusion.prior_id:
+            refuse("fusion.prior_id", self.fusion.prior_id, "none beside start.map: the map's own hash is used")
         if self.fusion.mode == "narrowband" and self.frontend.extractor not in SIFT_EXTRACTORS:
             allowed = f"one of {', '.join(SIFT_EXTRACTORS)} in narrowband mode, whose descriptors are made of SIFT's"
             refuse("frontend.extractor", self.frontend.extractor, allowed)

@@ -25,6 +25,7 @@ class EpochFusion:
         sources: "vehicle/session" whose measurements are fused so far.
         common: landmarks shared with each peer.
         matched: identifiers of own landmarks that some peer shares.
+        map_landmarks: landmarks shared with the loaded map.
     """
 
     def __init__(self, joint: JointInformation, *, scheme: str, weighing: str, prior_id: str) -> None:
@@ -32,13 +33,14 @@ class EpochFusion:
         self._scheme, self._weighing = SCHEMES[scheme], weighing
         self._belief = Split(P, np.zeros_like(P))
         self._own_covariance, self._T_map_body = P[:POSE_DIM, :POSE_DIM], joint.T_map_body
-        self._weight, self._priors = 1.0, {prior_id} - {""}
+        self._weight, self._priors = 1.0, {prior_id, joint.prior_id} - {""}
         self._frames: dict[str, FrameEstimate] = {}
         self.joint = joint
         self.positions: Array = joint.positions
-        self.sources = {joint.source}
+        self.sources = set(joint.sources)
         self.common: dict[str, int] = {}
         self.matched: set[int] = set()
+        self.map_landmarks = 0
 
     @property
     def landmark_covariance(self) -> Array:
@@ -51,8 +53,16 @@ class EpochFusion:
         A packet whose sources or prior are fused already is dependent; any other is independent.
         """
         self.matched |= set(self.joint.ids[pairs[:, 0]].tolist())
-        if len(pairs) == 0:
-            return
+        if len(pairs):
+            self._fuse(packet, pairs, frame)
+
+    def add_map(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
+        """Fuse landmarks of a loaded map likewise; it shares none with peers."""
+        self.map_landmarks = len(pairs)
+        if len(pairs):
+            self._fuse(packet, pairs, frame)
+
+    def _fuse(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
         dependent = bool(self.sources & set(packet.sources)) or packet.prior_id in self._priors
         framed = frame.framed(self.positions, packet, pairs, dependent=dependent)
         fused = self._scheme(self._belief, framed.evidence, self._weighing)
@@ -79,4 +89,5 @@ class EpochFusion:
             matched_ids=frozenset(self.matched),
             sources=frozenset(self.sources),
             frames=self._frames,
+            map_landmarks=self.map_landmarks,
         )

@@ -144,7 +144,7 @@ class Exchange:
         """Refuse packets of vehicles outside the fleet, and feedback where packets are expected."""
         if packet.vehicle not in (*self._peers, self._fusion.vehicle):
             raise InvalidMessage("sender", f"{sender} sends a packet of {packet.vehicle!r}, which is not of the fleet")
-        if packet.other_sources:
+        if packet.other_sources and not packet.prior_id:  # those of a map are declared with its hash
             raise InvalidMessage("sources", f"{packet.source} sends feedback where packets are expected")
 
     def _relay(self, packet: LandmarkPacket, to: Sequence[str]) -> None:

@@ -29,6 +29,7 @@ class FusedEpoch:
         matched_ids: own landmarks that some peer shares.
         sources: "vehicle/session" whose measurements are fused.
         frames: estimated frames of peers without a common origin.
+        map_landmarks: landmarks shared with the loaded map.
     """
 
     own: PoseEstimate
@@ -41,6 +42,7 @@ class FusedEpoch:
     matched_ids: frozenset[int]
     sources: frozenset[str]
     frames: dict[str, FrameEstimate]
+    map_landmarks: int = 0
 
 
 def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]:

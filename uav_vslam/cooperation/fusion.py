@@ -19,11 +19,13 @@ from uav_vslam.cooperation.common_landmarks import comparable
 from uav_vslam.cooperation.epoch_fusion import EpochFusion
 from uav_vslam.cooperation.fused_pose import FusedEpoch, propagated
 from uav_vslam.cooperation.inbox import Inbox
+from uav_vslam.cooperation.loaded_map import LoadedMap
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
 from uav_vslam.estimation.belief import state_rows
 from uav_vslam.numerics import inverse_spd, submatrix
 from uav_vslam.slam.landmark_memory import LandmarkMemory
 from uav_vslam.slam.packet import ANCHOR, POSE_DIM, PacketPolicy, checksum, make_packet, packet_policy
+from uav_vslam.slam.saved_map import SavedMap
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
 
 Pairs = NDArray[np.intp]
@@ -44,8 +46,10 @@ class Fusion:
         epoch: result of the last fusion.
     """
 
-    def __init__(self, vehicle: str, config: FusionConfig) -> None:
+    def __init__(self, vehicle: str, config: FusionConfig, loaded: SavedMap | None = None) -> None:
+        """Start without peers; `loaded` is a map of the ground, in the vehicle's own map frame."""
         self.vehicle = vehicle
+        self._loaded = None if loaded is None else LoadedMap(loaded)
         self._authentication = authentication_for(vehicle, config)
         self.inbox = Inbox(vehicle, authentication=self._authentication)
         self.returned = Inbox(vehicle, authentication=self._authentication)
@@ -120,6 +124,7 @@ class Fusion:
         config = self._config
         fusing = EpochFusion(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
         self._used_rows.clear()
+        self._fuse_map(fusing)
         for peer, newest in self._newest(self.inbox):
             if not comparable(joint.descriptors, newest):
                 self.inbox.peers[peer].dropped["descriptor_size"] += 1
@@ -135,6 +140,14 @@ class Fusion:
         self._shared = self._shared & set(self.belief.ids.tolist()) | fusing.matched
         self.epoch = fusing.epoch()
         return self.epoch
+
+    def _fuse_map(self, fusing: EpochFusion) -> None:
+        if self._loaded is None:
+            return
+        frame = CommonFrame(self._config)
+        found = self._loaded.common(fusing.joint, fusing.positions, fusing.landmark_covariance, frame)
+        if found is not None:
+            fusing.add_map(*found, frame)
 
     def frame(self, peer: str) -> PeerFrame:
         """Return the relation of a peer's map frame to ours."""

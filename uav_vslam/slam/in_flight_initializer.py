@@ -117,6 +117,10 @@ class InFlightInitializer:
         views = self._views(first.descriptors[usable])
         found = align(self._rig, pixels[usable], views, imu=self._config.imu, sigma_px=self._config.backend.sigma_px)
         self._validate(found, views)
+        return self._start_state(first, found)
+
+    def _start_state(self, first: StereoFeatures, found: Alignment) -> NavEstimate:
+        """Return the state at a window's first frame, given the motion there."""
         imu = self._config.imu
         return levelled(
             first.stamp_ns,
@@ -124,12 +128,12 @@ class InFlightInitializer:
             v_body=found.velocity,
             gyro_bias=found.gyro_bias,
             sigma_velocity=self._config.start.velocity_sigma,
-            sigma_tilt=PRIOR_PER_TILT_SIGMA * self._sigma_tilt(found),
+            sigma_tilt=PRIOR_PER_TILT_SIGMA * self._sigma_tilt_rad(found),
             sigma_gyro_bias=imu.gyro_bias_sigma,
             sigma_accel_bias=imu.accel_bias_sigma,
         )
 
-    def _sigma_tilt(self, found: Alignment) -> float:
+    def _sigma_tilt_rad(self, found: Alignment) -> float:
         """Return the largest standard deviation of a horizontal axis [rad]."""
         return float(np.sqrt(np.linalg.eigvalsh(found.covariance[GRAVITY, GRAVITY])[-1]) / self._config.imu.gravity)
 
@@ -172,7 +176,7 @@ class InFlightInitializer:
                 f"the gyro's bias alone rotates by {turn:.2f} rad within {span_s:.1f} s, more than "
                 f"{MAX_BIAS_TURN_RAD:g}: frames are too far apart, or the gyro needs calibration"
             )
-        start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt(found)))
+        start, tilt_deg = self._config.start, float(np.rad2deg(self._sigma_tilt_rad(found)))
         velocity = float(np.sqrt(np.linalg.eigvalsh(found.covariance[VELOCITY, VELOCITY])[-1]))
         if velocity > start.velocity_sigma or tilt_deg > self._max_tilt_sigma_deg:
             raise InsufficientEvidence(

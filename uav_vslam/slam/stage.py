@@ -4,10 +4,13 @@
 The node `slam_backend` and the offline pipeline both run it, so their results are identical.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import MapError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import bridged
 from uav_vslam.ins.preintegrator import DeadReckoning
@@ -15,8 +18,9 @@ from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
+from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.rig_monitor import RigMonitor
-from uav_vslam.slam.saved_map import MapOrigin, SavedMap
+from uav_vslam.slam.saved_map import MapOrigin, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
 from uav_vslam.slam.start_monitor import StartMonitor
 from uav_vslam.types import NS_PER_S, FrameQuality, ImuIncrement, JointInformation, NavEstimate, StereoFeatures
@@ -71,9 +75,13 @@ class SlamStage:
     """
 
     def __init__(self, config: VehicleConfig, *, vehicle: str, session: int = 1, keep_map: bool = False) -> None:
-        """Wait for start state and rig; with `keep_map` all landmarks are collected for `saved_map`."""
+        """Wait for start state and rig; with `keep_map` all landmarks are collected for `saved_map`.
+
+        Raises:
+            MapError: the map of `start.map` can't be read.
+        """
         self._config, self._vehicle, self._session = config, vehicle, session
-        self._in_flight = config.start.method == "in_flight"
+        self._in_flight = config.start.searches
         self._queue = FrameQueue()
         self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
@@ -81,8 +89,8 @@ class SlamStage:
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
         self._motion_lost = self._start_unreachable = 0
-        origin = MapOrigin(vehicle, session, frame=f"{vehicle}/map", stamp_ns=0)
-        self._archive = MapArchive(origin) if keep_map else None
+        self._archive = MapArchive(MapOrigin(vehicle, session, f"{vehicle}/map", stamp_ns=0)) if keep_map else None
+        self._map = load_map(Path(config.start.map)) if config.start.map else None
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
 
@@ -91,6 +99,8 @@ class SlamStage:
         """Reason for the missing start state; empty once there is one."""
         if self.initial is not None:
             return ""
+        if self._config.start.method == "map" and self._map is None:
+            return "no map is loaded; set start.map"
         return self._search.reason if self._search else "none was received"
 
     @property
@@ -144,8 +154,29 @@ class SlamStage:
     def saved_map(self) -> SavedMap:
         """Return all landmarks mapped until the last epoch; empty without `keep_map`."""
         if self._archive is None:
-            return SavedMap(MapOrigin(self._vehicle, self._session, frame=f"{self._vehicle}/map", stamp_ns=0))
-        return self._archive.saved_map()
+            return SavedMap(MapOrigin(self._vehicle, self._session, f"{self._vehicle}/map", stamp_ns=0))
+        saved = self._archive.saved_map()
+        origin = dataclasses.replace(
+            saved.origin, other_sources=self._start_map.origin.sources if self._start_map else ()
+        )
+        return SavedMap(origin, saved.sections)
+
+    def load_map(self, saved: SavedMap) -> None:
+        """Take over a map to start in.
+
+        Raises:
+            MapError: the vehicle has started already, or does not start in a map.
+        """
+        if self._config.start.method != "map":
+            raise MapError(f"start.method is {self._config.start.method}; a map is loaded to start in by method map")
+        if self.initial is not None:
+            raise MapError("the vehicle has its start state already; load the map before the flight")
+        self._map, self._search = saved, None
+
+    @property
+    def _start_map(self) -> SavedMap | None:
+        """The map that the start state depends on."""
+        return self._map if self._config.start.method == "map" else None
 
     def add_features(self, features: StereoFeatures) -> None:
         """Add a frame's features."""
@@ -169,7 +200,8 @@ class SlamStage:
         """Return the frame; without a start state buffer it, and return all buffered frames once there is one."""
         if self.initial is not None:
             return [frame] if self._is_reachable(frame) else []
-        self._search = self._search or InFlightInitializer(rig, self._config)
+        if self._search is None:
+            self._search = self._initializer(rig)
         found = self._search.add(*frame)
         if found is None:
             return []
@@ -188,6 +220,12 @@ class SlamStage:
         self._start_unreachable += unknown_s > MAX_UNCOVERED_S
         return unknown_s <= MAX_UNCOVERED_S
 
+    def _initializer(self, rig: StereoRig) -> InFlightInitializer:
+        if self._config.start.method != "map":
+            return InFlightInitializer(rig, self._config)
+        vehicle = self._vehicle
+        return MapInitializer(rig, self._config, self._map or SavedMap(MapOrigin(vehicle, 0, f"{vehicle}/map", 0)))
+
     def _process(self, rig: StereoRig, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:
         if self._backend is None:
             assert self.initial is not None
@@ -202,11 +240,17 @@ class SlamStage:
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
-        joint = self._backend.joint_information() if at_epoch else None
+        joint = self._joint_information(self._backend) if at_epoch else None
         self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
         return FrameOutput(report, dead_reckoned, joint, increment, self._warnings(report, dead_reckoned))
+
+    def _joint_information(self, backend: SlamBackend) -> JointInformation:
+        joint, start_map = backend.joint_information(), self._start_map
+        if start_map is None:
+            return joint
+        return dataclasses.replace(joint, prior_id=start_map.hash, other_sources=start_map.origin.sources)
 
     def _archive_landmarks(self, report: FrameReport, joint: JointInformation | None) -> None:
         if self._archive is None:

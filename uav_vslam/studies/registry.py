@@ -13,6 +13,7 @@ from uav_vslam.studies import (
     fusion,
     live,
     long,
+    map_reuse,
     models,
     orthomosaic,
     outliers,
@@ -52,4 +53,5 @@ STUDIES: dict[str, Study] = {
     "recordings": recordings.STUDY,
     "surface": surface.STUDY,
     "orthomosaic": orthomosaic.STUDY,
+    "map_reuse": map_reuse.STUDY,
 }

@@ -40,7 +40,7 @@ def make_packet(
         policy: form and size.
         matched_ids: landmarks found to be shared with a peer; they go first.
         times_sent: how often landmarks were sent before; the least sent go first.
-        prior_id: hash of a loaded map or shared survey used by the estimate.
+        prior_id: hash of a shared survey used by the estimate; that of a map that it was started in is in `joint`.
         byte_limit: free capacity of the link, in addition to the policy's own limit.
 
     Returns:
@@ -48,6 +48,7 @@ def make_packet(
         revokes none.
     """
     codes = in_basis(joint.descriptors, policy.descriptor_basis)
+    prior_id = joint.prior_id or prior_id
     count = _max_landmarks(joint, policy, codes.shape[1], prior_id, byte_limit)
     P = joint.covariance
     rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, times_sent=times_sent)
@@ -62,7 +63,7 @@ def make_packet(
         vehicle=joint.vehicle,
         session=joint.session,
         sequence=sequence,
-        sources=(joint.source,),
+        sources=joint.sources,
         prior_id=prior_id,
         ids=joint.ids[rows],
         origin=origin,
@@ -97,6 +98,7 @@ def _max_landmarks(
             landmarks,
             anchored=policy.form == ANCHOR,
             vehicle=joint.vehicle,
+            sources=joint.sources[1:],
             prior_id=prior_id,
             descriptor_size=descriptor_size,
             tag_size=policy.tag_bytes,

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights in the map of an earlier one: the start, and whether what depends on one map is ever counted twice."""
+
+from __future__ import annotations
+
+import argparse
+
+from uav_vslam.studies.engine.study import Findings, Progress, Study
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the study's own arguments."""
+    parser.add_argument(
+        "--rendered-seeds",
+        type=int,
+        default=3,
+        metavar="N",
+        help="also over rendered ground (default 3; 0: none)",
+    )
+
+
+def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
+    """Map the ground with one vehicle, then fly two others over it."""
+    from uav_vslam.studies.map_reuse.compute import NOTES, study_rows
+
+    rendered = [seeds[0] + k for k in range(args.rendered_seeds)] if seeds else []
+    advance = progress(len(seeds) + len(rendered))
+    return Findings(study_rows(seeds, rendered, frames=args.frames, workers=args.workers, on_job=advance), NOTES)
+
+
+STUDY = Study(
+    help="landmark level, and rendered: start in the map of an earlier flight, alone and two vehicles in one map",
+    takes="ten minutes",
+    examples="""examples:
+  uav-vslam study map_reuse --seeds 20 --first-seed 1001
+  uav-vslam study map_reuse --seeds 2 --rendered-seeds 0      a quick check
+""",
+    run=run,
+    add_arguments=add_arguments,
+    frames=100,
+)
