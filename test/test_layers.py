@@ -66,6 +66,7 @@ MESSAGES = "messages of ROS"
 AT_HOME = {
     "cv2": {"vision", "datasets", "simulation", "calibration", "overlay", "mapping"},
     "rclpy": {"ros"},
+    "std_srvs": {"ros"},
     "rosbags": {"datasets"},
     "mcap": {"datasets"},
     "gtsam": {"studies"},  # a reference, no part of the estimator

@@ -9,7 +9,6 @@ import itertools
 import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from uav_vslam.config import FusionConfig, LinkConfig, VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange, Receiver
@@ -72,7 +71,7 @@ def cooperate(
     air = Air(tracks, links, lambda packet: on_packet(fleet[packet.vehicle].fusion, packet, payload_bytes(packet)))
     for name in tracks:
         settings = configs[name].fusion
-        loaded = load_map(Path(configs[name].start.map)) if configs[name].start.map else None
+        loaded = load_map(configs[name].start.map) if configs[name].start.map else None
         fusion, peers = Fusion(name, settings, loaded), [peer for peer in tracks if peer != name]
         fleet[name] = CooperativeTrack(fusion, Exchange(fusion, peers, LinkTransport(air, name), settings))
         fleet[name].exchange.configure(settings)

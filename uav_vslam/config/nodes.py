@@ -33,6 +33,7 @@ class BackendNodeConfig(VehicleNodeConfig):
         False, "go on from the checkpoint of a process that died; the launcher sets it when it restarts the node"
     )
     checkpoint_s: float = setting(1.0, "period of checkpoints, in the time of the images", unit="s", above=0)
+    map_file: str = setting("", "file that the service save_map writes and load_map reads", live=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -248,6 +248,8 @@ def joint_to_msg(joint: JointInformation, *, frame_id: str) -> JointInformationM
         information=flat(joint.information[np.triu_indices(len(joint.information))]),
         descriptor_size=joint.descriptors.shape[1],
         descriptors=flat(joint.descriptors),
+        prior_id=joint.prior_id,
+        sources=list(joint.other_sources),
     )
 
 
@@ -273,6 +275,8 @@ def joint_from_msg(message: JointInformationMsg) -> JointInformation:
         positions=_finite(positions, "positions"),
         information=information + np.triu(information, 1).T,
         descriptors=descriptors,
+        prior_id=message.prior_id,
+        other_sources=tuple(message.sources),
     )
 
 

@@ -42,6 +42,7 @@ from uav_vslam.ros.radio_participant import open_participant
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.ros.traffic import Interface
 from uav_vslam.slam.backend import crosses_epoch
+from uav_vslam.slam.saved_map import load_map
 from uav_vslam.types import JointInformation, PoseEstimate
 from uav_vslam_msgs.msg import FusionStatus
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
@@ -60,7 +61,8 @@ class FusionNode(VehicleNode):
         self._waiting: deque[tuple[PoseEstimate, TwistWithCovariance]] = deque()
         self._previous_ns: int | None = None
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
-        self._fusion = Fusion(self.vehicle, self.config.fusion)
+        map_file = self.config.start.map
+        self._fusion = Fusion(self.vehicle, self.config.fusion, load_map(map_file) if map_file else None)
         self._odometry = self.advertise(Odometry, "fused/odometry", NEWEST)
         self._paths = self.advertise(Path, "fused/path", STATE)
         self._landmarks = self.advertise(PointCloud2, "fused/landmarks", STATE)
@@ -122,6 +124,7 @@ class FusionNode(VehicleNode):
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
         self._exchange.send()
+        self.notes["map_landmarks"] = str(epoch.map_landmarks)
         stamp_ns = joint.stamp_ns
         self._publish_frames(stamp_ns, epoch)
         self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=self.config.frames.world))

@@ -4,7 +4,7 @@
 in   stereo_features                       uav_vslam_msgs/StereoFeatures
      ins/increment                         uav_vslam_msgs/InsIncrement
      initial_state                         uav_vslam_msgs/NavigationState, latched; an output instead with
-                                           start.method in_flight
+                                           start.method in_flight and map
      left/camera_info, right/camera_info, /tf_static    the rig
 out  odometry                              nav_msgs/Odometry per frame, map frame
      path                                  nav_msgs/Path at epochs, map frame
@@ -14,6 +14,8 @@ out  odometry                              nav_msgs/Odometry per frame, map fram
      slam/smoothed                         geometry_msgs/PoseWithCovarianceStamped per frame, map frame: the pose of
                                            backend.window frames ago as later ones have corrected it
      slam/quality                          uav_vslam_msgs/FrameQuality per frame, for evaluation without ground truth
+srv  ~/save_map                            std_srvs/Trigger: all landmarks mapped so far, into the parameter map_file
+     ~/load_map                            std_srvs/Trigger: the map of map_file, to start in (start.method map)
 """
 
 from collections import deque
@@ -39,6 +41,7 @@ from uav_vslam.ros.convert import (
     pose_with_covariance_to_msg,
     twist_to_msg,
 )
+from uav_vslam.ros.map_services import offer_map_services
 from uav_vslam.ros.qos import LATCHED, MOTION, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
@@ -71,17 +74,18 @@ class SlamBackendNode(VehicleNode):
         self._smoothed = self.advertise(PoseWithCovarianceStamped, "slam/smoothed", STATE)
         self._quality = self.advertise(FrameQuality, "slam/quality", STATE)
         self._rig = RigListener(self, self._work)
-        self._finds_start = self.config.start.method == "in_flight"
+        self._finds_start = self.config.start.searches
         if self._finds_start:
             self._initial_state = self.advertise(NavigationState, self.config.input.topics.initial_state, LATCHED)
         else:
             self.listen(NavigationState, self.config.input.topics.initial_state, self._on_initial_state, LATCHED)
         self.listen(InsIncrement, "ins/increment", self._on_increment, MOTION)
         self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, RESUMABLE)
+        offer_map_services(self, self._stage)
 
     def _fresh(self) -> SlamStage:
         session: int = self.own.session or next_session(self.vehicle)
-        return SlamStage(self.config, vehicle=self.vehicle, session=session)
+        return SlamStage(self.config, vehicle=self.vehicle, session=session, keep_map=True)
 
     def _resumed(self) -> SlamStage | None:
         """Return the stage of a process that died, if asked to go on from it."""

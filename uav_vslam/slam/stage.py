@@ -7,7 +7,6 @@ The node `slam_backend` and the offline pipeline both run it, so their results a
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import MapError
@@ -90,7 +89,7 @@ class SlamStage:
         self._previous_ns: int | None = None
         self._motion_lost = self._start_unreachable = 0
         self._archive = MapArchive(MapOrigin(vehicle, session, f"{vehicle}/map", stamp_ns=0)) if keep_map else None
-        self._map = load_map(Path(config.start.map)) if config.start.map else None
+        self._map = load_map(config.start.map) if config.start.map else None
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
 

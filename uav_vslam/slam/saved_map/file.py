@@ -33,16 +33,17 @@ SECTION_COLUMNS: dict[str, tuple[str, int]] = {"anchors": ("f8", 3), "common_fac
 Arrays = dict[str, Any]  # of arrays; Any suits savez, which also has named options
 
 
-def save_map(saved: SavedMap, path: Path) -> int:
+def save_map(saved: SavedMap, file: Path | str) -> int:
     """Write a map, replacing a file of that name as a whole, and return its size [byte].
 
     Raises:
         MapError: the file can't be written.
     """
+    path = Path(file)
     new = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with new.open("wb") as file:
-            np.savez_compressed(file, header=np.array(_header(saved)), **_columns(saved))
+        with new.open("wb") as raw:
+            np.savez_compressed(raw, header=np.array(_header(saved)), **_columns(saved))
         new.replace(path)
         return path.stat().st_size
     except OSError as error:
@@ -52,17 +53,18 @@ def save_map(saved: SavedMap, path: Path) -> int:
         ) from None
 
 
-def load_map(path: Path) -> SavedMap:
+def load_map(file: Path | str) -> SavedMap:
     """Read a map.
 
     Raises:
         MapError: the file is missing, damaged, of another version, or no map.
     """
+    path = Path(file)
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            header = json.loads(str(file["header"]))
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as content:
+            header = json.loads(str(content["header"]))
             _check_header(header)
-            arrays = {name: np.asarray(file[name]) for name in (*COLUMNS, *SECTION_COLUMNS)}
+            arrays = {name: np.asarray(content[name]) for name in (*COLUMNS, *SECTION_COLUMNS)}
         _check_arrays(arrays)
         saved = SavedMap(_origin(header), _sections(arrays))
     except OSError as error:

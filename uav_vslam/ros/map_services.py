@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Services of a node that runs `SlamStage`: save the map, and load one to start in.
+
+~/save_map    std_srvs/Trigger: all landmarks mapped until the last epoch, into the file of the parameter map_file
+~/load_map    std_srvs/Trigger: the map of that file, for a vehicle that waits to start in one (start.method map)
+
+What goes wrong is in the response, and the node goes on.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from uav_vslam.errors import MapError, UavVslamError
+from uav_vslam.slam.saved_map import load_map, save_map
+from uav_vslam.slam.stage import SlamStage
+
+
+def offer_map_services(node: Node, stage: SlamStage) -> None:
+    """Create both services on a node that has declared map_file."""
+
+    def save() -> str:
+        path, saved = _map_file(node), stage.saved_map()
+        size = save_map(saved, path)
+        return f"{path}: map {saved.hash}, {len(saved)} landmarks in {size / 1e3:.0f} kB"
+
+    def load() -> str:
+        path = _map_file(node)
+        saved = load_map(path)
+        stage.load_map(saved)
+        return f"{path}: map {saved.hash} of {saved.origin.vehicle}, {len(saved)} landmarks"
+
+    node.create_service(Trigger, "~/save_map", _answering(save))
+    node.create_service(Trigger, "~/load_map", _answering(load))
+
+
+def _map_file(node: Node) -> str:
+    name: str = node.get_parameter("map_file").value
+    if not name:
+        raise MapError("the parameter map_file is empty; set it to the name of a file")
+    return name
+
+
+def _answering(action: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+    def call(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message, response.success = action(), True
+        except (UavVslamError, np.linalg.LinAlgError) as error:
+            response.message, response.success = str(error), False
+        return response
+
+    return call
