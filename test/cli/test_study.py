@@ -17,6 +17,7 @@ from uav_vslam.studies.registry import STUDIES
 
 SMALL = {
     "frames": ["--seeds", "1", "--frames", "12"],
+    "map_reuse": ["--seeds", "1", "--rendered-seeds", "0", "--frames", "12"],
     "models": ["--seeds", "1", "--frames", "12"],
     "flights": ["--seeds", "1", "--frames", "4", "--vehicles", "1", "--rate", "20", "--imu", "consumer"],
     "fusion": ["--parts", "fleets", "--seeds", "1", "--frames", "12"],

@@ -139,8 +139,10 @@ def test_odometry_comes_back_with_its_twist() -> None:
 
 
 def test_the_joint_information_comes_back(joint: JointInformation) -> None:
-    got = convert.joint_from_msg(serialised(convert.joint_to_msg(joint, frame_id="m")))
-    assert_same(got, joint)
+    in_map = dataclasses.replace(joint, prior_id="0123abcd", other_sources=("uav9/1", "uav8/3"))
+    for sent in (joint, in_map):
+        got = convert.joint_from_msg(serialised(convert.joint_to_msg(sent, frame_id="m")))
+        assert_same(got, sent)
 
 
 def test_stamps_keep_their_nanoseconds() -> None:
