@@ -57,6 +57,19 @@ def test_the_error_common_to_all_landmarks_is_the_pose_s_too(mapped) -> None:
     assert any(np.allclose(grown, section.common_covariance(at)) for section in flight.saved.sections)
 
 
+def test_landmarks_that_are_less_certain_make_a_less_certain_pose(mapped) -> None:
+    flight = mapped(1)
+    vague = [dataclasses.replace(one, own_factors=3.0 * one.own_factors) for one in flight.saved.sections]
+    features = seen_by_the_other(flight, 22)
+    found, less = (
+        MapLocator(saved, flight.vehicles[1].rig, flight.config).locate(features)
+        for saved in (flight.saved, SavedMap(flight.saved.origin, tuple(vague)))
+    )
+    assert found is not None
+    assert less is not None
+    assert np.trace(less.covariance[:3, :3]) > np.trace(found.covariance[:3, :3])
+
+
 def test_other_ground_is_not_recognised(mapped) -> None:
     flight, elsewhere = mapped(1), mapped(2)
     locator = MapLocator(elsewhere.saved, flight.vehicles[1].rig, flight.config)
