@@ -7,6 +7,7 @@ The node `slam_backend` and the offline pipeline both run it, so their results a
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import MapError
@@ -88,10 +89,17 @@ class SlamStage:
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
         self._motion_lost = self._start_unreachable = 0
-        self._archive = MapArchive(MapOrigin(vehicle, session, f"{vehicle}/map", stamp_ns=0)) if keep_map else None
+        self._archive = self._new_archive() if keep_map else None
         self._map = load_map(config.start.map) if config.start.map else None
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
+
+    def _new_archive(self) -> MapArchive:
+        return MapArchive(MapOrigin(self._vehicle, self._session, f"{self._vehicle}/map", stamp_ns=0))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the archived landmarks out of checkpoints: they grow with the flight."""
+        return self.__dict__ | {"_archive": None if self._archive is None else self._new_archive()}
 
     @property
     def missing_start(self) -> str:
