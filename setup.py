@@ -40,6 +40,7 @@ setup(
             "ins_propagator = uav_vslam.ros.ins_propagator_node:main",
             "slam_backend = uav_vslam.ros.slam_backend_node:main",
             "fusion = uav_vslam.ros.fusion_node:main",
+            "mapper = uav_vslam.ros.mapper_node:main",
             "link_emulator = uav_vslam.ros.link_emulator_node:main",
             "recorder = uav_vslam.ros.recorder_node:main",
         ],

@@ -71,7 +71,7 @@ AT_HOME = {
     "mcap": {"datasets"},
     "gtsam": {"studies"},  # a reference, no part of the estimator
     "matplotlib": {"report", "studies"},
-    "PIL": {"report"},
+    "PIL": {"report", "mapping"},
     "tifffile": {"mapping"},
     "trimesh": {"mapping"},
     "fast_simplification": {"mapping"},

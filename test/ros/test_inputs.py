@@ -9,7 +9,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
 from uav_vslam.ros.inputs import STREAM, Input, silent, stopped, unmatched  # noqa: E402
-from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, STATE  # noqa: E402
+from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, RESUMABLE, STATE  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -54,9 +54,10 @@ def test_an_input_follows_a_driver_that_offers_best_effort_only(node):
     assert not one.follow(node)  # once is enough
 
 
-def test_an_input_that_wants_what_was_published_before_it_does_without_if_nobody_offers_it(node):
+@pytest.mark.parametrize("qos", [LATCHED, RESUMABLE], ids=["latched", "resumable"])
+def test_an_input_that_wants_what_was_published_before_it_does_without_if_nobody_offers_it(node, qos):
     received = []
-    one = Input(String, "plain", received.append, LATCHED, "plain")
+    one = Input(String, "plain", received.append, qos, "plain")
     one.subscribe(node)
     plain = node.create_publisher(String, "plain", 10)
     assert spin_until(node, lambda: one.follow(node))

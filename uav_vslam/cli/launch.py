@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate")
     parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--record", type=Path, metavar="DIR", help="record the estimates into this new bag")
+    parser.add_argument("--map", type=Path, metavar="DIR", help="map the surface in flight, each vehicle into DIR/NAME")
     parser.add_argument("--log-dir", type=Path, metavar="DIR", help="also keep each process's output in a file here")
     parser.add_argument(
         "--use-sim-time", action="store_true", help="take the time from /clock, as with a replay of others"
@@ -64,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
         link=load_link(args.link) if args.link else None,
         vehicles=vehicles,
         use_sim_time=args.use_sim_time or None,
+        maps=str(args.map.resolve()) if args.map else "",
         log_level=args.log_level or "",
         restarts=args.on_failure == "restart" or not (args.on_failure or fleet.replay.bags),
     )
@@ -114,6 +116,7 @@ def launch(
     link: LinkConfig | None = None,
     vehicles: Collection[str] = (),
     use_sim_time: bool | None = None,
+    maps: str = "",
     log_level: str = "",
     restarts: bool = False,
     on_line: Callable[[str, str], None] | None = None,
@@ -126,7 +129,7 @@ def launch(
         log_dir: folder for the output of each process.
         domain_id: ROS domain; None takes the environment's.
         link: emulated radio link to put between the vehicles.
-        vehicles, use_sim_time: see `node_specs`.
+        vehicles, use_sim_time, maps: see `node_specs`.
         log_level: of all nodes; empty for their default.
         restarts: nodes that fail are started again; otherwise the first failure ends all.
         on_line: called with (process, line) for each line of output; the default prints it.
@@ -141,7 +144,7 @@ def launch(
 
     if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
-    specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time)
+    specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, maps=maps)
     if record is not None:
         parameters = {
             "output": str(record),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
     from uav_vslam.mapping.view import View
 
-FOLDER, TILES, FIGURES, PICTURE = "map", "tiles", "map.json", "height.png"
+FOLDER, TILES, PICTURE = "map", "tiles", "height.png"
 HELP = "map the surface that was flown over: run recordings, or take a results folder, and read the images again"
 EXAMPLES = """examples:
   uav-vslam map flight --config kagaru                fly, smooth, map; the map goes to RESULT/map/
@@ -73,11 +73,10 @@ def run(args: argparse.Namespace) -> int:
 def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
     """Map flights into a new folder, print what was found, and return the number of cells with a height."""
     from uav_vslam.cli.map_picture import write_picture_and_model
-    from uav_vslam.evaluation.output import write_json
     from uav_vslam.mapping.overlap import Overlap
-    from uav_vslam.mapping.summary import map_figures
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
+    from uav_vslam.mapping.surface_files import write_figures, write_surface
     from uav_vslam.report.map_table import print_map
 
     grid, overlap = HeightGrid(cell_m, folder / TILES), Overlap()
@@ -87,14 +86,12 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
             mapper.add_view(view)
             overlap.add(view)
     mapper.finish()
-    grid.flush()
-    tree = map_figures(grid, overlap, mapper.views)
-    tree["surface"] |= {"pairs": mapper.pairs, "refused_pairs": dict(mapper.refused)}
+    tree = write_surface(grid, overlap, mapper, folder)
     if grid.extent.columns:
         tree |= write_picture_and_model(flights, grid, folder)
         for vehicle, share in tree.pop("shares").items():
             tree["vehicles"][vehicle]["share"] = share
-    write_json(folder / FIGURES, tree)
+    write_figures(tree, folder)
     _draw(grid, overlap, folder)
     print_map(tree, _times_ms(mapper))
     return int(tree["surface"]["cells"])

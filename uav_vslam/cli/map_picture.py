@@ -24,19 +24,17 @@ PASSES = 3  # over the key frames: brightness, picture, seams and walls
 def write_picture_and_model(
     flights: list[MappedFlight], grid: HeightGrid, folder: Path, *, m_per_px: float = M_PER_PX
 ) -> dict[str, Any]:
-    """Write `height.tif`, the orthomosaic and the model; return their parts of `map.json`.
+    """Write the orthomosaic and the model; return their parts of `map.json`.
 
     Raises:
         UavVslamError: no view shows the surface.
     """
-    from uav_vslam.mapping.georeference import write_bands
     from uav_vslam.mapping.model import write_model
     from uav_vslam.mapping.orthomosaic import blended_mosaic
     from uav_vslam.mapping.orthomosaic.heights import GridHeights
     from uav_vslam.mapping.orthomosaic.output import write_orthomosaic
     from uav_vslam.mapping.orthomosaic.seams import seams
 
-    write_bands(folder / "height.tif", _bands(grid), grid.extent)
     stamps = _key_frames(flights, grid)
     surface = GridHeights(grid)
     with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
@@ -49,17 +47,6 @@ def write_picture_and_model(
     finite = {name: value for name, value in found.items() if np.isfinite(value)}
     picture = written | {"seam_px": finite.get("median_px"), "seam_p90_px": finite.get("p90_px")}
     return {"orthomosaic": picture, "model": {key: model[key] for key in ("triangles", "bytes")}, "shares": shares}
-
-
-def _bands(grid: HeightGrid) -> dict[str, np.ndarray]:
-    window = grid.window(grid.extent)
-    return {
-        "height": window.height,
-        "sigma": window.sigma,
-        "count": window.count,
-        "view angle": window.angle,
-        "filled": window.filled,
-    }
 
 
 def _key_frames(flights: list[MappedFlight], grid: HeightGrid) -> set[tuple[str, int]]:

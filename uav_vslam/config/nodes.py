@@ -47,6 +47,24 @@ class FusionNodeConfig(VehicleNodeConfig):
 
 
 @dataclass(frozen=True, slots=True)
+class MapConfig(Settings):
+    """The map of the surface."""
+
+    folder: str = setting("", "new folder of the map; empty: it is kept in memory and published only")
+    cell_m: float = setting(0.5, "side of a cell of the height grid", unit="m", above=0)
+    publish_s: float = setting(
+        5.0, "period at which the map is saved and published, if it has grown", unit="s", above=0
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class MapperNodeConfig(VehicleNodeConfig):
+    """Parameters of mapper."""
+
+    map: MapConfig = field(default_factory=MapConfig)
+
+
+@dataclass(frozen=True, slots=True)
 class ReplayNodeConfig(ReplayConfig):
     """Parameters of replay."""
 
@@ -109,6 +127,7 @@ NODES: dict[str, NodeParameters] = {
     "fusion": NodeParameters(
         FusionNodeConfig, ("input.frames.base", "frames", "start.map", "fusion", "frontend.extractor")
     ),
+    "mapper": NodeParameters(MapperNodeConfig, ("input", "frames", "rig")),
     "replay": NodeParameters(ReplayNodeConfig),
     "link_emulator": NodeParameters(LinkNodeConfig),
     "recorder": NodeParameters(RecorderNodeConfig),

@@ -53,6 +53,7 @@ def node_specs(
     link: LinkConfig | None = None,
     vehicles: Collection[str] = (),
     use_sim_time: bool | None = None,
+    maps: str = "",
 ) -> list[NodeSpec]:
     """List the nodes to start: four per vehicle, then those of the whole fleet.
 
@@ -61,6 +62,7 @@ def node_specs(
         link: emulated radio link; the vehicles then receive each other through it alone.
         vehicles: those of this computer, which reach the others by the fleet's radio; none: all, without a radio.
         use_sim_time: whether nodes take the time from /clock; None: with a replay.
+        maps: folder in which each vehicle's mapper makes its own; empty for no mappers.
 
     Raises:
         ConfigError: a vehicle is not in the fleet, or a link is to be emulated between computers.
@@ -77,6 +79,9 @@ def node_specs(
             fleet, name, {"vehicle": name, "use_sim_time": sim_time, **differences(config)}, link
         )
     ]
+    for name, config in here.items() if maps else ():
+        parameters = {"vehicle": name, "use_sim_time": sim_time, **differences(config), "map.folder": f"{maps}/{name}"}
+        specs.append(NodeSpec("mapper", "mapper", f"/{name}", parameters))
     if vehicles:
         specs = [_on_radio(fleet, spec) if spec.executable == "fusion" else spec for spec in specs]
     if link is not None:

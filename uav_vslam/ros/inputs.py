@@ -67,7 +67,11 @@ class Input:
         if offers and all(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
             reliability = ReliabilityPolicy.BEST_EFFORT
         # Of many latched publishers, others may come later: they would not be heard any more.
-        if offers and self.qos != LATCHED_BY_MANY and all(o.durability == DurabilityPolicy.VOLATILE for o in offers):
+        if (
+            offers
+            and self.qos is not LATCHED_BY_MANY
+            and all(o.durability == DurabilityPolicy.VOLATILE for o in offers)
+        ):
             durability = DurabilityPolicy.VOLATILE
         if (reliability, durability) == (self.qos.reliability, self.qos.durability):
             return False

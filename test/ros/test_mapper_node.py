@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mapper makes of images and late poses the surface that the core makes of the same views."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from rendered_views import CAMERA, ground, view  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+from visualization_msgs.msg import Marker  # noqa: E402
+
+from uav_vslam.geometry.pose import Pose  # noqa: E402
+from uav_vslam.mapping.surface.grid import HeightGrid  # noqa: E402
+from uav_vslam.mapping.surface.mapper import SurfaceMapper  # noqa: E402
+from uav_vslam.ros.convert import flat, header, pose_with_covariance_to_msg, transform_to_msg  # noqa: E402
+from uav_vslam.ros.mapper_node import MapperNode  # noqa: E402
+from uav_vslam.ros.qos import LATCHED  # noqa: E402
+from uav_vslam.types import PoseEstimate  # noqa: E402
+from waiting import wait_for  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+VIEWS = 10
+LATE = 4  # frames by which a pose comes after its image
+T_BODY_LEFT = Pose(np.eye(3), np.array([0.1, 0.0, -0.05]))
+Make = Callable[..., MapperNode]
+
+
+@pytest.fixture
+def make(domain_id: int) -> Iterator[Make]:
+    """Return a factory of a node with parameters; inputs go to its callbacks directly."""
+    nodes = []
+
+    def made(*parameters: str) -> MapperNode:
+        arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
+        rclpy.init(args=arguments, domain_id=domain_id)
+        nodes.append(MapperNode())
+        return nodes[-1]
+
+    yield made
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown()
+
+
+def deliver(node: MapperNode, topic: str, message: object) -> None:
+    (one,) = (one for one in node._inputs if one.topic == topic and isinstance(message, one.message_type))
+    one.callback(message)
+
+
+def calibrate(node: MapperNode) -> None:
+    right = Pose(np.eye(3), np.array([0.1, 0.8, -0.05]))
+    edges = [
+        transform_to_msg(T, stamp_ns=0, parent=node.base_frame, child=f"{side}_optical")
+        for side, T in (("left", T_BODY_LEFT), ("right", right))
+    ]
+    deliver(node, "/tf_static", TFMessage(transforms=edges))
+    for side in ("left", "right"):
+        info = CameraInfo(header=header(0, f"{side}_optical"), width=CAMERA.width, height=CAMERA.height)
+        info.k, info.d = CAMERA.K.ravel(), [0.0] * 5
+        deliver(node, f"{side}/camera_info", info)
+
+
+def show(node: MapperNode, k: int) -> None:
+    pixels = view(k).image
+    image = Image(header=header(view(k).stamp_ns, "left_optical"), height=pixels.shape[0], width=pixels.shape[1])
+    image.encoding, image.step, image.data = "mono8", pixels.shape[1], flat(pixels.ravel())
+    deliver(node, "left/image_raw", image)
+
+
+def locate(node: MapperNode, k: int) -> None:
+    T_map_body = view(k).T_map_cam @ T_BODY_LEFT.inverse()
+    message = pose_with_covariance_to_msg(PoseEstimate(view(k).stamp_ns, T_map_body, np.eye(6)), frame_id="uav1/map")
+    deliver(node, "slam/smoothed", message)
+
+
+def fly(node: MapperNode, frames: range) -> None:
+    for k in frames:
+        show(node, k)
+        if k - LATE in frames:
+            locate(node, k - LATE)
+    for k in frames[-LATE:]:
+        locate(node, k)
+
+
+def save(node: MapperNode) -> Trigger.Response:
+    return node._on_save(Trigger.Request(), Trigger.Response())
+
+
+def test_the_saved_map_is_that_of_the_core(make: Make, tmp_path: Path) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
+    calibrate(node)
+    fly(node, range(VIEWS))
+    response = save(node)
+    assert response.success, response.message
+    reference = HeightGrid(1.0)
+    mapper = SurfaceMapper(reference)
+    for k in range(VIEWS):
+        mapper.add_view(view(k))
+    found = HeightGrid.open(tmp_path / "map" / "tiles")
+    ours, theirs = (grid.height(reference.extent) for grid in (found, reference))
+    assert np.mean(np.isfinite(ours) == np.isfinite(theirs)) > 0.99  # poses are rounded on their way
+    assert np.nanmedian(np.abs(ours - theirs)) < 1e-4
+    assert node.counts["views"] == VIEWS
+    assert (tmp_path / "map" / "height.tif").is_file()
+
+
+def test_a_map_without_a_folder_is_published_only(make: Make) -> None:
+    node = make("map.cell_m:=1.0", "map.publish_s:=0.1")
+    clouds: list[PointCloud2] = []
+    meshes: list[Marker] = []
+    other = rclpy.create_node("other", use_global_arguments=False)
+    other.create_subscription(PointCloud2, "/uav1/map/surface", clouds.append, LATCHED)
+    other.create_subscription(Marker, "/uav1/map/mesh", meshes.append, LATCHED)
+    executor = rclpy.executors.SingleThreadedExecutor()
+    for each in (node, other):
+        executor.add_node(each)
+
+    def spin(until: Callable[[], object]) -> bool:
+        return wait_for(until, lambda: executor.spin_once(timeout_sec=0.02))
+
+    try:
+        assert spin(lambda: node._surface.get_subscription_count() and node._mesh.get_subscription_count())
+        calibrate(node)
+        fly(node, range(VIEWS))
+        assert spin(lambda: clouds and meshes)
+    finally:
+        executor.shutdown()
+        other.destroy_node()
+    points = np.frombuffer(clouds[-1].data, np.float32).reshape(-1, 3)
+    assert len(points) > 1000
+    assert np.median(np.abs(points[:, 2] - ground().relief.height(points[:, 0], points[:, 1]))) < 0.1
+    corners = np.array([[point.x, point.y, point.z] for point in meshes[-1].points])
+    assert len(corners) % 3 == 0
+    assert np.median(np.abs(corners[:, 2] - ground().relief.height(corners[:, 0], corners[:, 1]))) < 0.1
+    assert meshes[-1].header.frame_id == clouds[-1].header.frame_id == "uav1/map"
+    response = save(node)
+    assert not response.success
+    assert "map.folder is empty" in response.message
+
+
+def test_images_and_poses_without_a_partner_are_counted(make: Make) -> None:
+    node = make()
+    show(node, 0)
+    assert node.counts["dropped/no_calibration"] == 1
+    calibrate(node)
+    show(node, 1)
+    show(node, 2)
+    locate(node, 2)
+    assert node.counts["dropped/image_without_pose"] == 1
+    locate(node, 3)
+    assert node.counts["dropped/pose_without_image"] == 1
+    assert node.counts["views"] == 1
+
+
+def test_a_folder_that_holds_a_map_is_refused(make: Make, tmp_path: Path) -> None:
+    HeightGrid(1.0, tmp_path / "map" / "tiles").flush()
+    with pytest.raises(Exception, match="already holds a height grid"):
+        make(f"map.folder:={tmp_path / 'map'}")

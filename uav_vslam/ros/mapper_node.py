@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""mapper: the surface that a vehicle flies over, while it flies.
+
+in   left/image_raw, or left/image_raw/compressed    sensor_msgs/Image, CompressedImage
+     left/camera_info, right/camera_info, /tf_static the rig
+     slam/smoothed                                   geometry_msgs/PoseWithCovarianceStamped, a second or two late
+out  map/surface                                     sensor_msgs/PointCloud2, latched, map frame: centres of the cells
+     map/mesh                                        visualization_msgs/Marker, latched, map frame: triangles
+ srv ~/save_map                                      std_srvs/Trigger: the map so far, into the folder map.folder
+"""
+
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
+from std_msgs.msg import ColorRGBA
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker
+
+from uav_vslam.datasets.messages import stamp_ns_of
+from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.late_poses import LatePoses
+from uav_vslam.mapping.overlap import Overlap
+from uav_vslam.mapping.surface.grid import HeightGrid
+from uav_vslam.mapping.surface.mapper import SurfaceMapper
+from uav_vslam.mapping.surface_files import write_surface
+from uav_vslam.mapping.triangles import surface_triangles
+from uav_vslam.ros.calibration import RigListener
+from uav_vslam.ros.convert import cloud_to_msg, header, image_from_msg, pose_from_msg
+from uav_vslam.ros.inputs import image_topics
+from uav_vslam.ros.qos import IMAGES, LATCHED, SENSOR
+from uav_vslam.ros.runtime import VehicleNode, run_node
+
+MESH_STEP_M = 2.0  # sides of the triangles that are published
+COLOUR = ColorRGBA(r=0.55, g=0.6, b=0.45, a=1.0)
+
+
+class MapperNode(VehicleNode):
+    """Feeds `SurfaceMapper` with images whose smoothed poses have arrived."""
+
+    def __init__(self) -> None:
+        super().__init__("mapper")
+        folder = self.own.map.folder
+        self._folder = Path(folder) if folder else None
+        self._grid = HeightGrid(self.own.map.cell_m, self._folder / "tiles" if self._folder else None)
+        self._mapper, self._overlap = SurfaceMapper(self._grid), Overlap()
+        self._late: LatePoses | None = None
+        self._published_pairs = 0
+        self._stamp_ns = 0
+        self._surface = self.advertise(PointCloud2, "map/surface", LATCHED)
+        self._mesh = self.advertise(Marker, "map/mesh", LATCHED)
+        self._rig = RigListener(self, self._on_rig)
+        topic = self.config.input.topics.left
+        for kind, name in image_topics(topic).items():
+            self.listen(kind, name, self._on_image, IMAGES, instead_of=topic)
+        self.listen(PoseWithCovarianceStamped, "slam/smoothed", self._on_pose, SENSOR)
+        self.create_service(Trigger, "~/save_map", self._on_save)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(self.own.map.publish_s, self._publish, clock=steady)
+
+    def destroy_node(self) -> None:
+        """Save what has been mapped since the last time, then destroy the node."""
+        self._publish()
+        super().destroy_node()
+
+    def _on_rig(self) -> None:
+        if self._rig.rig is not None and self._late is None:
+            self._late = LatePoses(self.vehicle, self._rig.rig)
+
+    def _on_image(self, message: Image | CompressedImage) -> None:
+        if self._late is None:
+            self.counts["dropped/no_calibration"] += 1
+            return
+        self._late.add_image(stamp_ns_of(message) + self._rig.time_offset_ns, image_from_msg(message))
+
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        if self._late is None:
+            return
+        self._stamp_ns = stamp_ns_of(message)
+        view = self._late.add_pose(self._stamp_ns, pose_from_msg(message.pose.pose))
+        self.counts["dropped/image_without_pose"] = self._late.dropped
+        if view is None:
+            self.counts["dropped/pose_without_image"] += 1
+            return
+        self._mapper.add_view(view)
+        self._overlap.add(view)
+        self.counts["views"] += 1
+        self.counts["pairs"] = self._mapper.pairs
+        self.counts |= {f"refused/{reason}": count for reason, count in self._mapper.refused.items()}
+
+    def _publish(self) -> None:
+        """Save and publish the map if it has grown."""
+        if self._mapper.pairs == self._published_pairs:
+            return
+        self._published_pairs = self._mapper.pairs
+        if self._folder is not None:
+            self._save_or_alarm()
+        if self._surface.get_subscription_count():
+            window = self._grid.window(self._grid.extent)
+            x, y = np.meshgrid(window.raster.x, window.raster.y)
+            known = np.isfinite(window.height)
+            points = np.column_stack([x[known], y[known], window.height[known]])
+            self._surface.publish(cloud_to_msg(points, stamp_ns=self._stamp_ns, frame_id=self.map_frame))
+        if self._mesh.get_subscription_count():
+            corners = surface_triangles(self._grid, MESH_STEP_M).reshape(-1, 3).tolist()
+            mesh = Marker(header=header(self._stamp_ns, self.map_frame), ns=self.vehicle, type=Marker.TRIANGLE_LIST)
+            mesh.pose.orientation.w = mesh.scale.x = mesh.scale.y = mesh.scale.z = 1.0
+            mesh.color, mesh.points = COLOUR, [Point(x=x, y=y, z=z) for x, y, z in corners]
+            self._mesh.publish(mesh)
+
+    def _save_or_alarm(self) -> None:
+        try:
+            self.notes["map"] = self._save()
+            self.alarms.pop("map", None)
+        except (UavVslamError, OSError) as error:
+            self.alarms["map"] = f"the map can't be saved: {error}"
+
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message, response.success = self._save(), True
+        except (UavVslamError, OSError) as error:
+            response.message, response.success = str(error), False
+        return response
+
+    def _save(self) -> str:
+        if self._folder is None:
+            raise UavVslamError("the parameter map.folder is empty; start the mapper with a folder to write to")
+        tree = write_surface(self._grid, self._overlap, self._mapper, self._folder)
+        cells, cell_m = tree["surface"]["cells"], self._grid.cell_m
+        return f"{self._folder}: {cells} cells of {cell_m:g} m from {self._mapper.pairs} pairs"
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point."""
+    return run_node(MapperNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
