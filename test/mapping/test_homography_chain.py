@@ -47,3 +47,9 @@ def test_images_are_drawn_to_scale_and_later_ones_on_top() -> None:
 def test_images_without_a_common_place_are_named() -> None:
     with pytest.raises(UavVslamError, match="images 0 and 1 have"):
         chain_homographies([IMAGES[0], SCENE.view((90.0, 60.0, 30.0)).image])
+
+
+@pytest.mark.parametrize("wild", [np.diag([1e4, 1e4, 1.0]), np.array([[1.0, 0, 0], [0, 1.0, 0], [-0.01, 0, 1.0]])])
+def test_a_chain_that_has_come_apart_is_an_error_and_no_huge_picture(wild: np.ndarray) -> None:
+    with pytest.raises(UavVslamError, match="come apart"):
+        chained_mosaic(IMAGES[:1], [wild], 0.1)

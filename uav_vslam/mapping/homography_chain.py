@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 FEATURES = 2000
 RATIO = 0.8
 LEAST_MATCHES = 12
+LARGEST_PX = 2e8
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,9 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
         images: as many as there are homographies, all of one size.
         to_map: (3, 3) homographies from pixels to x, y of the map [m].
         m_per_px: side of a pixel of the mosaic [m].
+
+    Raises:
+        UavVslamError: the chain has come apart, an image reaches the horizon or is stretched beyond all measure.
     """
     raster, picture, labels = Raster(m_per_px, 0, 0, 0, 0), np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.int32)
     for number, (image, H) in enumerate(zip(images, to_map, strict=True)):
@@ -100,5 +104,15 @@ def _between(points: Keypoints, before: Keypoints, number: int) -> Array:
 
 def _window(to_map: list[Array], image: Image, m_per_px: float) -> Raster:
     rows, columns = image.shape[:2]
-    corners = np.array([[[0, 0], [columns - 1, 0], [columns - 1, rows - 1], [0, rows - 1]]], float)
-    return Raster.covering(np.concatenate([cv2.perspectiveTransform(corners, H)[0] for H in to_map]), m_per_px)
+    corners = np.array([[0, 0, 1], [columns - 1, 0, 1], [columns - 1, rows - 1, 1], [0, rows - 1, 1]], float)
+    places = np.stack([corners @ H.T for H in to_map])
+    depth = places[..., 2]
+    if not (depth[:, :1] * depth > 0).all():
+        raise UavVslamError("the chain of homographies has come apart: an image reaches the horizon; use fewer images")
+    window = Raster.covering((places[..., :2] / depth[..., None]).reshape(-1, 2), m_per_px)
+    if window.columns * window.rows > LARGEST_PX:
+        raise UavVslamError(
+            f"the chain of homographies has come apart: its mosaic would have {window.columns} x {window.rows} pixels, "
+            f"more than {LARGEST_PX:.0e}; use fewer images or larger pixels"
+        )
+    return window

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.homography_chain import chain_homographies, chained_mosaic
 from uav_vslam.mapping.orthomosaic import KeyFrames, blended_mosaic
 from uav_vslam.mapping.orthomosaic.heights import GridHeights
@@ -101,7 +102,10 @@ def _key_frames(flights: Sequence[PicturedFlight], kind: str) -> list[View]:
 def _chain(job: Job, ground: Ground, keys: Sequence[View]) -> Measured:
     images = [view.image for view in keys]
     started = time.process_time()
-    to_map = [_to_level(keys[0], ground) @ H for H in chain_homographies(images)]
+    try:
+        to_map = [_to_level(keys[0], ground) @ H for H in chain_homographies(images)]
+    except UavVslamError:
+        return Measured(CHAIN, ONE, job.seed, None, key_frames=len(keys))
     ms = 1e3 * (time.process_time() - started) / len(keys)
     return _placed(CHAIN, job, ground, keys, images, to_map, ms)
 
@@ -121,7 +125,10 @@ def _placed(
     method: str, job: Job, ground: Ground, keys: Sequence[View], images: list[Any], to_map: list[Array], ms: float
 ) -> Measured:
     """Draw images on the level of the ground and measure the picture."""
-    drawn = chained_mosaic(images, to_map, job.m_per_px)
+    try:
+        drawn = chained_mosaic(images, to_map, job.m_per_px)
+    except UavVslamError:
+        return Measured(method, ONE, job.seed, None, None, len(keys), ms)
     seen = (drawn.labels >= 0) & (drawn.image > 0)
     start = keys[0].T_map_cam.t
     errors = displacements(drawn.image, seen, drawn.raster, ground.grey, (start[0], start[1]))
