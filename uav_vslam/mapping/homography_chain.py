@@ -78,13 +78,15 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
             raster = _window(to_map, image, m_per_px)
             picture = np.zeros((*raster.shape, *image.shape[2:]), np.uint8)
             labels = np.full(raster.shape, -1, np.int32)
-        west, south, _, _ = raster.bounds_m
+        part = _window([H], image, m_per_px).intersection(raster)
+        west, south, _, _ = part.bounds_m
         place = np.array([[1 / m_per_px, 0.0, -west / m_per_px - 0.5], [0.0, 1 / m_per_px, -south / m_per_px - 0.5]])
         warp = np.vstack([place, [0.0, 0.0, 1.0]]) @ H
-        size = raster.shape[::-1]
-        drawn = cv2.warpPerspective(image, warp, size, flags=cv2.INTER_LINEAR)
-        seen = cv2.warpPerspective(np.ones(image.shape[:2], np.uint8), warp, size, flags=cv2.INTER_NEAREST) > 0
-        picture[seen], labels[seen] = drawn[seen], number
+        drawn = cv2.warpPerspective(image, warp, part.shape[::-1], flags=cv2.INTER_LINEAR)
+        opaque = np.ones(image.shape[:2], np.uint8)
+        seen = cv2.warpPerspective(opaque, warp, part.shape[::-1], flags=cv2.INTER_NEAREST) > 0
+        at = part.within(raster)
+        picture[at][seen], labels[at][seen] = drawn[seen], number
     return Chained(raster, picture, labels)
 
 

@@ -12,8 +12,8 @@ WAVES = np.random.default_rng(3).normal(size=(300, 4)) * [3.0, 3.0, 1.0, 1.0]  #
 
 def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     grey = np.full(x.shape, 128.0)
-    for kx, ky, phase, amplitude in WAVES[:15]:
-        grey += 9.0 * amplitude * np.sin(kx * x + ky * y + 3.0 * phase)
+    for kx, ky, phase, amplitude in WAVES[:40]:
+        grey += 6.0 * amplitude * np.sin(kx * x + ky * y + 3.0 * phase)
     return grey
 
 
