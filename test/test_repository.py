@@ -127,7 +127,16 @@ def test_jazzy_and_pypi_environments_have_the_same_versions() -> None:
 def test_only_the_command_is_put_on_path_and_the_nodes_where_ros2_run_looks() -> None:
     scripts = ast.literal_eval(setup_call()["entry_points"])["console_scripts"]
     names = {entry.split(" = ")[0] for entry in scripts}
-    nodes = {"replay", "stereo_frontend", "ins_propagator", "slam_backend", "fusion", "mapper", "recorder", "link_emulator"}
+    nodes = {
+        "replay",
+        "stereo_frontend",
+        "ins_propagator",
+        "slam_backend",
+        "fusion",
+        "mapper",
+        "recorder",
+        "link_emulator",
+    }
     assert names == nodes | {"uav-vslam"}
     assert "install_scripts=$base/lib/uav_vslam" in (ROOT / "setup.cfg").read_text()
     assert [path.name for path in (ROOT / "bin").iterdir()] == ["uav-vslam"]

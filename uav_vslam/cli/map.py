@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
     from uav_vslam.cli.map_inputs import is_result, mapped_flights
     from uav_vslam.errors import UavVslamError
+    from uav_vslam.report.page.page import write_page
 
     code, folder = 0, args.inputs[0]
     if not is_result(folder):
@@ -64,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     flights = mapped_flights(folder, args.bags, args.vehicles)
     cv2.setNumThreads(1)
     cells = write_map(flights, folder / FOLDER, args.cell)
-    print(f"map: {folder / FOLDER}")
+    print(f"map: {folder / FOLDER}\npage: {write_page([folder])}")
     if cells == 0:
         print("uav-vslam: nothing was mapped: no two views show one surface below the cameras", file=sys.stderr)
     return code if cells else max(code, 1)
