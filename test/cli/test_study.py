@@ -46,6 +46,7 @@ PICTURES = {
     "association": {"association.png", "matching.png"},
     "recordings": set(),
     "surface": set(),
+    "map_reuse": set(),
     "orthomosaic": {"orthomosaic.png"},
     "perturbed": {"perturbed.png", "nees_landmark_level.png", "nees_rendered_images.png"},
 }

@@ -19,7 +19,6 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa:
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
-from uav_vslam.cli.main import main  # noqa: E402
 from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -96,18 +95,6 @@ def test_over_an_emulated_link_packets_pass_and_the_mode_is_switched_in_flight(g
     finally:
         node.destroy_node()
         context.try_shutdown()
-
-
-@pytest.mark.slow
-def test_the_mode_is_read_and_switched_by_a_typed_command(graph: Any, capfd: pytest.CaptureFixture[str]) -> None:
-    domain = ["--domain", str(graph.domain_id), "--wait", "30"]
-    assert main(["mode", "uav2", "none", *domain]) == 0
-    assert main(["mode", "uav2", *domain]) == 0
-    assert capfd.readouterr().out.splitlines()[-2:] == ["uav2: none", "uav2: none"]
-    assert main(["mode", "uav2", "loud", *domain]) == 2
-    assert "uav2 keeps its mode" in capfd.readouterr().err
-    assert main(["mode", "uav9", "none", "--domain", str(graph.domain_id), "--wait", "0.5"]) == 2
-    assert "is uav9 flying" in capfd.readouterr().err
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ WIDTH, HEIGHT = 64, 48
 @pytest.fixture
 def graph(domain_id):
     """The node and a test node beside it in one executor."""
-    rclpy.init(domain_id=domain_id)
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1"], domain_id=domain_id)
     front, other = StereoFrontendNode(), rclpy.create_node("tester")
     executor = SingleThreadedExecutor()
     executor.add_node(front)
@@ -170,6 +170,8 @@ def test_an_invalid_extractor_ends_the_node(extractor, text):
         "-c",
         f"{hide}; sys.exit(main())",
         "--ros-args",
+        "-r",
+        "__ns:=/uav1",
         "-p",
         f"frontend.extractor:={extractor}",
     ]
@@ -180,7 +182,7 @@ def test_an_invalid_extractor_ends_the_node(extractor, text):
 
 def test_static_transforms_of_one_publisher_per_camera_all_arrive(domain_id):
     """Each has latched its own message before the node starts, as static_transform_publisher does."""
-    rclpy.init(domain_id=domain_id)
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1"], domain_id=domain_id)
     publishers = [rclpy.create_node(f"static_{k}") for k in range(5)]
     edges = extrinsics(SimpleNamespace(base_frame="uav1/base_link")).transforms
     other = [

@@ -39,7 +39,7 @@ def test_a_folder_and_a_pair_leave_tables_and_pictures(
     options = ["--algorithms", "SIFT", "ORB", "--seeds", "0", "--results", str(results)]
     assert study(str(folder), pair, *options) == 0
     assert {path.name for path in (results / LATEST).iterdir()} == {
-        *("study.json", "study.md", "matches"),
+        *("study.json", "study.md", "report.html", "matches"),
         *("places.png", "spacing.png", "thresholds.png"),
     }
     assert len(list((results / LATEST / "matches").iterdir())) == 2

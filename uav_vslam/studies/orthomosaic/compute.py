@@ -153,7 +153,7 @@ def mosaic_rows(found: Sequence[Sequence[Measured]]) -> list[Row]:
 
 
 def _row(method: str, condition: str, runs: Sequence[Measured]) -> Row:
-    errors = [run.errors for run in runs if run.errors is not None]
+    errors = [run.errors for run in runs if run.errors is not None and run.errors.any_found]
     places = [run.seams.figures() for run in runs if run.seams is not None]
     row: Row = {"method": method, "condition": condition, "runs": len(runs), "failures": len(runs) - len(errors)}
     row |= {
@@ -176,7 +176,7 @@ def mosaic_series(found: Sequence[Sequence[Measured]]) -> list[Row]:
     """Return each picture's errors over the distance from its start, those of one seed after the other."""
     series = []
     for one in sorted((one for seed in found for one in seed), key=lambda one: (one.method, one.seed)):
-        if one.errors is not None:
+        if one.errors is not None and one.errors.any_found:
             from_start = np.linalg.norm(one.errors.points - one.errors.points[0], axis=1)
             length = np.linalg.norm(one.errors.errors, axis=1)
             series.append(

@@ -43,6 +43,11 @@ class Displacements:
     brightness: Array
     patches: int
 
+    @property
+    def any_found(self) -> bool:
+        """Whether there are any errors to average: a picture that shows nothing of the truth has failed."""
+        return len(self.points) > 0
+
     def rms_m(self) -> float:
         """Return the root mean square distance [m]."""
         return float(np.sqrt(np.mean(np.sum(self.errors**2, axis=1))))

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The communication mode of a flying vehicle, by a command that needs no ROS installation."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS")
+from uav_vslam.cli.main import main
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def fusion(domain_id: int) -> Iterator[int]:
+    """Run uav2's fusion node as a process, and return its ROS domain."""
+    command = [sys.executable, "-m", "uav_vslam.ros.fusion_node", "--ros-args", "-r", "__ns:=/uav2"]
+    with subprocess.Popen(
+        command, env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)}, stderr=subprocess.DEVNULL
+    ) as node:
+        yield domain_id
+        node.kill()
+
+
+def test_the_mode_is_read_and_switched_by_a_typed_command(fusion: int, capfd: pytest.CaptureFixture[str]) -> None:
+    domain = ["--domain", str(fusion), "--wait", "60"]
+    assert main(["mode", "uav2", *domain]) == 0
+    assert main(["mode", "uav2", "none", *domain]) == 0
+    assert main(["mode", "uav2", *domain]) == 0
+    assert capfd.readouterr().out.splitlines() == ["uav2: wideband", "uav2: none", "uav2: none"]
+    assert main(["mode", "uav2", "loud", *domain]) == 2
+    assert "uav2 keeps its mode" in capfd.readouterr().err
+
+
+def test_a_vehicle_that_is_not_there_is_named(domain_id: int, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["mode", "uav9", "none", "--domain", str(domain_id), "--wait", "0.5"]) == 2
+    assert "is uav9 flying" in capfd.readouterr().err
