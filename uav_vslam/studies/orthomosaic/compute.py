@@ -113,18 +113,22 @@ def _chain(job: Job, ground: Ground, keys: Sequence[View]) -> Measured:
 
 
 def _stitcher(job: Job, ground: Ground, keys: Sequence[View]) -> Measured:
-    started = time.process_time()
     found = stitched([view.image for view in keys])
-    ms = 1e3 * (time.process_time() - started) / len(keys)
     if found is None:
-        return Measured(STITCHER, ONE, job.seed, None, key_frames=len(keys), ms_per_key_frame=ms)
+        return Measured(STITCHER, ONE, job.seed, None, key_frames=len(keys))
     picture, affinity = found
     to_map = [_to_level(keys[0], ground) @ np.linalg.inv(affinity)]
-    return _placed(STITCHER, job, ground, keys, [picture], to_map, ms)
+    return _placed(STITCHER, job, ground, keys, [picture], to_map, None)
 
 
 def _placed(
-    method: str, job: Job, ground: Ground, keys: Sequence[View], images: list[Any], to_map: list[Array], ms: float
+    method: str,
+    job: Job,
+    ground: Ground,
+    keys: Sequence[View],
+    images: list[Any],
+    to_map: list[Array],
+    ms: float | None,
 ) -> Measured:
     """Draw images on the level of the ground and measure the picture."""
     try:
