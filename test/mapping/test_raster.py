@@ -43,6 +43,23 @@ def test_windows_intersect_in_their_common_cells() -> None:
     assert WINDOW.intersection(Raster(0.5, 40, 0, 2, 6)).shape[1] == 0
 
 
+def test_a_union_holds_both_and_no_more() -> None:
+    other = Raster(0.5, 6, -2, 3, 4)
+    for union in (WINDOW.union(other), other.union(WINDOW)):
+        assert union == Raster(0.5, -3, -2, 12, 11)
+        assert union.intersection(WINDOW) == WINDOW
+        assert union.intersection(other) == other
+    empty = Raster(0.5, 100, 100, 0, 0)
+    assert WINDOW.union(empty) == empty.union(WINDOW) == WINDOW
+
+
+def test_the_window_around_cells_is_that_around_their_centres() -> None:
+    rows, columns = np.array([3, 1, 2]), np.array([5, 6, 5])
+    centres = np.column_stack([WINDOW.x[columns], WINDOW.y[rows]])
+    assert WINDOW.around(rows, columns) == Raster.covering(centres, WINDOW.cell_m)
+    assert WINDOW.around(rows[:0], columns[:0]).shape == (0, 0)
+
+
 def test_tiles_cover_a_window_once_and_are_aligned_to_the_origin() -> None:
     count = np.zeros(WINDOW.shape, int)
     for tile in WINDOW.tiles(4):

@@ -110,6 +110,18 @@ def test_the_saved_map_is_that_of_the_core(make: Make, tmp_path: Path) -> None:
     assert (tmp_path / "map" / "height.tif").is_file()
 
 
+def test_in_flight_only_tiles_are_saved_and_the_rest_at_the_end(make: Make, tmp_path: Path) -> None:
+    folder = tmp_path / "map"
+    node = make(f"map.folder:={folder}", "map.cell_m:=1.0")
+    calibrate(node)
+    fly(node, range(VIEWS))
+    node._publish()
+    assert [path.name for path in folder.iterdir()] == ["tiles"]
+    assert HeightGrid.open(folder / "tiles").extent == node._grid.extent
+    node.destroy_node()
+    assert {path.name for path in folder.iterdir()} == {"tiles", "map.json", "height.tif"}
+
+
 def test_a_map_without_a_folder_is_published_only(make: Make) -> None:
     node = make("map.cell_m:=1.0", "map.publish_s:=0.1")
     clouds: list[PointCloud2] = []

@@ -73,6 +73,23 @@ class Raster:
         rows = min(self.row + self.rows, other.row + other.rows) - row
         return Raster(self.cell_m, column, row, max(0, columns), max(0, rows))
 
+    def union(self, other: "Raster") -> "Raster":
+        """Return the smallest window of the same grid that holds both; an empty one adds nothing."""
+        if 0 in self.shape or 0 in other.shape:
+            return other if 0 in self.shape else self
+        column, row = min(self.column, other.column), min(self.row, other.row)
+        columns = max(self.column + self.columns, other.column + other.columns) - column
+        rows = max(self.row + self.rows, other.row + other.rows) - row
+        return Raster(self.cell_m, column, row, columns, rows)
+
+    def around(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> "Raster":
+        """Return the smallest window that holds (N,) cells of this one; empty without any."""
+        if len(rows) == 0:
+            return Raster(self.cell_m, 0, 0, 0, 0)
+        row, column = int(rows.min()), int(columns.min())
+        size = int(columns.max()) - column + 1, int(rows.max()) - row + 1
+        return Raster(self.cell_m, self.column + column, self.row + row, *size)
+
     def within(self, other: "Raster") -> tuple[slice, slice]:
         """Return the slices (rows, columns) that cut this window from an array over `other`, which contains it."""
         row, column = self.row - other.row, self.column - other.column

@@ -9,6 +9,7 @@ out  map/surface                                     sensor_msgs/PointCloud2, la
  srv ~/save_map                                      std_srvs/Trigger: the map so far, into the folder map.folder
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,7 @@ class MapperNode(VehicleNode):
         self._grid = HeightGrid(self.own.map.cell_m, self._folder / "tiles" if self._folder else None)
         self._mapper, self._overlap = SurfaceMapper(self._grid), Overlap()
         self._late: LatePoses | None = None
-        self._published_pairs = 0
+        self._published_pairs = self._saved_pairs = 0
         self._stamp_ns = 0
         self._surface = self.advertise(PointCloud2, "map/surface", LATCHED)
         self._mesh = self.advertise(Marker, "map/mesh", LATCHED)
@@ -61,8 +62,9 @@ class MapperNode(VehicleNode):
         self.create_timer(self.own.map.publish_s, self._publish, clock=steady)
 
     def destroy_node(self) -> None:
-        """Save what has been mapped since the last time, then destroy the node."""
-        self._publish()
+        """Save the whole map, then destroy the node."""
+        if self._folder is not None and self._mapper.pairs > self._saved_pairs:
+            self._note_save(self._save)
         super().destroy_node()
 
     def _on_rig(self) -> None:
@@ -91,12 +93,12 @@ class MapperNode(VehicleNode):
         self.counts |= {f"refused/{reason}": count for reason, count in self._mapper.refused.items()}
 
     def _publish(self) -> None:
-        """Save and publish the map if it has grown."""
+        """Save the changed tiles and publish the map, if it has grown."""
         if self._mapper.pairs == self._published_pairs:
             return
         self._published_pairs = self._mapper.pairs
         if self._folder is not None:
-            self._save_or_alarm()
+            self._note_save(self._flush)
         if self._surface.get_subscription_count():
             window = self._grid.window(self._grid.extent)
             x, y = np.meshgrid(window.raster.x, window.raster.y)
@@ -110,9 +112,9 @@ class MapperNode(VehicleNode):
             mesh.color, mesh.points = COLOUR, [Point(x=x, y=y, z=z) for x, y, z in corners]
             self._mesh.publish(mesh)
 
-    def _save_or_alarm(self) -> None:
+    def _note_save(self, save: Callable[[], str]) -> None:
         try:
-            self.notes["map"] = self._save()
+            self.notes["map"] = save()
             self.alarms.pop("map", None)
         except (UavVslamError, OSError) as error:
             self.alarms["map"] = f"the map can't be saved: {error}"
@@ -124,10 +126,16 @@ class MapperNode(VehicleNode):
             response.message, response.success = str(error), False
         return response
 
+    def _flush(self) -> str:
+        """Save what can change within a period: its cost does not grow with the flight."""
+        self._grid.flush()
+        return f"{self._folder}: tiles from {self._mapper.pairs} pairs"
+
     def _save(self) -> str:
         if self._folder is None:
             raise UavVslamError("the parameter map.folder is empty; start the mapper with a folder to write to")
         tree = write_surface(self._grid, self._overlap, self._mapper, self._folder)
+        self._saved_pairs = self._mapper.pairs
         cells, cell_m = tree["surface"]["cells"], self._grid.cell_m
         return f"{self._folder}: {cells} cells of {cell_m:g} m from {self._mapper.pairs} pairs"
 

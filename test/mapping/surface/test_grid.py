@@ -124,7 +124,21 @@ def test_tiles_in_memory_are_bounded_and_nothing_is_lost(tmp_path: Path) -> None
     assert reference.cached_bytes > 2 * bound
     everything = reference.extent
     assert grid.extent == everything
+    grid.flush()
+    assert HeightGrid.open(tmp_path / "tiles").extent == everything  # which looks at every cell
     assert np.array_equal(grid.height(everything), reference.height(everything), equal_nan=True)
+
+
+def test_the_extent_of_a_growing_grid_needs_no_tile(tmp_path: Path) -> None:
+    grid = HeightGrid(0.5, tmp_path / "tiles", most_bytes=1)
+    whole = AROUND
+    for k in range(4):
+        raster = Raster(0.5, AROUND.column + 300 * k, AROUND.row - 200 * k, 40, 30)
+        grid.add(samples(raster))
+        whole = whole.union(raster)
+    for path in (tmp_path / "tiles").glob("*.npz"):
+        path.unlink()
+    assert grid.extent == whole
 
 
 def test_a_grid_is_read_back_from_its_folder(tmp_path: Path) -> None:

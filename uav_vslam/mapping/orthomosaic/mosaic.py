@@ -157,13 +157,10 @@ class Orthomosaic:
         Raises:
             UavVslamError: no view was added.
         """
-        corners: list[tuple[float, float]] = []
+        found = Raster(self.m_per_px, 0, 0, 0, 0)
         for raster, labels in self._labels():
-            rows, columns = np.nonzero(labels != UNSEEN)
-            if len(rows):
-                x, y = raster.x[[columns.min(), columns.max()]], raster.y[[rows.min(), rows.max()]]
-                corners += list(zip(x, y, strict=True))
-        return Raster.covering(np.array(corners).reshape(-1, 2), self.m_per_px)
+            found = found.union(raster.around(*np.nonzero(labels != UNSEEN)))
+        return found
 
     def shares(self) -> dict[str, float]:
         """Return each vehicle's share of the picture's pixels."""

@@ -66,6 +66,7 @@ class HeightGrid:
         if not cell_m > 0.0:
             raise UavVslamError(f"cells of {cell_m} m are not possible; use a positive size, 0.5 m is usual")
         self._tiles = TileStore(cell_m, folder, most_bytes=most_bytes)
+        self._extent: Raster | None = Raster(cell_m, 0, 0, 0, 0)  # None: not known since `open`
 
     @staticmethod
     def open(folder: Path, *, most_bytes: int = 1 << 28) -> "HeightGrid":
@@ -76,7 +77,7 @@ class HeightGrid:
         """
         store = TileStore.open(folder, most_bytes=most_bytes)
         grid = HeightGrid(store.cell_m)
-        grid._tiles = store
+        grid._tiles, grid._extent = store, None
         return grid
 
     @property
@@ -91,16 +92,13 @@ class HeightGrid:
 
     @property
     def extent(self) -> Raster:
-        """The smallest window that holds all known cells; it reads every tile."""
-        corners = []
-        for key in self._tiles.keys:
-            window = self._tiles.raster(key)
-            for _, tile in self._tiles.touching(window):
-                rows, columns = np.nonzero(tile["votes"].any(axis=-1))
-                if len(rows):
-                    corners += [[window.x[columns.min()], window.y[rows.min()]]]
-                    corners += [[window.x[columns.max()], window.y[rows.max()]]]
-        return Raster.covering(np.array(corners).reshape(-1, 2), self.cell_m)
+        """The smallest window that holds all known cells; of an opened grid, the first time reads every tile."""
+        if self._extent is None:
+            self._extent = Raster(self.cell_m, 0, 0, 0, 0)
+            for key in self._tiles.keys:
+                for window, tile in self._tiles.touching(self._tiles.raster(key)):
+                    self._extent = self._extent.union(window.around(*np.nonzero(tile["votes"].any(axis=-1))))
+        return self._extent
 
     def add(self, samples: CellSamples) -> None:
         """Add what a pair says.
@@ -109,6 +107,7 @@ class HeightGrid:
             UavVslamError: its cells are of another size.
         """
         self._check(samples.raster)
+        self._extent = self.extent.union(samples.raster.around(samples.rows, samples.columns))  # none is forgotten
         rows, columns = samples.rows + samples.raster.row, samples.columns + samples.raster.column
         for window in samples.raster.tiles(SIDE):
             inside = (rows >= window.row) & (rows < window.row + SIDE)
