@@ -74,3 +74,15 @@ def test_wrong_shapes_and_unordered_stamps_are_refused():
         Trajectory(good.stamps_ns, good.positions[:2], good.quaternions_wxyz)
     with pytest.raises(ValueError, match="strictly increase"):
         Trajectory(good.stamps_ns[::-1], good.positions, good.quaternions_wxyz)
+
+
+@pytest.mark.parametrize("covariance", [None, np.arange(5)[:, None, None] * np.eye(6)])
+def test_estimates_make_the_same_trajectory_again(covariance):
+    whole = turning()
+    again = Trajectory.from_estimates(
+        Trajectory(whole.stamps_ns, whole.positions, whole.quaternions_wxyz, covariance).estimates()
+    )
+    np.testing.assert_array_equal(again.stamps_ns, whole.stamps_ns)
+    np.testing.assert_array_equal(again.positions, whole.positions)
+    np.testing.assert_allclose(again.rotations, whole.rotations, atol=1e-12)
+    np.testing.assert_array_equal(again.covariance, np.zeros((5, 6, 6)) if covariance is None else covariance)

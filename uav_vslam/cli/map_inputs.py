@@ -16,7 +16,6 @@ from uav_vslam.evaluation.files.results_folder import read_results
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.anchoring import anchored
 from uav_vslam.mapping.flight_views import flight_views
-from uav_vslam.types import PoseEstimate
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.trajectory import Trajectory
@@ -90,16 +89,8 @@ def _poses(vehicle: str, tracks: dict[str, Trajectory]) -> dict[int, Pose]:
     smoothed, fused = tracks.get("smoothed"), tracks.get("c_slam")
     if smoothed is None:
         print(f"uav-vslam: warning: {vehicle} has no smoothed poses; its own-only ones blur the map", file=sys.stderr)
-        return {pose.stamp_ns: pose.T_map_body for pose in _estimates(tracks["s_slam"])}
-    poses = _estimates(smoothed)
+        return {pose.stamp_ns: pose.T_map_body for pose in tracks["s_slam"].estimates()}
+    poses = smoothed.estimates()
     if fused is not None and fused.covariance is not None:
-        poses = anchored(poses, _estimates(fused))
+        poses = anchored(poses, fused.estimates())
     return {pose.stamp_ns: pose.T_map_body for pose in poses}
-
-
-def _estimates(track: Trajectory) -> list[PoseEstimate]:
-    import numpy as np
-
-    covariance = np.zeros((len(track), 6, 6)) if track.covariance is None else track.covariance
-    rows = zip(track.stamps_ns.tolist(), track.rotations, track.positions, covariance, strict=True)
-    return [PoseEstimate(stamp_ns, Pose(R, t), P) for stamp_ns, R, t, P in rows]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import (
     quaternion_wxyz_from_rotation,
     rotation_from_quaternion_wxyz,
@@ -57,6 +58,12 @@ class Trajectory:
             np.array([estimate.T_map_body.quaternion_wxyz for estimate in ordered]).reshape(-1, 4),
             np.array([estimate.covariance for estimate in ordered]).reshape(-1, 6, 6),
         )
+
+    def estimates(self) -> list[PoseEstimate]:
+        """Return the poses one by one; their covariance is zero where it is unknown."""
+        covariance = np.zeros((len(self), 6, 6)) if self.covariance is None else self.covariance
+        rows = zip(self.stamps_ns.tolist(), self.rotations, self.positions, covariance, strict=True)
+        return [PoseEstimate(stamp_ns, Pose(R, t), P) for stamp_ns, R, t, P in rows]
 
     @property
     def rotations(self) -> Array:

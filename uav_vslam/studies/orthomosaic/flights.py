@@ -5,11 +5,8 @@ import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from uav_vslam.config import VehicleConfig
 from uav_vslam.evaluation.result import VehicleResult
-from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.anchoring import anchored
 from uav_vslam.mapping.flight_views import flight_views
@@ -20,7 +17,6 @@ from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_f
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.simulation.terrain import Ground
 from uav_vslam.studies.engine.flights import kagaru_configs, true_trajectory
-from uav_vslam.types import PoseEstimate
 from uav_vslam.vision.frontends import make_frontend
 
 TRUE, SMOOTHED, ANCHORED = "true poses", "smoothed S-SLAM", "anchored C-SLAM"
@@ -75,15 +71,8 @@ def _followed(
 
 
 def _poses(result: VehicleResult) -> dict[str, Poses]:
-    kinds = {TRUE: _estimates(result.truth), SMOOTHED: _estimates(result.smoothed)}
+    tracks = {TRUE: result.truth, SMOOTHED: result.smoothed}
+    kinds = {kind: [] if track is None else track.estimates() for kind, track in tracks.items()}
     if result.c_slam is not None and kinds[SMOOTHED]:
-        kinds[ANCHORED] = anchored(kinds[SMOOTHED], _estimates(result.c_slam))
+        kinds[ANCHORED] = anchored(kinds[SMOOTHED], result.c_slam.estimates())
     return {kind: {pose.stamp_ns: pose.T_map_body for pose in poses} for kind, poses in kinds.items()}
-
-
-def _estimates(track: Trajectory | None) -> list[PoseEstimate]:
-    if track is None:
-        return []
-    covariance = np.zeros((len(track), 6, 6)) if track.covariance is None else track.covariance
-    rows = zip(track.stamps_ns.tolist(), track.rotations, track.positions, covariance, strict=True)
-    return [PoseEstimate(stamp_ns, Pose(R, t), P) for stamp_ns, R, t, P in rows]
