@@ -20,9 +20,9 @@ from uav_vslam.mapping.view import View
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.terrain import Ground, ground_of
 from uav_vslam.studies.engine.columns import Row
+from uav_vslam.studies.engine.kept_flights import KeptFlight, kept_flights
 from uav_vslam.studies.engine.pool import mean, median, rms
 from uav_vslam.studies.orthomosaic.displacement import Displacements, displacements
-from uav_vslam.studies.orthomosaic.flights import ANCHORED, SMOOTHED, TRUE, PicturedFlight, pictured_flights
 from uav_vslam.studies.orthomosaic.stitcher import stitched
 
 Array = NDArray[np.float64]
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 STITCHED = 12  # images for OpenCV's stitcher: with 36, its memory grew beyond 8 GB
 ORTHOMOSAIC, CHAIN, STITCHER = "orthomosaic", "homography chain", f"OpenCV stitcher, {STITCHED} images"
 ONE, TWO = "one vehicle", "two vehicles"
+POSES = {"truth": "true poses", "smoothed": "smoothed S-SLAM", "anchored": "anchored C-SLAM"}
 CELL_M = 0.5
 
 NOTES = {
@@ -68,15 +69,15 @@ def measured(job: Job) -> list[Measured]:
     """Return the pictures of one seed by all methods."""
     scenario = Scenario(seed=job.seed, frames=job.frames)
     ground = ground_of(scenario)
-    flights = pictured_flights(scenario, ground)
+    flights = kept_flights(scenario, ground)
     one, found = flights[:1], []
-    for kind, chosen, condition in ((TRUE, one, ONE), (SMOOTHED, one, ONE), (ANCHORED, flights, TWO)):
+    for kind, chosen, condition in (("truth", one, ONE), ("smoothed", one, ONE), ("anchored", flights, TWO)):
         found.append(_orthomosaic(job, ground, chosen, kind, condition))
-    keys = _key_frames(one, SMOOTHED)
+    keys = _key_frames(one, "smoothed")
     return [*found, _chain(job, ground, keys), _stitcher(job, ground, keys[:STITCHED])]
 
 
-def _orthomosaic(job: Job, ground: Ground, flights: Sequence[PicturedFlight], kind: str, condition: str) -> Measured:
+def _orthomosaic(job: Job, ground: Ground, flights: Sequence[KeptFlight], kind: str, condition: str) -> Measured:
     grid = HeightGrid(cell_m=CELL_M)
     mapper = SurfaceMapper(grid)
     for flight in flights:
@@ -90,10 +91,10 @@ def _orthomosaic(job: Job, ground: Ground, flights: Sequence[PicturedFlight], ki
     picture = mosaic.picture()
     start = keys[0].T_map_cam.t
     errors = displacements(picture.image, picture.seen, picture.raster, ground.grey, (start[0], start[1]))
-    return Measured(f"{ORTHOMOSAIC}, {kind}", condition, job.seed, errors, seams(mosaic, keys), len(keys), ms)
+    return Measured(f"{ORTHOMOSAIC}, {POSES[kind]}", condition, job.seed, errors, seams(mosaic, keys), len(keys), ms)
 
 
-def _key_frames(flights: Sequence[PicturedFlight], kind: str) -> list[View]:
+def _key_frames(flights: Sequence[KeptFlight], kind: str) -> list[View]:
     found = []
     for flight in flights:
         keys = KeyFrames()

@@ -1,32 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flies one seed over rendered ground and maps it by each method."""
 
-import heapq
 import time
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.fleet import CooperativeTrack
-from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.mapping.anchoring import anchored
-from uav_vslam.mapping.flight_views import flight_views
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.mapping.surface.sparse import DelaunaySurface, extra_points, landmarks
-from uav_vslam.offline import FlightSource, fly
-from uav_vslam.pipeline import VehicleTrack
-from uav_vslam.simulation.camera_render import RenderedFlight
-from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
-from uav_vslam.simulation.terrain import Ground, ground_of
-from uav_vslam.studies.engine.flights import kagaru_configs, true_trajectory
+from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.simulation.terrain import ground_of
+from uav_vslam.studies.engine.flights import true_trajectory
+from uav_vslam.studies.engine.kept_flights import KeptFlight, kept_flights
 from uav_vslam.studies.surface.scoring import Scores, Surface, pose_scores, score
-from uav_vslam.types import ImuSample, NavEstimate, PoseEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.images import to_grey8
 
 NOTES = {
@@ -53,48 +45,6 @@ class Job:
     cell_m: float
 
 
-@dataclass(slots=True)
-class KeptFlight:
-    """A rendered flight as the source of the pipeline, whose images are kept for the map."""
-
-    simulated: SimulatedVehicle
-    ground: Ground
-    kept: list[StereoFrame] = field(default_factory=list)
-
-    @property
-    def vehicle(self) -> str:
-        """Name."""
-        return self.simulated.name
-
-    @property
-    def rig(self) -> StereoRig:
-        """Calibration."""
-        return self.simulated.rig
-
-    @property
-    def initial_state(self) -> NavEstimate:
-        """Start state with its errors."""
-        return self.simulated.initial
-
-    @property
-    def frame_count(self) -> int:
-        """Number of frames."""
-        return len(self.simulated.frame_stamps_ns)
-
-    def unpaired_reason(self) -> str:
-        """Return nothing: all images are pairs."""
-        return ""
-
-    def iter_events(self) -> Iterable[ImuSample | StereoFrame | StereoFeatures]:
-        """Yield sensor data in stamp order."""
-        return heapq.merge(self.simulated.imu.samples(), self._frames(), key=lambda event: event.stamp_ns)
-
-    def _frames(self) -> Iterator[StereoFrame]:
-        for frame in RenderedFlight(self.simulated, self.ground):
-            self.kept.append(frame)
-            yield frame
-
-
 @dataclass(frozen=True, slots=True)
 class MappedSeed:
     """Results of one seed.
@@ -113,48 +63,32 @@ def map_seed(job: Job) -> MappedSeed:
     cv2.setNumThreads(1)
     scenario = Scenario(seed=job.seed, frames=job.frames, vehicles=job.vehicles, objects=job.objects)
     ground = ground_of(scenario)
-    flights = [KeptFlight(vehicle, ground) for vehicle in simulate_fleet(scenario)]
-    config = kagaru_configs({"": {}})[""]
-    sources: list[FlightSource] = list(flights)
-    tracks, fleet = fly(sources, {f.vehicle: config for f in flights}, keep_features=True, smoothing=True)
-    kinds = ["smoothed"] + ["anchored"] * (job.vehicles > 1)
-    truths = {flight.vehicle: true_trajectory(flight.simulated) for flight in flights}
+    flights = kept_flights(scenario, ground)
+    fused = job.vehicles > 1
+    truths = {flight.simulated.name: true_trajectory(flight.simulated) for flight in flights}
     surfaces = {}
-    for kind in kinds:
-        poses = {f.vehicle: poses_of(kind, tracks[f.vehicle], fleet[f.vehicle]) for f in flights}
-        for surface in surfaces_of(flights, tracks, poses, job.cell_m):
+    for kind in ["smoothed"] + ["anchored"] * fused:
+        poses = {flight.simulated.name: flight.poses(kind) for flight in flights}
+        for surface in surfaces_of(flights, kind, job.cell_m):
             surfaces[surface.method, kind] = score(surface, ground, flights, poses, truths)
     scored = {
         kind: [
-            pose_scores(Trajectory.from_estimates(poses_of(kind, tracks[name], fleet[name])), truth)
-            for name, truth in truths.items()
+            pose_scores(Trajectory.from_estimates(flight.poses(kind)), truths[flight.simulated.name])
+            for flight in flights
         ]
-        for kind in ["s_slam", "smoothed"] + ["c_slam", "anchored"] * (job.vehicles > 1)
+        for kind in ["s_slam", "smoothed"] + ["c_slam", "anchored"] * fused
     }
     return MappedSeed(surfaces, scored)
 
 
-def poses_of(kind: str, track: VehicleTrack, member: CooperativeTrack) -> list[PoseEstimate]:
-    """Return a vehicle's poses of one kind."""
-    if kind == "s_slam":
-        return [output.report.pose for output in track.outputs]
-    if kind == "c_slam":
-        return list(member.poses)
-    return anchored(track.smoothed, member.poses) if kind == "anchored" else track.smoothed
-
-
-def surfaces_of(
-    flights: list[KeptFlight], tracks: dict[str, VehicleTrack], poses: dict[str, list[PoseEstimate]], cell_m: float
-) -> Iterator[Surface]:
-    """Yield the surface by each method."""
-    frames = sum(len(flight.kept) for flight in flights)
+def surfaces_of(flights: list[KeptFlight], kind: str, cell_m: float) -> Iterator[Surface]:
+    """Yield the surface by each method, with one kind of poses."""
+    frames = sum(len(flight.frames) for flight in flights)
     started = time.process_time()
     grid = HeightGrid(cell_m)
     mapper = SurfaceMapper(grid)
     for flight in flights:
-        at = {pose.stamp_ns: pose.T_map_body for pose in poses[flight.vehicle]}
-        images = ((frame.stamp_ns, frame.left) for frame in flight.kept)
-        for view in flight_views(flight.vehicle, flight.rig, at, images):
+        for view in flight.views(kind):
             mapper.add_view(view)
     mapper.finish()
     known = grid.extent
@@ -166,12 +100,12 @@ def surfaces_of(
     yield Surface("motion stereo", raster, window.height, window.sigma, ms)
     found, extra = [], []
     for flight in flights:
-        at = {pose.stamp_ns: pose.T_map_body for pose in poses[flight.vehicle]}
-        features = tracks[flight.vehicle].features
-        found.append(landmarks(list(features.values()), at, flight.rig))
-        for frame in flight.kept[::EVERY]:
+        at = {pose.stamp_ns: pose.T_map_body for pose in flight.poses(kind)}
+        rig, features = flight.simulated.rig, flight.track.features
+        found.append(landmarks(list(features.values()), at, rig))
+        for frame in flight.frames[::EVERY]:
             if frame.stamp_ns in at:
                 pair = to_grey8(frame.left), to_grey8(frame.right)
-                extra.append(extra_points(*pair, features[frame.stamp_ns], at[frame.stamp_ns], flight.rig))
+                extra.append(extra_points(*pair, features[frame.stamp_ns], at[frame.stamp_ns], rig))
     for method, points in (("rig's pair", np.vstack(found + extra)), ("landmarks", np.vstack(found))):
         yield Surface(method, raster, DelaunaySurface(points).height(raster), None, None)

@@ -3,7 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,8 @@ from uav_vslam.evaluation.scores import error_scores
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.simulation.terrain import Ground
+from uav_vslam.studies.engine.kept_flights import KeptFlight
 from uav_vslam.types import PoseEstimate
-
-if TYPE_CHECKING:
-    from uav_vslam.studies.surface.compute import KeptFlight
 
 Array = NDArray[np.float64]
 Scores = dict[str, float | None]
@@ -51,7 +49,7 @@ class Surface:
 def score(
     surface: Surface,
     ground: Ground,
-    flights: "Sequence[KeptFlight]",
+    flights: Sequence[KeptFlight],
     poses: Mapping[str, list[PoseEstimate]],
     truths: Mapping[str, Trajectory],
 ) -> Scores:
@@ -107,14 +105,14 @@ def _height_errors(poses: Sequence[PoseEstimate], truth: Trajectory) -> Array:
     return np.asarray(Trajectory.from_estimates(poses).positions[:, 2] - truth.positions[:, 2])
 
 
-def _shown(raster: Raster, x: Array, y: Array, ground: Ground, flights: "Sequence[KeptFlight]") -> NDArray[np.bool_]:
+def _shown(raster: Raster, x: Array, y: Array, ground: Ground, flights: Sequence[KeptFlight]) -> NDArray[np.bool_]:
     """Return the cells that some left image truly shows, but for what hides them."""
     shown = np.zeros(raster.shape, bool)
     points = np.stack([x, y, ground.height(x, y)], axis=-1)
     for flight in flights:
-        camera, vehicle = flight.rig.left, flight.simulated
+        vehicle, camera = flight.simulated, flight.simulated.rig.left
         for t in vehicle.frame_times_s:
-            seen = (vehicle.truth.pose(float(t)) @ flight.rig.T_body_left).inverse().apply(points)
+            seen = (vehicle.truth.pose(float(t)) @ vehicle.rig.T_body_left).inverse().apply(points)
             pixels = camera.project(np.where(seen[..., 2:] > 0.0, seen, [0.0, 0.0, 1e-6]))
             shown |= ((pixels >= 0.0) & (pixels <= [camera.width - 1, camera.height - 1])).all(axis=-1) & (
                 seen[..., 2] > 0.0
