@@ -60,6 +60,18 @@ def test_the_window_around_cells_is_that_around_their_centres() -> None:
     assert WINDOW.around(rows[:0], columns[:0]).shape == (0, 0)
 
 
+@pytest.mark.parametrize(("margin", "align"), [(0, 1), (3, 1), (0, 4), (1, 4), (5, 8)])
+def test_a_grown_window_has_its_margin_aligned_edges_and_nothing_to_spare(margin: int, align: int) -> None:
+    grown = WINDOW.grown(margin, align=align)
+    for first, size, start, count in (
+        (grown.column, grown.columns, WINDOW.column, WINDOW.columns),
+        (grown.row, grown.rows, WINDOW.row, WINDOW.rows),
+    ):
+        assert first % align == size % align == 0
+        assert margin <= start - first < margin + align
+        assert margin <= first + size - (start + count) < margin + align
+
+
 def test_tiles_cover_a_window_once_and_are_aligned_to_the_origin() -> None:
     count = np.zeros(WINDOW.shape, int)
     for tile in WINDOW.tiles(4):

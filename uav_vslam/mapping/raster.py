@@ -90,6 +90,13 @@ class Raster:
         size = int(columns.max()) - column + 1, int(rows.max()) - row + 1
         return Raster(self.cell_m, self.column + column, self.row + row, *size)
 
+    def grown(self, margin: int, *, align: int = 1) -> "Raster":
+        """Return the smallest window with a margin [cells] around this one and edges at multiples of `align`."""
+        column, row = ((start - margin) // align * align for start in (self.column, self.row))
+        columns = -(-(self.column + self.columns + margin - column) // align) * align
+        rows = -(-(self.row + self.rows + margin - row) // align) * align
+        return Raster(self.cell_m, column, row, columns, rows)
+
     def within(self, other: "Raster") -> tuple[slice, slice]:
         """Return the slices (rows, columns) that cut this window from an array over `other`, which contains it."""
         row, column = self.row - other.row, self.column - other.column

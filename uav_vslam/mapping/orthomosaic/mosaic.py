@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.orthomosaic.exposure import Correction, Exposure
 from uav_vslam.mapping.orthomosaic.heights import Heights
-from uav_vslam.mapping.orthomosaic.pyramid import ALIGN, LEVELS, MARGIN, put_together, take_apart
+from uav_vslam.mapping.orthomosaic.pyramid import ALIGN, LEVELS, MARGIN, at_level, put_together, take_apart
 from uav_vslam.mapping.orthomosaic.rectification import Rectified, rectify
 from uav_vslam.mapping.orthomosaic.thumbnail import thumbnail
 from uav_vslam.mapping.orthomosaic.tiles import KEPT_BYTES, SIDE, UNSEEN, TileStore
@@ -206,7 +206,7 @@ class Orthomosaic:
 
     def _window(self, raster: Raster) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
         """Return image (rows, columns, channels) and labels of a window."""
-        around = _around(raster)
+        around = raster.grown(MARGIN, align=ALIGN)  # all bands that reach into the window
         bands = [
             np.zeros((around.rows >> level, around.columns >> level, self._channels), np.float32)
             for level in range(LEVELS + 1)
@@ -219,7 +219,7 @@ class Orthomosaic:
             common = tile_raster.intersection(around)
             labels[common.within(around)] = tile.labels[common.within(tile_raster)]
             for level, band in enumerate(bands):
-                at, cut = (_at_level(common.within(window), level) for window in (around, tile_raster))
+                at, cut = (at_level(common.within(window), level) for window in (around, tile_raster))
                 band[at] = tile.coefficients(level)[cut]
         labels = _without_gaps(labels, round(GAP_M / self.m_per_px))
         picture = np.clip(np.rint(put_together(bands)), 0, 255).astype(np.uint8)
@@ -236,16 +236,3 @@ def _without_gaps(labels: NDArray[np.int32], width_px: int) -> NDArray[np.int32]
     closed = cv2.morphologyEx((labels != UNSEEN).astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
     nearby = cv2.dilate(labels.astype(np.float32), kernel).astype(np.int32)  # exact below 2^24 views
     return np.where(closed & (labels == UNSEEN), nearby, labels)
-
-
-def _around(raster: Raster) -> Raster:
-    """Return an aligned window that holds all bands that reach into a window."""
-    column, row = ((start - MARGIN) // ALIGN * ALIGN for start in (raster.column, raster.row))
-    columns = -(-(raster.column + raster.columns + MARGIN - column) // ALIGN) * ALIGN
-    rows = -(-(raster.row + raster.rows + MARGIN - row) // ALIGN) * ALIGN
-    return Raster(raster.cell_m, column, row, columns, rows)
-
-
-def _at_level(at: tuple[slice, slice], level: int) -> tuple[slice, slice]:
-    rows, columns = at
-    return slice(rows.start >> level, rows.stop >> level), slice(columns.start >> level, columns.stop >> level)

@@ -64,6 +64,12 @@ def put_together(coefficients: list[Real]) -> Real:
     return picture
 
 
+def at_level(at: tuple[slice, slice], level: int) -> tuple[slice, slice]:
+    """Return the slices of a level for those of the finest one, whose ends are multiples of ALIGN."""
+    rows, columns = at
+    return slice(rows.start >> level, rows.stop >> level), slice(columns.start >> level, columns.stop >> level)
+
+
 def fill(image: Real, known: NDArray[np.bool_]) -> Real:
     """Continue an image smoothly where it is not known, from averages over ever larger surroundings."""
     if known.all():

@@ -55,7 +55,7 @@ def rectify(
     raster = footprint(view.camera, view.T_map_cam, surface, m_per_px)
     if raster.columns == 0:
         return None
-    raster = _aligned(raster, align, margin)
+    raster = raster.grown(margin, align=align)
     heights = surface.height(raster)
     u, v, depth, tangent2 = _seen_at(view, raster, heights)
     score = _score(view.camera, u, v, depth, tangent2) * np.float32(sharpness)
@@ -73,13 +73,6 @@ def sharpness_of(image: Image) -> float:
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
     half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)  # noise counts less
     return float(np.std(cv2.Laplacian(half, cv2.CV_32F)) / max(float(np.std(half)), 1e-6))
-
-
-def _aligned(raster: Raster, align: int, margin: int) -> Raster:
-    column, row = ((start - margin) // align * align for start in (raster.column, raster.row))
-    columns = -(-(raster.column + raster.columns + margin - column) // align) * align
-    rows = -(-(raster.row + raster.rows + margin - row) // align) * align
-    return Raster(raster.cell_m, column, row, columns, rows)
 
 
 def _seen_at(view: View, raster: Raster, heights: Real) -> tuple[Real, Real, Real, Real]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import UavVslamError
-from uav_vslam.mapping.orthomosaic.pyramid import LEVELS, Bands
+from uav_vslam.mapping.orthomosaic.pyramid import LEVELS, Bands, at_level
 from uav_vslam.mapping.raster import Raster
 
 Real = NDArray[np.float32]
@@ -71,7 +71,7 @@ class Tile:
         """
         seen = score[cut] > 0
         for level in range(LEVELS + 1):
-            here, there = _smaller(at, level), _smaller(cut, level)
+            here, there = at_level(at, level), at_level(cut, level)
             weight, coefficients = bands.weights[level][there], bands.coefficients[level][there]
             own_weight, own = self.weights[level][here], self.bands[level][here]
             if level < BEST_LEVELS:
@@ -179,8 +179,3 @@ class TileStore:
 
 def _key(raster: Raster) -> Key:
     return raster.column // SIDE, raster.row // SIDE
-
-
-def _smaller(at: tuple[slice, slice], level: int) -> tuple[slice, slice]:
-    rows, columns = at
-    return slice(rows.start >> level, rows.stop >> level), slice(columns.start >> level, columns.stop >> level)

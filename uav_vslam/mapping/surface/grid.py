@@ -133,14 +133,7 @@ class HeightGrid:
         self._check(raster)
         reach = round(WIDEST_GAP_M / self.cell_m)
         # Gaps are filled alike in every window: those around it must be seen too.
-        margin = 3 * (reach + 1)
-        wide = Raster(
-            raster.cell_m,
-            raster.column - margin,
-            raster.row - margin,
-            raster.columns + 2 * margin,
-            raster.rows + 2 * margin,
-        )
+        wide = raster.grown(3 * (reach + 1))
         cells = self._cells(wide)
         height, sigma = _chosen(cells)
         gaps = narrow_gaps(np.isfinite(height), reach)

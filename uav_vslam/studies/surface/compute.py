@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.mapping.surface.sparse import DelaunaySurface, extra_points, landmarks
@@ -91,10 +90,7 @@ def surfaces_of(flights: list[KeptFlight], kind: str, cell_m: float) -> Iterator
         for view in flight.views(kind):
             mapper.add_view(view)
     mapper.finish()
-    known = grid.extent
-    raster = Raster(
-        cell_m, known.column - MARGIN, known.row - MARGIN, known.columns + 2 * MARGIN, known.rows + 2 * MARGIN
-    )
+    raster = grid.extent.grown(MARGIN)
     window = grid.window(raster)
     ms = 1e3 * (time.process_time() - started) / frames
     yield Surface("motion stereo", raster, window.height, window.sigma, ms)
