@@ -13,6 +13,24 @@ from uav_vslam.mapping.view import View
 from uav_vslam.vision.images import to_bgr8, to_grey8
 
 
+class LeftCamera:
+    """Makes views of one vehicle's left images."""
+
+    def __init__(self, vehicle: str, rig: StereoRig) -> None:
+        self._vehicle, self._T_body_left = vehicle, rig.T_body_left
+        self._lens = Undistorter(rig.left)
+
+    def view(self, stamp_ns: int, pixels: NDArray[np.generic], T_map_body: Pose) -> View:
+        """Return an image, grey or BGR, with its pose as a view.
+
+        Raises:
+            InvalidMessage: the image has another shape or type.
+        """
+        image = to_bgr8(pixels) if pixels.ndim == 3 and pixels.shape[2] == 3 else to_grey8(pixels)
+        T_map_cam = T_map_body @ self._T_body_left
+        return View(self._vehicle, stamp_ns, self._lens.camera, T_map_cam, self._lens.apply(image))
+
+
 def flight_views(
     vehicle: str, rig: StereoRig, poses: Mapping[int, Pose], images: Iterable[tuple[int, NDArray[np.generic]]]
 ) -> Iterator[View]:
@@ -27,8 +45,7 @@ def flight_views(
     Raises:
         InvalidMessage: an image has another shape or type.
     """
-    lens = Undistorter(rig.left)
+    camera = LeftCamera(vehicle, rig)
     for stamp_ns, pixels in images:
         if stamp_ns in poses:
-            image = to_bgr8(pixels) if pixels.ndim == 3 and pixels.shape[2] == 3 else to_grey8(pixels)
-            yield View(vehicle, stamp_ns, lens.camera, poses[stamp_ns] @ rig.T_body_left, lens.apply(image))
+            yield camera.view(stamp_ns, pixels, poses[stamp_ns])

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.mapping.undistortion import Undistorter
+from uav_vslam.mapping.flight_views import LeftCamera
 from uav_vslam.mapping.view import View
-from uav_vslam.vision.images import to_bgr8, to_grey8
 
 MAX_WAITING = 60  # images: 3 s at 20 Hz
 
@@ -23,8 +22,7 @@ class LatePoses:
     """
 
     def __init__(self, vehicle: str, rig: StereoRig) -> None:
-        self._vehicle, self._rig = vehicle, rig
-        self._lens = Undistorter(rig.left)
+        self._camera = LeftCamera(vehicle, rig)
         self._images: OrderedDict[int, NDArray[np.generic]] = OrderedDict()
         self.dropped = 0
 
@@ -45,9 +43,4 @@ class LatePoses:
             self._images.popitem(last=False)
             self.dropped += 1
         pixels = self._images.pop(stamp_ns, None)
-        if pixels is None:
-            return None
-        image = to_bgr8(pixels) if pixels.ndim == 3 and pixels.shape[2] == 3 else to_grey8(pixels)
-        return View(
-            self._vehicle, stamp_ns, self._lens.camera, T_map_body @ self._rig.T_body_left, self._lens.apply(image)
-        )
+        return None if pixels is None else self._camera.view(stamp_ns, pixels, T_map_body)
