@@ -74,10 +74,11 @@ def run(args: argparse.Namespace) -> int:
 def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
     """Map flights into a new folder, print what was found, and return the number of cells with a height."""
     from uav_vslam.cli.map_picture import write_picture_and_model
+    from uav_vslam.evaluation.output import write_json
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
-    from uav_vslam.mapping.surface_files import write_figures, write_surface
+    from uav_vslam.mapping.surface_files import FIGURES, write_surface
     from uav_vslam.report.map_table import print_map
 
     grid, overlap = HeightGrid(cell_m, folder / TILES), Overlap()
@@ -92,7 +93,7 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
         tree |= write_picture_and_model(flights, grid, folder)
         for vehicle, share in tree.pop("shares").items():
             tree["vehicles"][vehicle]["share"] = share
-    write_figures(tree, folder)
+    write_json(folder / FIGURES, tree)
     _draw(grid, overlap, folder)
     print_map(tree, _times_ms(mapper))
     return int(tree["surface"]["cells"])

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of a surface: its tiles, `height.tif` and the figures of `map.json`."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.evaluation.output import write_json
 from uav_vslam.mapping.georeference import write_bands
 from uav_vslam.mapping.overlap import Overlap
 from uav_vslam.mapping.summary import map_figures
@@ -36,10 +36,5 @@ def write_surface(grid: HeightGrid, overlap: Overlap, mapper: SurfaceMapper, fol
             "filled": window.filled,
         }
         write_bands(folder / "height.tif", bands, window.raster)
-    write_figures(tree, folder)
+    write_json(folder / FIGURES, tree)
     return tree
-
-
-def write_figures(tree: dict[str, Any], folder: Path) -> None:
-    """Write `map.json`."""
-    (folder / FIGURES).write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The orthomosaic of a reconstruction, its files and its seams."""
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from uav_vslam.evaluation.output import write_json
 from uav_vslam.mapping.georeference import write_bands
 from uav_vslam.mapping.orthomosaic import blended_mosaic
 from uav_vslam.mapping.orthomosaic.output import write_orthomosaic
@@ -43,5 +43,5 @@ def draw(found: Reconstruction, pixel_m: float, folder: Path, *, on_view: Callab
     seam = seam_figures(seams(mosaic, told()))
     size = {key: drawn[key] for key in ("m_per_px", "width", "height")}
     tree = map_figures(found) | {"orthomosaic": size | {"seam_px": seam["median_px"]}}
-    (folder / "map.json").write_text(json.dumps(tree, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(folder / "map.json", tree)
     return size | {"seam": seam}
