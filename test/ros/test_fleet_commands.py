@@ -128,6 +128,14 @@ def test_a_vehicle_that_is_not_in_the_fleet_and_a_link_between_computers_are_ref
         node_specs(fleet("a", "b"), vehicles=["a"], link=LinkConfig())
 
 
+@pytest.mark.parametrize(("vehicles", "recorded"), [((), ["a", "b", "c"]), (["c", "a"], ["a", "c"])])
+def test_a_recorder_starts_first_and_records_the_vehicles_of_this_computer(vehicles, recorded) -> None:
+    first, *others = node_specs(fleet("a", "b", "c"), vehicles=vehicles, record="out/bag")
+    assert (first.namespace, first.executable) == ("/", "recorder")
+    assert first.parameters == {"output": "out/bag", "vehicles": recorded}
+    assert others == node_specs(fleet("a", "b", "c"), vehicles=vehicles)
+
+
 def test_the_clock_of_others_is_used_if_asked_for() -> None:
     specs = node_specs(fleet("uav1", bags=()), use_sim_time=True)
     assert all(spec.parameters["use_sim_time"] for spec in specs)

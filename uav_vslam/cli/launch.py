@@ -89,9 +89,8 @@ def read_fleet(
     from uav_vslam.config import load_fleet
 
     fleet = load_fleet(path).changed(bags=bags, rate=rate, mode=mode)
-    fleet.check_known(vehicles)
+    here = fleet.chosen(vehicles)
     if fleet.replay.bags:
-        here = {name: config for name, config in fleet.vehicles.items() if name in vehicles or not vehicles}
         _check_recordings(fleet.replay.bags, here)
     return fleet
 
@@ -139,18 +138,13 @@ def launch(
     """
     from uav_vslam.errors import ConfigError
     from uav_vslam.ros.domain import MAX_DOMAIN_ID
-    from uav_vslam.ros.fleet_commands import NodeSpec, node_specs
+    from uav_vslam.ros.fleet_commands import node_specs
     from uav_vslam.ros.supervisor import Supervisor, node_command
 
     if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
-    specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, maps=maps)
-    if record is not None:
-        parameters = {
-            "output": str(record),
-            "vehicles": [name for name in fleet.vehicles if name in vehicles or not vehicles],
-        }
-        specs.insert(0, NodeSpec("recorder", "recorder", "/", parameters))
+    bag = str(record) if record else ""
+    specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, record=bag, maps=maps)
     environment = {} if domain_id is None else {"ROS_DOMAIN_ID": str(domain_id)}
     if log_dir is not None:
         environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")

@@ -95,12 +95,13 @@ class FleetConfig:
             }
         return dataclasses.replace(self, vehicles=vehicles, replay=replay)
 
-    def check_known(self, vehicles: Collection[str]) -> None:
-        """Refuse names that are not of the fleet.
+    def chosen(self, vehicles: Collection[str]) -> dict[str, VehicleConfig]:
+        """Return the configurations of some vehicles by name, in the fleet's order; none: of all.
 
         Raises:
-            ConfigError: one is not.
+            ConfigError: one is not of the fleet.
         """
         for name in vehicles:
             if name not in self.vehicles:
                 raise ConfigError(f"vehicle {name!r} is not in the fleet file, which has {', '.join(self.vehicles)}")
+        return {name: config for name, config in self.vehicles.items() if name in vehicles or not vehicles}

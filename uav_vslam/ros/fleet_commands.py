@@ -53,6 +53,7 @@ def node_specs(
     link: LinkConfig | None = None,
     vehicles: Collection[str] = (),
     use_sim_time: bool | None = None,
+    record: str = "",
     maps: str = "",
 ) -> list[NodeSpec]:
     """List the nodes to start: four per vehicle, then those of the whole fleet.
@@ -62,17 +63,18 @@ def node_specs(
         link: emulated radio link; the vehicles then receive each other through it alone.
         vehicles: those of this computer, which reach the others by the fleet's radio; none: all, without a radio.
         use_sim_time: whether nodes take the time from /clock; None: with a replay.
+        record: new bag for the estimates, whose recorder starts first; empty for none.
         maps: folder in which each vehicle's mapper makes its own; empty for no mappers.
 
     Raises:
         ConfigError: a vehicle is not in the fleet, or a link is to be emulated between computers.
     """
-    fleet.check_known(vehicles)
+    here = fleet.chosen(vehicles)
     if vehicles and link is not None:
         raise ConfigError("an emulated link needs all vehicles on one computer; leave out the vehicles or the link")
-    here = {name: config for name, config in fleet.vehicles.items() if name in vehicles or not vehicles}
     sim_time = bool(fleet.replay.bags) if use_sim_time is None else use_sim_time
-    specs = [
+    specs = [NodeSpec("recorder", "recorder", "/", {"output": record, "vehicles": list(here)})] if record else []
+    specs += [
         spec
         for name, config in here.items()
         for spec in _vehicle_specs(

@@ -50,16 +50,13 @@ def _nodes(context: Any, names: list[str]) -> list[Node]:
         rate=float(given["rate"]) if given["rate"] else None,
         mode=given["mode"] or None,
     )
-    vehicles = [given[name] for name in names]
     specs = node_specs(
         fleet,
         link=load_link(given["link"]) if given["link"] else None,
-        vehicles=vehicles,
+        vehicles=[given[name] for name in names],
         use_sim_time=given["use_sim_time"].lower() == "true" if given["use_sim_time"] else None,
+        record=given["record"],
     )
-    if given["record"]:
-        recorded = {"output": given["record"], "vehicles": vehicles or list(fleet.vehicles)}
-        specs.insert(0, NodeSpec("recorder", "recorder", "/", recorded))
     view = (
         [_rviz(any(spec.parameters.get("use_sim_time") for spec in specs))] if given["rviz"].lower() == "true" else []
     )
