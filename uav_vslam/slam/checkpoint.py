@@ -32,6 +32,7 @@ def save_checkpoint(path: Path, stage: SlamStage, vehicle: str) -> None:
         OSError: the disk is full, or the folder can't be written.
     """
     written: Written = (__version__, vehicle, stage)
+    path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, pickle.dumps(written, protocol=pickle.HIGHEST_PROTOCOL), durable=False)
 
 

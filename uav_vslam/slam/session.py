@@ -28,6 +28,7 @@ def next_session(vehicle: str, *, folder: Path | None = None, now_s: float | Non
     clock = int(time.time() if now_s is None else now_s)
     try:
         session = max(_last(path) + 1, clock)
+        folder.mkdir(parents=True, exist_ok=True)
         replace_file(path, f"{session}\n".encode("ascii"))
     except OSError as error:
         raise ConfigError(

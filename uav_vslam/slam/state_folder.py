@@ -11,12 +11,11 @@ def state_folder() -> Path:
 
 
 def replace_file(path: Path, content: bytes, *, durable: bool = True) -> None:
-    """Replace a file atomically; a durable one even if power fails, which takes as long as the disk needs.
+    """Replace a file of a folder atomically; a durable one even if power fails, which takes as long as the disk needs.
 
     Raises:
         OSError: it can't be written; the old one is still there.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with new.open("wb") as file:

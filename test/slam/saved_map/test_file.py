@@ -82,3 +82,10 @@ def test_a_file_that_is_no_sound_map_is_refused_with_the_reason(path: Path, dama
 def test_a_folder_that_is_not_there_is_named(saved: SavedMap, tmp_path: Path) -> None:
     with pytest.raises(MapError, match="can't be written"):
         save_map(saved, tmp_path / "nowhere" / "map.npz")
+
+
+def test_a_map_that_cannot_be_put_in_its_place_leaves_nothing_behind(saved: SavedMap, tmp_path: Path) -> None:
+    (tmp_path / "map.npz" / "in the way").mkdir(parents=True)
+    with pytest.raises(MapError, match="can't be written"):
+        save_map(saved, tmp_path / "map.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["map.npz"]

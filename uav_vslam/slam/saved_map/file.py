@@ -4,8 +4,8 @@
 It holds no Python objects, so loading runs no code of the file's.
 """
 
+import io
 import json
-import os
 import zipfile
 import zlib
 from pathlib import Path
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from uav_vslam.errors import MapError
 from uav_vslam.geometry.coded_points import pack_lower, unpack_lower
 from uav_vslam.slam.saved_map.record import MapOrigin, MapSection, SavedMap
+from uav_vslam.slam.state_folder import replace_file
 
 FORMAT, VERSION = "uav_vslam map", 1
 MAX_LANDMARKS = 5_000_000  # a file with more is refused before its arrays are used
@@ -40,17 +41,15 @@ def save_map(saved: SavedMap, file: Path | str) -> int:
         MapError: the file can't be written.
     """
     path = Path(file)
-    new = path.with_name(f".{path.name}.{os.getpid()}")
+    content = io.BytesIO()
+    np.savez_compressed(content, header=np.array(_header(saved)), **_columns(saved))
     try:
-        with new.open("wb") as raw:
-            np.savez_compressed(raw, header=np.array(_header(saved)), **_columns(saved))
-        new.replace(path)
-        return path.stat().st_size
+        replace_file(path, content.getvalue(), durable=False)
     except OSError as error:
-        new.unlink(missing_ok=True)
         raise MapError(
             f"{path}: the map can't be written ({error.strerror}); name a file in a folder that is writable"
         ) from None
+    return content.getbuffer().nbytes
 
 
 def load_map(file: Path | str) -> SavedMap:
