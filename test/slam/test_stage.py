@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import RigConfig, StartConfig, VehicleConfig
+from uav_vslam.config.vehicle import OutputFramesConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegrator import advance
@@ -264,3 +265,10 @@ def test_the_quality_of_a_frame_is_that_of_its_report(flown) -> None:
         assert (quality.nis, quality.dof) == (innovation.nis, innovation.dof)
         assert quality.associated == output.report.associated == quality.dof // 4
         assert (quality.stamp_ns, quality.coasted, quality.restarted) == (output.report.pose.stamp_ns, False, False)
+
+
+@pytest.mark.parametrize("keep_map", [True, False])
+@pytest.mark.parametrize(("frame", "expected"), [("", "uav1/map"), ("site/map", "site/map")])
+def test_a_saved_map_names_the_frame_that_the_setting_names(keep_map: bool, frame: str, expected: str) -> None:
+    config = VehicleConfig(frames=OutputFramesConfig(map=frame))
+    assert SlamStage(config, vehicle="uav1", keep_map=keep_map).saved_map().origin.frame == expected

@@ -317,6 +317,10 @@ class OutputFramesConfig(Settings):
     map: str = setting("", "frame of the vehicle's own map; empty: VEHICLE/map")
     odom: str = setting("", "frame in which the own pose has no jumps; empty: VEHICLE/odom")
 
+    def map_of(self, vehicle: str) -> str:
+        """Return the name of a vehicle's map frame."""
+        return self.map or f"{vehicle}/map"
+
 
 @dataclass(frozen=True, slots=True)
 class VehicleConfig(Settings):

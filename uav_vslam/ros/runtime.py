@@ -81,7 +81,7 @@ class VehicleNode(Node):
     @property
     def map_frame(self) -> str:
         """Name of the vehicle's map frame."""
-        return self.config.frames.map or f"{self.vehicle}/map"
+        return self.config.frames.map_of(self.vehicle)
 
     @property
     def odom_frame(self) -> str:

@@ -95,7 +95,10 @@ class SlamStage:
         self.initial: NavEstimate | None = None
 
     def _new_archive(self) -> MapArchive:
-        return MapArchive(MapOrigin(self._vehicle, self._session, f"{self._vehicle}/map", stamp_ns=0))
+        return MapArchive(self._origin(self._session))
+
+    def _origin(self, session: int) -> MapOrigin:
+        return MapOrigin(self._vehicle, session, self._config.frames.map_of(self._vehicle), stamp_ns=0)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the archived landmarks out of checkpoints: they grow with the flight."""
@@ -161,7 +164,7 @@ class SlamStage:
     def saved_map(self) -> SavedMap:
         """Return all landmarks mapped until the last epoch; empty without `keep_map`."""
         if self._archive is None:
-            return SavedMap(MapOrigin(self._vehicle, self._session, f"{self._vehicle}/map", stamp_ns=0))
+            return SavedMap(self._origin(self._session))
         saved = self._archive.saved_map()
         origin = dataclasses.replace(
             saved.origin, other_sources=self._start_map.origin.sources if self._start_map else ()
@@ -230,8 +233,7 @@ class SlamStage:
     def _initializer(self, rig: StereoRig) -> InFlightInitializer:
         if self._config.start.method != "map":
             return InFlightInitializer(rig, self._config)
-        vehicle = self._vehicle
-        return MapInitializer(rig, self._config, self._map or SavedMap(MapOrigin(vehicle, 0, f"{vehicle}/map", 0)))
+        return MapInitializer(rig, self._config, self._map or SavedMap(self._origin(0)))
 
     def _process(self, rig: StereoRig, features: StereoFeatures, increment: ImuIncrement | None) -> FrameOutput:
         if self._backend is None:
