@@ -1,21 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
-from flown_scene import CAMERA, Scene
+from flown_scene import CAMERA, Scene, patches
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.homography_chain import chain_homographies, chained_mosaic
 
-RNG = np.random.default_rng(2)
-GRAIN = RNG.uniform(40.0, 200.0, (300, 300))
-
-
-def grain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    column, row = (np.floor(k / 0.8).astype(int) + 150 for k in (x, y))
-    return GRAIN[np.clip(row, 0, 299), np.clip(column, 0, 299)]
-
-
-SCENE = Scene(colour=grain)
+SCENE = Scene(colour=patches(0.8))
 VIEWS = [SCENE.view((5.0 * k, 0.0, 30.0), (2.0 * k, -k, 3.0 * k)) for k in range(4)]
 IMAGES = [view.image for view in VIEWS]
 

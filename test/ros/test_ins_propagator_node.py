@@ -8,6 +8,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from geometry_msgs.msg import TransformStamped, Vector3  # noqa: E402
+from lone_node import deliver, lone_node  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
@@ -30,24 +31,9 @@ Make = Callable[..., InsPropagatorNode]
 
 @pytest.fixture
 def make(domain_id: int) -> Iterator[Make]:
-    """Return a factory of a node with parameters; inputs go to its callbacks directly."""
-    nodes = []
-
-    def made(*parameters: str) -> InsPropagatorNode:
-        arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
-        rclpy.init(args=arguments, domain_id=domain_id)
-        nodes.append(InsPropagatorNode())
-        return nodes[-1]
-
-    yield made
-    for node in nodes:
-        node.destroy_node()
-    rclpy.shutdown()
-
-
-def deliver(node: InsPropagatorNode, topic: str, message: object) -> None:
-    (one,) = (one for one in node._inputs if one.topic == topic)
-    one.callback(message)
+    """Return a factory of a node with parameters."""
+    with lone_node(InsPropagatorNode, domain_id) as made:
+        yield made
 
 
 def rest(node: InsPropagatorNode, start_ns: int, seconds: float) -> None:

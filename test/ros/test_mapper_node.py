@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from lone_node import deliver, lone_node  # noqa: E402
 from rendered_views import CAMERA, ground, view  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
@@ -33,24 +34,9 @@ Make = Callable[..., MapperNode]
 
 @pytest.fixture
 def make(domain_id: int) -> Iterator[Make]:
-    """Return a factory of a node with parameters; inputs go to its callbacks directly."""
-    nodes = []
-
-    def made(*parameters: str) -> MapperNode:
-        arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
-        rclpy.init(args=arguments, domain_id=domain_id)
-        nodes.append(MapperNode())
-        return nodes[-1]
-
-    yield made
-    for node in nodes:
-        node.destroy_node()
-    rclpy.shutdown()
-
-
-def deliver(node: MapperNode, topic: str, message: object) -> None:
-    (one,) = (one for one in node._inputs if one.topic == topic and isinstance(message, one.message_type))
-    one.callback(message)
+    """Return a factory of a node with parameters."""
+    with lone_node(MapperNode, domain_id) as made:
+        yield made
 
 
 def calibrate(node: MapperNode) -> None:

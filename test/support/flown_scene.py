@@ -26,6 +26,17 @@ def waves(x: Array, y: Array) -> Array:
     return np.asarray(125.0 + 40.0 * a + 25.0 * np.sin(0.21 * x - 0.33 * y))
 
 
+def patches(side_m: float) -> Callable[[Array, Array], Array]:
+    """Return a colour: square patches in random grey, 400 each way around the origin."""
+    grey = np.random.default_rng(4).uniform(40.0, 200.0, (400, 400))
+
+    def colour(x: Array, y: Array) -> Array:
+        column, row = (np.floor(k / side_m).astype(int) + 200 for k in (x, y))
+        return np.asarray(grey[np.clip(row, 0, 399), np.clip(column, 0, 399)])
+
+    return colour
+
+
 @dataclass(frozen=True)
 class Scene:
     """Heights [m] and grey or BGR levels over x, y [m]."""

@@ -3,24 +3,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flown_scene import Scene
+from flown_scene import Scene, patches
 
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.orthomosaic import Orthomosaic
 from uav_vslam.mapping.orthomosaic.seams import seams
 from uav_vslam.mapping.view import View
 
-RNG = np.random.default_rng(4)
-GRAIN = RNG.uniform(40.0, 200.0, (400, 400))
-
-
-def grain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return square patches of 0.3 m in random grey."""
-    column, row = (np.floor(k / 0.3).astype(int) + 200 for k in (x, y))
-    return GRAIN[np.clip(row, 0, 399), np.clip(column, 0, 399)]
-
-
-SCENE = Scene(colour=grain)
+SCENE = Scene(colour=patches(0.3))
 VIEWS = [SCENE.view((x, 0.0, 30.0), stamp_ns=round(x)) for x in (0.0, 9.0)]
 
 

@@ -9,7 +9,7 @@ import pytest
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.simulation.landmarks import observe
 from uav_vslam.slam.saved_map import SavedMap
-from uav_vslam.slam.saved_map.locate import MIN_INLIERS, MapLocator
+from uav_vslam.slam.saved_map.locate import MIN_INLIERS, Located, MapLocator
 from uav_vslam.types import StereoFeatures
 
 SEEDS, FRAMES = (1, 2, 3), (8, 22, 36)
@@ -18,6 +18,14 @@ SEEDS, FRAMES = (1, 2, 3), (8, 22, 36)
 def seen_by_the_other(flight, frame: int) -> StereoFeatures:
     views = observe(flight.vehicles[1], flight.field)
     return next(features for k, (features, _) in enumerate(views) if k == frame)
+
+
+def located(flight, sections) -> Located:
+    """Return where frame 22 is found in a map of other sections."""
+    saved = SavedMap(flight.saved.origin, tuple(sections))
+    found = MapLocator(saved, flight.vehicles[1].rig, flight.config).locate(seen_by_the_other(flight, 22))
+    assert found is not None
+    return found
 
 
 def error_of(flight, frame: int, T_map_body) -> np.ndarray:
@@ -45,13 +53,7 @@ def test_the_pose_errs_as_its_covariance_says(mapped) -> None:
 def test_the_error_common_to_all_landmarks_is_the_pose_s_too(mapped) -> None:
     flight = mapped(1)
     exact = [dataclasses.replace(section, common_factor=np.zeros((6, 6))) for section in flight.saved.sections]
-    features = seen_by_the_other(flight, 22)
-    found, without = (
-        MapLocator(saved, flight.vehicles[1].rig, flight.config).locate(features)
-        for saved in (flight.saved, SavedMap(flight.saved.origin, tuple(exact)))
-    )
-    assert found is not None
-    assert without is not None
+    found, without = located(flight, flight.saved.sections), located(flight, exact)
     at = found.T_map_body.t
     grown = found.covariance - without.covariance
     assert any(np.allclose(grown, section.common_covariance(at)) for section in flight.saved.sections)
@@ -60,13 +62,7 @@ def test_the_error_common_to_all_landmarks_is_the_pose_s_too(mapped) -> None:
 def test_landmarks_that_are_less_certain_make_a_less_certain_pose(mapped) -> None:
     flight = mapped(1)
     vague = [dataclasses.replace(one, own_factors=3.0 * one.own_factors) for one in flight.saved.sections]
-    features = seen_by_the_other(flight, 22)
-    found, less = (
-        MapLocator(saved, flight.vehicles[1].rig, flight.config).locate(features)
-        for saved in (flight.saved, SavedMap(flight.saved.origin, tuple(vague)))
-    )
-    assert found is not None
-    assert less is not None
+    found, less = located(flight, flight.saved.sections), located(flight, vague)
     assert np.trace(less.covariance[:3, :3]) > np.trace(found.covariance[:3, :3])
 
 

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node of uav1 without its graph: inputs go to its callbacks directly."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+import rclpy
+
+from uav_vslam.ros.runtime import VehicleNode
+
+Node = TypeVar("Node", bound=VehicleNode)
+
+
+@contextmanager
+def lone_node(kind: Callable[[], Node], domain_id: int) -> Iterator[Callable[..., Node]]:
+    """Give a function that makes the node with parameters `name:=value`."""
+    nodes = []
+
+    def made(*parameters: str) -> Node:
+        arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
+        rclpy.init(args=arguments, domain_id=domain_id)
+        nodes.append(kind())
+        return nodes[-1]
+
+    yield made
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown()
+
+
+def deliver(node: VehicleNode, topic: str, message: object) -> None:
+    """Call back with a message, as if it came on the topic."""
+    (one,) = (one for one in node._inputs if one.topic == topic and isinstance(message, one.message_type))
+    one.callback(message)
