@@ -11,8 +11,9 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.orthomosaic import Exposure, Orthomosaic, blended_mosaic
 from uav_vslam.mapping.orthomosaic.thumbnail import thumbnail
-from uav_vslam.mapping.orthomosaic.tiles import SIDE, Tile
+from uav_vslam.mapping.orthomosaic.tiles import Tile
 from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.tile_store import SIDE
 from uav_vslam.mapping.view import View
 
 M_PER_PX = 0.1

@@ -8,7 +8,8 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.samples import CellSamples
-from uav_vslam.mapping.surface.tiles import CELL, SIDE
+from uav_vslam.mapping.surface.tiles import CELL
+from uav_vslam.mapping.tile_store import SIDE
 
 AROUND = Raster(0.5, SIDE - 20, SIDE - 12, 40, 30)  # over the corner of four tiles
 

@@ -6,7 +6,6 @@ At any time the picture of any window can be put together. The result does not d
 their gains; solve these first (`two_passes`) and it does not depend on it at all, but for ties of the score.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,8 +19,9 @@ from uav_vslam.mapping.orthomosaic.heights import Heights
 from uav_vslam.mapping.orthomosaic.pyramid import ALIGN, LEVELS, MARGIN, at_level, put_together, take_apart
 from uav_vslam.mapping.orthomosaic.rectification import Rectified, rectify
 from uav_vslam.mapping.orthomosaic.thumbnail import thumbnail
-from uav_vslam.mapping.orthomosaic.tiles import KEPT_BYTES, SIDE, UNSEEN, TileStore
+from uav_vslam.mapping.orthomosaic.tiles import UNSEEN, MosaicTiles
 from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.tile_store import KEPT_BYTES, SIDE
 from uav_vslam.mapping.view import View
 
 Array = NDArray[np.float64]
@@ -100,10 +100,10 @@ class Orthomosaic:
         self._folder, self._kept_bytes = folder, kept_bytes
         self._known_exposure, self._exposure = exposure, Exposure()
         self._considered = 0
-        self._tiles: TileStore | None = None
+        self._tiles: MosaicTiles | None = None
 
     @property
-    def tiles(self) -> TileStore:
+    def tiles(self) -> MosaicTiles:
         """The tiles so far.
 
         Raises:
@@ -158,15 +158,15 @@ class Orthomosaic:
             UavVslamError: no view was added.
         """
         found = Raster(self.m_per_px, 0, 0, 0, 0)
-        for raster, labels in self._labels():
-            found = found.union(raster.around(*np.nonzero(labels != UNSEEN)))
+        for raster, tile in self.tiles:
+            found = found.union(raster.around(*np.nonzero(tile.labels != UNSEEN)))
         return found
 
     def shares(self) -> dict[str, float]:
         """Return each vehicle's share of the picture's pixels."""
         counts = np.zeros(len(self.views) + 1, int)
-        for _, labels in self._labels():
-            counts += np.bincount(labels.ravel() + 1, minlength=len(counts))
+        for _, tile in self.tiles:
+            counts += np.bincount(tile.labels.ravel() + 1, minlength=len(counts))
         shares = dict.fromkeys(sorted({view.vehicle for view in self.views}), 0.0)
         for view, count in zip(self.views, counts[1:], strict=True):
             shares[view.vehicle] += float(count / max(counts[1:].sum(), 1))
@@ -176,15 +176,9 @@ class Orthomosaic:
     def _channels(self) -> int:
         return self.tiles.channels
 
-    def _labels(self) -> Iterator[tuple[Raster, NDArray[np.int32]]]:
-        for raster in self.tiles.rasters(self.m_per_px):
-            tile = self.tiles.get(raster)
-            if tile is not None:
-                yield raster, tile.labels
-
     def _prepare(self, channels: int) -> None:
         if self._tiles is None:
-            self._tiles = TileStore(channels, self._folder, kept_bytes=self._kept_bytes)
+            self._tiles = MosaicTiles(self.m_per_px, channels, self._folder, kept_bytes=self._kept_bytes)
         if channels != self._tiles.channels:
             raise UavVslamError("the mosaic has views in grey and in colour; convert them to one kind")
 
@@ -212,10 +206,7 @@ class Orthomosaic:
             for level in range(LEVELS + 1)
         ]
         labels = np.full(around.shape, UNSEEN, np.int32)
-        for tile_raster in around.tiles(SIDE):
-            tile = self.tiles.get(tile_raster)
-            if tile is None:
-                continue
+        for tile_raster, tile in self.tiles.touching(around):
             common = tile_raster.intersection(around)
             labels[common.within(around)] = tile.labels[common.within(tile_raster)]
             for level, band in enumerate(bands):

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mosaic's tiles: the last used ones in memory, the others in files.
+"""The mosaic's tiles.
 
 Fine bands hold the coefficients of the view that sees a spot best, coarse bands the mean over all views, weighted by
 how well each one sees the spot; so detail is never averaged, and brightness has no step. [bu16] chooses one view in
 the coarse bands too.
 """
 
-from collections import OrderedDict
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,18 +14,14 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.orthomosaic.pyramid import LEVELS, Bands, at_level
-from uav_vslam.mapping.raster import Raster
+from uav_vslam.mapping.tile_store import KEPT_BYTES, SIDE, TileStore
 
 Real = NDArray[np.float32]
 Labels = NDArray[np.int32]
 
-SIDE = 256  # pixels, a multiple of 2^LEVELS
 BEST_LEVELS = 3  # finest bands that come from one view
 MEAN_POWER = 2  # of the weight in the mean of the coarse bands
 UNSEEN = -1
-KEPT_BYTES = 256 * 2**20
-
-Key = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,80 +87,32 @@ class Tile:
         return np.asarray(band / np.maximum(self.weights[level], np.float32(1e-30))[..., None])
 
 
-class TileStore:
-    """Tiles by their column and row; a bounded number in memory, the rest in a folder."""
+class MosaicTiles(TileStore[Tile]):
+    """Tiles of a picture."""
 
-    def __init__(self, channels: int, folder: Path | None = None, *, kept_bytes: int = KEPT_BYTES) -> None:
+    def __init__(
+        self, m_per_px: float, channels: int, folder: Path | None = None, *, kept_bytes: int = KEPT_BYTES
+    ) -> None:
         """Prepare an empty store.
 
         Args:
+            m_per_px: side of a pixel [m].
             channels: of the picture.
             folder: for tiles that are not used; None keeps all in memory.
             kept_bytes: largest size of the tiles in memory.
         """
-        self.channels, self._folder = channels, folder
-        self._kept = max(4, kept_bytes // Tile.empty(channels).nbytes)
-        self._tiles: OrderedDict[Key, Tile] = OrderedDict()
-        self._known: dict[Key, None] = {}
-        self._changed: set[Key] = set()
-        self.touched = 0  # tiles written or read since the start
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
+        super().__init__(m_per_px, folder, most_tiles=max(4, kept_bytes // Tile.empty(channels).nbytes))
+        self.channels = channels
 
-    def __len__(self) -> int:
-        return len(self._known)
+    def _empty(self) -> Tile:
+        return Tile.empty(self.channels)
 
-    @property
-    def in_memory(self) -> int:
-        """Number of tiles in memory."""
-        return len(self._tiles)
-
-    def rasters(self, cell_m: float) -> Iterator[Raster]:
-        """Yield the windows of all tiles that exist, from south to north and west to east."""
-        for column, row in sorted(self._known, key=lambda key: key[::-1]):
-            yield Raster(cell_m, column * SIDE, row * SIDE, SIDE, SIDE)
-
-    def get(self, raster: Raster) -> Tile | None:
-        """Return a tile to read; None if it does not exist."""
-        key = _key(raster)
-        return self._use(key) if key in self._known else None
-
-    def change(self, raster: Raster) -> Tile:
-        """Return a tile to change in place; it is created if need be."""
-        key = _key(raster)
-        self._changed.add(key)
-        return self._use(key)
-
-    def _use(self, key: Key) -> Tile:
-        """Return a tile from memory, its file, or new, and keep it in memory."""
-        self.touched += 1
-        tile = self._tiles.get(key)
-        if tile is None:
-            tile = self._read(key) if key in self._known else Tile.empty(self.channels)
-        self._known[key] = None
-        self._keep(key, tile)
-        return tile
-
-    def _keep(self, key: Key, tile: Tile) -> None:
-        self._tiles[key] = tile
-        self._tiles.move_to_end(key)
-        while self._folder is not None and len(self._tiles) > self._kept:
-            old, unused = self._tiles.popitem(last=False)
-            if old in self._changed:
-                self._write(old, unused)
-
-    def _path(self, key: Key) -> Path:
-        assert self._folder is not None
-        return self._folder / f"{key[0]}_{key[1]}.npz"
-
-    def _write(self, key: Key, tile: Tile) -> None:
+    def _write(self, tile: Tile, path: Path) -> None:
         arrays = {f"band_{level}": band for level, band in enumerate(tile.bands)}
         arrays |= {f"weight_{level}": weight for level, weight in enumerate(tile.weights)}
-        np.savez(self._path(key), labels=tile.labels, **arrays)  # type: ignore[arg-type]
-        self._changed.discard(key)
+        np.savez(path, labels=tile.labels, **arrays)  # type: ignore[arg-type]
 
-    def _read(self, key: Key) -> Tile:
-        path = self._path(key)
+    def _read(self, path: Path) -> Tile:
         try:
             with np.load(path) as arrays:
                 levels = range(LEVELS + 1)
@@ -175,7 +121,3 @@ class TileStore:
                 )
         except (OSError, ValueError, KeyError) as error:
             raise UavVslamError(f"tile {path} of the mosaic can't be read ({error}); make the map anew") from error
-
-
-def _key(raster: Raster) -> Key:
-    return raster.column // SIDE, raster.row // SIDE

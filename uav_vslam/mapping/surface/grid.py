@@ -17,7 +17,8 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.filling import fill, narrow_gaps
 from uav_vslam.mapping.surface.samples import CellSamples
-from uav_vslam.mapping.surface.tiles import CELL, SIDE, Tile, TileStore
+from uav_vslam.mapping.surface.tiles import CELL, GridTiles, Tile
+from uav_vslam.mapping.tile_store import KEPT_BYTES, SIDE
 
 Floats = NDArray[np.float32]
 Place = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns of cells in a tile
@@ -52,7 +53,7 @@ class HeightWindow:
 class HeightGrid:
     """Heights on an unbounded grid."""
 
-    def __init__(self, cell_m: float = 0.5, folder: Path | None = None, *, most_bytes: int = 1 << 28) -> None:
+    def __init__(self, cell_m: float = 0.5, folder: Path | None = None, *, most_bytes: int = KEPT_BYTES) -> None:
         """Start an empty grid.
 
         Args:
@@ -65,17 +66,17 @@ class HeightGrid:
         """
         if not cell_m > 0.0:
             raise UavVslamError(f"cells of {cell_m} m are not possible; use a positive size, 0.5 m is usual")
-        self._tiles = TileStore(cell_m, folder, most_bytes=most_bytes)
+        self._tiles = GridTiles(cell_m, folder, most_bytes=most_bytes)
         self._extent: Raster | None = Raster(cell_m, 0, 0, 0, 0)  # None: not known since `open`
 
     @staticmethod
-    def open(folder: Path, *, most_bytes: int = 1 << 28) -> "HeightGrid":
+    def open(folder: Path, *, most_bytes: int = KEPT_BYTES) -> "HeightGrid":
         """Return the grid that was written to a folder.
 
         Raises:
             UavVslamError: there is none.
         """
-        store = TileStore.open(folder, most_bytes=most_bytes)
+        store = GridTiles.open(folder, most_bytes=most_bytes)
         grid = HeightGrid(store.cell_m)
         grid._tiles, grid._extent = store, None
         return grid
@@ -95,9 +96,8 @@ class HeightGrid:
         """The smallest window that holds all known cells; of an opened grid, the first time reads every tile."""
         if self._extent is None:
             self._extent = Raster(self.cell_m, 0, 0, 0, 0)
-            for key in self._tiles.keys:
-                for window, tile in self._tiles.touching(self._tiles.raster(key)):
-                    self._extent = self._extent.union(window.around(*np.nonzero(tile["votes"].any(axis=-1))))
+            for window, tile in self._tiles:
+                self._extent = self._extent.union(window.around(*np.nonzero(tile["votes"].any(axis=-1))))
         return self._extent
 
     def add(self, samples: CellSamples) -> None:
@@ -113,7 +113,7 @@ class HeightGrid:
             inside = (rows >= window.row) & (rows < window.row + SIDE)
             inside &= (columns >= window.column) & (columns < window.column + SIDE)
             if inside.any():
-                tile = self._tiles.for_change((window.row // SIDE, window.column // SIDE))
+                tile = self._tiles.change(window)
                 _fuse(tile, (rows[inside] - window.row, columns[inside] - window.column), samples, inside)
 
     def height(self, raster: Raster) -> Floats:
