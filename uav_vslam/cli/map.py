@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
-    from uav_vslam.mapping.view import View
 
 FOLDER, TILES, PICTURE = "map", "tiles", "height.png"
 HELP = "map the surface that was flown over: run recordings, or take a results folder, and read the images again"
@@ -76,6 +74,7 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
     from uav_vslam.cli.map_picture import write_picture_and_model
     from uav_vslam.evaluation.output import write_json
     from uav_vslam.mapping.overlap import Overlap
+    from uav_vslam.mapping.progress import counted
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
     from uav_vslam.mapping.surface_files import FIGURES, write_surface
@@ -84,7 +83,7 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
     grid, overlap = HeightGrid(cell_m, folder / TILES), Overlap()
     mapper = SurfaceMapper(grid)
     with progress_bar("mapping", sum(len(flight) for flight in flights)) as advance:
-        for view in _views(flights, advance):
+        for view in counted((view for flight in flights for view in flight.views()), advance):
             mapper.add_view(view)
             overlap.add(view)
     mapper.finish()
@@ -97,13 +96,6 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
     _draw(grid, overlap, folder)
     print_map(tree, _times_ms(mapper))
     return int(tree["surface"]["cells"])
-
-
-def _views(flights: list[MappedFlight], advance: Callable[..., None]) -> Iterator[View]:
-    for flight in flights:
-        for view in flight.views():
-            yield view
-            advance()
 
 
 def _times_ms(mapper: SurfaceMapper) -> dict[str, float]:

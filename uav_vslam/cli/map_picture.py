@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,13 +34,13 @@ def write_picture_and_model(
     from uav_vslam.mapping.orthomosaic.heights import GridHeights
     from uav_vslam.mapping.orthomosaic.output import write_orthomosaic
     from uav_vslam.mapping.orthomosaic.seams import seams
+    from uav_vslam.mapping.progress import counted
 
     stamps = _key_frames(flights, grid)
     surface = GridHeights(grid)
     with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
-        views = _counted(flights, stamps, advance)
         mosaic = blended_mosaic(lambda: _chosen(flights, stamps), surface, m_per_px, on_view=advance)
-        found = seams(mosaic, views()).figures()
+        found = seams(mosaic, counted(_chosen(flights, stamps), advance)).figures()
     written = write_orthomosaic(mosaic, folder)
     model = write_model(surface, mosaic, folder, views=lambda: _chosen(flights, stamps), cell_m=grid.cell_m)
     shares = {name: vehicle["share"] for name, vehicle in written.pop("vehicles").items()}
@@ -70,16 +70,3 @@ def _chosen(flights: list[MappedFlight], stamps: set[tuple[str, int]]) -> Iterat
     for flight in flights:
         name = flight.flight.vehicle
         yield from replace(flight, poses={k: T for k, T in flight.poses.items() if (name, k) in stamps}).views()
-
-
-def _counted(
-    flights: list[MappedFlight], stamps: set[tuple[str, int]], advance: Callable[..., None]
-) -> Callable[[], Iterator[View]]:
-    """Return a source of the chosen views that advances the bar with each one."""
-
-    def views() -> Iterator[View]:
-        for view in _chosen(flights, stamps):
-            yield view
-            advance()
-
-    return views

@@ -7,7 +7,6 @@ images cover earlier ones, without blending.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig
 from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.orthomosaic.mosaic import UNSEEN, Picture
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.view import Image
 from uav_vslam.vision.features.base import Keypoints
@@ -28,21 +28,6 @@ FEATURES = 2000
 RATIO = 0.8
 LEAST_MATCHES = 12
 LARGEST_PX = 2e8
-
-
-@dataclass(frozen=True, slots=True)
-class Chained:
-    """A mosaic of a chain.
-
-    Attributes:
-        raster: its window; arrays have south first.
-        image: (rows, columns) or (rows, columns, 3) uint8, 0 where nothing was seen.
-        labels: (rows, columns) int32 number of the image that a pixel comes from, -1 for none.
-    """
-
-    raster: Raster
-    image: NDArray[np.uint8]
-    labels: NDArray[np.int32]
 
 
 def chain_homographies(images: Iterable[Image]) -> list[Array]:
@@ -61,7 +46,7 @@ def chain_homographies(images: Iterable[Image]) -> list[Array]:
     return found
 
 
-def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float) -> Chained:
+def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float) -> Picture:
     """Draw images on a plane, later ones over earlier ones.
 
     Args:
@@ -77,7 +62,7 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
         if number == 0:
             raster = _window(to_map, image, m_per_px)
             picture = np.zeros((*raster.shape, *image.shape[2:]), np.uint8)
-            labels = np.full(raster.shape, -1, np.int32)
+            labels = np.full(raster.shape, UNSEEN, np.int32)
         part = _window([H], image, m_per_px).intersection(raster)
         west, south, _, _ = part.bounds_m
         place = np.array([[1 / m_per_px, 0.0, -west / m_per_px - 0.5], [0.0, 1 / m_per_px, -south / m_per_px - 0.5]])
@@ -87,7 +72,7 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
         seen = cv2.warpPerspective(opaque, warp, part.shape[::-1], flags=cv2.INTER_NEAREST) > 0
         at = part.within(raster)
         picture[at][seen], labels[at][seen] = drawn[seen], number
-    return Chained(raster, picture, labels)
+    return Picture(raster, picture, labels)
 
 
 def _between(points: Keypoints, before: Keypoints, number: int) -> Array:

@@ -10,6 +10,7 @@ from uav_vslam.errors import PictureError
 from uav_vslam.mapping.georeference import write_picture
 from uav_vslam.mapping.homography_chain import chain_homographies, chained_mosaic
 from uav_vslam.mapping.pictures.picture import Picture
+from uav_vslam.mapping.progress import counted
 from uav_vslam.mapping.view import Image
 
 MOST_SIDE = 20_000  # pixels of the mosaic; a chain that has gone astray grows without bound
@@ -35,9 +36,7 @@ def draw_chain(
         raise PictureError(f"pictures have sizes {sorted(sizes)}; a chain of homographies needs one size")
 
     def images() -> Iterator[Image]:
-        for picture in pictures:
-            yield picture.read()
-            on_picture()
+        return counted((picture.read() for picture in pictures), on_picture)
 
     up = np.diag([1.0, -1.0, 1.0])  # the map's y runs up, the image's down
     to_map = [up @ H for H in chain_homographies(images())]
@@ -47,4 +46,4 @@ def draw_chain(
     if (mapped[2] <= 0.0).any() or np.ptp(mapped[:2] / mapped[2], axis=1).max() > MOST_SIDE * pixel:
         raise PictureError(f"the chain of homographies has gone astray, beyond {MOST_SIDE} px; use --method bundle")
     chained = chained_mosaic(images(), to_map, pixel)
-    return write_picture(folder / "orthomosaic", chained.image, chained.raster, None, seen=chained.labels >= 0)
+    return write_picture(folder / "orthomosaic", chained.image, chained.raster, None, seen=chained.seen)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The orthomosaic of a reconstruction, its files and its seams."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from uav_vslam.mapping.orthomosaic.seams import seams
 from uav_vslam.mapping.pictures.output import map_figures, seam_figures
 from uav_vslam.mapping.pictures.reconstruction import Reconstruction
 from uav_vslam.mapping.pictures.views import PictureViews
-from uav_vslam.mapping.view import View
+from uav_vslam.mapping.progress import counted
 
 Figures = dict[str, Any]
 
@@ -30,17 +30,11 @@ def draw(found: Reconstruction, pixel_m: float, folder: Path, *, on_view: Callab
         on_view: called `PASSES` times for each picture used.
     """
     views = PictureViews(found.pictures, found.adjusted)
-
-    def told() -> Iterator[View]:
-        for view in views:
-            yield view
-            on_view()
-
     mosaic = blended_mosaic(lambda: iter(views), found.surface, pixel_m, on_view=on_view)
     datum = found.placement.datum
     drawn = write_orthomosaic(mosaic, folder, datum)
     write_bands(folder / "height.tif", {"height": found.surface.grid}, found.surface.raster, datum)
-    seam = seam_figures(seams(mosaic, told()))
+    seam = seam_figures(seams(mosaic, counted(views, on_view)))
     size = {key: drawn[key] for key in ("m_per_px", "width", "height")}
     tree = map_figures(found) | {"orthomosaic": size | {"seam_px": seam["median_px"]}}
     write_json(folder / "map.json", tree)

@@ -136,7 +136,7 @@ def _placed(
         drawn = chained_mosaic(images, to_map, job.m_per_px)
     except UavVslamError:
         return Measured(method, ONE, job.seed, None, None, len(keys), ms)
-    seen = (drawn.labels >= 0) & (drawn.image > 0)
+    seen = drawn.seen & (drawn.image > 0)
     start = keys[0].T_map_cam.t
     errors = displacements(drawn.image, seen, drawn.raster, ground.grey, (start[0], start[1]))
     return Measured(method, ONE, job.seed, errors if len(errors.points) else None, None, len(keys), ms)
