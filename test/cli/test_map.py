@@ -9,9 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
+from geotiff import place
 
 from uav_vslam.cli.main import main
 from uav_vslam.datasets.flight_writer import ImageCoding
+from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.simulation.recording import record
@@ -79,8 +82,18 @@ def test_a_flight_that_has_been_run_gives_the_same_map(
     for tile in (result / "before/tiles").glob("*.npz"):
         assert np.array_equal(np.load(tile)["cells"], np.load(result / "map/tiles" / tile.name)["cells"])
     shutil.rmtree(result / "map")
-    assert main(["map", str(result), "--bags", str(bag), "--vehicles", "uav2", "--cell", "1"]) == 0
-    assert list(json.loads((result / "map/map.json").read_text())["vehicles"]) == ["uav2"]
+    options = ["--bags", str(bag), "--vehicles", "uav2", "--cell", "1", "--datum=-28.2325,153.0012,20", "--yaw", "30"]
+    assert main(["map", str(result), *options]) == 0
+    tree = json.loads((result / "map/map.json").read_text())
+    assert list(tree["vehicles"]) == ["uav2"]
+    assert tree["datum"] == {"latitude_deg": -28.2325, "longitude_deg": 153.0012, "height_m": 20.0, "yaw_deg": 30.0}
+    assert not (result / "map/orthomosaic.png").exists()
+    datum = Datum(-28.2325, 153.0012, 20.0, yaw_deg=30.0)
+    raster = HeightGrid.open(result / "map/tiles").extent
+    north_west = to_geodetic(np.array([[raster.x[0], raster.y[-1], 0.0]]), datum)[0]
+    assert place(result / "map/height.tif", 0, 0) == pytest.approx(north_west[:2], abs=1e-8)  # a millimetre
+    with tifffile.TiffFile(result / "map/orthomosaic.tif") as picture:
+        assert picture.pages[0].geotiff_tags["ProjNatOriginLatGeoKey"] == -28.2325
 
 
 @pytest.mark.parametrize(
@@ -103,6 +116,18 @@ def test_what_is_missing_is_named_in_one_line(
     assert message in error
     assert error.count("\n") == 1
     assert not (copy / "map").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["--yaw", "30"], "--datum LAT LON ALT"), (["--datum", "91", "0", "0"], "latitude 91 of the datum")],
+)
+def test_half_a_datum_is_refused_before_anything_is_flown(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
+    assert main(["map", str(bag), "--results", str(tmp_path), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_bags_are_refused_without_a_result(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files are read back as a GIS does: by their tags, and PROJ for the projection that these describe."""
+"""Files are read back as a GIS does."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
-import pyproj
 import pytest
 import tifffile
+from geotiff import place
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
@@ -20,26 +20,6 @@ IMAGE = RNG.integers(0, 255, (*RASTER.shape, 3)).astype(np.uint8)
 DATUM = Datum(-28.2325, 153.0012, 820.0)
 TURNED = Datum(47.4, 8.5, 400.0, yaw_deg=25.0)
 SPOT = (150, 40)  # row from the south, column
-
-
-def place(path: Path, row: float, column: float) -> tuple[float, float]:
-    """Return longitude and latitude of a pixel's centre, by the file alone."""
-    with tifffile.TiffFile(path) as file:
-        page = file.pages[0]
-        tags = {tag.code: tag.value for tag in page.tags.values()}
-        geo = page.geotiff_tags
-        if 34264 in tags:
-            matrix = np.reshape(tags[34264], (4, 4))
-        else:
-            (sx, sy, _), (_, _, _, x, y, _) = tags[33550], tags[33922]
-            matrix = np.array([[sx, 0, 0, x], [0, -sy, 0, y], [0, 0, 0, 0], [0, 0, 0, 1.0]])
-        assert geo["GTRasterTypeGeoKey"] == 1
-        crs = (
-            f"+proj=tmerc +ellps=WGS84 +units=m +lat_0={geo['ProjNatOriginLatGeoKey']:.10f} "
-            f"+lon_0={geo['ProjNatOriginLongGeoKey']:.10f} +k_0={geo['ProjScaleAtNatOriginGeoKey']:.12f}"
-        )
-    x, y, *_ = matrix @ [column + 0.5, row + 0.5, 0.0, 1.0]
-    return pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(x, y)
 
 
 @pytest.mark.parametrize("datum", [DATUM, TURNED], ids=["north up", "turned"])

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Argument types: invalid values are refused before any work starts."""
 
+from __future__ import annotations
+
 import argparse
 import re
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from uav_vslam.evaluation.files.geodetic import Datum
 
 
 def positive(text: str) -> int:
@@ -56,6 +62,32 @@ def results_folder(text: str) -> Path:
     except UavVslamError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return folder
+
+
+def add_datum(parser: argparse.ArgumentParser, purpose: str) -> None:
+    """Declare the options of where a map's origin is."""
+    text = f"of the map's origin [deg, deg, m] ({purpose})"
+    parser.add_argument("--datum", nargs="+", metavar=("LAT", "LON ALT"), help=text)
+    parser.add_argument(
+        "--yaw", type=float, metavar="DEG", help=f"of the map's x axis from east ({purpose}; default 0)"
+    )
+
+
+def datum_of(args: argparse.Namespace) -> Datum:
+    """Return the datum given; it may be written with commas, but argparse takes -28.2,153.0,20 for an option.
+
+    Raises:
+        ConfigError: it is no datum.
+    """
+    from uav_vslam.errors import ConfigError
+    from uav_vslam.evaluation.files.geodetic import Datum
+
+    numbers = " ".join(args.datum).replace(",", " ").split()
+    try:
+        latitude_deg, longitude_deg, altitude_m = map(float, numbers)
+    except ValueError:
+        raise ConfigError(f"--datum {' '.join(args.datum)} is not LAT LON ALT in degrees and metres") from None
+    return Datum(latitude_deg, longitude_deg, altitude_m, args.yaw or 0.0)
 
 
 def _whole(text: str, least: int, wanted: str) -> int:

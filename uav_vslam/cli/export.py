@@ -7,8 +7,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import add_datum, datum_of
+
 if TYPE_CHECKING:
-    from uav_vslam.evaluation.files.geodetic import Datum
     from uav_vslam.evaluation.trajectory import Trajectory
 
 HELP = "write trajectories as TUM, KITTI, CSV, GeoJSON or KML"
@@ -31,10 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("source", type=Path, metavar="RESULTS|FILE", help="results folder or trajectory file")
     parser.add_argument("--format", required=True, choices=[*FORMATS, *MAPS], help="what to write")
-    parser.add_argument(
-        "--datum", nargs="+", metavar=("LAT", "LON ALT"), help="of the map's origin [deg, deg, m] (maps)"
-    )
-    parser.add_argument("--yaw", type=float, metavar="DEG", help="of the map's x axis from east (maps; default 0)")
+    add_datum(parser, "maps")
     parser.add_argument("--times", type=Path, metavar="FILE", help="stamps [s] of a KITTI file, one a line")
     parser.add_argument("--tracks", nargs="+", choices=TRACKS, help="of a results folder (default all)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write to (default: that of the source)")
@@ -110,7 +108,7 @@ def _write_map(tracks: dict[str, Trajectory], folder: Path, args: argparse.Names
 
     write = {"geojson": write_geojson, "kml": write_kml}[args.format]
     stem = "flight" if args.source.is_dir() else args.source.stem
-    return [write(tracks, _new(folder / f"{stem}.{args.format}"), _datum(args))]
+    return [write(tracks, _new(folder / f"{stem}.{args.format}"), datum_of(args))]
 
 
 def _new(path: Path) -> Path:
@@ -119,16 +117,3 @@ def _new(path: Path) -> Path:
     if path.exists():
         raise ConfigError(f"{path} is there already; remove it, or choose another folder by --out")
     return path
-
-
-def _datum(args: argparse.Namespace) -> Datum:
-    """Return the datum; it may be written with commas, but argparse takes -28.2,153.0,20 for an option."""
-    from uav_vslam.errors import ConfigError
-    from uav_vslam.evaluation.files.geodetic import Datum
-
-    numbers = " ".join(args.datum).replace(",", " ").split()
-    try:
-        latitude_deg, longitude_deg, altitude_m = map(float, numbers)
-    except ValueError:
-        raise ConfigError(f"--datum {' '.join(args.datum)} is not LAT LON ALT in degrees and metres") from None
-    return Datum(latitude_deg, longitude_deg, altitude_m, args.yaw or 0.0)

@@ -8,12 +8,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import positive_number
+from uav_vslam.cli.arguments import add_datum, datum_of, positive_number
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.run import add_options, flown
 
 if TYPE_CHECKING:
     from uav_vslam.cli.map_inputs import MappedFlight
+    from uav_vslam.evaluation.files.geodetic import Datum
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
@@ -25,10 +26,13 @@ EXAMPLES = """examples:
   uav-vslam map config/fleet_demo.yaml --cell 1       several vehicles in one map
   uav-vslam map results/latest                        map a flight that has been run, with the poses found there
   uav-vslam map results/latest --bags moved/flight    the recordings have moved since
+  uav-vslam map results/latest --datum -28.2325 153.0012 20    GeoTIFFs for a GIS
 
 One vehicle is mapped with its smoothed poses; several with those moved to where the fused ones are (C-SLAM), in the
 map frame that they share. The height's sigma is that given the poses. RESULT/map/ holds height.png, height.tif,
 the orthomosaic (PNG with a world file), the textured model (GLB, PLY), map.json and the tiles of the height grid.
+With --datum, orthomosaic.tif and height.tif are GeoTIFFs in a transverse Mercator projection centred there, and heights
+count from its altitude. The map's x axis points east, or --yaw degrees counter-clockwise from there.
 """
 
 
@@ -40,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "side of a cell of the height grid [m] (default 0.5)"
     parser.add_argument("--cell", type=positive_number, default=0.5, metavar="M", help=text)
     text = "recordings of a results folder (default: those that it names)"
+    add_datum(parser, "GeoTIFFs")
     parser.add_argument("--bags", nargs="+", type=Path, metavar="BAG", help=text)
 
 
@@ -48,8 +53,12 @@ def run(args: argparse.Namespace) -> int:
     import cv2
 
     from uav_vslam.cli.map_inputs import is_result, mapped_flights
-    from uav_vslam.errors import UavVslamError
+    from uav_vslam.errors import ConfigError, UavVslamError
     from uav_vslam.report.page.page import write_page
+
+    if args.yaw is not None and args.datum is None:
+        raise ConfigError("--yaw DEG turns the map about its origin; give that too, with --datum LAT LON ALT")
+    datum = datum_of(args) if args.datum else None
 
     code, folder = 0, args.inputs[0]
     if not is_result(folder):
@@ -62,14 +71,14 @@ def run(args: argparse.Namespace) -> int:
         raise UavVslamError(f"{folder / FOLDER} exists already; move it away to map this flight again")
     flights = mapped_flights(folder, args.bags, args.vehicles)
     cv2.setNumThreads(1)
-    cells = write_map(flights, folder / FOLDER, args.cell)
+    cells = write_map(flights, folder / FOLDER, args.cell, datum)
     print(f"map: {folder / FOLDER}\npage: {write_page([folder])}")
     if cells == 0:
         print("uav-vslam: nothing was mapped: no two views show one surface below the cameras", file=sys.stderr)
     return code if cells else max(code, 1)
 
 
-def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
+def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: Datum | None) -> int:
     """Map flights into a new folder, print what was found, and return the number of cells with a height."""
     from uav_vslam.cli.map_picture import write_picture_and_model
     from uav_vslam.evaluation.output import write_json
@@ -87,9 +96,9 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float) -> int:
             mapper.add_view(view)
             overlap.add(view)
     mapper.finish()
-    tree = write_surface(grid, overlap, mapper, folder)
+    tree = write_surface(grid, overlap, mapper, folder, datum)
     if grid.extent.columns:
-        tree |= write_picture_and_model(flights, grid, folder)
+        tree |= write_picture_and_model(flights, grid, folder, datum)
         for vehicle, share in tree.pop("shares").items():
             tree["vehicles"][vehicle]["share"] = share
     write_json(folder / FIGURES, tree)

@@ -14,6 +14,7 @@ from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from uav_vslam.cli.map_inputs import MappedFlight
+    from uav_vslam.evaluation.files.geodetic import Datum
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.view import View
 
@@ -22,7 +23,12 @@ PASSES = 3  # over the key frames: brightness, picture, seams and walls
 
 
 def write_picture_and_model(
-    flights: list[MappedFlight], grid: HeightGrid, folder: Path, *, m_per_px: float = M_PER_PX
+    flights: list[MappedFlight],
+    grid: HeightGrid,
+    folder: Path,
+    datum: Datum | None,
+    *,
+    m_per_px: float = M_PER_PX,
 ) -> dict[str, Any]:
     """Write the orthomosaic and the model; return their parts of `map.json`.
 
@@ -41,7 +47,7 @@ def write_picture_and_model(
     with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
         mosaic = blended_mosaic(lambda: _chosen(flights, stamps), surface, m_per_px, on_view=advance)
         found = seams(mosaic, counted(_chosen(flights, stamps), advance)).figures()
-    written = write_orthomosaic(mosaic, folder)
+    written = write_orthomosaic(mosaic, folder, datum)
     model = write_model(surface, mosaic, folder, views=lambda: _chosen(flights, stamps), cell_m=grid.cell_m)
     shares = {name: vehicle["share"] for name, vehicle in written.pop("vehicles").items()}
     finite = {name: value for name, value in found.items() if np.isfinite(value)}

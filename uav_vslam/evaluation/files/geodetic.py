@@ -36,6 +36,11 @@ class Datum:
         if not np.isfinite([self.altitude_m, self.yaw_deg]).all():
             raise ConfigError(f"altitude {self.altitude_m:g} and yaw {self.yaw_deg:g} of the datum must be finite")
 
+    def figures(self) -> dict[str, float]:
+        """Return what `map.json` holds of it; the yaw only of a map that is turned."""
+        place = {"latitude_deg": self.latitude_deg, "longitude_deg": self.longitude_deg, "height_m": self.altitude_m}
+        return place | ({"yaw_deg": self.yaw_deg} if self.yaw_deg else {})
+
 
 def to_geodetic(positions: Array, datum: Datum) -> Array:
     """Return (N, 3) longitude, latitude [deg] and altitude [m] of (N, 3) map positions [m]."""

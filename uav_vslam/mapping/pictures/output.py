@@ -127,11 +127,7 @@ def map_figures(found: Reconstruction) -> Figures:
     }
     datum = found.placement.datum
     if datum is not None:
-        tree["datum"] = {
-            "latitude_deg": datum.latitude_deg,
-            "longitude_deg": datum.longitude_deg,
-            "height_m": datum.altitude_m,
-        }
+        tree["datum"] = datum.figures()
     return tree
 
 
