@@ -117,11 +117,13 @@ def test_poses_and_point_together_are_the_information_of_the_views(course) -> No
 
 
 def test_noise_of_a_track_is_white_after_whitening(course) -> None:
-    """Left pixels scatter about a patch that drifts; right ones about them, with a constant of the track."""
+    """Left pixels scatter about a patch that drifts as its image moves; right ones about them, with a constant."""
     count, rng = 4000, np.random.default_rng(3)
     one = seen_tracks(course)
     pixels = np.repeat(one.pixels[5:6], count, axis=0)
-    drift = np.cumsum(rng.normal(0.0, DRIFT * SIGMA_PX, (count, VIEWS, 2)), axis=1)
+    moved_px = np.linalg.norm(np.diff(one.pixels[5, :, :2], axis=0), axis=1)
+    steps = DRIFT * SIGMA_PX * np.sqrt(moved_px)[:, None] * rng.normal(size=(count, VIEWS - 1, 2))
+    drift = np.concatenate([np.zeros((count, 1, 2)), np.cumsum(steps, axis=1)], axis=1)
     left = drift + rng.normal(0.0, LEFT * SIGMA_PX, (count, VIEWS, 2))
     match = rng.normal(0.0, SIGMA_PX, (count, VIEWS, 2)) + rng.normal(0.0, OFFSET * SIGMA_PX, (count, 1, 2))
     noisy = Tracks(pixels + np.concatenate([left, left + match], axis=-1), np.ones((count, VIEWS), bool))
@@ -131,6 +133,13 @@ def test_noise_of_a_track_is_white_after_whitening(course) -> None:
     assert seen.of_poses().dof == freedom * count
     assert abs(chi2.mean() / freedom - 1.0) < 4.0 * np.sqrt(2.0 / freedom / count)
     assert abs(chi2.var() / (2 * freedom) - 1.0) < 0.15
+
+
+def test_the_way_of_the_image_is_the_median_tracks_and_stops_where_none_is_followed() -> None:
+    pixels = np.zeros((3, 4, 4))
+    pixels[:, :, 0] = np.outer([3.0, 4.0, 90.0], [0.0, 1.0, 2.0, 3.0])
+    seen = np.array([[1, 1, 0, 1], [1, 1, 0, 1], [1, 1, 0, 0]], bool)
+    np.testing.assert_allclose(Tracks(pixels, seen).way_px, [0.0, 4.0, 4.0, 4.0])
 
 
 def test_a_track_that_slides_fails_the_gate_and_others_pass(course) -> None:

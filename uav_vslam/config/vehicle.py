@@ -179,7 +179,7 @@ class BackendConfig(Settings):
         at_least=0,
         at_most=60,
     )
-    window_spacing_s: float = setting(0.1, "between past poses; frames between them are not kept", unit="s", at_least=0)
+    window_spacing_s: float = setting(0.03, "between past poses; others are not kept", unit="s", at_least=0)
     track_sigma_px: float = setting(
         0.07,
         "window: standard deviation of a tracked point's right pixel about its left one; a track's "
