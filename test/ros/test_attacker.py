@@ -6,15 +6,13 @@ as messages, sends them again, and sends the vehicle's own packets back to it as
 replay waits for it at each frame, so that the whole flight is attacked, however fast the machine.
 """
 
-import contextlib
 import dataclasses
-import os
 import runpy
 import signal
 import subprocess
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
+from node_processes import running  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 
@@ -36,7 +35,6 @@ from uav_vslam.ros.domain import claimed_domain  # noqa: E402
 from uav_vslam.ros.fleet_commands import NodeSpec, feedback_to, node_specs, packets_of  # noqa: E402
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg  # noqa: E402
 from uav_vslam.ros.qos import NEWEST, RADIO, STATE  # noqa: E402
-from uav_vslam.ros.supervisor import node_command  # noqa: E402
 from uav_vslam.simulation.recording import record  # noqa: E402
 from uav_vslam.simulation.scenario import SCENARIOS, START_NS  # noqa: E402
 from uav_vslam.slam.packet import PacketPolicy, checksum, make_packet  # noqa: E402
@@ -148,22 +146,6 @@ class Attacker:
                 values = {entry.key: entry.value for entry in status.values}
                 counts = {key: int(value) for key, value in values.items() if key.startswith("dropped/")}
                 self.dropped = Counter({key.removeprefix("dropped/"): count for key, count in counts.items()})
-
-
-@contextlib.contextmanager
-def running(specs: list[NodeSpec], folder: Path, domain_id: int) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """Run nodes as processes, with their output in files; none outlives the test."""
-    environment, found = os.environ | {"ROS_DOMAIN_ID": str(domain_id), "PYTHONFAULTHANDLER": "1"}, {}
-    try:
-        for spec in specs:
-            with (folder / f"{spec.name}.log").open("wb") as log:
-                argv = node_command(spec).argv
-                found[spec.name] = subprocess.Popen(argv, env=environment, stdout=log, stderr=subprocess.STDOUT)
-        yield found
-    finally:
-        for process in found.values():
-            process.kill()
-            process.wait()
 
 
 def end_of(process: subprocess.Popen[bytes], log: Path) -> int:

@@ -3,13 +3,14 @@
 
 Camera and IMU drivers often publish best effort, which a reliable subscription never matches; a best-effort one loses
 messages of a reliable publisher. So an input starts reliable and switches if only best effort is offered. Likewise it
-asks for what was published before it came, and does without if nobody offers that.
+asks for what was published before it came, and does without if nobody offers that. An input that two nodes publish at
+once is not used.
 """
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from rclpy.node import Node
@@ -18,6 +19,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image
 
 from uav_vslam.config.input import COMPRESSED, image_names
+from uav_vslam.ros.publishers import Publishers
 from uav_vslam.ros.qos import LATCHED_BY_MANY
 
 STREAM = 10  # messages after which more are expected
@@ -36,6 +38,9 @@ class Input:
         subscription: the current one.
         received: number of messages.
         may_pause: a pause is not reported.
+        shared: several nodes may publish it; of other inputs nothing is used while more than one does.
+        publishers: who does.
+        refused: number of messages that were not used for that reason.
         first_s, last_s: wall time of the first and the last message.
     """
 
@@ -48,6 +53,9 @@ class Input:
     subscription: Any = None
     received: int = 0
     may_pause: bool = False
+    shared: bool = False
+    publishers: Publishers = field(default_factory=Publishers)
+    refused: int = 0
     first_s: float = 0.0
     last_s: float = 0.0
 
@@ -55,7 +63,12 @@ class Input:
         """Create the subscription; its policies can be overridden by parameters qos_overrides.<topic>.subscription."""
         overrides = QoSOverridingOptions.with_default_policies()
         self.subscription = node.create_subscription(
-            self.message_type, self.topic, self._on_message, self.qos, qos_overriding_options=overrides, raw=self.raw
+            self.message_type,
+            self.topic,
+            self._listener(node),
+            self.qos,
+            qos_overriding_options=overrides,
+            raw=self.raw,
         )
 
     def follow(self, node: Node) -> bool:
@@ -78,9 +91,22 @@ class Input:
         node.destroy_subscription(self.subscription)
         self.qos = QoSProfile(depth=self.qos.depth, reliability=reliability, durability=durability)
         self.subscription = node.create_subscription(
-            self.message_type, self.topic, self._on_message, self.qos, raw=self.raw
+            self.message_type, self.topic, self._listener(node), self.qos, raw=self.raw
         )
         return True
+
+    def _listener(self, node: Node) -> Callable[..., None]:
+        """Return the subscription's callback, which passes on what one publisher sent."""
+
+        def on_message(message: Any, info: Mapping[str, Any]) -> None:
+            self.publishers.notice(node, self.subscription)
+            self.publishers.received(info["publication_sequence_number"])
+            if self.publishers.accused:
+                self.refused += 1
+            else:
+                self._on_message(message)
+
+        return self._on_message if self.shared else on_message
 
     def _on_message(self, message: Any) -> None:
         self.last_s = time.monotonic()
@@ -92,6 +118,17 @@ class Input:
 def image_topics(topic: str) -> dict[type, str]:
     """Return the types and names under which a camera's images may come."""
     return {CompressedImage if name.endswith(COMPRESSED) else Image: name for name in image_names(topic)}
+
+
+def mixed(inputs: Iterable[Input], node: Node) -> dict[str, str]:
+    """Return the topics of which nothing is used, for more than one node publishes them, and the fault in a line."""
+    faults = {}
+    for one in inputs:
+        if not one.shared:
+            one.publishers.look(node, one.subscription)
+            if one.publishers.accused:
+                faults[one.subscription.topic_name] = one.publishers.fault(one.subscription.topic_name)
+    return faults
 
 
 def unmatched(inputs: Iterable[Input]) -> list[str]:

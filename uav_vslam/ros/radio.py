@@ -41,6 +41,7 @@ class PeerInput(Input):
     wanted: QoSProfile
     events: SubscriptionEventCallbacks
     may_pause: bool = True  # peers come and go; the fusion's status reports them
+    shared: bool = True  # whose packets they are, and of which session, the packets say themselves
 
     def subscribe(self, node: Node) -> None:
         """Create the subscription; it receives serialised bytes, whose number is the size on the radio."""

@@ -23,8 +23,9 @@ from uav_vslam.config import VehicleConfig, idle_settings
 from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.memory import keep_freed_memory
-from uav_vslam.ros.inputs import Input, silent, stopped, unmatched
+from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
 from uav_vslam.ros.params import VehicleParameters, declare, read
+from uav_vslam.ros.qos import LATCHED_BY_MANY
 
 DIAGNOSTICS_PERIOD_S = 1.0
 UNMATCHED = "unmatched"  # key in diagnostics: subscriptions without a publisher so far; the replay waits for them
@@ -64,6 +65,7 @@ class VehicleNode(Node):
         self.alarms: dict[str, str] = {}
         self.failures: dict[str, str] = {}
         self._inputs: list[Input] = []
+        self._mixed: set[str] = set()  # topics that several nodes publish
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=wall_clock)
@@ -113,6 +115,7 @@ class VehicleNode(Node):
         """
 
         one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic, raw)
+        one.shared = qos is LATCHED_BY_MANY
         one.subscribe(self)
         self.watch(one)
         return one
@@ -152,6 +155,21 @@ class VehicleNode(Node):
             if one.follow(self):
                 offered = f"{one.qos.reliability.name}, {one.qos.durability.name}"
                 self.get_logger().info(f"{one.subscription.topic_name} switched to the QoS offered: {offered}")
+        self._refuse_mixed()
+
+    def _refuse_mixed(self) -> None:
+        """Report inputs that several nodes publish; the inputs themselves stop passing messages on."""
+        faults = mixed(self._inputs, self)
+        for topic in faults.keys() - self._mixed:
+            self.get_logger().error(faults[topic])
+        for topic in self._mixed - faults.keys():
+            self.failures.pop(topic, None)
+            self.get_logger().info(f"one node publishes {topic} again; it is used")
+        self._mixed = set(faults)
+        self.failures |= faults
+        refused = sum(one.refused for one in self._inputs)
+        if refused:
+            self.counts["dropped/several_publishers"] = refused
 
     def _report_missing(self) -> None:
         waiting = []
