@@ -8,12 +8,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uav_vslam.cooperation.authentication import FleetKey
-from uav_vslam.cooperation.inbox import KEPT_PER_PEER, MAX_PEERS, Inbox
+from uav_vslam.cooperation.inbox import FUTURE_S, KEPT_PER_PEER, MAX_PEERS, Inbox
+from uav_vslam.cooperation.sessions import HANDOVER_S
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.slam.packet import PacketPolicy, checksum, make_packet
 from uav_vslam.types import LandmarkPacket
 
 END_NS = 10**15
+OWN_SESSION = 1
+S_NS = 10**9
+PAUSE_NS = round(HANDOVER_S * S_NS)
 
 
 def keys(inbox: Inbox, peer: str = "uav2") -> list[tuple[int, int]]:
@@ -48,7 +52,9 @@ def test_an_epoch_gets_the_newest_packet_that_is_old_enough(make_small_packet) -
 
 def test_a_restarted_peer_withdraws_its_earlier_packets(make_small_packet) -> None:
     inbox = Inbox("uav1")
+    inbox.advance(8 * S_NS, OWN_SESSION)
     inbox.add(make_small_packet(7))
+    inbox.advance(8 * S_NS + PAUSE_NS, OWN_SESSION)
     inbox.add(make_small_packet(1, session=2, stamp_ns=9_000_000_000))
     assert keys(inbox) == [(2, 1)]
     assert inbox.newest("uav2", 8_000_000_000) is None  # the older session's number is not fallen back on
@@ -94,7 +100,10 @@ def test_a_packet_without_landmarks_withdraws_nothing(make_small_packet, make_jo
         inbox.add(packet)
     assert inbox.newest("uav2", END_NS).sequence == 2
     assert offer(inbox, empty(8)) == "duplicate"
-    inbox.add(empty(1, session=2))  # but a restart does
+    inbox.advance(10 * S_NS, OWN_SESSION)
+    inbox.add(make_small_packet(10))
+    inbox.advance(10 * S_NS + PAUSE_NS, OWN_SESSION)
+    inbox.add(empty(11, session=2))  # but a restart does
     assert inbox.newest("uav2", END_NS) is None
     assert inbox.peers["uav2"].arrived[-1].session == 2
 
@@ -110,7 +119,7 @@ def test_a_restarted_fusion_node_that_counts_from_the_beginning_is_received(make
 
 def test_nobody_without_the_key_makes_a_receiver_compute(make_small_packet) -> None:
     packet = dataclasses.replace(make_small_packet(1), covariance_scale=np.nan)  # contents are wrong as well
-    packet = dataclasses.replace(packet, checksum=checksum(packet))
+    packet = dataclasses.replace(packet, checksum=checksum(packet), tag=bytes(16))
     assert offer(Inbox("uav1", authentication=FleetKey(b"k" * 32)), packet) == "signature"
     assert offer(Inbox("uav1"), packet) == "not_finite"
 
@@ -135,34 +144,171 @@ def test_without_the_fleets_tag_nothing_comes_in_and_nothing_is_withdrawn(make_s
     key = FleetKey(b"k" * 32)
     inbox = Inbox("uav1", authentication=key)
     assert offer(inbox, key.sign(make_small_packet(1))) == ""
-    assert offer(inbox, make_small_packet(2)) == "signature"
+    assert offer(inbox, make_small_packet(2)) == "unsigned"
     assert offer(inbox, FleetKey(b"x" * 32).sign(make_small_packet(1, session=9))) == "signature"
     assert keys(inbox) == [(1, 1)]
-    assert dict(inbox.peers["uav2"].dropped) == {"signature": 2}
+    assert dict(inbox.peers["uav2"].dropped) == {"unsigned": 1, "signature": 1}
 
 
 def test_recorded_packets_that_are_sent_again_are_refused(make_small_packet) -> None:
     key = FleetKey(b"k" * 32)
     inbox = Inbox("uav1", authentication=key)
-    recorded = [key.sign(make_small_packet(k, session=s)) for s in (1, 2) for k in range(1, 8)]
-    assert [offer(inbox, packet) for packet in recorded] == [""] * 14
+    recorded = [key.sign(make_small_packet(7 * (s - 1) + k, session=s)) for s in (1, 2) for k in range(1, 8)]
+    for packet in recorded:
+        assert offer(inbox, packet) == ""
+        inbox.advance(packet.stamp_ns + (packet.sequence == 7) * PAUSE_NS, OWN_SESSION)
     before = keys(inbox)
+    inbox.advance(30 * S_NS, OWN_SESSION)  # long after
     reasons = [offer(inbox, packet) for packet in recorded]
     assert reasons == ["stale_session"] * 7 + ["late"] * 3 + ["duplicate"] * 4
     assert keys(inbox) == before
 
 
-ARRIVALS = st.lists(st.tuples(st.integers(1, 3), st.integers(1, 7)), min_size=1, max_size=25)
+ARRIVALS = st.lists(st.integers(1, 7), min_size=1, max_size=25)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 @given(ARRIVALS, st.data())
 def test_what_is_kept_depends_on_what_came_and_not_on_its_order(make_small_packet, arrivals, data) -> None:
-    expected = sorted({key for key in arrivals if key[0] == max(a[0] for a in arrivals)})[-KEPT_PER_PEER:]
+    expected = sorted({(1, sequence) for sequence in arrivals})[-KEPT_PER_PEER:]
     for order in (arrivals, data.draw(st.permutations(arrivals)), arrivals + arrivals[::-1]):
         inbox = Inbox("uav1")
-        for session, sequence in order:
-            offer(inbox, make_small_packet(sequence, session=session))
+        for sequence in order:
+            offer(inbox, make_small_packet(sequence))
         assert keys(inbox) == expected
         assert inbox.newest("uav2", END_NS).sequence == expected[-1][1]
         assert inbox.peers["uav2"].received == len(order)
+
+
+def hear(inbox: Inbox, packet: LandmarkPacket, now_ns: int) -> str:
+    """Offer a packet during an own epoch."""
+    inbox.advance(now_ns, OWN_SESSION)
+    return offer(inbox, packet)
+
+
+def rival_of(inbox: Inbox, peer: str = "uav2") -> int | None:
+    return inbox.peers[peer].sessions.contradicting(inbox.now_ns)
+
+
+def test_one_forged_session_ends_nothing_and_is_named(make_small_packet) -> None:
+    inbox, forged = Inbox("uav1"), 2**63
+    for second in range(1, 4):
+        assert hear(inbox, make_small_packet(second), second * S_NS) == ""
+    assert hear(inbox, make_small_packet(9, session=forged, stamp_ns=4 * S_NS), 4 * S_NS) == "other_session"
+    assert rival_of(inbox) is None  # it may be a restart
+    assert hear(inbox, make_small_packet(5), 5 * S_NS) == ""
+    assert rival_of(inbox) == forged
+    for second in range(6, 12):
+        assert hear(inbox, make_small_packet(second), second * S_NS) == ""
+        assert inbox.newest("uav2", END_NS).session == 1
+    assert rival_of(inbox) is None  # it was one packet, long ago
+
+
+def test_a_forged_session_that_comes_first_gives_way_to_the_one_that_goes_on(make_small_packet) -> None:
+    inbox = Inbox("uav1")
+    assert hear(inbox, make_small_packet(1, session=2**63, stamp_ns=S_NS), S_NS) == ""
+    reasons = [hear(inbox, make_small_packet(k), k * S_NS) for k in range(2, 9)]
+    assert reasons == ["stale_session"] * 4 + [""] * 3
+    assert inbox.newest("uav2", END_NS).session == 1
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
+@given(st.lists(st.tuples(st.booleans(), st.integers(2, 5)), min_size=6, max_size=20))
+def test_of_two_vehicles_with_one_name_the_one_heard_first_counts_and_the_other_is_named(
+    make_small_packet, turns
+) -> None:
+    inbox = Inbox("uav1")
+    hear(inbox, make_small_packet(1, session=5), S_NS)
+    second = 1
+    for other_is_later, session in turns:
+        second += 1
+        other = 5 + session if other_is_later else 5 - session + 1
+        if other != 5:
+            reason = hear(inbox, make_small_packet(second, session=other, stamp_ns=second * S_NS), second * S_NS)
+            assert reason in ("other_session", "stale_session")
+        second += 1
+        assert hear(inbox, make_small_packet(second, session=5), second * S_NS) == ""
+        assert other == 5 or rival_of(inbox) == other
+        assert inbox.newest("uav2", END_NS).session == 5
+
+
+def test_a_restart_contradicts_nothing_even_if_old_packets_come_late(make_small_packet) -> None:
+    inbox = Inbox("uav1")
+    for second in range(1, 4):
+        hear(inbox, make_small_packet(second), second * S_NS)
+    assert hear(inbox, make_small_packet(1, session=2, stamp_ns=6 * S_NS), 6 * S_NS) == "other_session"
+    assert hear(inbox, make_small_packet(4), 7 * S_NS) == ""  # made before the restart
+    assert rival_of(inbox) is None
+    assert hear(inbox, make_small_packet(2, session=2, stamp_ns=12 * S_NS), 12 * S_NS) == ""
+    assert hear(inbox, make_small_packet(5), 12 * S_NS) == "stale_session"
+    assert rival_of(inbox) is None
+    assert keys(inbox) == [(2, 2)]
+
+
+def test_with_a_key_an_earlier_session_never_comes_back(make_small_packet) -> None:
+    key = FleetKey(b"k" * 32)
+    inbox = Inbox("uav1", authentication=key)
+    assert hear(inbox, key.sign(make_small_packet(1, session=2)), S_NS) == ""
+    for second in range(2, 40):
+        assert hear(inbox, key.sign(make_small_packet(second)), second * S_NS) == "stale_session"
+    assert keys(inbox) == [(2, 1)]
+    assert rival_of(inbox) == 1  # a second vehicle of that name, with a key
+
+
+def test_a_restarted_peer_is_received_after_the_own_time_has_stepped_back(make_small_packet) -> None:
+    inbox = Inbox("uav1")
+    assert hear(inbox, make_small_packet(1, stamp_ns=1000 * S_NS), 1000 * S_NS) == ""
+    reasons = [hear(inbox, make_small_packet(k, session=2), k * S_NS) for k in range(1, 8)]
+    assert reasons == ["other_session"] * 5 + [""] * 2
+
+
+def test_a_stamp_far_ahead_is_refused(make_small_packet) -> None:
+    inbox = Inbox("uav1")
+    assert hear(inbox, make_small_packet(1), S_NS) == ""
+    ahead_ns = round(FUTURE_S * S_NS)
+    assert offer(inbox, make_small_packet(2, stamp_ns=S_NS + ahead_ns + 1)) == "future"
+    assert offer(inbox, make_small_packet(2, stamp_ns=S_NS + ahead_ns)) == ""
+
+
+def test_another_vehicle_of_the_own_name_is_told_from_an_own_packet_that_comes_back(make_small_packet) -> None:
+    inbox = Inbox("uav2")
+    inbox.advance(3 * S_NS, 7)
+    assert offer(inbox, make_small_packet(3, session=7)) == "own"
+    assert offer(inbox, make_small_packet(2, session=6)) == "own"  # from before the restart, relayed
+    assert inbox.namesakes == {}
+    assert offer(inbox, make_small_packet(4, session=6)) == "namesake"
+    assert inbox.namesakes == {6: 3 * S_NS}
+    inbox.advance(30 * S_NS, 7)
+    assert inbox.namesakes == {}
+
+
+def test_with_a_key_nobody_outside_passes_for_a_namesake(make_small_packet) -> None:
+    inbox = Inbox("uav2", authentication=FleetKey(b"k" * 32))
+    inbox.advance(3 * S_NS, 7)
+    assert offer(inbox, make_small_packet(4, session=6)) == "unsigned"
+    assert offer(inbox, FleetKey(b"x" * 32).sign(make_small_packet(4, session=6))) == "signature"
+    assert inbox.namesakes == {}
+
+
+def test_keys_that_differ_are_told_on_both_sides(make_small_packet) -> None:
+    plain, one, other = make_small_packet(1), FleetKey(b"k" * 32), FleetKey(b"x" * 32)
+    heard = {"none": plain, "one": one.sign(plain), "other": other.sign(plain)}
+    told = {}
+    for mine, authentication in (("none", None), ("one", one)):
+        for theirs, packet in heard.items():
+            inbox = Inbox("uav1", authentication=authentication)
+            offer(inbox, packet)
+            told[mine, theirs] = inbox.key_faults.get("uav2", "")
+    assert told["none", "none"] == told["one", "one"] == ""
+    assert "uav2 does not sign its packets, and this vehicle has a key" in told["one", "none"]
+    assert "uav2 signs its packets, but this vehicle has no key" in told["none", "one"]
+    assert "uav2 has another key" in told["one", "other"]
+
+
+def test_a_fault_of_keys_ends_with_the_next_good_packet(make_small_packet) -> None:
+    key = FleetKey(b"k" * 32)
+    inbox = Inbox("uav1", authentication=key)
+    offer(inbox, make_small_packet(1))
+    assert inbox.key_faults
+    offer(inbox, key.sign(make_small_packet(2)))
+    assert inbox.key_faults == {}

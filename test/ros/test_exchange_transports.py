@@ -295,6 +295,8 @@ def script(write: Writer) -> list[Event]:
         *(packet("uav2", write.packet("uav2", second)) for second in (4, 5, 6, 7)),  # more than can be relayed
         packet("uav2", first),  # late
         epoch(6),
+        packet("uav2", write.packet("uav2", 7, session=2)),  # who sends this, while session 1 goes on?
+        epoch(7),
         packet("uav3", write.packet("uav3", 6, session=2)),  # uav3 was restarted
         packet("uav3", write.packet("uav3", 7)),  # and this is from before
         epoch(8),
@@ -332,7 +334,15 @@ def test_one_script_gives_the_same_packets_drops_and_counts(
     assert dropped == {f"dropped/{reason}": count for reason, count in twin.exchange.dropped.items()}
     assert sum(size for _, size, _ in everything) == twin.exchange.outbox.bytes_sent
     # The script has met what it is about.
-    expected = {"sender": 2, "sources": 1, "checksum": 3, "duplicate": 3, "late": 1, "stale_session": 1}
+    expected = {
+        "sender": 2,
+        "sources": 1,
+        "checksum": 3,
+        "duplicate": 3,
+        "late": 1,
+        "stale_session": 1,
+        "other_session": 1,
+    }
     assert twin.exchange.dropped.items() >= expected.items()
     assert twin.exchange.dropped["budget"] >= 2
     assert relayed >= 5

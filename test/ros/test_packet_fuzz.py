@@ -217,7 +217,7 @@ def test_without_a_key_what_gets_in_can_be_computed_with(packets: list[LandmarkP
         "sources",
         "own",
     }
-    assert expected | {"duplicate", "late", "stale_session", "descriptors"} <= set(reasons)
+    assert expected | {"duplicate", "late", "other_session", "descriptors"} <= set(reasons)
     assert len(accepted) > 200  # whoever can send can lie: that is what keys are for
     for packet in accepted:
         validate(packet)

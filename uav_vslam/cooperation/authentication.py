@@ -45,7 +45,7 @@ class Authentication(Protocol):
         """Return the packet with its tag."""
 
     def check(self, packet: LandmarkPacket) -> None:
-        """Raise InvalidMessage with reason signature, if the tag is missing or not the sender's."""
+        """Raise InvalidMessage, with reason unsigned if the tag is missing, or signature if it is not the sender's."""
 
 
 class NoAuthentication:
@@ -74,7 +74,8 @@ class FleetKey:
         return dataclasses.replace(packet, tag=self._tag(packet))
 
     def check(self, packet: LandmarkPacket) -> None:
-        """Raise InvalidMessage with reason signature, if the packet was made without the key."""
+        """Raise InvalidMessage with reason unsigned or signature, if the packet was made without the key."""
+        _require_tag(packet)
         if not hmac.compare_digest(packet.tag, self._tag(packet)):
             raise InvalidMessage("signature", f"packet {packet.sequence} of {packet.source} lacks the fleet's tag")
 
@@ -95,7 +96,8 @@ class VehicleKeys:
         return dataclasses.replace(packet, tag=self._own.sign(canonical_bytes(packet)))
 
     def check(self, packet: LandmarkPacket) -> None:
-        """Raise InvalidMessage with reason signature, unless the packet is signed by the vehicle that it names."""
+        """Raise InvalidMessage with reason unsigned or signature, unless the vehicle that it names has signed it."""
+        _require_tag(packet)
         key = self._peers.get(packet.vehicle)
         if key is None:
             raise InvalidMessage("signature", f"no public key of {packet.vehicle!r}")
@@ -104,6 +106,11 @@ class VehicleKeys:
         except InvalidSignature:
             detail = f"packet {packet.sequence} of {packet.source} is not signed by {packet.vehicle}"
             raise InvalidMessage("signature", detail) from None
+
+
+def _require_tag(packet: LandmarkPacket) -> None:
+    if not packet.tag:
+        raise InvalidMessage("unsigned", f"packet {packet.sequence} of {packet.source} has no tag")
 
 
 def authentication_for(vehicle: str, config: FusionConfig) -> Authentication:

@@ -16,7 +16,7 @@ from uav_vslam.slam.packet import payload_bytes
 from uav_vslam.types import LandmarkPacket
 
 # A relayed packet often arrives twice, late, or at the vehicle that made it: the inbox counts that; it is no drop.
-EXPECTED_OF_RELAYS = ("own", "duplicate", "late", "stale_session")
+EXPECTED_OF_RELAYS = ("own", "duplicate", "late", "stale_session", "other_session")
 
 
 class Receiver(Protocol):
@@ -114,12 +114,14 @@ class Exchange:
         """Receive a packet that the sender made, or relays unchanged."""
         if self.settings.mode == "none":
             return
-        self.received_bytes[sender] += size_bytes
+        if sender != self._fusion.vehicle:
+            self.received_bytes[sender] += size_bytes
         try:
             self._check_packet(sender, packet)
             self._fusion.inbox.add(packet)
         except InvalidMessage as error:
-            if packet.vehicle == sender or error.reason not in EXPECTED_OF_RELAYS:
+            relayed = packet.vehicle != sender or sender == self._fusion.vehicle
+            if not relayed or error.reason not in EXPECTED_OF_RELAYS:
                 self._drop(error.reason, f"packet from {sender}: {error}")
             return
         self.outbox.on_packet(packet.stamp_ns)

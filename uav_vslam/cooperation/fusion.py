@@ -120,6 +120,8 @@ class Fusion:
         """Fuse each peer's newest packet, and feedback, that is old enough into the own belief."""
         if self.belief is not None and joint.session != self.belief.session:  # a restart renumbers the landmarks
             self._shared, self._offered, self._times_sent = set(), set(), Counter()
+        for inbox in (self.inbox, self.returned):
+            inbox.advance(joint.stamp_ns, joint.session)
         self.belief = self._memory.extended(joint, self._shared, self._offered)
         config = self._config
         fusing = EpochFusion(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)

@@ -1,34 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
 """The packets of peers: validated, counted, and at most one per vehicle used at a time.
 
-A packet is a self-contained marginal, and a newer one (session, then stamp) replaces an older one whole. So loss,
-duplication and reordering are harmless, and nothing is counted twice. Replayed packets are harmless too: an older
-session, or a packet received or superseded before, is refused, as far back as this vehicle has listened. (A replay
-before the peer's first new packet is accepted as new; that packet then replaces it.)
+A packet is a self-contained marginal, and a newer one replaces an older one whole. So loss, duplication and reordering
+are harmless, and nothing is counted twice. Which session of a peer counts is in `cooperation.sessions`. With keys,
+replayed packets are harmless too: an older session, or a packet received or superseded before, is refused, as far back
+as this vehicle has listened. (A replay before the peer's first new packet is accepted as new; that packet then replaces
+it.)
 """
 
 from collections import Counter
 from dataclasses import dataclass, field
 
 from uav_vslam.cooperation.authentication import Authentication, NoAuthentication
+from uav_vslam.cooperation.sessions import Sessions
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.slam.packet import check_contents, check_form
-from uav_vslam.types import LandmarkPacket
+from uav_vslam.types import NS_PER_S, LandmarkPacket
 
 KEPT_PER_PEER = 4  # recent packets, so that an epoch finds one that is old enough
 MAX_PEERS = 64  # forged names must not fill the memory
+FUTURE_S = 10.0  # a packet whose stamp is further ahead of the own epochs is refused: no clock errs by so much
+NAMESAKE_S = 10.0  # one that is not heard for so long has gone
+
+_NO_KEY_HERE = "signs its packets, but this vehicle has no key (fusion.fleet_key_file): they are used unverified"
+_KEY_FAULTS = {  # by reason of the refusal
+    "unsigned": "does not sign its packets, and this vehicle has a key: they are refused",
+    "signature": "has another key than this vehicle, or its packets are forged: they are refused",
+}
 
 
 @dataclass(slots=True)
 class PeerRecord:
     """The packets and counts of one peer."""
 
-    packets: list[LandmarkPacket] = field(default_factory=list)  # of the newest session, those with landmarks, by order
+    packets: list[LandmarkPacket] = field(default_factory=list)  # of the session that counts, with landmarks, by order
     arrived: list[LandmarkPacket] = field(default_factory=list)  # the same and those without
     received: int = 0
     used: set[tuple[int, int]] = field(default_factory=set)
     dropped: Counter[str] = field(default_factory=Counter)
     common_landmarks: int = 0
+    sessions: Sessions | None = None
 
 
 class Inbox:
@@ -37,6 +48,9 @@ class Inbox:
     Attributes:
         peers: records by name, of vehicles that sent a valid packet.
         refused: counts of packets of all others, by reason.
+        now_ns: stamp of the last own epoch, 0 before the first [ns].
+        namesakes: other sessions of this vehicle's own name that go on, with the own time when each was heard last.
+        key_faults: what is wrong with the keys of a vehicle whose last packet was not verified.
     """
 
     def __init__(self, vehicle: str, *, authentication: Authentication | None = None) -> None:
@@ -44,6 +58,18 @@ class Inbox:
         self._authentication = authentication or NoAuthentication()
         self.peers: dict[str, PeerRecord] = {}
         self.refused: Counter[str] = Counter()
+        self.now_ns = 0
+        self.namesakes: dict[int, int] = {}
+        self.key_faults: dict[str, str] = {}
+        self._own: tuple[int, int] | None = None  # own session, and stamp of its first epoch
+
+    def advance(self, now_ns: int, session: int) -> None:
+        """Set the time and the own session: those of the epoch that is to be fused."""
+        self.now_ns = now_ns
+        if self._own is None or self._own[0] != session:
+            self._own = session, now_ns
+        kept_ns = NAMESAKE_S * NS_PER_S
+        self.namesakes = {k: at_ns for k, at_ns in self.namesakes.items() if 0 <= now_ns - at_ns <= kept_ns}
 
     def add(self, packet: LandmarkPacket) -> None:
         """Store a packet, or count why it was refused.
@@ -55,7 +81,7 @@ class Inbox:
         try:
             self._check(packet)
             record = record or self._new_record(packet.vehicle)
-            _check_order(packet, record.arrived)
+            self._enter(packet, record)
         except InvalidMessage as error:
             if record is None:
                 self.refused[error.reason] += 1
@@ -64,9 +90,6 @@ class Inbox:
                 record.dropped[error.reason] += 1
             raise
         record.received += 1
-        if record.arrived and packet.session > record.arrived[-1].session:
-            record.arrived.clear()
-            record.packets.clear()  # a restart withdraws the packets of the earlier session
         _keep(packet, record.arrived)
         if len(packet):  # an empty one, from a full link or an empty view, does not replace the one before
             _keep(packet, record.packets)
@@ -78,11 +101,47 @@ class Inbox:
         return old_enough[-1] if old_enough else None
 
     def _check(self, packet: LandmarkPacket) -> None:
-        if packet.vehicle == self._vehicle:
+        if packet.vehicle == self._vehicle and (self._own is None or packet.session == self._own[0]):
             raise InvalidMessage("own", f"a packet claims to come from {self._vehicle} itself")
         check_form(packet)
-        self._authentication.check(packet)
+        self._verify(packet)
+        if packet.vehicle == self._vehicle:
+            self._refuse_namesake(packet)
+        if self.now_ns and packet.stamp_ns - self.now_ns > FUTURE_S * NS_PER_S:
+            ahead_s = (packet.stamp_ns - self.now_ns) / NS_PER_S
+            raise InvalidMessage("future", f"packet {packet.sequence} of {packet.source} is {ahead_s:.0f} s ahead")
         check_contents(packet)
+
+    def _verify(self, packet: LandmarkPacket) -> None:
+        """Check the tag, and remember what the last one says about the sender's keys."""
+        try:
+            self._authentication.check(packet)
+        except InvalidMessage as error:
+            self._note_keys(packet.vehicle, _KEY_FAULTS.get(error.reason, ""))
+            raise
+        self._note_keys(packet.vehicle, _NO_KEY_HERE if packet.tag and not self._authentication.tag_bytes else "")
+
+    def _note_keys(self, vehicle: str, fault: str) -> None:
+        self.key_faults.pop(vehicle, None)
+        if fault and len(self.key_faults) < MAX_PEERS:
+            self.key_faults[vehicle] = f"{vehicle} {fault}"
+
+    def _refuse_namesake(self, packet: LandmarkPacket) -> None:
+        """Refuse a packet of an own earlier session, or of another vehicle that has this one's name."""
+        assert self._own is not None  # checked before
+        if packet.stamp_ns <= self._own[1]:
+            raise InvalidMessage("own", f"a packet comes from {self._vehicle} itself, before its restart")
+        self.namesakes = {packet.session: self.now_ns}  # the last one: forged numbers must not fill the memory
+        raise InvalidMessage("namesake", f"another vehicle called {self._vehicle} sends, session {packet.session}")
+
+    def _enter(self, packet: LandmarkPacket, record: PeerRecord) -> None:
+        """Refuse a packet that was received before, superseded or withdrawn."""
+        if record.sessions is None:
+            record.sessions = Sessions(packet.session, packet.stamp_ns, self.now_ns)
+        if record.sessions.hear(packet, self.now_ns, proven=self._authentication.tag_bytes > 0):
+            record.arrived.clear()
+            record.packets.clear()  # a restart withdraws the packets of the earlier session
+        _check_order(packet, record.arrived)
 
     def _new_record(self, vehicle: str) -> PeerRecord:
         if len(self.peers) >= MAX_PEERS:
@@ -97,11 +156,7 @@ def _keep(packet: LandmarkPacket, among: list[LandmarkPacket]) -> None:
 
 
 def _check_order(packet: LandmarkPacket, kept: list[LandmarkPacket]) -> None:
-    """Refuse a packet that was received before, superseded or withdrawn."""
-    if not kept or packet.session > kept[-1].session:
-        return
-    if packet.session < kept[-1].session:
-        raise InvalidMessage("stale_session", f"session {packet.session} of {packet.vehicle} has ended")
+    """Refuse a packet that was received before or superseded."""
     if any(p.order == packet.order for p in kept):
         raise InvalidMessage("duplicate", f"packet {packet.sequence} of {packet.source} was received twice")
     if len(kept) == KEPT_PER_PEER and packet.order < kept[0].order:

@@ -25,6 +25,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.cooperation.peer_faults import namesake_fault, peer_faults
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.convert import (
     cloud_to_msg,
@@ -48,7 +49,9 @@ from uav_vslam_msgs.msg import FusionStatus
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
 
 MAX_WAITING = 20  # odometry held for an epoch's joint information; then the epoch is skipped
+MAX_JOINTS = 8  # epochs' joint information that waits for its odometry: the back end sends it just before
 MAX_PATH = 2000  # poses in a published path
+NAMESAKE = "namesake"  # subject of a failure
 
 
 class FusionNode(VehicleNode):
@@ -74,8 +77,8 @@ class FusionNode(VehicleNode):
             self._participant.serve(self)
         peers = [peer for peer in self.own.peers if peer != self.vehicle]
         host = self._participant.node if self._participant else None
-        radio = Radio(self, peers, host=host)
-        self._exchange = Exchange(self._fusion, peers, radio, self.config.fusion, on_drop=self.drop)
+        self._radio = Radio(self, peers, host=host)
+        self._exchange = Exchange(self._fusion, peers, self._radio, self.config.fusion, on_drop=self.drop)
         interface = Interface(self.own.radio_interface) if self.own.radio_interface else None
         self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
         self._exchange.configure(self.config.fusion)
@@ -92,8 +95,14 @@ class FusionNode(VehicleNode):
 
     def _on_joint(self, message: JointInformationMsg) -> None:
         joint = joint_from_msg(message)
+        if self._previous_ns is not None and joint.stamp_ns <= self._previous_ns:
+            raise InvalidMessage("joint_late", f"joint information of {joint.stamp_ns} ns, after its odometry")
         self._joints[joint.stamp_ns] = joint
         self._work()
+        if len(self._joints) > MAX_JOINTS:
+            last_ns = max(self._joints)  # a wrong stamp must not keep out the ones that are due
+            del self._joints[last_ns]
+            raise InvalidMessage("joint_early", f"{MAX_JOINTS} wait for odometry; that of {last_ns} ns is too early")
 
     def _on_odometry(self, message: Odometry) -> None:
         pose = odometry_from_msg(message)
@@ -160,7 +169,7 @@ class FusionNode(VehicleNode):
         before = set(self._reporter.silent)
         status = self._reporter.report(stamp_ns, self.config.frames.world, own_weight=own_weight)
         self._status.publish(status)
-        self.alarms = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
+        self._report_faults()
         for peer in before - set(self._reporter.silent):
             self.get_logger().info(f"{peer} is received again")
         for peer in set(self._reporter.silent) - before:
@@ -170,6 +179,20 @@ class FusionNode(VehicleNode):
         if status.radio_interface:
             self.notes["wire_sent_bytes_per_s"] = f"{status.wire_sent_bytes_per_s:.0f}"
         self.notes |= {f"received_bytes_per_s/{link.peer}": f"{link.received_bytes_per_s:.0f}" for link in status.peers}
+
+    def _report_faults(self) -> None:
+        """Report silent peers, keys that differ and names that two vehicles have; log the onset."""
+        self._radio.look_for_namesake()
+        faults = peer_faults(self._fusion.inbox)
+        for subject in faults.keys() - self.alarms.keys():
+            self.get_logger().warning(faults[subject])
+        silent = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
+        self.alarms = faults | silent
+        namesake = namesake_fault(self._fusion.inbox, self.vehicle)
+        if namesake and NAMESAKE not in self.failures:
+            self.get_logger().error(namesake)
+        self.failures.pop(NAMESAKE, None)
+        self.failures |= {NAMESAKE: namesake} if namesake else {}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -80,10 +80,14 @@ class Radio:
         self._publisher: Any = None
         self._returns: dict[str, Any] = {}  # publishers of feedback, by peer
         self._inputs: list[PeerInput] = []
+        self._own_input: PeerInput | None = None  # packets under the own name
+        self._receiver: Receiver | None = None
+        self._mode = "none"
 
     def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
         """Change the communication mode: publishers and subscriptions are replaced, or removed in the mode none."""
-        mode = settings.mode
+        mode = self._mode = settings.mode
+        self._receiver = receiver
         self._close()
         self._node.notes["mode"] = mode
         self._node.get_logger().info(f"communication mode: {mode}")
@@ -102,13 +106,30 @@ class Radio:
     @property
     def copies(self) -> int:
         """Transmissions of a packet: DDS sends one to each peer. A shared domain counts as one."""
-        own_domain = self._host is not self._node
-        return max(self._publisher.get_subscription_count(), 1) if own_domain and self._publisher else 1
+        if self._host is self._node or not self._publisher:
+            return 1
+        return max(self._publisher.get_subscription_count() - (self._own_input is not None), 1)
 
     @property
     def expected_copies(self) -> int:
         """The same once all peers subscribe, and nobody else."""
         return max(len(self._peers), 1) if self._host is not self._node else 1
+
+    def look_for_namesake(self) -> None:
+        """Listen to the own packets' topic while somebody else publishes it; to be called now and then.
+
+        It may be another vehicle of the same name, or this node before its restart, which its peers' DDS still knows.
+        """
+        if self._publisher is None or self._receiver is None:
+            return
+        topic = self._publisher.topic_name
+        if self._host.count_publishers(topic) < 2:
+            self._close_own_input()
+        elif self._own_input is None:
+            on_packet = partial(self._receiver.on_packet, self._node.vehicle)
+            self._own_input = self._listen("namesake", topic, on_packet, RADIO[self._mode])
+        else:
+            self._own_input.follow(self._host)
 
     def send(self, packet: LandmarkPacket, to: Collection[str]) -> None:
         """Publish a packet on the one topic that all peers receive; those that have it already drop it."""
@@ -123,10 +144,16 @@ class Radio:
             self._node.unwatch(one)
             one.close()
         self._inputs.clear()
+        self._close_own_input()
         for publisher in (self._publisher, *self._returns.values()):
             if publisher is not None:
                 self._host.destroy_publisher(publisher)
         self._publisher, self._returns = None, {}
+
+    def _close_own_input(self) -> None:
+        if self._own_input is not None:
+            self._own_input.close()
+            self._own_input = None
 
     def _advertise(self, topic: str, mode: str, **options: Any) -> Any:
         resolved = self._node.resolve_topic_name(topic)

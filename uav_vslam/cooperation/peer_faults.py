@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with the peers, as far as their packets show: keys that differ, and names that two vehicles have."""
+
+from uav_vslam.cooperation.inbox import Inbox
+
+
+def peer_faults(inbox: Inbox) -> dict[str, str]:
+    """Return each current fault of a peer in a line, by subject."""
+    faults = {f"keys/{peer}": text for peer, text in sorted(inbox.key_faults.items())}
+    for peer, record in sorted(inbox.peers.items()):
+        other = record.sessions.contradicting(inbox.now_ns) if record.sessions else None
+        if record.sessions and other is not None:
+            faults[f"session/{peer}"] = (
+                f"{peer} sends in two sessions at once, {record.sessions.current} and {other}: two vehicles have that "
+                f"name, or packets are forged; session {record.sessions.current} is used"
+            )
+    return faults
+
+
+def namesake_fault(inbox: Inbox, vehicle: str) -> str:
+    """Return that another vehicle has the own name, in a line, or nothing."""
+    sessions = ", ".join(map(str, inbox.namesakes))
+    return f"another vehicle called {vehicle} is on the radio (session {sessions}): rename one" if sessions else ""

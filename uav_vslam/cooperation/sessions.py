@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which session of a peer counts: the one heard first, until it has been silent for `HANDOVER_S`.
+
+A vehicle that starts again has a larger session number, and is silent for seconds in between, so it waits little. A
+forged number, or a second vehicle of the same name, finds the first one still talking, and is not fused. Time is that
+of the own epochs, which nobody else can set.
+
+Of two sessions of one vehicle, all stamps of the earlier are before all of the later. Stamps that contradict this show
+two senders; the fusion node names them.
+"""
+
+from dataclasses import dataclass
+
+from uav_vslam.errors import InvalidMessage
+from uav_vslam.types import NS_PER_S, LandmarkPacket
+
+HANDOVER_S = 5.0
+
+
+@dataclass(slots=True)
+class Rival:
+    """Another session than the one that counts.
+
+    Attributes:
+        session: its number.
+        first_ns: stamp of its first packet [ns].
+        heard_ns: own time when it was heard last [ns].
+        contradicts: both sessions go on at the same time.
+    """
+
+    session: int
+    first_ns: int
+    heard_ns: int
+    contradicts: bool = False
+
+
+@dataclass(slots=True)
+class Sessions:
+    """The sessions of one peer.
+
+    Attributes:
+        current: number of the one that counts.
+        began_ns: stamp of its first packet [ns].
+        heard_ns: own time when it was heard last [ns].
+        rival: the last other one.
+    """
+
+    current: int
+    began_ns: int
+    heard_ns: int
+    rival: Rival | None = None
+
+    def hear(self, packet: LandmarkPacket, now_ns: int, *, proven: bool) -> bool:
+        """Record a packet's session; return whether it takes the place of the current one.
+
+        Args:
+            packet: valid.
+            now_ns: own time.
+            proven: the sender has proven its name, so that an earlier session can only be a repetition.
+
+        Raises:
+            InvalidMessage: with reason stale_session or other_session, the packet does not count.
+        """
+        if packet.session == self.current:
+            self._hear_current(packet, now_ns)
+            return False
+        self.heard_ns = min(self.heard_ns, now_ns)  # the own clock may have been set back
+        later = packet.session > self.current
+        if (later or not proven) and now_ns - self.heard_ns >= HANDOVER_S * NS_PER_S:
+            self.current, self.began_ns, self.heard_ns, self.rival = packet.session, packet.stamp_ns, now_ns, None
+            return True
+        self._hear_rival(packet, now_ns)
+        reason = "other_session" if later else "stale_session"
+        raise InvalidMessage(reason, f"session {packet.session} of {packet.vehicle}: session {self.current} counts")
+
+    def contradicting(self, now_ns: int) -> int | None:
+        """Return the other session that is heard at the same time as the current one, if any."""
+        rival = self.rival
+        if rival is None or not rival.contradicts or now_ns - rival.heard_ns > HANDOVER_S * NS_PER_S:
+            return None
+        return rival.session
+
+    def _hear_current(self, packet: LandmarkPacket, now_ns: int) -> None:
+        self.heard_ns = now_ns
+        rival = self.rival
+        if rival is not None and rival.session > self.current and packet.stamp_ns > rival.first_ns:
+            rival.contradicts = True
+
+    def _hear_rival(self, packet: LandmarkPacket, now_ns: int) -> None:
+        if self.rival is None or self.rival.session != packet.session:
+            self.rival = Rival(packet.session, packet.stamp_ns, now_ns)
+        self.rival.heard_ns = now_ns
+        if packet.session < self.current and packet.stamp_ns > self.began_ns:
+            self.rival.contradicts = True
