@@ -219,3 +219,33 @@ def test_installed_programs_are_preferred_to_modules(tmp_path: Path, monkeypatch
 def test_exits_are_described() -> None:
     assert describe_exit(3) == "ended with exit code 3"
     assert describe_exit(-signal.SIGSEGV) == "was killed by SIGSEGV"
+
+
+OPTIONAL_FAILS = """
+    import os, signal
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_a_fleet_goes_on_and_ends_well_without_an_optional_process_that_dies(
+    restarts: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
+    recorder = dataclasses.replace(python("recorder", OPTIONAL_FAILS), optional=True)
+    replay = python("replay", "import time; time.sleep(1)", leads=True)
+    node = python("node", POLITE)
+    assert Supervisor(restarts=restarts).run([recorder, node, replay]) == 0
+    told = capfd.readouterr().err
+    assert told.count("recorder was killed by SIGKILL; the fleet goes on without it") == 1
+
+
+def test_an_optional_process_whose_input_is_wrong_ends_the_fleet() -> None:
+    recorder = dataclasses.replace(python("recorder", "raise SystemExit(2)"), optional=True)
+    assert Supervisor().run([recorder, python("node", POLITE)]) == 2
+
+
+def test_a_full_disk_under_the_log_files_ends_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "replay.log").symlink_to("/dev/full")
+    replay = python("replay", "print('line\\n' * 9000)", leads=True)
+    assert Supervisor(log_dir=tmp_path, on_line=lambda *_: None).run([replay]) == 0
+    assert capfd.readouterr().err.count("the log file of replay ends here: No space left on device") == 1

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from rosbags.interfaces import (
     Connection,
@@ -27,11 +27,13 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.rosbag2.errors import WriterError
+from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.compressed_bag import compressed_files, unpacked
+from uav_vslam.datasets.patient_file import PatientFile
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
 from uav_vslam.errors import BagError
 
@@ -159,13 +161,14 @@ class RawRecorder:
     A context manager; on an error it removes the bag.
     """
 
-    def __init__(self, path: Path, *, storage: str = "mcap", zstd: bool = False) -> None:
+    def __init__(self, path: Path, *, storage: str = "mcap", zstd: bool = False, patient: bool = False) -> None:
         """Create the bag.
 
         Args:
             path: folder to make; it must not exist.
             storage: "mcap" or "sqlite3".
             zstd: compress the chunks of an mcap file, as `ros2 bag` can.
+            patient: go on when the disk is full: messages are refused until there is room again; mcap only.
 
         Raises:
             BagError: the folder exists or can't be made.
@@ -181,6 +184,7 @@ class RawRecorder:
             if zstd:
                 self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
+            self._file = _made_patient(self._writer) if patient else None
         except (WriterError, OSError) as error:
             raise BagError(f"can't record to {path}: {error}; choose a folder that does not exist yet") from None
 
@@ -197,8 +201,10 @@ class RawRecorder:
             latched: offer the topic as transient local; counts at its first message only.
 
         Raises:
-            BagError: the type is not known, or the topic already has another one.
+            BagError: the type is not known, the topic already has another one, or a patient bag's disk is full.
         """
+        if self._file is not None and self.is_full():
+            raise BagError(f"{self.path}: {self._file.error}; make room, recording then goes on")
         if topic not in self._connections:
             self._connections[topic] = self._connect(topic, msgtype, latched=latched)
         connection = self._connections[topic]
@@ -206,9 +212,22 @@ class RawRecorder:
             raise BagError(f"{topic} was recorded as {connection.msgtype} and can't also hold {msgtype}")
         self._writer.write(connection, stamp_ns, data)
 
+    def is_full(self) -> bool:
+        """Try to write what a patient bag holds back, and return whether its disk is still full."""
+        if self._file is not None:
+            self._file.retry()
+        return self._file is not None and self._file.full
+
     def close(self) -> None:
-        """Write the index; nothing can be written afterwards."""
-        self._writer.close()
+        """Write the index; nothing can be written afterwards.
+
+        Raises:
+            BagError: the disk is full, so that the index is missing; what was recorded before can be read.
+        """
+        try:
+            self._writer.close()
+        except OSError as error:
+            raise BagError(f"bag {self.path} has no end: {error}; what was recorded before can be read") from None
 
     def __enter__(self) -> Self:
         return self
@@ -226,6 +245,14 @@ class RawRecorder:
         return self._writer.add_connection(
             topic, msgtype, msgdef=text, rihs01=digest, offered_qos_profiles=[_qos(latched=latched)]
         )
+
+
+def _made_patient(writer: Writer) -> PatientFile:
+    """Let a writer of an mcap file outlive a full disk."""
+    assert isinstance(writer.storage, McapWriter)
+    file = PatientFile(writer.storage.bio)
+    writer.storage.bio = cast(Any, file)
+    return file
 
 
 def _qos(*, latched: bool) -> Qos:

@@ -8,7 +8,8 @@ in   /<vehicle>/odometry, fused/odometry, ins/dead_reckoning, ground_truth/odome
      /diagnostics                                                                      diagnostic_msgs/DiagnosticArray
 out  /diagnostics                                                                      the recorder's own status
 
-Messages are written byte for byte, with their header stamps. The bag is complete after SIGINT or SIGTERM.
+Messages are written byte for byte, with their header stamps. The bag is complete after SIGINT or SIGTERM. While the
+disk is full, messages are dropped and counted, and the status is ERROR; with room again, recording goes on.
 """
 
 from pathlib import Path
@@ -53,8 +54,9 @@ class RecorderNode(Node):
         if not output or not vehicles:
             raise ConfigError("recorder: set the parameters output (folder to make) and vehicles (their names)")
         Path(output).parent.mkdir(parents=True, exist_ok=True)
-        self._bag = RawRecorder(Path(output))
-        self._written = 0
+        self._bag = RawRecorder(Path(output), patient=True)
+        self._output = output
+        self._written = self._dropped = 0
         self._inputs: list[Any] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for vehicle in vehicles:
@@ -68,8 +70,11 @@ class RecorderNode(Node):
 
     def destroy_node(self) -> None:
         """Close the bag, then destroy the node."""
-        self._bag.close()
-        self.get_logger().info(f"{self._written} messages recorded")
+        try:
+            self._bag.close()
+        except BagError as error:
+            self.get_logger().error(str(error))
+        self.get_logger().info(f"{self._written} messages recorded, {self._dropped} dropped")
         super().destroy_node()
 
     def _record(self, topic: str, message_type: Any) -> None:
@@ -82,7 +87,8 @@ class RecorderNode(Node):
                     self._bag.write(topic, f"{package}/msg/{name}", data, stamp_ns)
                     self._written += 1
             except BagError as error:
-                self.get_logger().warning(f"not recorded: {error}", throttle_duration_sec=5.0)
+                self._dropped += 1
+                self.get_logger().error(f"not recorded: {error}", throttle_duration_sec=5.0)
 
         self._inputs.append(self.create_subscription(message_type, topic, write, SENSOR, raw=True))
 
@@ -91,9 +97,19 @@ class RecorderNode(Node):
         values = [
             KeyValue(key=UNMATCHED, value=" ".join(unmatched)),
             KeyValue(key="written", value=str(self._written)),
+            KeyValue(key="dropped", value=str(self._dropped)),
         ]
-        status = DiagnosticStatus(level=DiagnosticStatus.OK, name="fleet: recorder", message="recording", values=values)
+        level, text = self._health()
+        status = DiagnosticStatus(level=level, name="fleet: recorder", message=text, values=values)
         self._diagnostics.publish(DiagnosticArray(status=[status]))
+
+    def _health(self) -> tuple[bytes, str]:
+        """Return level and text of the status."""
+        if self._bag.is_full():
+            return DiagnosticStatus.ERROR, f"the disk of {self._output} is full: {self._dropped} messages not recorded"
+        if self._dropped:
+            return DiagnosticStatus.WARN, f"recording; {self._dropped} messages were not recorded"
+        return DiagnosticStatus.OK, "recording"
 
 
 def main(args: list[str] | None = None) -> int:

@@ -5,6 +5,7 @@ Every process has its own process group, so that a terminal's Ctrl-C reaches the
 the supervisor dies. One thread does everything: fork and signals stay simple.
 """
 
+import contextlib
 import os
 import selectors
 import signal
@@ -37,6 +38,7 @@ class Command:
         name: prefix of its output.
         argv: program and arguments.
         leads: its exit shuts down the fleet; otherwise only a signal or a failure does.
+        optional: the fleet goes on without it if it fails, unless its input is wrong.
         environment: variables in addition to the supervisor's.
         resume: further arguments of a process that takes the place of one that failed.
     """
@@ -46,6 +48,7 @@ class Command:
     leads: bool = False
     environment: dict[str, str] = field(default_factory=dict)
     resume: tuple[str, ...] = ()
+    optional: bool = False
 
 
 @dataclass(slots=True)
@@ -57,6 +60,7 @@ class _Child:
     started_s: float = field(default_factory=time.monotonic)
     failures: int = 0
     restart_at_s: float | None = None
+    missed: bool = False
 
 
 @dataclass(slots=True)
@@ -145,8 +149,7 @@ class Supervisor:
             data = os.read(key.fd, 1 << 16)
             if not data:
                 self._selector.unregister(key.fileobj)
-            if child.log is not None:
-                child.log.write(data)
+            _write_log(child, data)
             *lines, child.unfinished = (child.unfinished + data).split(b"\n")
             if not data and child.unfinished:
                 lines, child.unfinished = [child.unfinished], b""
@@ -157,12 +160,21 @@ class Supervisor:
         """Detect the first process that has exited: a failure, unless it is the leading one."""
         for child in self._children:
             code = child.process.poll()
-            if code is None or self._is_restarted(child, code):
+            if code is None or self._is_missed(child, code) or self._is_restarted(child, code):
                 continue
             if not child.command.leads or code != 0:
                 _log(f"{child.command.name} {describe_exit(code)}; the fleet is shut down")
             self._code = _shell_code(code) if child.command.leads else _shell_code(code) or 1
             return
+
+    def _is_missed(self, child: _Child, code: int) -> bool:
+        """Go on without an optional process; return False for any other."""
+        if not child.command.optional or code == WRONG_INPUT:
+            return False
+        if not child.missed:
+            _log(f"{child.command.name} {describe_exit(code)}; the fleet goes on without it")
+        child.missed = True
+        return True
 
     def _is_restarted(self, child: _Child, code: int) -> bool:
         """Restart a process that failed, when its time has come; return False if it is not to be restarted."""
@@ -204,8 +216,7 @@ class Supervisor:
         for child in self._children:
             if child.process.stdout is not None:
                 child.process.stdout.close()
-            if child.log is not None:
-                child.log.close()
+            _close_log(child)
         self._selector.close()
 
     def _relay_for(self, duration_s: float) -> None:
@@ -230,9 +241,26 @@ class Supervisor:
     def _check_exit_codes(self) -> None:
         for child in self._children:
             code = child.process.returncode
-            if self._code == 0 and code not in {0, -signal.SIGINT, -signal.SIGTERM}:
+            if self._code == 0 and not child.missed and code not in {0, -signal.SIGINT, -signal.SIGTERM}:
                 _log(f"{child.command.name} {describe_exit(code)} during shutdown")
                 self._code = _shell_code(code)
+
+
+def _write_log(child: _Child, data: bytes) -> None:
+    """Write to a process's log file; a full disk ends the file, and nothing else."""
+    try:
+        if child.log is not None:
+            child.log.write(data)
+    except OSError as error:
+        _log(f"the log file of {child.command.name} ends here: {error.strerror}")
+        _close_log(child)
+
+
+def _close_log(child: _Child) -> None:
+    log, child.log = child.log, None
+    with contextlib.suppress(OSError):  # the disk is full
+        if log is not None:
+            log.close()
 
 
 def node_command(spec: NodeSpec, log_level: str = "") -> Command:
@@ -241,7 +269,8 @@ def node_command(spec: NodeSpec, log_level: str = "") -> Command:
     argv = [*find_executable(spec.executable), *spec.ros_arguments()]
     argv += ["--log-level", log_level] if log_level else []
     resume = ("-p", "resume:=true") if spec.executable == "slam_backend" else ()
-    return Command(name, argv, leads=spec.executable == "replay", environment=spec.environment, resume=resume)
+    leads, optional = spec.executable == "replay", spec.executable == "recorder"
+    return Command(name, argv, leads, spec.environment, resume, optional)
 
 
 def find_executable(name: str) -> list[str]:
