@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -149,4 +150,15 @@ def launch(
     if log_dir is not None:
         environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")
     commands = [node_command(spec, log_level) for spec in specs]
+    _remove_leftovers()
     return Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line).run(commands)
+
+
+def _remove_leftovers() -> None:
+    """Free the shared memory of nodes that were killed."""
+    from uav_vslam.ros.shared_memory import FOLDER, remove_leftovers
+
+    removed = remove_leftovers()
+    if removed.names:
+        size_mb = removed.size_bytes / 1e6
+        print(f"uav-vslam: {size_mb:.0f} MB of {FOLDER} that killed processes had left are free again", file=sys.stderr)
