@@ -48,6 +48,7 @@ def fly(launched: Launched, folder: Path, kills: dict[int, str], *, rate: float)
         assert graph.process.returncode == 0, "".join(printed)
     for node in kills.values():
         assert f"{node} was killed by SIGKILL; it is restarted" in "".join(printed)
+    assert "".join(printed).count("the vehicles have no key") == 1
     outputs, damage = read_outputs([folder / "out", ROOT / "bags" / "sample"])
     assert not damage
     return outputs

@@ -151,6 +151,7 @@ def launch(
         environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")
     commands = [node_command(spec, log_level) for spec in specs]
     _remove_leftovers()
+    _warn_without_key(fleet)
     return Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line).run(commands)
 
 
@@ -162,3 +163,14 @@ def _remove_leftovers() -> None:
     if removed.names:
         size_mb = removed.size_bytes / 1e6
         print(f"uav-vslam: {size_mb:.0f} MB of {FOLDER} that killed processes had left are free again", file=sys.stderr)
+
+
+def _warn_without_key(fleet: FleetConfig) -> None:
+    """Say once that anybody on the radio can send packets in the vehicles' names."""
+    from uav_vslam.cooperation.keys import without_key
+
+    names = without_key(fleet)
+    if names:
+        who = "the vehicles have" if len(names) == len(fleet.vehicles) else f"{', '.join(names)} has"
+        risk = "whoever is on the radio can send packets in their names"
+        print(f"uav-vslam: {who} no key: {risk} (uav-vslam keys --help)", file=sys.stderr)

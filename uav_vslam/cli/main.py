@@ -35,6 +35,7 @@ VERBS = (
     "bench",
     "topic",
     "mode",
+    "keys",
     "monitor",
 )
 EXAMPLES = """examples:

@@ -120,19 +120,21 @@ def load_link(name: str) -> LinkConfig:
 def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> FleetConfig:
     """Read a fleet file: `vehicles: {uav1: {config: kagaru.yaml}}`, `replay: {bags: [...], rate: 0}`, `mode: wideband`.
 
-    Vehicles with a computer each have an `address`, too, and share `radio: {domain_id: 42, interface: wlan0}`. Paths
-    are relative to the file; overrides such as {"backend.sigma_px": 0.5} reach every vehicle.
+    Vehicles with a computer each have an `address`, too, and share `radio: {domain_id: 42, interface: wlan0}`, and
+    `fleet_key: fleet.key` is the key of all. Paths are relative to the file; overrides such as
+    {"backend.sigma_px": 0.5} reach every vehicle.
 
     Raises:
         ConfigError: the file can't be read, a key or value is wrong, or a vehicle's name is used twice.
     """
     tree = read_yaml(path)
-    _reject_unknown(tree, {"vehicles", "replay", "mode", "radio"}, where=str(path), prefix="")
+    _reject_unknown(tree, {"vehicles", "replay", "mode", "radio", "fleet_key"}, where=str(path), prefix="")
     if not isinstance(tree.get("vehicles"), dict) or not tree["vehicles"]:
         raise ConfigError(
             f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}"
         )
     shared = {"fusion.mode": tree["mode"]} if "mode" in tree else {}
+    shared |= _fleet_key(path, tree["fleet_key"]) if "fleet_key" in tree else {}
     vehicles = {
         name: load_vehicle(_vehicle_file(path, name, entry), overrides={**shared, **(overrides or {})})
         for name, entry in tree["vehicles"].items()
@@ -189,6 +191,12 @@ def _section(path: Path, tree: Mapping[Any, Any], name: str) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise ConfigError(f"{path}: {name} must hold keys and values, not {values!r}")
     return {str(key): value for key, value in values.items()}
+
+
+def _fleet_key(path: Path, value: Any) -> dict[str, Any]:
+    if not isinstance(value, str) or not value:
+        raise ConfigError(f"{path}: fleet_key = {value!r} must be the path of a key file; uav-vslam keys new makes one")
+    return {"fusion.fleet_key_file": str((path.parent / Path(value).expanduser()).resolve())}
 
 
 def _addresses(path: Path, entries: Mapping[str, Any]) -> dict[str, str]:

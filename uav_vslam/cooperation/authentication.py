@@ -10,7 +10,7 @@ vehicle keys  Ed25519, 64 bytes. Prevents impersonation too. Not false landmarks
 A tag covers vehicle, session and sequence too, so the inbox detects a replayed packet by them, see
 `cooperation.inbox`. Nothing is encrypted.
 
-    openssl rand 32 > fleet.key                                      fusion.fleet_key_file, the same for all
+    uav-vslam keys new fleet.key                                     fusion.fleet_key_file, the same for all
     openssl genpkey -algorithm ed25519 -out uav1.key                 fusion.signing_key_file, stays with uav1
     openssl pkey -in uav1.key -pubout -out keys/uav1.pem             fusion.peer_keys_folder, the same for all
 """
