@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
 
+DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOG_LEVELS = ("debug", "info", "warn", "error")
 HELP = "start a fleet's node graph, one process a node"
 EXAMPLES = """examples:
@@ -50,6 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of a node: start it again, from its checkpoint, or end all (default: stop with recordings, else restart)",
     )
     parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain, 0 to 101 (default: ROS_DOMAIN_ID)")
+    parser.add_argument(
+        "--no-parameter-services", action="store_true", help="nobody can read or change parameters in flight"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
         maps=str(args.map.resolve()) if args.map else "",
         log_level=args.log_level or "",
         restarts=args.on_failure == "restart" or not (args.on_failure or fleet.replay.bags),
+        parameter_services=not args.no_parameter_services,
     )
 
 
@@ -119,6 +125,7 @@ def launch(
     maps: str = "",
     log_level: str = "",
     restarts: bool = False,
+    parameter_services: bool = True,
     on_line: Callable[[str, str], None] | None = None,
 ) -> int:
     """Run a fleet's processes to their end.
@@ -132,6 +139,7 @@ def launch(
         vehicles, use_sim_time, maps: see `node_specs`.
         log_level: of all nodes; empty for their default.
         restarts: nodes that fail are started again; otherwise the first failure ends all.
+        parameter_services: vehicles' parameters can be read and changed in flight.
         on_line: called with (process, line) for each line of output; the default prints it.
 
     Returns:
@@ -139,20 +147,33 @@ def launch(
     """
     from uav_vslam.errors import ConfigError
     from uav_vslam.ros.domain import MAX_DOMAIN_ID
-    from uav_vslam.ros.fleet_commands import node_specs
+    from uav_vslam.ros.fleet_commands import node_specs, without_parameter_services
     from uav_vslam.ros.supervisor import Supervisor, node_command
 
     if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
     bag = str(record) if record else ""
     specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, record=bag, maps=maps)
-    environment = {} if domain_id is None else {"ROS_DOMAIN_ID": str(domain_id)}
+    if not parameter_services:
+        specs = [without_parameter_services(spec) for spec in specs]
+    environment = discovery_environment(os.environ, own_radio=fleet.radio.domain_id >= 0 or not vehicles)
+    environment |= {} if domain_id is None else {"ROS_DOMAIN_ID": str(domain_id)}
     if log_dir is not None:
         environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")
     commands = [node_command(spec, log_level) for spec in specs]
     _remove_leftovers()
     _warn_without_key(fleet)
     return Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line).run(commands)
+
+
+def discovery_environment(given: Mapping[str, str], *, own_radio: bool) -> dict[str, str]:
+    """Return what keeps the vehicles' domain on this host, unless the environment says otherwise.
+
+    Args:
+        given: environment of this process.
+        own_radio: vehicles on other computers, if any, are on a domain of their own.
+    """
+    return {DISCOVERY_RANGE: "LOCALHOST"} if own_radio and DISCOVERY_RANGE not in given else {}
 
 
 def _remove_leftovers() -> None:

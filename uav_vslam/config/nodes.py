@@ -13,6 +13,9 @@ class VehicleNodeConfig(Settings):
     """Parameters of every node of a vehicle."""
 
     vehicle: str = setting("", "name of the vehicle; empty: the node's namespace")
+    parameter_services: bool = setting(
+        True, "whether others on the domain can read and change parameters, such as the communication mode"
+    )
 
 
 @dataclass(frozen=True, slots=True)

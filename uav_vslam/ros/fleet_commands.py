@@ -134,6 +134,13 @@ def _replay_inputs(vehicles: Mapping[str, VehicleConfig]) -> dict[str, list[str]
     return {"inputs": entries} if entries else {}
 
 
+def without_parameter_services(spec: NodeSpec) -> NodeSpec:
+    """Return a node whose parameters nobody can change in flight; nodes of the whole fleet stay as they are."""
+    if spec.executable not in (*VEHICLE_NODES, "mapper"):
+        return spec
+    return dataclasses.replace(spec, parameters=spec.parameters | {"parameter_services": False})
+
+
 def packets_of(vehicle: str) -> str:
     """Return the topic on which a vehicle sends its packets."""
     return f"/{vehicle}/landmark_information"

@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter_service import ParameterService
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
@@ -49,9 +50,10 @@ class VehicleNode(Node):
     """
 
     def __init__(self, name: str) -> None:
-        super().__init__(name)
+        super().__init__(name, start_parameter_services=False)
         self.own: Any = read(self, typing.cast(Any, NODES[name].own))
         declare(self, self.own)
+        self._parameter_service = ParameterService(self) if self.own.parameter_services else None
         self._settings = VehicleParameters(self, NODES[name].used_names, self.configure)
         for setting, text in idle_settings(self.config).items():
             if setting in NODES[name].used_names:
