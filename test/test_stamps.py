@@ -1,56 +1,146 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A single stamp from the future is rejected, a real time jump accepted at the second stamp; the nearest stamp."""
+"""A few wrong stamps are refused, a clock that was set is followed by all streams or by none; the nearest stamp."""
+
+from itertools import chain
 
 import numpy as np
 import pytest
 
-from uav_vslam.errors import InvalidMessage
-from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard, nearest
+from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, RUN_LENGTH, TimeJump, TimeLine, nearest
 from uav_vslam.types import NS_PER_S
 
-JUMP_NS = round(IMU_TIME_JUMP_S * NS_PER_S)
-FAR_NS = 1000 * JUMP_NS
+STEP_NS = NS_PER_S // 5
+Stamps = dict[str, list[int]]
 
 
-def rejected(stamps_ns: list[int]) -> list[int]:
-    """Return those of the stamps that are rejected, fed in order."""
-    guard, out = TimeJumpGuard("IMU", IMU_TIME_JUMP_S), []
-    for stamp_ns in stamps_ns:
-        try:
-            guard.check(stamp_ns)
-        except InvalidMessage:
-            out.append(stamp_ns)
-    return out
+def both(*, follow: bool = True) -> TimeLine[int]:
+    streams = {"IMU": IMU_TIME_JUMP_S, "image": IMAGE_TIME_JUMP_S}
+    return TimeLine(streams, apart_s=IMU_TIME_JUMP_S, reference="IMU", follow=follow)
 
 
-@pytest.mark.parametrize(
-    ("stamps_ns", "expected"),
-    [
-        ([1, 2, 3, 2 + JUMP_NS, 2 * JUMP_NS], []),
-        ([1, FAR_NS, 2, 3], [FAR_NS]),
-        ([1, FAR_NS, 2, FAR_NS + 1, 3], [FAR_NS, FAR_NS + 1]),  # the old stamp between discards the candidate
-        ([1, FAR_NS, FAR_NS + 1, FAR_NS + 2], [FAR_NS]),
-        ([1, FAR_NS, FAR_NS, FAR_NS + 1], [FAR_NS, FAR_NS]),  # a duplicate is no confirmation
-        ([1, FAR_NS, 2 * FAR_NS, 3 * FAR_NS], [FAR_NS, 2 * FAR_NS, 3 * FAR_NS]),
-        ([0, FAR_NS, FAR_NS + 1], [FAR_NS]),  # a clock set after the first reading
-        ([FAR_NS, 1, FAR_NS + 1], []),  # an old stamp is no jump, nor is the next one
-    ],
-)
-def test_a_jump_ahead_is_accepted_once_confirmed(stamps_ns: list[int], expected: list[int]) -> None:
-    assert rejected(stamps_ns) == expected
+def seconds(first: float, last: float) -> list[int]:
+    """Return stamps of a stream at 5 Hz."""
+    return list(range(round(first * NS_PER_S), round(last * NS_PER_S), STEP_NS))
 
 
-def test_the_error_names_stream_and_jump() -> None:
-    guard = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
-    guard.check(0)
-    with pytest.raises(InvalidMessage, match=r"stamp_jump: IMU stamp 60000000000 ns is 60.0 s after the newest"):
-        guard.check(60 * NS_PER_S)
+def feed(line: TimeLine[int], stamps_ns: list[int], names: tuple[str, ...] = ("IMU", "image")) -> list[TimeJump]:
+    """Feed stamps to some streams in turn; check that each item comes out once at most, and return the jumps."""
+    jumps = []
+    for stamp_ns, name in ((stamp_ns, name) for stamp_ns in stamps_ns for name in names):
+        admitted = line.add(name, stamp_ns, stamp_ns)
+        passed[name] += [item for stream, item in admitted.items if stream == name]
+        for other in set(names) - {name}:
+            passed[other] += [item for stream, item in admitted.items if stream == other]
+        jumps += [admitted.jump] if admitted.jump else []
+    return jumps
+
+
+passed: Stamps = {}
+
+
+@pytest.fixture(autouse=True)
+def nothing_passed() -> None:
+    passed.update({"IMU": [], "image": []})
+
+
+@pytest.mark.parametrize("offset_s", [-3600.0, -10.0, -2.0, 10.0, 3600.0])
+@pytest.mark.parametrize("count", [1, RUN_LENGTH - 1])
+def test_a_few_wrong_stamps_are_refused_and_cost_nothing_else(offset_s: float, count: int) -> None:
+    line, wrong = both(), [round((10.0 + offset_s) * NS_PER_S) + k * STEP_NS for k in range(count)]
+    assert feed(line, seconds(0, 10)) == []
+    assert feed(line, wrong, ("IMU",)) == []
+    assert feed(line, seconds(10, 20)) == []
+    assert passed == {"IMU": seconds(0, 20), "image": seconds(0, 20)}
+    assert line.refused == {"stamp_jump": count}
+    assert f"IMU stamps jump by {offset_s + 0.2:+.1f} s" in line.refusal
+
+
+@pytest.mark.parametrize("offset_s", [-3600.0, -10.0, -2.0, 5.2, 10.0, 3600.0])
+def test_a_clock_that_was_set_is_followed_by_all_streams_and_no_item_is_lost(offset_s: float) -> None:
+    line = both()
+    feed(line, seconds(3600, 3610))
+    (jump,) = feed(line, seconds(3610 + offset_s, 3620 + offset_s))
+    expected = seconds(3600, 3610) + seconds(3610 + offset_s, 3620 + offset_s)
+    assert passed == {"IMU": expected, "image": expected}
+    assert jump.is_back == (offset_s < 0)
+    assert jump.size_s == pytest.approx(offset_s + STEP_NS / NS_PER_S)
+    assert "IMU and image" in str(jump)
+    assert not line.refused
+    assert line.faults == {}
+
+
+@pytest.mark.parametrize("name", ["IMU", "image"])
+@pytest.mark.parametrize("offset_s", [-10.0, -2.0, 10.0, 3600.0])
+def test_the_clock_of_one_stream_alone_is_refused_and_named_until_it_comes_back(name: str, offset_s: float) -> None:
+    line, (other,) = both(), {"IMU", "image"} - {name}
+    feed(line, seconds(0, 10))
+    for stamp_ns in seconds(10, 14):
+        assert feed(line, [stamp_ns + round(offset_s * NS_PER_S)], (name,)) == []
+        assert feed(line, [stamp_ns], (other,)) == []
+    assert passed[other] == seconds(0, 14)
+    assert passed[name] == seconds(0, 10)
+    assert list(line.faults) == [name]
+    assert line.faults[name].startswith(f"{name} stamps jump by {offset_s + 0.2:+.1f} s")
+    assert f"not those of {other}" in line.faults[name]
+    feed(line, seconds(14, 20))
+    assert passed[name] == seconds(0, 10) + seconds(14, 20)
+    assert line.faults == {}
+
+
+@pytest.mark.parametrize("offset_s", [-10.0, 10.0])
+def test_where_jumps_are_refused_everything_is_refused_until_the_clock_is_right(offset_s: float) -> None:
+    line = both(follow=False)
+    feed(line, seconds(20, 30))
+    assert feed(line, seconds(30 + offset_s, 34 + offset_s)) == []
+    assert line.refused["stamp_jump"] == 2 * len(seconds(0, 4))
+    assert sorted(line.faults) == ["IMU", "image"]
+    feed(line, seconds(34, 40))
+    assert passed == {"IMU": seconds(20, 30) + seconds(34, 40), "image": seconds(20, 30) + seconds(34, 40)}
+    assert line.faults == {}
+
+
+def test_two_publishers_of_one_stream_do_not_move_its_time_line() -> None:
+    line = both()
+    stray = [stamp_ns + 3600 * NS_PER_S for stamp_ns in seconds(0, 10)]
+    assert feed(line, list(chain.from_iterable(zip(seconds(0, 10), stray, strict=True)))) == []
+    assert passed == {"IMU": seconds(0, 10), "image": seconds(0, 10)}
+
+
+def test_a_first_stamp_that_is_wrong_is_left_behind() -> None:
+    line = both()
+    feed(line, [3600 * NS_PER_S], ("IMU",))
+    feed(line, seconds(0, 4))
+    assert passed == {"IMU": [3600 * NS_PER_S, *seconds(0, 4)], "image": seconds(0, 4)}
+
+
+def test_repeated_stamps_are_no_run() -> None:
+    line = both()
+    feed(line, seconds(0, 2))
+    feed(line, [seconds(0, 2)[-1]] * 20)
+    assert line.refused == {"stamp_repeated": 40}
+
+
+def test_where_streams_never_go_back_older_stamps_are_repetitions() -> None:
+    line: TimeLine[int] = TimeLine({"IMU": IMAGE_TIME_JUMP_S, "image": IMAGE_TIME_JUMP_S}, back=False)
+    feed(line, seconds(0, 10))
+    assert feed(line, seconds(5, 12)) == []
+    assert passed == {"IMU": seconds(0, 12), "image": seconds(0, 12)}
+
+
+def test_a_stream_that_was_silent_goes_on_where_the_others_are() -> None:
+    line: TimeLine[int] = TimeLine({"IMU": IMU_TIME_JUMP_S, "image": IMU_TIME_JUMP_S}, apart_s=IMU_TIME_JUMP_S)
+    feed(line, seconds(0, 10))
+    feed(line, seconds(10, 20), ("IMU",))
+    feed(line, seconds(20, 24))
+    assert passed == {"IMU": seconds(0, 24), "image": seconds(0, 10) + seconds(20, 24)}
 
 
 def test_a_keyframe_recording_loses_no_image() -> None:
-    guard = TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
-    for seconds in (0, 8, 16, 40):
-        guard.check(seconds * NS_PER_S)
+    line = both()
+    for at_s in range(41):
+        line.add("IMU", at_s * NS_PER_S, 0)
+        if at_s in (0, 8, 16, 40):
+            assert line.add("image", at_s * NS_PER_S, at_s).items == [("image", at_s)]
 
 
 def test_the_nearest_stamp_is_found_before_between_and_after_all() -> None:

@@ -7,12 +7,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.errors import InvalidMessage
+from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegrator import ImuPreintegrator
+from uav_vslam.ins.sensor_clock import IMAGES, IMU, SensorItem, bridges, sensor_time_line
 from uav_vslam.slam.saved_map import SavedMap
 from uav_vslam.slam.stage import FrameOutput, SlamStage
-from uav_vslam.stamps import IMU_TIME_JUMP_S, TimeJumpGuard
+from uav_vslam.stamps import Admitted
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, PoseEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.frontends import make_frontend
 
@@ -74,7 +75,8 @@ class VehiclePipeline:
         self._keep_features = keep_features
         self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._preintegrator = ImuPreintegrator(config.imu, initial.state if initial else None)
-        self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
+        self._policy = config.input.on_time_jump
+        self._stamps = sensor_time_line(self._policy)
         self._slam = SlamStage(config, vehicle=vehicle, session=session, keep_map=keep_map)
         self._slam.rig = rig
         if initial is not None:
@@ -92,30 +94,50 @@ class VehiclePipeline:
         return self._slam.saved_map()
 
     def run(self, events: Iterable[ImuSample | StereoFrame | StereoFeatures]) -> Iterator[FrameOutput]:
-        """Feed sensor data in stamp order and yield each frame's output as soon as it is complete."""
+        """Feed sensor data in stamp order and yield each frame's output as soon as it is complete.
+
+        Raises:
+            BagError: the clock of the recording jumps in a way that begins another flight.
+        """
         for event in events:
-            try:
-                yield from self.add_imu(event) if isinstance(event, ImuSample) else self.add_frame(event)
-            except InvalidMessage as error:  # dropped and counted, as the nodes do
-                self._refused[error.reason] += 1
+            yield from self.add_imu(event) if isinstance(event, ImuSample) else self.add_frame(event)
         yield from self._complete(self._preintegrator.increments(flush=True))
 
     def add_imu(self, sample: ImuSample) -> list[FrameOutput]:
         """Add an IMU sample; it may complete a waiting frame."""
-        self._imu_stamps.check(sample.stamp_ns)
-        self._preintegrator.add_imu(sample)
-        return self._complete(self._preintegrator.increments())
+        return self._add(self._stamps.add(IMU, sample.stamp_ns, sample))
 
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
         """Add a frame, or its simulated features; frames before the start state are dropped."""
         self.track.frames_in += 1
         features = self._extract_features(frame) if isinstance(frame, StereoFrame) else frame
+        return self._add(self._stamps.add(IMAGES, frame.stamp_ns, features))
+
+    def _add(self, admitted: Admitted[SensorItem]) -> list[FrameOutput]:
+        """Add what the time line lets through; what is invalid is dropped and counted, as the nodes do."""
+        if admitted.jump is not None:
+            if not bridges(admitted.jump, self._policy):
+                raise BagError(
+                    f"{admitted.jump}: what follows is another flight, as scores and maps go by stamps; cut the "
+                    "recording there, or replay it to the nodes"
+                )
+            self.track.warnings.append(f"{admitted.jump}: the motion in between is unknown")
+        for _, item in admitted.items:
+            try:
+                if isinstance(item, ImuSample):
+                    self._preintegrator.add_imu(item)
+                elif isinstance(item, StereoFeatures):
+                    self._add_features(item)
+            except InvalidMessage as error:
+                self._refused[error.reason] += 1
+        return self._complete(self._preintegrator.increments())
+
+    def _add_features(self, features: StereoFeatures) -> None:
         self._slam.add_features(features)
         if self._keep_features:
-            self.track.features[frame.stamp_ns] = features.without_descriptors
-        if self._preintegrator.start_ns is None or frame.stamp_ns > self._preintegrator.start_ns:
-            self._preintegrator.add_frame_stamp(frame.stamp_ns)
-        return self._complete(self._preintegrator.increments())
+            self.track.features[features.stamp_ns] = features.without_descriptors
+        if self._preintegrator.start_ns is None or features.stamp_ns > self._preintegrator.start_ns:
+            self._preintegrator.add_frame_stamp(features.stamp_ns)
 
     def _extract_features(self, frame: StereoFrame) -> StereoFeatures:
         """Run the front end; its alarms are counted, and reported the first time.
@@ -144,7 +166,7 @@ class VehiclePipeline:
         self.track.start = self._slam.initial
         self.track.outputs += outputs
         self.track.warnings += [text for output in outputs for text in output.warnings]
-        dropped = {**self._slam.dropped, **self._refused}
+        dropped = {**self._slam.dropped, **self._refused, **self._stamps.refused}
         self.track.dropped = {reason: count for reason, count in dropped.items() if count}
         return outputs
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+from uav_vslam.stamps import RUN_LENGTH
 
 MS = 1_000_000
 
@@ -113,8 +114,17 @@ def test_a_lone_stamp_from_the_future_costs_one_image() -> None:
     assert pairer.dropped == 2  # both of the pair
 
 
-def test_pairing_resumes_after_a_long_silence() -> None:
+@pytest.mark.parametrize("jump_s", [-55, -5, 55])
+def test_pairing_goes_on_when_the_clock_of_the_cameras_was_set(jump_s: int) -> None:
     pairer: StereoPairer[int] = StereoPairer()
-    stamps_ns = [0, 100 * MS, 60_000 * MS, 60_100 * MS, 60_200 * MS]
+    stamps_ns = [(60_000 + 100 * k + (1000 * jump_s if k >= 5 else 0)) * MS for k in range(10)]
     found = [pair for s in stamps_ns for pair in (pairer.add_left(s, s), pairer.add_right(s, s)) if pair]
-    assert [pair.stamp_ns for pair in found] == [0, 100 * MS, 60_100 * MS, 60_200 * MS]
+    assert [pair.stamp_ns for pair in found] == stamps_ns
+    assert pairer.tolerance_ns == 20 * MS
+
+
+def test_a_clock_set_back_a_little_costs_as_many_images_as_show_it() -> None:
+    pairer: StereoPairer[int] = StereoPairer()
+    stamps_ns = [(60_000 + 100 * k - (1500 if k >= 20 else 0)) * MS for k in range(40)]
+    found = [pair for s in stamps_ns for pair in (pairer.add_left(s, s), pairer.add_right(s, s)) if pair]
+    assert [pair.stamp_ns for pair in found] == stamps_ns[:20] + stamps_ns[20 + RUN_LENGTH - 1 :]

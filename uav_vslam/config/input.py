@@ -7,6 +7,7 @@ from pathlib import Path
 from uav_vslam.config.settings import Settings, setting
 
 COMPRESSED = "/compressed"
+TIME_JUMPS = ("bridge", "reset", "refuse")
 
 
 def image_names(topic: str) -> tuple[str, ...]:
@@ -60,6 +61,12 @@ class InputConfig(Settings):
         "largest difference between the stamps of an image pair; 0: half of the median frame period, at most 0.02",
         unit="s",
         at_least=0,
+    )
+    on_time_jump: str = setting(
+        "bridge",
+        "when the clock of the sensors jumps. bridge: go on with unknown motion in between; reset: start again as "
+        "start.method says; refuse: use no message until the stamps are right again",
+        choices=TIME_JUMPS,
     )
     topics: TopicsConfig = field(default_factory=TopicsConfig)
     frames: FramesConfig = field(default_factory=FramesConfig)

@@ -338,6 +338,10 @@ def _in_stamp_order(events: Iterator[ImuSample | StereoFrame]) -> Iterator[ImuSa
     error: BagError | None = None
     try:
         for number, event in enumerate(events):
+            if event.stamp_ns < newest - REORDER_NS:  # the clock was set back: what came before precedes it
+                yield from (entry[-1] for entry in sorted(waiting))
+                waiting.clear()
+                newest = event.stamp_ns
             newest = max(newest, event.stamp_ns)
             heapq.heappush(waiting, (event.stamp_ns, isinstance(event, StereoFrame), number, event))
             while waiting[0][0] <= newest - REORDER_NS:

@@ -6,13 +6,13 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from uav_vslam.errors import InvalidMessage
-from uav_vslam.stamps import IMAGE_TIME_JUMP_S, TimeJumpGuard
+from uav_vslam.stamps import RUN_LENGTH
 
 T = TypeVar("T")
 
 LARGEST_TOLERANCE_NS = 20_000_000  # of the default: cameras farther apart than this are not synchronised
 EARLY_TOLERANCE_NS = 5_000_000  # of the default while the period is unknown: half of it at 100 Hz
+LATE_NS = 2_000_000_000  # an older image is no late one, but of another clock
 NOTABLE_OFFSET_NS = 500_000  # at 20 m/s over farmland, a pair so far apart is moved by 10 mm against its baseline
 PERIODS = 3, 20  # how many tell the frame period: at least, and of the last so many
 
@@ -50,10 +50,10 @@ class PairTolerance:
         return min(LARGEST_TOLERANCE_NS, round(statistics.median(self._periods_ns) / 2))
 
     def add_left(self, stamp_ns: int) -> None:
-        """Count the period from the previous left image to this one; one that is not later is ignored."""
-        if self._newest_ns is not None and stamp_ns <= self._newest_ns:
+        """Count the period from the previous left image to this one, unless the clock jumped in between."""
+        if self._newest_ns is not None and stamp_ns == self._newest_ns:
             return
-        if self._newest_ns is not None:
+        if self._newest_ns is not None and 0 < stamp_ns - self._newest_ns:
             self._periods_ns.append(stamp_ns - self._newest_ns)
         self._newest_ns = stamp_ns
 
@@ -61,7 +61,8 @@ class PairTolerance:
 class StereoPairer(Generic[T]):
     """Holds images until their partner arrives; those that can have none are dropped and counted.
 
-    Each camera's stamps must increase without time jumps, see `TimeJumpGuard`; other images are dropped.
+    Stamps that jump, ahead or back, pair up as others do: what follows them is decided where they meet the IMU's. A late
+    or repeated image is dropped, unless several in a row show that the clock was set back a little.
 
     Attributes:
         dropped: images without a partner.
@@ -81,7 +82,7 @@ class StereoPairer(Generic[T]):
         self._left: deque[tuple[int, T]] = deque()
         self._right: deque[tuple[int, T]] = deque()
         self._newest = {"left": -1, "right": -1}
-        self._guards = {side: TimeJumpGuard(f"{side} image", IMAGE_TIME_JUMP_S) for side in self._newest}
+        self._late = dict.fromkeys(self._newest, 0)
         self.dropped = 0
 
     @property
@@ -97,7 +98,7 @@ class StereoPairer(Generic[T]):
         if partner is None:
             self._wait(self._left, stamp_ns, item)
             return None
-        self._drop_older(self._left, stamp_ns)
+        self._drop(self._left, len(self._left))
         self.offset_ns = partner[0] - stamp_ns
         return StereoPair(stamp_ns, item, partner[1])
 
@@ -109,33 +110,29 @@ class StereoPairer(Generic[T]):
         if partner is None:
             self._wait(self._right, stamp_ns, item)
             return None
-        self._drop_older(self._right, stamp_ns)
+        self._drop(self._right, len(self._right))
         self.offset_ns = stamp_ns - partner[0]
         return StereoPair(partner[0], partner[1], item)
 
     def _is_next(self, side: str, stamp_ns: int) -> bool:
-        try:
-            self._guards[side].check(stamp_ns)
-        except InvalidMessage:
+        behind_ns = self._newest[side] - stamp_ns
+        self._late[side] = self._late[side] + 1 if 0 <= behind_ns <= LATE_NS else 0
+        if 0 < self._late[side] < RUN_LENGTH or behind_ns == 0:
             self.dropped += 1
             return False
-        if stamp_ns <= self._newest[side]:
-            self.dropped += 1
-            return False
+        self._late[side] = 0
         if side == "left":
             self._tolerance.add_left(stamp_ns)
         self._newest[side] = stamp_ns
         return True
 
     def _take_partner(self, waiting: deque[tuple[int, T]], stamp_ns: int) -> tuple[int, T] | None:
-        """Remove and return the nearest waiting image within the tolerance; older ones are dropped."""
-        near = [entry for entry in waiting if abs(entry[0] - stamp_ns) <= self.tolerance_ns]
+        """Remove and return the nearest waiting image within the tolerance; those that came before are dropped."""
+        near = [k for k, entry in enumerate(waiting) if abs(entry[0] - stamp_ns) <= self.tolerance_ns]
         if not near:
             return None
-        best = min(near, key=lambda entry: abs(entry[0] - stamp_ns))
-        self._drop_older(waiting, best[0])
-        waiting.popleft()
-        return best
+        self._drop(waiting, min(near, key=lambda k: abs(waiting[k][0] - stamp_ns)))
+        return waiting.popleft()
 
     def _wait(self, waiting: deque[tuple[int, T]], stamp_ns: int, item: T) -> None:
         waiting.append((stamp_ns, item))
@@ -143,7 +140,7 @@ class StereoPairer(Generic[T]):
             waiting.popleft()
             self.dropped += 1
 
-    def _drop_older(self, waiting: deque[tuple[int, T]], stamp_ns: int) -> None:
-        while waiting and waiting[0][0] < stamp_ns:
+    def _drop(self, waiting: deque[tuple[int, T]], count: int) -> None:
+        for _ in range(count):
             waiting.popleft()
-            self.dropped += 1
+        self.dropped += count

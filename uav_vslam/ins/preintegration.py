@@ -7,7 +7,9 @@ of interval j to the errors of the whole increment. Then the bias Jacobian is `-
 `sum G diag(sigma^2/dt) G^T`, without recursion over 9x9 matrices.
 """
 
+import itertools
 from collections import deque
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +22,12 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
 Array = NDArray[np.float64]
 
 MAX_GAP_S = 0.05  # after longer without a reading the motion is unknown
+LEAP_S = 1.0  # after longer without a reading or an image it is unknown, too, how much time has passed
 MAX_HELD_S = 120.0  # readings buffered while no image arrives: 12 MB at 200 Hz
 UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] of the rotation rate in a gap
 UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] of the acceleration in a gap
+UNKNOWN_SPEED_SIGMA = 15.0  # [m/s] per axis, over a leap: a clock that was set took the vehicle nowhere
+MOST_ROTATION_SIGMA = np.pi / np.sqrt(3.0)  # [rad] of an angle of which nothing is known
 
 
 def preintegrate(
@@ -51,7 +56,12 @@ def preintegrate(
     if stamp_ns <= start_ns:
         raise ValueError(f"increment from {start_ns} ns to {stamp_ns} ns is empty; stamps must increase")
     if not samples:
-        return _unknown_motion(start_ns, stamp_ns, gyro_bias, accel_bias, imu)
+        return unknown_motion(start_ns, stamp_ns, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
+    if (leap := _leap(samples, start_ns, stamp_ns)) is not None:
+        part = partial(preintegrate, samples, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
+        whole = unknown_motion(*leap, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
+        whole = whole if leap[0] == start_ns else compose(part(start_ns, leap[0]), whole)
+        return whole if leap[1] == stamp_ns else compose(whole, part(leap[1], stamp_ns))
     t_s, gyro, accel = _readings_within(samples, start_ns, stamp_ns)
     dt = np.diff(t_s)
     omega = 0.5 * (gyro[1:] + gyro[:-1]) - gyro_bias
@@ -131,7 +141,8 @@ def bridged(increment: ImuIncrement, start_ns: int, imu: ImuConfig) -> ImuIncrem
     """
     if increment.start_ns == start_ns:
         return increment
-    unknown = _unknown_motion(start_ns, increment.start_ns, increment.gyro_bias, increment.accel_bias, imu)
+    bias = {"gyro_bias": increment.gyro_bias, "accel_bias": increment.accel_bias}
+    unknown = unknown_motion(start_ns, increment.start_ns, **bias, imu=imu)
     return compose(unknown, increment)
 
 
@@ -184,11 +195,32 @@ def _in_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> NDArray[n
     return np.diff(np.concatenate([ends[0], inside, ends[1]])) > MAX_GAP_S * NS_PER_S
 
 
-def _unknown_motion(start_ns: int, stamp_ns: int, gyro_bias: Array, accel_bias: Array, imu: ImuConfig) -> ImuIncrement:
-    """Return a hover with a very large covariance, for a time without readings."""
+def _leap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> tuple[int, int] | None:
+    """Return the longest part of an interval without a reading, if it is longer than LEAP_S."""
+    inside = [s.stamp_ns for s in samples if start_ns < s.stamp_ns < stamp_ns]
+    parts = itertools.pairwise([start_ns, *inside, stamp_ns])
+    longest = max(parts, key=lambda part: part[1] - part[0])
+    return longest if longest[1] - longest[0] > LEAP_S * NS_PER_S else None
+
+
+def unknown_motion(
+    start_ns: int, stamp_ns: int, *, gyro_bias: Array, accel_bias: Array, imu: ImuConfig
+) -> ImuIncrement:
+    """Return a hover with a very large covariance, for a time without readings.
+
+    Over more than LEAP_S its covariance also allows for a vehicle that has not moved at all: a jump of the clock looks
+    the same as a silence.
+
+    Args:
+        start_ns, stamp_ns: the interval [ns].
+        gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
+        imu: gravity.
+    """
     dt = (stamp_ns - start_ns) / NS_PER_S
     hover = np.array([0.0, 0.0, imu.gravity])
-    sigma = np.repeat([UNKNOWN_RATE_SIGMA * dt, UNKNOWN_ACCEL_SIGMA * dt, 0.5 * UNKNOWN_ACCEL_SIGMA * dt**2], 3)
+    moved_m = np.hypot(0.5 * UNKNOWN_ACCEL_SIGMA * dt**2, UNKNOWN_SPEED_SIGMA * dt if dt > LEAP_S else 0.0)
+    turned_rad = min(UNKNOWN_RATE_SIGMA * dt, MOST_ROTATION_SIGMA)
+    sigma = np.repeat([turned_rad, UNKNOWN_ACCEL_SIGMA * dt, moved_m], 3)
     return ImuIncrement(
         start_ns=start_ns,
         stamp_ns=stamp_ns,
