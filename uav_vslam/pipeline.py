@@ -10,7 +10,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegrator import ImuPreintegrator
-from uav_vslam.ins.sensor_clock import IMAGES, IMU, SensorItem, bridges, sensor_time_line
+from uav_vslam.ins.sensor_clock import IMAGES, IMU, bridges, sensor_time_line
 from uav_vslam.slam.saved_map import SavedMap
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.stamps import Admitted
@@ -113,7 +113,7 @@ class VehiclePipeline:
         features = self._extract_features(frame) if isinstance(frame, StereoFrame) else frame
         return self._add(self._stamps.add(IMAGES, frame.stamp_ns, features))
 
-    def _add(self, admitted: Admitted[SensorItem]) -> list[FrameOutput]:
+    def _add(self, admitted: Admitted[ImuSample | StereoFeatures]) -> list[FrameOutput]:
         """Add what the time line lets through; what is invalid is dropped and counted, as the nodes do."""
         if admitted.jump is not None:
             if not bridges(admitted.jump, self._policy):

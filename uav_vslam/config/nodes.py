@@ -16,6 +16,9 @@ class VehicleNodeConfig(Settings):
     parameter_services: bool = setting(
         True, "whether others on the domain can read and change parameters, such as the communication mode"
     )
+    autostart: bool = setting(
+        True, "use messages at once; otherwise wait to be configured and activated (ros2 lifecycle)"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +131,8 @@ NODES: dict[str, NodeParameters] = {
         BackendNodeConfig, ("input", "frames", "start", "imu", "rig", "backend", "frontend.ratio", "fusion.epoch_s")
     ),
     "fusion": NodeParameters(
-        FusionNodeConfig, ("input.frames.base", "frames", "start.map", "fusion", "frontend.extractor")
+        FusionNodeConfig,
+        ("input.frames.base", "input.on_time_jump", "frames", "start.map", "fusion", "frontend.extractor"),
     ),
     "mapper": NodeParameters(MapperNodeConfig, ("input", "frames", "rig")),
     "replay": NodeParameters(ReplayNodeConfig),

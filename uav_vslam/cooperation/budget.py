@@ -21,6 +21,10 @@ class ByteBudget:
         self._tokens = self._full if initial_bytes is None else min(initial_bytes * NS_PER_S, self._full)  # [byte ns]
         self._latest_ns: int | None = None
 
+    def restart_clock(self) -> None:
+        """Count time from the next stamp on, whatever it is; the tokens stay."""
+        self._latest_ns = None
+
     def available(self, now_ns: int) -> int:
         """Return how many bytes may be sent now; a clock that steps back adds nothing."""
         if self._latest_ns is not None:

@@ -95,6 +95,10 @@ class Exchange:
             self._channels = channels
             self._transport.tune(settings, self)
 
+    def restart(self) -> None:
+        """Go on by a clock that may have been set back."""
+        self.outbox.restart_clock()
+
     def send(self) -> None:
         """Send the packet of the last fused epoch, and feedback, within the budget."""
         assert self._fusion.belief is not None  # an epoch has been fused

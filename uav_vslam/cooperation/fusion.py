@@ -54,13 +54,17 @@ class Fusion:
         self.inbox = Inbox(vehicle, authentication=self._authentication)
         self.returned = Inbox(vehicle, authentication=self._authentication)
         self._config = config
-        self._memory = LandmarkMemory(config.memory_landmarks)
+        self._sequence = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the own belief and what was fused; inboxes and the packet count go on, so that no replay is taken."""
+        self._memory = LandmarkMemory(self._config.memory_landmarks)
         self._frames: dict[str, PeerFrame] = {}
         self._used: dict[str, LandmarkPacket] = {}
         self._shared: set[int] = set()
         self._offered: set[int] = set()  # landmarks of the last packet, if no feedback reports on them
         self._times_sent: Counter[int] = Counter()  # how often each landmark of the estimate was sent
-        self._sequence = 0
         self._used_rows: dict[str, tuple[str, NDArray[np.intp], NDArray[np.uint32]]] = {}  # source, own rows, its ids
         self.belief: JointInformation | None = None
         self.epoch: FusedEpoch | None = None

@@ -27,6 +27,7 @@ class Outbox:
         self.bytes_sent = 0
         self._first_ns: int | None = None  # stamp of the first epoch
         self._last_ns = 0
+        self._flown_ns = 0  # before the clock was set
         self._last_received_ns = 0  # stamp of the newest packet of any peer
         self.now_ns = 0
         self._silent_epochs = 0
@@ -49,10 +50,18 @@ class Outbox:
         if granted != self._granted:
             self._granted, self._budget = granted, ByteBudget(*granted)
 
+    def restart_clock(self) -> None:
+        """Go on by stamps that may be older; the budget is not refilled."""
+        self._flown_ns += self._last_ns - (self._first_ns or 0)
+        self._first_ns, self._last_ns = None, 0
+        self._last_received_ns = self.now_ns = 0
+        self._budget.restart_clock()
+
     @property
     def sent_bytes_per_s(self) -> float:
         """Mean payload rate from the first epoch to the one after the last packet [B/s]."""
-        return self.bytes_sent / ((self._last_ns - (self._first_ns or 0)) / NS_PER_S + self._epoch_s)
+        flown_ns = self._flown_ns + self._last_ns - (self._first_ns or 0)
+        return self.bytes_sent / (flown_ns / NS_PER_S + self._epoch_s)
 
     def on_packet(self, stamp_ns: int) -> None:
         """Record the arrival of a peer's packet; a stamp in the future counts as now."""

@@ -53,7 +53,7 @@ class PairTolerance:
         """Count the period from the previous left image to this one, unless the clock jumped in between."""
         if self._newest_ns is not None and stamp_ns == self._newest_ns:
             return
-        if self._newest_ns is not None and 0 < stamp_ns - self._newest_ns:
+        if self._newest_ns is not None and stamp_ns - self._newest_ns > 0:
             self._periods_ns.append(stamp_ns - self._newest_ns)
         self._newest_ns = stamp_ns
 
@@ -61,8 +61,8 @@ class PairTolerance:
 class StereoPairer(Generic[T]):
     """Holds images until their partner arrives; those that can have none are dropped and counted.
 
-    Stamps that jump, ahead or back, pair up as others do: what follows them is decided where they meet the IMU's. A late
-    or repeated image is dropped, unless several in a row show that the clock was set back a little.
+    Stamps that jump, ahead or back, pair up as others do: what to do about them is decided where they meet the IMU's. A
+    late or repeated image is dropped, unless several in a row show that the clock was set back a little.
 
     Attributes:
         dropped: images without a partner.

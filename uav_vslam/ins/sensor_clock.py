@@ -2,21 +2,21 @@
 """The time line of a vehicle's sensors, and what a jump of their clock does to an estimate (`input.on_time_jump`)."""
 
 import dataclasses
+from typing import Any
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.ins.preintegration import unknown_motion
 from uav_vslam.ins.propagation import transition
 from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJump, TimeLine
-from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures
+from uav_vslam.types import NS_PER_S, NavEstimate
 
 IMU, IMAGES = "IMU", "image"  # streams of the time line
 MOST_BRIDGED_S = 30.0  # of a jump ahead; beyond it an estimate is worth no more than a new start
 MOST_ELAPSED_S = 60.0  # flown unseen, however far a clock was set
-SensorItem = ImuSample | StereoFeatures | int  # a reading, or a frame: its features or its stamp
 
 
-def sensor_time_line(policy: str) -> TimeLine[SensorItem]:
-    """Return the time line of readings and images, which must agree to be paired."""
+def sensor_time_line(policy: str) -> TimeLine[Any]:
+    """Return the time line of readings and frames, which must agree to be paired; a frame is whatever stands for it."""
     streams = {IMU: IMU_TIME_JUMP_S, IMAGES: IMAGE_TIME_JUMP_S}
     return TimeLine(streams, apart_s=IMU_TIME_JUMP_S, reference=IMU, follow=policy != "refuse")
 
@@ -29,8 +29,8 @@ def bridges(jump: TimeJump, policy: str) -> bool:
 def carried_over(estimate: NavEstimate, stamp_ns: int, imu: ImuConfig) -> NavEstimate:
     """Return an estimate as the start state after a jump of the clock.
 
-    Nobody knows how much time has passed, from none to all of the jump: the mean stays, the covariance grows as by unknown
-    motion over the jump.
+    Nobody knows how much time has passed, from none to all of the jump: the mean stays, the covariance grows as by
+    unknown motion over the jump.
 
     Args:
         estimate: the last one before the jump.

@@ -15,6 +15,7 @@ out  landmark_information                  uav_vslam_msgs/LandmarkInformation at
 """
 
 from collections import deque
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistWithCovariance
 from nav_msgs.msg import Odometry, Path
@@ -44,10 +45,15 @@ from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.ros.traffic import Interface
 from uav_vslam.slam.backend import crosses_epoch
 from uav_vslam.slam.saved_map import load_map
+from uav_vslam.stamps import IMAGE_TIME_JUMP_S, TimeLine
 from uav_vslam.types import JointInformation, PoseEstimate
 from uav_vslam_msgs.msg import FusionStatus
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg
 
+Own = tuple[PoseEstimate, TwistWithCovariance]
+
+ODOMETRY, JOINT = "odometry", "joint_information"
+CONFIRMING = 3  # messages of each that confirm a jump: joint information comes once a second
 MAX_WAITING = 20  # odometry held for an epoch's joint information; then the epoch is skipped
 MAX_JOINTS = 8  # epochs' joint information that waits for its odometry: the back end sends it just before
 MAX_PATH = 2000  # poses in a published path
@@ -60,10 +66,12 @@ class FusionNode(VehicleNode):
     def __init__(self) -> None:
         self._participant = open_participant("fusion")
         super().__init__("fusion")
-        self._joints: dict[int, JointInformation] = {}
-        self._waiting: deque[tuple[PoseEstimate, TwistWithCovariance]] = deque()
-        self._previous_ns: int | None = None
-        self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
+        # The back end never goes back within a session: older stamps are those of one that was restarted.
+        follow = self.config.input.on_time_jump != "refuse"
+        streams = {ODOMETRY: IMAGE_TIME_JUMP_S, JOINT: IMAGE_TIME_JUMP_S}
+        self._stamps: TimeLine[Any] = TimeLine(streams, follow=follow, back=False, least=CONFIRMING)
+        self._session: int | None = None
+        self._forget_flight()
         map_file = self.config.start.map
         self._fusion = Fusion(self.vehicle, self.config.fusion, load_map(map_file) if map_file else None)
         self._odometry = self.advertise(Odometry, "fused/odometry", NEWEST)
@@ -83,6 +91,21 @@ class FusionNode(VehicleNode):
         self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
         self._exchange.configure(self.config.fusion)
 
+    def _forget_flight(self) -> None:
+        """Be as before the first message of a session of the back end."""
+        self._joints: dict[int, JointInformation] = {}
+        self._waiting: deque[Own] = deque()
+        self._previous_ns: int | None = None
+        self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
+
+    def reset(self) -> None:
+        """Start again with the next epoch; packets of peers that are known stay refused."""
+        self._session = None
+        self._stamps.restart()
+        self._forget_flight()
+        self._fusion.restart()
+        self._exchange.restart()
+
     def configure(self, config: VehicleConfig) -> None:
         """Apply changed live settings."""
         self._exchange.configure(config.fusion)
@@ -95,10 +118,13 @@ class FusionNode(VehicleNode):
 
     def _on_joint(self, message: JointInformationMsg) -> None:
         joint = joint_from_msg(message)
+        if self._session is not None and joint.session > self._session:
+            self.get_logger().warning(f"the back end started again: session {joint.session}")
+            self.reset()
+        self._session = max(joint.session, self._session or 0)
         if self._previous_ns is not None and joint.stamp_ns <= self._previous_ns:
             raise InvalidMessage("joint_late", f"joint information of {joint.stamp_ns} ns, after its odometry")
-        self._joints[joint.stamp_ns] = joint
-        self._work()
+        self._feed(JOINT, joint.stamp_ns, joint)
         if len(self._joints) > MAX_JOINTS:
             last_ns = max(self._joints)  # a wrong stamp must not keep out the ones that are due
             del self._joints[last_ns]
@@ -106,13 +132,17 @@ class FusionNode(VehicleNode):
 
     def _on_odometry(self, message: Odometry) -> None:
         pose = odometry_from_msg(message)
-        newest_ns = self._waiting[-1][0].stamp_ns if self._waiting else self._previous_ns
-        if newest_ns is not None and pose.stamp_ns <= newest_ns:
-            raise InvalidMessage(
-                "repeated", f"{pose.stamp_ns} ns is not after {newest_ns} ns; a restarted back end repeats"
-            )
-        self._waiting.append((pose, message.twist))
-        self._work()
+        self._feed(ODOMETRY, pose.stamp_ns, (pose, message.twist))
+
+    def _feed(self, name: str, stamp_ns: int, item: JointInformation | Own) -> None:
+        admitted = self._stamps.add(name, stamp_ns, item)
+        self.report_clock(self._stamps, str(admitted.jump or ""))
+        for _, each in admitted.items:
+            if isinstance(each, JointInformation):
+                self._joints[each.stamp_ns] = each
+            else:
+                self._waiting.append(each)
+            self._work()
 
     def _work(self) -> None:
         while self._waiting:

@@ -15,6 +15,8 @@ out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
                           <vehicle>/odom, which takes the steps of corrections
 """
 
+from collections import deque
+
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
@@ -25,6 +27,7 @@ from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
+from uav_vslam.ins.sensor_clock import IMAGES, IMU, bridges, carried_over, sensor_time_line
 from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
 from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
@@ -38,9 +41,11 @@ from uav_vslam.ros.convert import (
 from uav_vslam.ros.inputs import image_topics
 from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
-from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, TimeJumpGuard
+from uav_vslam.stamps import Admitted, TimeJump
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
+
+EARLY_STARTS = 4  # start states remembered that belong to no known time line
 
 
 class InsPropagatorNode(VehicleNode):
@@ -48,26 +53,22 @@ class InsPropagatorNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("ins_propagator")
-        method, topics = self.config.start.method, self.config.input.topics
-        self._preintegrator = ImuPreintegrator(self.config.imu) if method == "in_flight" else None
-        self._reckoner = DeadReckoning(self.config.imu)
-        self._live: LiveOdometry | None = None
-        self._startup_buffer = StartupBuffer(self.config.start.rest_s if method == "static" else MAX_APART_S)
-        self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
-        self._given_frame = ""
-        self._imu_stamps = TimeJumpGuard("IMU", IMU_TIME_JUMP_S)
-        self._image_stamps = TimeJumpGuard("image", IMAGE_TIME_JUMP_S)
+        topics = self.config.input.topics
+        self._policy = self.config.input.on_time_jump
+        self._aligns = self.config.start.method == "static"
+        self._starts: deque[NavigationState] = deque(maxlen=EARLY_STARTS)  # received in flight
+        self._stamps = sensor_time_line(self._policy)
         self._image_ns = -1
+        self._forget_flight()
         self._increments = self.advertise(InsIncrement, "ins/increment", MOTION)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
-        self._aligns = method == "static"
         if self._aligns:
             self._initial_state = self.advertise(NavigationState, topics.initial_state, LATCHED)
         else:
             self.listen(NavigationState, topics.initial_state, self._on_initial_state, LATCHED)
-        self._sensors = ImuListener(self, lambda reading: self._feed(reading, self._imu_stamps))
+        self._sensors = ImuListener(self, lambda reading: self._feed(IMU, reading.stamp_ns, reading))
         if self._sensors.has_infos:
             self.listen(CameraInfo, topics.left_info, lambda m: self._on_image(stamp_ns_of(m)), STATE)
         else:
@@ -76,14 +77,30 @@ class InsPropagatorNode(VehicleNode):
                 self.listen(kind, name, on_image, IMAGE, instead_of=topics.left, raw=True)
         self.listen(NavigationState, "slam/correction", self._on_correction, NEWEST)
 
+    def _forget_flight(self) -> None:
+        """Be as before the first message; where the start is searched for, increments are needed before it."""
+        self._preintegrator = ImuPreintegrator(self.config.imu) if self.config.start.searches else None
+        self._reckoner = DeadReckoning(self.config.imu)
+        self._live: LiveOdometry | None = None
+        self._startup_buffer = StartupBuffer(self.config.start.rest_s if self._aligns else MAX_APART_S)
+        self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
+        self._given_frame = ""
+
+    def reset(self) -> None:
+        """Start again, at whatever stamps come next."""
+        self._starts.clear()
+        self._stamps.restart()
+        self._forget_flight()
+
     def _on_image(self, stamp_ns: int) -> None:
         stamp_ns += self._sensors.time_offset_ns
         if stamp_ns != self._image_ns:  # the same image raw and compressed
             self._image_ns = stamp_ns
-            self._feed(stamp_ns, self._image_stamps)
+            self._feed(IMAGES, stamp_ns, stamp_ns)
 
     def _on_initial_state(self, message: NavigationState) -> None:
         if self._live is not None:
+            self._starts.append(message)
             return
         given = navigation_from_msg(message)
         if self._preintegrator is not None:  # found in flight by the back end
@@ -141,9 +158,41 @@ class InsPropagatorNode(VehicleNode):
             except InvalidMessage as error:
                 self.drop(error.reason, str(error))
 
-    def _feed(self, item: ImuSample | int, guard: TimeJumpGuard) -> None:
-        """Process an IMU sample or an image stamp, in arrival order."""
-        guard.check(item.stamp_ns if isinstance(item, ImuSample) else item)
+    def _feed(self, name: str, stamp_ns: int, item: ImuSample | int) -> None:
+        """Process what the time line lets through, in arrival order."""
+        admitted = self._stamps.add(name, stamp_ns, item)
+        happened = self._follow(admitted.jump, admitted) if admitted.jump is not None else ""
+        self.report_clock(self._stamps, happened)
+        for _, each in admitted.items:
+            try:
+                self._process(each)
+            except InvalidMessage as error:
+                self.drop(error.reason, f"{name}: {error}")
+
+    def _follow(self, jump: TimeJump, admitted: Admitted[ImuSample | int]) -> str:
+        """Go on after a jump of the clock as configured; return what was done."""
+        if bridges(jump, self._policy):
+            return f"{jump}; the motion in between is unknown"
+        first_ns = next((item for _, item in admitted.items if isinstance(item, int)), jump.to_ns)
+        before, start = self._live.estimate if self._live is not None else None, self._start_near(first_ns)
+        self._forget_flight()
+        if start is not None:
+            self._given, self._given_frame = navigation_from_msg(start), start.child_frame_id
+            return f"{jump}; started again from the newest start state"
+        if before is None or self._policy != "bridge":
+            return f"{jump}; it starts again"
+        self._preintegrator = self._preintegrator or ImuPreintegrator(self.config.imu)
+        self._start(carried_over(before, first_ns, self.config.imu))
+        return f"{jump}; it goes on from the last estimate"
+
+    def _start_near(self, stamp_ns: int) -> NavigationState | None:
+        """Return the newest start state received in flight that is of the time line which has begun at a stamp."""
+        starts = [s for s in self._starts if abs(stamp_ns_of(s) - stamp_ns) <= MAX_UNCOVERED_S * NS_PER_S]
+        self._starts.clear()
+        return starts[-1] if starts else None
+
+    def _process(self, item: ImuSample | int) -> None:
+        """Process an IMU sample or an image stamp."""
         if self._preintegrator is not None:
             self._preintegrate(self._preintegrator, item)
         if self._live is not None:

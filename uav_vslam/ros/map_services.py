@@ -18,18 +18,18 @@ from uav_vslam.slam.saved_map import load_map, save_map
 from uav_vslam.slam.stage import SlamStage
 
 
-def offer_map_services(node: Node, stage: SlamStage) -> None:
-    """Create both services on a node that has declared map_file."""
+def offer_map_services(node: Node, stage: Callable[[], SlamStage]) -> None:
+    """Create both services on a node that has declared map_file; `stage` returns the current one."""
 
     def save() -> str:
-        path, saved = _map_file(node), stage.saved_map()
+        path, saved = _map_file(node), stage().saved_map()
         size = save_map(saved, path)
         return f"{path}: map {saved.hash}, {len(saved)} landmarks in {size / 1e3:.0f} kB"
 
     def load() -> str:
         path = _map_file(node)
         saved = load_map(path)
-        stage.load_map(saved)
+        stage().load_map(saved)
         return f"{path}: map {saved.hash} of {saved.origin.vehicle}, {len(saved)} landmarks"
 
     node.create_service(Trigger, "~/save_map", _answering(save))

@@ -43,12 +43,9 @@ class MapperNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("mapper")
-        folder = self.own.map.folder
-        self._folder = Path(folder) if folder else None
-        self._grid = HeightGrid(self.own.map.cell_m, self._folder / "tiles" if self._folder else None)
-        self._mapper, self._overlap = SurfaceMapper(self._grid), Overlap()
+        self._maps = 0
+        self._begin_map()
         self._late: LatePoses | None = None
-        self._published_pairs = self._saved_pairs = 0
         self._stamp_ns = 0
         self._surface = self.advertise(PointCloud2, "map/surface", LATCHED)
         self._mesh = self.advertise(Marker, "map/mesh", LATCHED)
@@ -61,11 +58,28 @@ class MapperNode(VehicleNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self.own.map.publish_s, self._publish, clock=steady)
 
+    def _begin_map(self) -> None:
+        """Begin an empty map; each after the first has a folder of its own beside it."""
+        self._maps += 1
+        name = self.own.map.folder + (f"_{self._maps}" if self._maps > 1 else "")
+        self._folder = Path(name) if self.own.map.folder else None
+        self._grid = HeightGrid(self.own.map.cell_m, self._folder / "tiles" if self._folder else None)
+        self._mapper, self._overlap = SurfaceMapper(self._grid), Overlap()
+        self._published_pairs = self._saved_pairs = 0
+
+    def reset(self) -> None:
+        """Save the map and begin another one."""
+        self._save_rest()
+        self._begin_map()
+
     def destroy_node(self) -> None:
         """Save the whole map, then destroy the node."""
+        self._save_rest()
+        super().destroy_node()
+
+    def _save_rest(self) -> None:
         if self._folder is not None and self._mapper.pairs > self._saved_pairs:
             self._note_save(self._save)
-        super().destroy_node()
 
     def _on_rig(self) -> None:
         if self._rig.rig is not None and self._late is None:

@@ -25,8 +25,10 @@ from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.memory import keep_freed_memory
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
+from uav_vslam.ros.lifecycle import PausableNode
 from uav_vslam.ros.params import VehicleParameters, declare, read
 from uav_vslam.ros.qos import LATCHED_BY_MANY
+from uav_vslam.stamps import TimeLine
 
 DIAGNOSTICS_PERIOD_S = 1.0
 UNMATCHED = "unmatched"  # key in diagnostics: subscriptions without a publisher so far; the replay waits for them
@@ -35,7 +37,7 @@ FOLLOW_PERIOD_S = 0.5  # how often inputs check the reliability that is offered
 QUIET_AFTER_S = 5.0  # without a first message for so long, report the topic as missing
 
 
-class VehicleNode(Node):
+class VehicleNode(PausableNode):
     """A node in a vehicle's namespace, with its configuration and its health.
 
     Parameters: those that `config.nodes.NODES` lists for the node's name.
@@ -68,11 +70,14 @@ class VehicleNode(Node):
         self.failures: dict[str, str] = {}
         self._inputs: list[Input] = []
         self._mixed: set[str] = set()  # topics that several nodes publish
+        self._refused = 0  # messages off the time line, as last reported
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=wall_clock)
         self.create_timer(FOLLOW_PERIOD_S, self._follow_reliability, clock=wall_clock)
         self.create_timer(QUIET_AFTER_S, self._report_missing, clock=wall_clock)
+        if self.own.autostart:
+            self.begin()
 
     @property
     def config(self) -> VehicleConfig:
@@ -126,6 +131,9 @@ class VehicleNode(Node):
         """Return a callback that drops and counts messages that `callback` rejects."""
 
         def call(message: Any) -> None:
+            if self.paused:
+                self.counts["paused"] += 1
+                return
             try:
                 callback(message)
             except (ValueError, UavVslamError) as error:
@@ -151,6 +159,23 @@ class VehicleNode(Node):
         """Count a dropped message and log it, throttled."""
         self.counts[f"dropped/{reason}"] += 1
         self.get_logger().warning(f"dropped a message: {detail}", throttle_duration_sec=5.0)
+
+    def report_clock(self, line: TimeLine[Any], happened: str = "") -> None:
+        """Report a jump of the clock that was followed, messages off the time line, and clocks that disagree."""
+        if happened:
+            self.counts["time_jumps"] += 1
+            self.notes["time_jump"] = happened
+            self.get_logger().warning(happened)
+        if (refused := line.refused.total()) != self._refused:
+            self._refused = refused
+            self.counts |= {f"dropped/{reason}": count for reason, count in line.refused.items()}
+            self.get_logger().warning(f"dropped a message: {line.refusal}", throttle_duration_sec=5.0)
+        if not (faults := line.faults):
+            self.failures.pop("clock", None)
+            return
+        if "clock" not in self.failures:
+            self.get_logger().error("; ".join(faults.values()))
+        self.failures["clock"] = "; ".join(faults.values())
 
     def _follow_reliability(self) -> None:
         for one in self._inputs:
@@ -190,7 +215,9 @@ class VehicleNode(Node):
         dropped = sum(count for reason, count in self.counts.items() if reason.startswith("dropped/"))
         pauses = stopped(self._inputs, time.monotonic())
         level, text = DiagnosticStatus.OK, "running"
-        if self.failures:
+        if self.paused:
+            level, text = DiagnosticStatus.WARN, f"{self.paused}: messages are ignored"
+        elif self.failures:
             level, text = DiagnosticStatus.ERROR, "; ".join(self.failures.values())
         elif missing:
             level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"

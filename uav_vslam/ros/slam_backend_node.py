@@ -14,7 +14,8 @@ out  odometry                              nav_msgs/Odometry per frame, map fram
      slam/smoothed                         geometry_msgs/PoseWithCovarianceStamped per frame, map frame: the pose of
                                            backend.window frames ago as later ones have corrected it
      slam/quality                          uav_vslam_msgs/FrameQuality per frame, for evaluation without ground truth
-srv  ~/save_map                            std_srvs/Trigger: all landmarks mapped so far, into the parameter map_file
+srv  ~/reset, ~/pause                         see lifecycle.py
+     ~/save_map                            std_srvs/Trigger: all landmarks mapped so far, into the parameter map_file
      ~/load_map                            std_srvs/Trigger: the map of map_file, to start in (start.method map)
 """
 
@@ -46,6 +47,7 @@ from uav_vslam.ros.qos import LATCHED, MOTION, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
+from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.slam.state_folder import state_folder
@@ -64,7 +66,7 @@ class SlamBackendNode(VehicleNode):
         super().__init__("slam_backend")
         self._checkpoint = checkpoint_file(state_folder(), self.vehicle)
         self._saved_ns: int | None = None
-        self._stage = self._resumed() or self._fresh()
+        self._clocked = ClockedStage(self._resumed() or self._fresh(), self.config, self._next_session)
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._odometry = self.advertise(Odometry, "odometry", NEWEST)
         self._paths = self.advertise(Path, "path", STATE)
@@ -81,11 +83,30 @@ class SlamBackendNode(VehicleNode):
             self.listen(NavigationState, self.config.input.topics.initial_state, self._on_initial_state, LATCHED)
         self.listen(InsIncrement, "ins/increment", self._on_increment, MOTION)
         self.listen(StereoFeaturesMsg, "stereo_features", self._on_features, RESUMABLE)
-        offer_map_services(self, self._stage)
+        offer_map_services(self, lambda: self._stage)
+
+    @property
+    def _stage(self) -> SlamStage:
+        """The current session's."""
+        return self._clocked.stage
 
     def _fresh(self) -> SlamStage:
         session: int = self.own.session or next_session(self.vehicle)
         return SlamStage(self.config, vehicle=self.vehicle, session=session, keep_map=True)
+
+    def _next_session(self) -> int:
+        return max(next_session(self.vehicle), self._stage.session + 1)
+
+    def reset(self) -> None:
+        """Start again in a new session, at whatever stamps come next."""
+        self._clocked.reset()
+        self._begin_session()
+
+    def _begin_session(self) -> None:
+        """Forget what belongs to the session before."""
+        self._path.clear()
+        self._saved_ns = None
+        self._finds_start = self.config.start.searches and self._stage.initial is None
 
     def _resumed(self) -> SlamStage | None:
         """Return the stage of a process that died, if asked to go on from it."""
@@ -105,15 +126,20 @@ class SlamBackendNode(VehicleNode):
         self._stage.configure(config)
 
     def _on_initial_state(self, message: NavigationState) -> None:
-        self._stage.start(navigation_from_msg(message))
+        self._clocked.start(navigation_from_msg(message))
         self._work()
 
     def _on_increment(self, message: InsIncrement) -> None:
-        self._stage.add_increment(increment_from_msg(message))
-        self._work()
+        self._follow(self._clocked.add_increment(increment_from_msg(message)))
 
     def _on_features(self, message: StereoFeaturesMsg) -> None:
-        self._stage.add_features(features_from_msg(message))
+        self._follow(self._clocked.add_features(features_from_msg(message)))
+
+    def _follow(self, happened: str) -> None:
+        """Work, in a new session if the clock has begun one."""
+        if happened:
+            self._begin_session()
+        self.report_clock(self._clocked.line, happened)
         self._work()
 
     def _work(self) -> None:
@@ -122,7 +148,7 @@ class SlamBackendNode(VehicleNode):
         for output in self._stage.run():
             self._publish(output)
             self._save(output.report.pose.stamp_ns)
-        for reason, count in self._stage.dropped.items():
+        for reason, count in self._clocked.dropped.items():
             self.counts[f"dropped/{reason}"] = count
         if self._finds_start:
             self.notes["start"] = f"searching: {self._stage.missing_start}"

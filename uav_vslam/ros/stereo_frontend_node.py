@@ -68,6 +68,12 @@ class StereoFrontendNode(VehicleNode):
         if self._frontend is not None:
             self._frontend.configure(config.frontend)
 
+    def reset(self) -> None:
+        """Forget the tracks and the images that wait."""
+        self._frontend = None
+        self._waiting.clear()
+        self._alarm({})
+
     def _on_image(self, side: str, add: AddImage, message: Image | CompressedImage) -> None:
         if not self._uses(side, type(message)):
             return  # the same image once more

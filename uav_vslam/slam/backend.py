@@ -106,6 +106,11 @@ class SlamBackend:
         return self._filter.nav.stamp_ns
 
     @property
+    def nav(self) -> NavEstimate:
+        """The newest estimate."""
+        return self._nav
+
+    @property
     def landmarks(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
         """Identifiers (N,) and positions (N, 3) [m] of the landmarks in the state."""
         return self._map.ids, self._filter.landmarks

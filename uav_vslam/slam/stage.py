@@ -141,6 +141,24 @@ class SlamStage:
         """Time of the estimate [ns]; None before the first frame."""
         return self._backend.stamp_ns if self._backend is not None else None
 
+    @property
+    def nav(self) -> NavEstimate | None:
+        """The newest estimate; None before the first frame."""
+        return self._backend.nav if self._backend is not None else None
+
+    def restarted(self, session: int, initial: NavEstimate | None = None) -> "SlamStage":
+        """Return a stage that starts again, with the same settings, rig and map to start in.
+
+        Args:
+            session: its number, above this one's.
+            initial: start state; None to wait for one, or to find one.
+        """
+        stage = SlamStage(self._config, vehicle=self._vehicle, session=session, keep_map=self._archive is not None)
+        stage.rig, stage._map = self.rig, self._map
+        if initial is not None:
+            stage.start(initial)
+        return stage
+
     def resume(self) -> None:
         """Go on after a restart: landmarks since the checkpoint may be known to peers, so identifiers are skipped."""
         if self._backend is not None:

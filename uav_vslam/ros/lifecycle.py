@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lifecycle of a vehicle's node: it starts by itself, can be paused and starts again when asked to.
+
+~/reset           std_srvs/Trigger: start again, as a new process would
+~/pause           std_srvs/SetBool: true deactivates the node, false activates it
+~/change_state and the others of a managed node, for `ros2 lifecycle`: deactivate pauses, cleanup resets
+
+A node that is not active receives its messages and ignores them, counted as `paused`.
+"""
+
+from typing import Any
+
+from lifecycle_msgs.msg import State
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from std_srvs.srv import SetBool, Trigger
+
+from uav_vslam.errors import UavVslamError
+
+UNCONFIGURED, INACTIVE, FINALIZED = "not configured", "paused", "finalized"
+
+
+class PausableNode(LifecycleNode):
+    """A managed node.
+
+    Attributes:
+        paused: why messages are ignored; empty if the node is active.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        """Wait for `begin`, or to be configured; the options are those of a node."""
+        super().__init__(name, **options)
+        self.paused = UNCONFIGURED
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/pause", self._on_pause)
+
+    def reset(self) -> None:
+        """Start again, as a new process would."""
+
+    def begin(self) -> None:
+        """Configure and activate."""
+        self.trigger_configure()
+        self.trigger_activate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Wait to be activated."""
+        self.paused = INACTIVE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Use messages."""
+        self.paused = ""
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Ignore messages; nothing else is lost."""
+        self.paused = INACTIVE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the flight."""
+        self.reset()
+        self.paused = UNCONFIGURED
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Ignore messages for good; the process ends by a signal."""
+        self.paused = FINALIZED
+        return TransitionCallbackReturn.SUCCESS
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            self.reset()
+            response.success, response.message = True, "started again"
+            self.get_logger().warning("reset by ~/reset: it starts again")
+        except UavVslamError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        number, label = self._state_machine.current_state
+        wanted = State.PRIMARY_STATE_INACTIVE if request.data else State.PRIMARY_STATE_ACTIVE
+        if number not in (State.PRIMARY_STATE_INACTIVE, State.PRIMARY_STATE_ACTIVE):
+            response.success, response.message = False, f"the node is {label}; configure it first"
+            return response
+        if number != wanted:
+            (self.trigger_deactivate if request.data else self.trigger_activate)()
+        response.success, response.message = True, "paused" if request.data else "active"
+        return response
