@@ -21,6 +21,7 @@ IMU_TIME_JUMP_S = 5.0  # a working IMU is never silent for so long
 IMAGE_TIME_JUMP_S = 30.0  # recordings reduced to keyframes have gaps of many seconds
 RUN_S = 0.5  # a clock that was set shows in stamps that agree for so long,
 RUN_LENGTH = 5  # and in so many of them
+FAULT_S = 2.0  # a stream that has left the time line alone for so long is a fault: the others should have followed
 BEHIND_S = 0.5  # normal delay between streams
 MAX_HELD = 2000  # of a run: 10 s of readings at 200 Hz, while slower streams follow
 
@@ -167,7 +168,8 @@ class TimeLine(Generic[T]):
     @property
     def faults(self) -> dict[str, str]:
         """Streams whose clock has left the time line, by name, with direction and size."""
-        return {name: self._off(name) for name in self._streams if self._is_confirmed(name)}
+        left_s = FAULT_S if self._follow else RUN_S
+        return {name: self._off(name) for name in self._streams if self._is_confirmed(name, left_s)}
 
     def _is_next(self, name: str, stamp_ns: int) -> bool:
         stream, reference = self._streams[name], self._streams.get(self._reference)
@@ -203,9 +205,9 @@ class TimeLine(Generic[T]):
         self.refused[reason] += count
         self.refusal = text
 
-    def _is_confirmed(self, name: str) -> bool:
+    def _is_confirmed(self, name: str, for_s: float = RUN_S) -> bool:
         run = self._streams[name].run
-        return len(run) >= self._least and run[-1][1] - run[0][1] >= RUN_S * NS_PER_S
+        return len(run) >= self._least and run[-1][1] - run[0][1] >= for_s * NS_PER_S
 
     def _agreed(self, name: str) -> TimeJump | None:
         """Return the jump of a stream's run if every other stream has made it, too, or is there already."""

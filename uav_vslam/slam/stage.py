@@ -88,6 +88,7 @@ class SlamStage:
         self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
+        self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
         self._motion_lost = self._start_unreachable = 0
         self._archive = self._new_archive() if keep_map else None
         self._map = load_map(config.start.map) if config.start.map else None
@@ -154,7 +155,7 @@ class SlamStage:
             initial: start state; None to wait for one, or to find one.
         """
         stage = SlamStage(self._config, vehicle=self._vehicle, session=session, keep_map=self._archive is not None)
-        stage.rig, stage._map = self.rig, self._map
+        stage.rig, stage._map, stage._is_announced = self.rig, self._map, False
         if initial is not None:
             stage.start(initial)
         return stage
@@ -267,7 +268,8 @@ class SlamStage:
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
-        joint = self._joint_information(self._backend) if at_epoch else None
+        joint = self._joint_information(self._backend) if at_epoch or not self._is_announced else None
+        self._is_announced = True
         self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end

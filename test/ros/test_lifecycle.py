@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes start by themselves, pause and reset by services, and obey the lifecycle of managed nodes."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from lifecycle_msgs.msg import State, Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from node_flight import NodeFlight  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+
+from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle  # noqa: E402
+
+pytestmark = pytest.mark.ros
+FRAMES = 20
+NODES = ("ins_propagator", "slam_backend", "fusion")
+Make = Callable[..., NodeFlight]
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> SimulatedVehicle:
+    return simulate_vehicle(dataclasses.replace(SCENARIOS["kagaru"], frames=FRAMES, vehicles=1), 0)
+
+
+@pytest.fixture
+def make(vehicle: SimulatedVehicle, domain_id: int) -> Iterator[Make]:
+    """Return a factory of the nodes with parameters."""
+    made = []
+
+    def flight(*parameters: str) -> NodeFlight:
+        arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
+        rclpy.init(args=arguments, domain_id=domain_id)
+        made.append(NodeFlight(vehicle))
+        return made[-1]
+
+    yield flight
+    for each in made:
+        each.close()
+    rclpy.shutdown()
+
+
+def call(flight: NodeFlight, kind: Any, service: str, request: Any) -> Any:
+    client = flight.player.create_client(kind, f"/uav1/{service}")
+    assert flight.spin(client.service_is_ready)
+    future = client.call_async(request)
+    assert flight.spin(future.done)
+    flight.player.destroy_client(client)
+    return future.result()
+
+
+def state_of(flight: NodeFlight, node: str) -> int:
+    return int(call(flight, GetState, f"{node}/get_state", GetState.Request()).current_state.id)
+
+
+def change(flight: NodeFlight, node: str, transition: int) -> bool:
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return bool(call(flight, ChangeState, f"{node}/change_state", request).success)
+
+
+def reset_all(flight: NodeFlight) -> None:
+    for node in NODES:
+        assert call(flight, Trigger, f"{node}/reset", Trigger.Request()).success
+
+
+def status(flight: NodeFlight, node: str) -> tuple[bytes, str]:
+    """Return level and text of diagnostics that are newer than this call."""
+    flight.statuses.pop(node, None)
+    assert flight.spin(lambda: node in flight.statuses)
+    return flight.statuses[node].level, flight.statuses[node].message
+
+
+def test_nodes_start_by_themselves_and_a_paused_one_says_so_and_goes_on_as_after_a_loss(make: Make) -> None:
+    flight = make()
+    flight.start()
+    flight.fly(0, 8)
+    assert [state_of(flight, node) for node in NODES] == [State.PRIMARY_STATE_ACTIVE] * 3
+    for node in NODES:
+        answer = call(flight, SetBool, f"{node}/pause", SetBool.Request(data=True))
+        assert (answer.success, answer.message) == (True, "paused")
+    flight.fly(8, 11)
+    assert len(flight.odometry) == 8
+    assert status(flight, "slam_backend") == (DiagnosticStatus.WARN, "paused: messages are ignored")
+    assert flight.backend.counts["paused"] == 2 * 3  # camera_info and features
+    assert not any(count for key, count in flight.backend.counts.items() if key.startswith("dropped/stamp"))
+    for node in NODES:
+        assert call(flight, SetBool, f"{node}/pause", SetBool.Request(data=False)).success
+    flight.fly(11)
+    assert len(flight.odometry) == FRAMES - 3
+    assert flight.fused[-1].header.stamp == flight.odometry[-1].header.stamp
+
+
+def test_reset_begins_a_session_that_waits_for_a_start_state(make: Make) -> None:
+    flight = make("session:=1")
+    flight.start()
+    flight.fly(0, 10)
+    reset_all(flight)
+    assert flight.backend._stage.session > 1
+    assert flight.backend._stage.initial is None
+    flight.odometry.clear()
+    flight.fly(10, 14)
+    assert flight.odometry == []
+    reset_all(flight)
+    flight.start()
+    flight.fly()
+    assert len(flight.odometry) == FRAMES
+    assert len(flight.fused) >= FRAMES - 1
+
+
+def test_cleanup_forgets_the_flight_and_a_node_runs_again_once_it_is_activated(make: Make) -> None:
+    flight = make("session:=1")
+    flight.start()
+    flight.fly(0, 8)
+    for node in NODES:
+        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+            assert change(flight, node, transition)
+        assert state_of(flight, node) == State.PRIMARY_STATE_UNCONFIGURED
+        assert not call(flight, SetBool, f"{node}/pause", SetBool.Request(data=False)).success
+    assert flight.backend._stage.initial is None
+    for node in NODES:
+        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            assert change(flight, node, transition)
+    flight.odometry.clear()
+    flight.start()
+    flight.fly()
+    assert len(flight.odometry) == FRAMES
+
+
+def test_without_autostart_a_node_waits_to_be_configured_and_activated(make: Make) -> None:
+    flight = make("autostart:=false")
+    flight.start()
+    flight.fly(0, 4)
+    assert flight.odometry == []
+    assert status(flight, "ins_propagator")[1] == "not configured: messages are ignored"
+    for node in NODES:
+        assert state_of(flight, node) == State.PRIMARY_STATE_UNCONFIGURED
+        assert change(flight, node, Transition.TRANSITION_CONFIGURE)
+        assert change(flight, node, Transition.TRANSITION_ACTIVATE)
+    flight.start()
+    flight.fly()
+    assert len(flight.odometry) == FRAMES
+
+
+def test_a_node_that_is_shut_down_ignores_messages_for_good(make: Make) -> None:
+    flight = make()
+    assert change(flight, "fusion", Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert status(flight, "fusion") == (DiagnosticStatus.WARN, "finalized: messages are ignored")
