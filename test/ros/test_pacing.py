@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lock-step loses no frame and never deadlocks; tested against graphs that only answer."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -265,6 +266,40 @@ def test_real_time_publishes_at_the_clock_s_rate(rate: float) -> None:
     assert min(late) >= 0
     assert max(late) < 0.0011
     assert answers.frames == {"uav1": 3}
+
+
+def shifted(recorded: list[Recorded], after_ms: int, jump_ms: int) -> list[Recorded]:
+    return [replace(m, stamp_ns=m.stamp_ns + jump_ms * MS) if m.stamp_ns > after_ms * MS else m for m in recorded]
+
+
+@pytest.mark.parametrize("jump_ms", [-60_000, -10_000, 10_000, 60_000])
+def test_a_graph_that_holds_messages_until_a_jump_is_confirmed_does_not_stop_the_replay(jump_ms: int) -> None:
+    """It answers nothing of the run that confirms the jump, and all later frames."""
+    recorded = flight("uav1", frames=range(100_000, 104_000, 100), imu=range(100_000, 104_100, 5))
+    graph = Graph(shifted(recorded, 102_000, jump_ms))
+    graph.advance()
+    answered = []
+    while not graph.ended:
+        ((vehicle, stamp_ns),) = graph.answers.open()
+        answered.append(stamp_ns // MS)
+        graph.answer(vehicle, stamp_ns // MS)
+    assert sorted(m.stamp_ns for m in graph.published) == sorted(
+        m.stamp_ns for m in shifted(recorded, 102_000, jump_ms)
+    )
+    lost = set(graph.frames("uav1")) - set(answered)
+    assert len(lost) <= 7  # the frame before the jump, and the run
+    assert all(stamp > 100_000 + min(jump_ms, 0) and stamp < 103_000 + max(jump_ms, 0) for stamp in lost)
+
+
+@pytest.mark.parametrize("jump_ms", [-10_000, 60_000])
+def test_in_real_time_a_jump_causes_neither_a_burst_nor_a_pause(jump_ms: int) -> None:
+    now = [0.0]
+    recorded = flight("uav1", frames=range(100_000, 104_000, 100), imu=range(100_000, 104_000, 10))
+    answers = Answers(["uav1"], {"uav1": 0}, TOPICS)
+    order = RealTime(answers, 1.0, clock=lambda: now[0]).order(shifted(recorded, 102_000, jump_ms))
+    at_s = [now[0] for _ in stepping(order, now)]
+    assert max(b - a for a, b in itertools.pairwise(at_s)) < 0.02
+    assert at_s[-1] == pytest.approx(3.98, abs=0.05)
 
 
 def stepping(order: Iterator[Recorded | None], now: list[float]) -> Iterator[Recorded]:

@@ -272,3 +272,17 @@ def test_the_quality_of_a_frame_is_that_of_its_report(flown) -> None:
 def test_a_saved_map_names_the_frame_that_the_setting_names(keep_map: bool, frame: str, expected: str) -> None:
     config = VehicleConfig(frames=OutputFramesConfig(map=frame))
     assert SlamStage(config, vehicle="uav1", keep_map=keep_map).saved_map().origin.frame == expected
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+def test_a_rig_is_not_blamed_for_an_unknown_motion(flown, unknown: bool) -> None:
+    flight = flown(1, frames=60)
+    right = flight.vehicle.rig.T_body_right
+    turned = Pose(right.R @ so3_exp([np.deg2rad(0.3), 0.0, 0.0]), right.t)
+    stage = make(flight, rig=False)
+    stage.rig = dataclasses.replace(flight.vehicle.rig, T_body_right=turned)
+    stage.start(flight.vehicle.initial)
+    stage._start_monitor.stop(0)  # as for a start that was accepted
+    frames = [*flight.frames[:1], *flight.frames[7 if unknown else 1 :]]
+    told = [text for output in feed(stage, frames) for text in output.warnings]
+    assert any("contradicts the calibration" in text for text in told) == (not unknown)

@@ -124,6 +124,9 @@ class FusionNode(VehicleNode):
         self._session = max(joint.session, self._session or 0)
         if self._previous_ns is not None and joint.stamp_ns <= self._previous_ns:
             raise InvalidMessage("joint_late", f"joint information of {joint.stamp_ns} ns, after its odometry")
+        if joint.stamp_ns in self._joints:  # a restarted back end repeats it under the identifiers that it goes on with
+            self._joints[joint.stamp_ns] = joint
+            return
         self._feed(JOINT, joint.stamp_ns, joint)
         if len(self._joints) > MAX_JOINTS:
             last_ns = max(self._joints)  # a wrong stamp must not keep out the ones that are due

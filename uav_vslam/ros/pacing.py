@@ -6,21 +6,25 @@ Lock-step allows each vehicle one unanswered frame, so that the vehicles compute
 of another's unanswered frame by `OVERLAP_NS` or more, so that the packets available at an epoch do not depend on the
 machine's speed. IMU samples continue while an unanswered frame needs them.
 Start states come from `starts_ns`, which may grow: while a vehicle's is unknown, its front end's answer suffices.
+Messages whose stamps leave the time line are not waited for: the graph holds them until the jump is confirmed.
 """
 
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
 from uav_vslam.datasets.stereo_sync import PairTolerance
+from uav_vslam.ins.sensor_clock import IMAGES, IMU, sensor_time_line
+from uav_vslam.stamps import TimeLine
 from uav_vslam.types import NS_PER_S
 
 OVERLAP_NS = NS_PER_S // 10
 EARLY_ANSWER = "stereo_features"
 IMU_AHEAD = 250  # unanswered IMU samples: half of the subscription's queue
+STEP_AHEAD_NS, STEP_BACK_NS = 10 * NS_PER_S, 2 * NS_PER_S  # real time: farther from one message to the next is a jump
 IMU_GAP_NS = 3 * NS_PER_S  # limit of the look-ahead for an IMU sample, during which images are buffered
 
 
@@ -86,7 +90,11 @@ class Answers:
         topics: Iterable[str],
         shapes: Mapping[str, FrameShape] | None = None,
     ) -> None:
-        """Await answers on `topics` to each frame from its vehicle's start on; the back end drops earlier ones."""
+        """Await answers on `topics` to each frame from its vehicle's start on; the back end drops earlier ones.
+
+        `is_admitted` tells of a vehicle's frame whether its stamp is on the time line.
+        """
+        self.is_admitted: Callable[[str, int], bool] = lambda vehicle, stamp_ns: True
         names, self._topics = tuple(vehicles), tuple(topics)
         self._shapes = {name: FrameShape() for name in names} | dict(shapes or {})
         self._tolerances = {name: PairTolerance(shape.tolerance_ns) for name, shape in self._shapes.items()}
@@ -97,7 +105,10 @@ class Answers:
         self.frames = dict.fromkeys(names, 0)
 
     def published(self, message: Recorded) -> None:
-        """Register a part of a frame; with its last part the frame awaits answers."""
+        """Register a part of a frame; with its last part the frame awaits answers.
+
+        A frame off the time line is only counted; see `Lines`.
+        """
         if message.kind is Kind.LEFT:
             self._tolerances[message.vehicle].add_left(message.stamp_ns)
         if self.begins_frame(message):
@@ -132,6 +143,11 @@ class Answers:
         """Stop waiting for the answers to a frame."""
         del self._open[vehicle][stamp_ns]
 
+    def forget(self, vehicle: str) -> None:
+        """Stop waiting for a vehicle, whose clock has been set."""
+        self._open[vehicle].clear()
+        self._newest_ns[vehicle] = -1
+
     def missing(self) -> list[tuple[str, int]]:
         """Return (topic, stamp) of every missing answer."""
         return [
@@ -144,6 +160,8 @@ class Answers:
         self.frames[vehicle] += 1
         start_ns = self._starts_ns.get(vehicle)
         topics = {EARLY_ANSWER} if start_ns is None else set(self._topics)
+        if not self.is_admitted(vehicle, stamp_ns):
+            return
         if not self._topics or stamp_ns <= self._newest_ns[vehicle] or stamp_ns < (start_ns or 0):
             return
         self._newest_ns[vehicle] = stamp_ns
@@ -172,6 +190,11 @@ class Readings:
         while waiting and waiting[0] <= stamp_ns:
             waiting.popleft()
 
+    def forget(self, vehicle: str, newest_ns: int) -> None:
+        """Go on at the newest sample of a clock that has been set."""
+        self._unanswered[vehicle].clear()
+        self._newest_ns[vehicle] = newest_ns
+
     def has_capacity(self, vehicle: str) -> bool:
         """Return whether the INS's queue can take another sample."""
         return self._ahead is None or len(self._unanswered[vehicle]) < self._ahead
@@ -199,6 +222,16 @@ class LockStep:
         """Pace by `answers` to frames and by the capacity of the INS's queue of `readings`."""
         self._answers, self._readings = answers, readings
         self._held: deque[Recorded] = deque()
+        self._lines: dict[str, TimeLine[int]] = defaultdict(lambda: sensor_time_line("bridge"))
+        answers.is_admitted = lambda vehicle, stamp_ns: self._admits(vehicle, IMAGES, stamp_ns)
+
+    def _admits(self, vehicle: str, name: str, stamp_ns: int) -> bool:
+        """Return whether a stamp is on its vehicle's time line; when that jumps, begin again."""
+        admitted = self._lines[vehicle].add(name, stamp_ns, stamp_ns)
+        if admitted.jump is not None:
+            self._answers.forget(vehicle)
+            self._readings.forget(vehicle, max(stamp for stream, stamp in admitted.items if stream == IMU))
+        return len(admitted.items) == 1
 
     def order(self, recorded: Iterable[Recorded]) -> Iterator[Recorded | None]:
         """Yield what may be published now, or None to wait for an answer; end when nothing is left."""
@@ -257,8 +290,14 @@ class LockStep:
     def _register(self, message: Recorded) -> None:
         if message.kind in FRAME_PARTS:
             self._answers.published(message)
-        elif message.kind is Kind.IMU:
+        elif message.kind is not Kind.IMU:
+            return
+        elif self._admits(message.vehicle, IMU, message.stamp_ns):
             self._readings.published(message)
+        else:  # the sample that completes an interval may be of another clock
+            for vehicle, stamp_ns in self._starved():
+                if vehicle == message.vehicle:
+                    self._answers.discard(vehicle, stamp_ns)
 
 
 class RealTime:
@@ -270,9 +309,11 @@ class RealTime:
 
     def order(self, recorded: Iterable[Recorded]) -> Iterator[Recorded | None]:
         """Yield each message when it is due, and None until then."""
-        begin_s, first_ns = self._clock(), None
+        begin_s, first_ns, newest_ns = self._clock(), None, 0
         for message in recorded:
-            first_ns = message.stamp_ns if first_ns is None else first_ns
+            if first_ns is None or not -STEP_BACK_NS <= message.stamp_ns - newest_ns <= STEP_AHEAD_NS:
+                begin_s, first_ns = self._clock(), message.stamp_ns  # the clock was set: neither a burst nor a pause
+            newest_ns = message.stamp_ns
             due_s = begin_s + (message.stamp_ns - first_ns) / NS_PER_S / self._rate
             while self._clock() < due_s:
                 yield None

@@ -25,6 +25,8 @@ from uav_vslam.slam.saved_map.archive import MapArchive
 from uav_vslam.slam.start_monitor import StartMonitor
 from uav_vslam.types import NS_PER_S, FrameQuality, ImuIncrement, JointInformation, NavEstimate, StereoFeatures
 
+UNKNOWN_ROTATION_RAD = 0.25  # 1 sigma about an axis: half a second without readings
+
 
 @dataclass(frozen=True, slots=True)
 class FrameOutput:
@@ -89,6 +91,7 @@ class SlamStage:
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
+        self._was_motion_unknown = False
         self._motion_lost = self._start_unreachable = 0
         self._archive = self._new_archive() if keep_map else None
         self._map = load_map(config.start.map) if config.start.map else None
@@ -265,6 +268,7 @@ class SlamStage:
             self._dead_reckoning.add(increment)
             self._motion_lost += increment.start_ns != self._backend.stamp_ns
             increment = bridged(increment, self._backend.stamp_ns, self._config.imu)
+            self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
@@ -293,6 +297,7 @@ class SlamStage:
             self._start_monitor.stop(report.pose.stamp_ns)
             return (f"the filter was re-initialised: {report.recovery}",)
         found = [self._start_monitor.add(report, dead_reckoned)]
-        if self._start_monitor.trusts(report.pose.stamp_ns):  # a wrong start would contradict a correct rig
+        # A wrong start would contradict a correct rig, and so does what follows an unknown motion.
+        if self._start_monitor.trusts(report.pose.stamp_ns) and not self._was_motion_unknown:
             found.append(self._rig_monitor.add(report))
         return tuple(text for text in found if text)
