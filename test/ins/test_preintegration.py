@@ -2,7 +2,9 @@
 """Increments against GTSAM and the true motion; their derivatives and covariance against perturbed readings."""
 
 import dataclasses
+import functools
 import itertools
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -368,3 +370,16 @@ def test_readings_are_buffered_for_minutes_and_dropped_ones_are_a_gap() -> None:
     assert not has_gap(kept, kept[0].stamp_ns, end_ns)
     increment = preintegrate(kept, 0, end_ns, gyro_bias=np.zeros(3), accel_bias=np.zeros(3), imu=IMU)
     assert np.sqrt(increment.covariance[2, 2]) > np.pi / np.sqrt(3.0)  # nothing is known of the heading
+
+
+def test_the_parts_of_a_gap_are_as_uncertain_together_as_the_whole() -> None:
+    """An unknown rate or acceleration lasts for the whole gap; as independent parts it would be averaged away."""
+    stamps_ns = [*range(0, NS_PER_S, 5_000_000), *range(int(1.9e9), int(3e9), 5_000_000)]
+    samples = [ImuSample(stamp_ns, np.zeros(3), np.array([0.0, 0.0, IMU.gravity])) for stamp_ns in stamps_ns]
+    integrate = partial(preintegrate, samples, gyro_bias=np.zeros(3), accel_bias=np.zeros(3), imu=IMU)
+    whole = integrate(int(0.995e9), int(1.9e9))
+    ends_ns = np.linspace(0.995e9, 1.9e9, 8).astype(int).tolist()
+    parts = functools.reduce(compose, (integrate(a, b) for a, b in itertools.pairwise(ends_ns)))
+    assert np.sqrt(whole.covariance[2, 2]) == pytest.approx(0.5 * 0.905, rel=0.01)
+    rows = [0, 1, 2, 5]  # rotation and vertical velocity; tilt adds gravity to the others
+    np.testing.assert_allclose(parts.covariance.diagonal()[rows], whole.covariance.diagonal()[rows], rtol=0.02)

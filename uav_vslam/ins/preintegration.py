@@ -83,7 +83,9 @@ def preintegrate(
     G[:, 3:6, 3:6] = R_mid_dt
     G[:, 6:9, 3:6] = R_mid_dt * (left + 0.5 * dt)[:, None, None]
     variance = np.repeat([imu.gyro_noise**2, imu.accel_noise**2], 3)[None, :] / dt[:, None]
-    variance[_in_gap(samples, start_ns, stamp_ns)] += np.repeat([UNKNOWN_RATE_SIGMA**2, UNKNOWN_ACCEL_SIGMA**2], 3)
+    # Unknown is one constant per gap: its parts in several increments are given the variance that adds up to the same.
+    share = _gap_s(samples, start_ns, stamp_ns) / dt
+    variance += share[:, None] * np.repeat([UNKNOWN_RATE_SIGMA**2, UNKNOWN_ACCEL_SIGMA**2], 3)
     covariance = np.einsum("jab,jb,jcb->ac", G, variance, G)
     return ImuIncrement(
         start_ns=start_ns,
@@ -180,11 +182,11 @@ def _readings_within(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> 
 
 def has_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> bool:
     """Return whether an interval has a gap in the readings; arguments as for `preintegrate`."""
-    return not samples or bool(_in_gap(samples, start_ns, stamp_ns).any())
+    return not samples or bool(_gap_s(samples, start_ns, stamp_ns).any())
 
 
-def _in_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> NDArray[np.bool_]:
-    """Return for each of the K-1 intervals of `_readings_within` whether it is in a gap.
+def _gap_s(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> Array:
+    """Return for each of the K-1 intervals of `_readings_within` the length of the gap that it is in [s]; 0 for none.
 
     Gaps are between actual readings, inside the interval or not: an image within a gap does not shorten it.
     """
@@ -192,7 +194,8 @@ def _in_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> NDArray[n
     before, after = stamps[stamps <= start_ns][-1:], stamps[stamps >= stamp_ns][:1]
     inside = stamps[(stamps > start_ns) & (stamps < stamp_ns)]
     ends = (before if len(before) else [start_ns], after if len(after) else [stamp_ns])
-    return np.diff(np.concatenate([ends[0], inside, ends[1]])) > MAX_GAP_S * NS_PER_S
+    apart_s = np.diff(np.concatenate([ends[0], inside, ends[1]])) / NS_PER_S
+    return np.where(apart_s > MAX_GAP_S, apart_s, 0.0)
 
 
 def _leap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> tuple[int, int] | None:

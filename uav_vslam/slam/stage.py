@@ -12,7 +12,7 @@ from typing import Any
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import MapError
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import bridged
+from uav_vslam.ins.preintegration import LEAP_S, bridged
 from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
@@ -25,6 +25,7 @@ from uav_vslam.slam.saved_map.archive import MapArchive
 from uav_vslam.slam.start_monitor import StartMonitor
 from uav_vslam.types import NS_PER_S, FrameQuality, ImuIncrement, JointInformation, NavEstimate, StereoFeatures
 
+COAST_BEYOND_RAD = 0.15  # 1 sigma of an increment's rotation about an axis: 0.3 s without readings
 UNKNOWN_ROTATION_RAD = 0.25  # 1 sigma about an axis: half a second without readings
 
 
@@ -269,6 +270,8 @@ class SlamStage:
             self._motion_lost += increment.start_ns != self._backend.stamp_ns
             increment = bridged(increment, self._backend.stamp_ns, self._config.imu)
             self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
+            if self._is_coasting(increment):
+                features = StereoFeatures.empty(features.stamp_ns)
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
@@ -278,6 +281,13 @@ class SlamStage:
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
         return FrameOutput(report, dead_reckoned, joint, increment, self._warnings(report, dead_reckoned))
+
+    def _is_coasting(self, increment: ImuIncrement) -> bool:
+        """Return whether the IMU is silent for so long that the frame's images can't be used either.
+
+        Without a rotation to linearise at, updates of frame after frame claim more than they know.
+        """
+        return bool(increment.covariance[0, 0] > COAST_BEYOND_RAD**2) and increment.dt_s < LEAP_S
 
     def _joint_information(self, backend: SlamBackend) -> JointInformation:
         joint, start_map = backend.joint_information(), self._start_map

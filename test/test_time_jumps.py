@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole flights without ROS over jumps of the clock and silences: never over-confident, and the fault is named."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import InputConfig, VehicleConfig
+from uav_vslam.errors import BagError
+from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
+from uav_vslam.simulation.landmarks import scatter_landmarks
+from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet
+from uav_vslam.simulation.source import SimulatedSource
+from uav_vslam.types import NS_PER_S, ImuSample, StereoFeatures
+
+Event = ImuSample | StereoFeatures
+AFTER_S, FRAMES = 4.0, 70  # when it happens, of 9.8 s
+SEEDS = (1, 2, 3)
+
+
+@functools.cache
+def recorded(seed: int) -> tuple[SimulatedVehicle, tuple[Event, ...], int]:
+    """Return a vehicle, its sensor data in stamp order, and the stamp at which it happens [ns]."""
+    (vehicle,) = simulate_fleet(dataclasses.replace(SCENARIOS["kagaru"], frames=FRAMES, vehicles=1, seed=seed))
+    events = tuple(SimulatedSource(vehicle, scatter_landmarks([vehicle])).iter_events())
+    return vehicle, events, events[0].stamp_ns + round(AFTER_S * NS_PER_S)
+
+
+def moved(event: Event, offset_s: float) -> Event:
+    return dataclasses.replace(event, stamp_ns=event.stamp_ns + round(offset_s * NS_PER_S))
+
+
+def fly(vehicle: SimulatedVehicle, events: Sequence[Event], policy: str = "bridge") -> VehicleTrack:
+    config = VehicleConfig(imu=vehicle.scenario.imu_config, input=InputConfig(on_time_jump=policy))
+    pipeline = VehiclePipeline(vehicle.initial, rig=vehicle.rig, config=config, vehicle="uav1")
+    for _ in pipeline.run(events):
+        pass
+    return pipeline.track
+
+
+def nees(vehicle: SimulatedVehicle, track: VehicleTrack, *, after_ns: int, offset_s: float = 0.0) -> list[float]:
+    """Return the position NEES per axis of each frame; stamps after one are off by an offset."""
+    found = []
+    for pose in (output.report.pose for output in track.outputs):
+        true_ns = pose.stamp_ns - round(offset_s * NS_PER_S) if pose.stamp_ns > after_ns else pose.stamp_ns
+        error = pose.T_map_body.t - vehicle.true_state(true_ns).T_map_body.t
+        found.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
+    return found
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("leap_s", [3.0, 10.0])
+def test_a_clock_that_was_set_ahead_costs_no_frame_and_no_consistency(seed: int, leap_s: float) -> None:
+    vehicle, events, at_ns = recorded(seed)
+    track = fly(vehicle, [moved(e, leap_s) if e.stamp_ns > at_ns else e for e in events])
+    assert len(track.outputs) == FRAMES
+    assert max(nees(vehicle, track, after_ns=at_ns, offset_s=leap_s)) <= 3.0
+    assert any("the clock of IMU and image jumped by +10.1 s" in text for text in track.warnings) == (leap_s > 5.0)
+    assert not any("calibration" in text for text in track.warnings)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("silent", [(ImuSample,), (ImuSample, StereoFeatures)])
+def test_a_silence_of_three_seconds_is_an_unknown_motion(seed: int, silent: tuple[type, ...]) -> None:
+    """On average: the first updates after it, at an attitude that is off by a radian, may claim too much."""
+    vehicle, events, at_ns = recorded(seed)
+    gap = range(at_ns, at_ns + 3 * NS_PER_S)
+    track = fly(vehicle, [e for e in events if not (isinstance(e, silent) and e.stamp_ns in gap)])
+    before = sum(output.report.pose.stamp_ns <= at_ns for output in track.outputs)
+    assert np.mean(nees(vehicle, track, after_ns=at_ns)[before:]) <= 3.0
+    assert not any("calibration" in text for text in track.warnings)
+
+
+@pytest.mark.parametrize("kind", [ImuSample, StereoFeatures])
+@pytest.mark.parametrize("offset_s", [-10.0, 10.0])
+def test_the_clock_of_one_sensor_alone_is_refused_while_it_is_wrong(kind: type, offset_s: float) -> None:
+    vehicle, events, at_ns = recorded(1)
+    wrong = range(at_ns, at_ns + 2 * NS_PER_S)
+    changed = [moved(e, offset_s) if isinstance(e, kind) and e.stamp_ns in wrong else e for e in events]
+    track = fly(vehicle, changed)
+    assert track.dropped["stamp_jump"] == sum(a is not b for a, b in zip(changed, events, strict=True))
+    assert np.mean(nees(vehicle, track, after_ns=at_ns)) <= 3.0
+    assert track.outputs[-1].report.pose.stamp_ns == vehicle.frame_stamps_ns[-1]
+
+
+@pytest.mark.parametrize(("policy", "jump_s"), [("bridge", -10.0), ("bridge", 60.0), ("reset", 10.0)])
+def test_a_recording_of_another_flight_ends_with_the_reason(policy: str, jump_s: float) -> None:
+    vehicle, events, at_ns = recorded(1)
+    with pytest.raises(BagError, match=r"the clock of IMU and image jumped by .* another flight"):
+        fly(vehicle, [moved(e, jump_s) if e.stamp_ns > at_ns else e for e in events], policy)
+
+
+def test_refused_stamps_are_counted_and_the_flight_goes_on() -> None:
+    vehicle, events, at_ns = recorded(1)
+    wrong = range(at_ns, at_ns + 2 * NS_PER_S)
+    track = fly(vehicle, [moved(e, -10.0) if e.stamp_ns in wrong else e for e in events], "refuse")
+    assert track.dropped["stamp_jump"] == sum(e.stamp_ns in wrong for e in events)
+    assert len(track.outputs) == FRAMES - sum(stamp_ns in wrong for stamp_ns in vehicle.frame_stamps_ns.tolist())
