@@ -26,9 +26,12 @@ OPTIONAL_PUBLICATIONS = {"/uav1/initial_state"}  # with start.method static or i
 ON_DEMAND = {"/clock"}  # with use_sim_time
 
 
-def allowed(node: str, what: str) -> set[str]:
+PARAMETERS = ("parameter", "get_type_description")  # in names of services of every node, likewise included
+
+
+def allowed(node: str, what: str, kind: str = "topic") -> set[str]:
     text = TEMPLATE.read_text(encoding="utf-8").replace("@VEHICLE@", "uav1").replace("@PEER@", "uav2")
-    found = ET.fromstring(text).findall(f".//profile[@node='{node}']/topics[@{what}='ALLOW']/topic")
+    found = ET.fromstring(text).findall(f".//profile[@node='{node}']/{kind}s[@{what}='ALLOW']/{kind}")
     return {t.text if str(t.text).startswith("/") else f"/uav1/{t.text}" for t in found}
 
 
@@ -40,11 +43,13 @@ def test_a_node_is_allowed_just_what_it_does(name: str, domain_id: int) -> None:
     try:
         published = {p.topic_name for p in node.publishers} - OF_EVERY_NODE
         subscribed = {s.topic_name for s in node.subscriptions} - OF_EVERY_NODE
+        served = {node.resolve_service_name(s.srv_name) for s in node.services}
     finally:
         node.destroy_node()
         rclpy.shutdown()
     assert published <= allowed(name, "publish")
-    assert allowed(name, "publish") - published <= OPTIONAL_PUBLICATIONS
+    assert allowed(name, "publish") - published <= OPTIONAL_PUBLICATIONS | {f"/uav1/{name}/transition_event"}
+    assert {s for s in served if not any(word in s for word in PARAMETERS)} == allowed(name, "reply", "service")
     assert subscribed - ON_DEMAND <= allowed(name, "subscribe")
     compressed = {t for t in allowed(name, "subscribe") if t.endswith("/compressed")}
     assert allowed(name, "subscribe") - subscribed <= ON_DEMAND | compressed
