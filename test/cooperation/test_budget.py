@@ -83,3 +83,11 @@ def test_over_any_time_no_more_than_rate_times_time_and_burst_is_granted(
         for end_ns, size in granted[first:]:
             total += size
             assert total * NS_PER_S <= rate * (end_ns - begin_ns) + burst * NS_PER_S
+
+
+def test_a_clock_that_was_set_back_refills_nothing_at_once_and_then_as_before() -> None:
+    budget = ByteBudget(100, 200)
+    assert budget.spend(100 * NS_PER_S, 200)
+    budget.restart_clock()
+    assert budget.available(50 * NS_PER_S) == 0
+    assert budget.available(51 * NS_PER_S) == 100

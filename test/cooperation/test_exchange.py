@@ -136,3 +136,16 @@ def test_a_vehicle_that_receives_a_peer_leaves_no_epoch_to_discovery(
             vehicle.epoch(make_joint([[1.0, 2.0, 0.0]], np.eye(9), stamp_ns=second * NS_PER_S))
         sent[received] = len(vehicle.listeners["uav2"].received)
     assert sent[True] == 15 > sent[False]
+
+
+def test_after_a_restart_of_the_clock_packets_are_sent_within_the_same_budget(
+    make_joint: Callable[..., JointInformation],
+) -> None:
+    vehicle = Exchanging(FusionConfig())
+    for begin in (100, 50):
+        for second in range(begin, begin + 3):
+            vehicle.epoch(make_joint([[1.0, 2.0, 0.0]], np.eye(9), session=200 - begin, stamp_ns=second * NS_PER_S))
+        vehicle.fusion.restart()
+        vehicle.exchange.restart()
+    assert len(vehicle.listeners["uav2"].received) == 6
+    assert vehicle.exchange.outbox.sent_bytes_per_s == pytest.approx(vehicle.exchange.outbox.bytes_sent / 5.0)
