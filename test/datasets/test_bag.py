@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.datasets.bag import open_flight, vehicles
+from uav_vslam.datasets.bag import _in_stamp_order, open_flight, vehicles
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.messages import camera_info_message, image_message, stamp_ns_of, transforms_message
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw
@@ -267,3 +267,10 @@ def test_a_truncated_bag_opens_and_replays_up_to_the_damage(tiny_bag: Path, tmp_
     whole = list(open_flight(tiny_bag, "uav1").iter_events())
     assert [e.stamp_ns for e in events] == [e.stamp_ns for e in whole[: len(events)]]
     assert len(events) > 0.5 * len(whole)
+
+
+def test_late_events_are_sorted_and_a_clock_that_was_set_back_keeps_the_recorded_order() -> None:
+    stamps_ms = [0, 200, 100, 400, 300, 10_000, 10_200, 10_100, 500, 700, 600]
+    events = [ImuSample(stamp_ms * 1_000_000, np.zeros(3), np.zeros(3)) for stamp_ms in stamps_ms]
+    ordered = [event.stamp_ns // 1_000_000 for event in _in_stamp_order(iter(events))]
+    assert ordered == [0, 100, 200, 300, 400, 10_000, 10_100, 10_200, 500, 600, 700]

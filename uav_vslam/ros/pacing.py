@@ -107,7 +107,7 @@ class Answers:
     def published(self, message: Recorded) -> None:
         """Register a part of a frame; with its last part the frame awaits answers.
 
-        A frame off the time line is only counted; see `Lines`.
+        A frame off the time line is only counted; see `is_admitted`.
         """
         if message.kind is Kind.LEFT:
             self._tolerances[message.vehicle].add_left(message.stamp_ns)
@@ -230,7 +230,8 @@ class LockStep:
         admitted = self._lines[vehicle].add(name, stamp_ns, stamp_ns)
         if admitted.jump is not None:
             self._answers.forget(vehicle)
-            self._readings.forget(vehicle, max(stamp for stream, stamp in admitted.items if stream == IMU))
+            readings = [newest_ns for stream, newest_ns in admitted.items if stream == IMU]
+            self._readings.forget(vehicle, readings[-1] if readings else -1)
         return len(admitted.items) == 1
 
     def order(self, recorded: Iterable[Recorded]) -> Iterator[Recorded | None]:
