@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well neighbouring views agree where they meet: the shift and the step of brightness across seams.
 
-At places along each seam, both views are drawn onto the surface and corrected as in the mosaic; phase correlation gives
-their shift. No truth is needed.
+At places along each seam, both views are drawn onto the surface, corrected as in the mosaic, and compared. No truth is
+needed.
 """
 
 from collections.abc import Iterable
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from uav_vslam.mapping.orthomosaic.mosaic import Orthomosaic
 from uav_vslam.mapping.orthomosaic.rectification import Rectified, rectify
 from uav_vslam.mapping.view import View
+from uav_vslam.vision.patch_shift import patch_shift
 
 Array = NDArray[np.float64]
 Real = NDArray[np.float32]
@@ -22,7 +23,6 @@ Real = NDArray[np.float32]
 PATCH_PX = 64
 PLACES = 5  # at most, along each seam
 LEAST_LENGTH_PX = 40  # of a seam
-LEAST_RESPONSE = 0.15  # of phase correlation
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,14 +113,13 @@ def _patch(image: Real, drawn: Rectified, place: _Place) -> Real | None:
 
 
 def _compared(places: list[_Place], patches: dict[tuple[_Place, int], Real], m_per_px: float) -> Seams:
-    window = cv2.createHanningWindow((PATCH_PX, PATCH_PX), cv2.CV_32F)
     points, shifts, steps = [], [], []
     for place in places:
         a, b = (patches.get((place, number)) for number in place.views)
         if a is None or b is None:
             continue
-        shift, response = cv2.phaseCorrelate(a.copy(), b.copy(), window)  # it changes what it is given
-        if response < LEAST_RESPONSE:
+        shift = patch_shift(a, b)
+        if shift is None:
             continue
         points.append(((place.column + 0.5) * m_per_px, (place.row + 0.5) * m_per_px))
         shifts.append(shift)

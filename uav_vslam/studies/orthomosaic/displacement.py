@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a picture of the ground shows what is elsewhere: patches of it against the true picture.
 
-A patch's displacement is found by phase correlation; the truth is drawn again where the patch seems to belong, until
-the rest is less than a tenth of a pixel. Each patch begins with the displacement of its nearest neighbour, so that
+A patch's displacement is found against the truth, which is drawn again where the patch seems to belong, until the rest
+is less than a tenth of a pixel. Each patch begins with the displacement of its nearest neighbour, so that
 errors much larger than a patch are followed as long as they grow slowly.
 """
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.alignment import align_yaw
 from uav_vslam.mapping.raster import Raster
+from uav_vslam.vision.patch_shift import patch_shift
 
 Array = NDArray[np.float64]
 TruePicture = Callable[[Array, Array], NDArray[np.floating]]  # x, y [m] to grey levels
@@ -23,7 +24,6 @@ PATCH_PX = 96
 SPACING_PX = 96
 SUBSAMPLES = 3  # of the truth, along each side of a pixel
 ROUNDS = 8
-LEAST_RESPONSE = 0.25
 SETTLED_PX = 0.1
 
 
@@ -103,14 +103,15 @@ def _displacement(
     patch: NDArray[np.float32], window: Raster, truth: TruePicture, guess: Array
 ) -> tuple[Array, float] | None:
     """Return the patch's error [m] and brightness over the truth's; None where it is not found."""
-    hanning = cv2.createHanningWindow((PATCH_PX, PATCH_PX), cv2.CV_32F)
     error = np.asarray(guess, float).copy()
     for _ in range(ROUNDS):
         true = _drawn(truth, window, error)
-        shift, response = cv2.phaseCorrelate(true.copy(), patch.copy(), hanning)  # it changes what it is given
-        error = error + np.array(shift) * window.cell_m
+        shift = patch_shift(true, patch)
+        if shift is None:
+            return None
+        error = error + shift * window.cell_m
         if np.hypot(*shift) < SETTLED_PX:
-            return (error, float(patch.mean() / max(true.mean(), 1.0))) if response > LEAST_RESPONSE else None
+            return error, float(patch.mean() / max(true.mean(), 1.0))
     return None
 
 
