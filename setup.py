@@ -35,14 +35,14 @@ setup(
     entry_points={
         "console_scripts": [
             "uav-vslam = uav_vslam.cli.main:main",
-            "replay = uav_vslam.ros.replay_node:main",
-            "stereo_frontend = uav_vslam.ros.stereo_frontend_node:main",
-            "ins_propagator = uav_vslam.ros.ins_propagator_node:main",
-            "slam_backend = uav_vslam.ros.slam_backend_node:main",
-            "fusion = uav_vslam.ros.fusion_node:main",
-            "mapper = uav_vslam.ros.mapper_node:main",
-            "link_emulator = uav_vslam.ros.link_emulator_node:main",
-            "recorder = uav_vslam.ros.recorder_node:main",
+            "replay = uav_vslam.ros.start:main",
+            "stereo_frontend = uav_vslam.ros.start:main",
+            "ins_propagator = uav_vslam.ros.start:main",
+            "slam_backend = uav_vslam.ros.start:main",
+            "fusion = uav_vslam.ros.start:main",
+            "mapper = uav_vslam.ros.start:main",
+            "link_emulator = uav_vslam.ros.start:main",
+            "recorder = uav_vslam.ros.start:main",
         ],
     },
 )

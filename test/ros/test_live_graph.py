@@ -19,6 +19,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa:
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
+from uav_vslam.ros.fleet_commands import VEHICLE_NODES  # noqa: E402
 from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -58,6 +59,20 @@ def graph(
     arguments = ["--link", "clean", "--log-dir", str(tmp_path_factory.mktemp("log"))]
     with launched(str(ROOT / "config" / "fleet_demo.yaml"), *arguments) as started:
         yield started
+
+
+@pytest.mark.slow
+def test_a_healthy_start_is_ok_and_nothing_on_diagnostics_serves_the_replay(graph: Any) -> None:
+    said: dict[str, DiagnosticStatus] = {}
+
+    def flies(status: DiagnosticStatus) -> bool:
+        assert "unmatched" not in {entry.key for entry in status.values}
+        assert not (status.level != DiagnosticStatus.OK and "waiting" in status.message), status.message
+        said[status.name] = status
+        return sum(one.message == "running" for one in said.values()) == len(VEHICLE_NODES) * 2
+
+    diagnostics_until(graph.domain_id, flies, graph.alive)
+    assert {status.hardware_id for status in said.values()} == {"uav1", "uav2", ""}
 
 
 @pytest.mark.slow
@@ -107,6 +122,7 @@ def test_ctrl_c_ends_all_of_the_graph(graph: Any) -> None:
     assert graph.running() == []
     assert graph.process.returncode == 128 + signal.SIGINT
     assert "Traceback" not in output
+    assert "waiting for" not in output
 
 
 def diagnostics_until(domain_id: int, done: Callable[[DiagnosticStatus], bool], alive: Callable[[], bool]) -> list[str]:

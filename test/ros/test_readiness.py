@@ -8,8 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from uav_vslam.ros.readiness import Readiness
-from uav_vslam.ros.runtime import READERS, UNMATCHED
+from uav_vslam.ros.readiness import READERS, UNMATCHED, Readiness
 
 BACKEND = "uav1: slam_backend"
 

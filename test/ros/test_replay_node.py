@@ -30,6 +30,7 @@ from uav_vslam.geometry.camera import PinholeCamera  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.geometry.stereo import StereoRig  # noqa: E402
 from uav_vslam.ros.qos import IMAGE, LATCHED, NEWEST, SENSOR, STATE  # noqa: E402
+from uav_vslam.ros.readiness import DISCOVERY  # noqa: E402
 from uav_vslam.ros.recording import Recording  # noqa: E402
 from uav_vslam.types import ImuSample, NavEstimate, NavState, StereoFrame  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
@@ -136,16 +137,17 @@ class Fleet:
         self.vehicles = {name: Vehicle(self.node, name, lambda s: self.answers(s)) for name in ("uav1", "uav2")}
         self.node.create_subscription(Clock, "/clock", lambda m: self.clock.append(m.clock.sec), STATE)
         self.node.create_subscription(TFMessage, "/tf_static", self.static.append, LATCHED)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        for topic in ("/diagnostics", DISCOVERY):
+            self.node.create_subscription(DiagnosticArray, topic, self._on_status, 10)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin)
         self._thread.start()
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+    def _on_status(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == "fleet: recorder":
-                self.recorder = {entry.key: entry.value for entry in status.values}
+                self.recorder |= {entry.key: entry.value for entry in status.values}
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
@@ -252,11 +254,12 @@ def test_a_vehicle_that_stops_answering_is_named_with_topic_and_stamp(fleet: Fle
     assert f"/uav1/odometry at {START_NS + 3 * FRAME_NS} ns" in done.stderr
 
 
-def test_real_time_has_no_back_pressure(fleet: Fleet, bags: list[Path]) -> None:
+def test_real_time_has_no_back_pressure_and_fails_if_a_vehicle_does_nothing(fleet: Fleet, bags: list[Path]) -> None:
     fleet.answers = lambda stamp_ns: False
     begin_s = time.monotonic()
     done = fleet.replay(bags, rate="2.0")
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 1, done.stderr
+    assert "uav1, uav2 processed no frame" in done.stderr
     assert time.monotonic() - begin_s > FRAMES * FRAME_NS / 2e9
     assert "frames were not answered" in done.stderr
     assert all(len(vehicle.frames) == FRAMES for vehicle in fleet.vehicles.values())
@@ -308,7 +311,10 @@ def test_the_recorder_completes_its_bag_at_a_signal(
         assert "recording to" in recorder.stderr.readline()
         answers = {f"/{name}/{topic}" for name in fleet.vehicles for topic in ("odometry", "fused/odometry")}
         assert wait_for(
-            lambda: fleet.recorder and not answers & set(fleet.recorder["unmatched"].split()),
+            lambda: (
+                {"unmatched", "written"} <= fleet.recorder.keys()
+                and not answers & set(fleet.recorder["unmatched"].split())
+            ),
             alive=lambda: recorder.poll() is None,
         )
         assert fleet.replay(bags).returncode == 0

@@ -2,12 +2,17 @@
 """A node shuts down cleanly at any time, and a real error is still reported."""
 
 import os
+import signal
 import subprocess
 import sys
 import textwrap
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+
+from uav_vslam.ros.supervisor import find_executable
+from waiting import wait_for
 
 pytestmark = pytest.mark.ros
 Run = Callable[[str], subprocess.CompletedProcess[str]]
@@ -68,3 +73,41 @@ def test_an_error_of_ros_keeps_its_traceback(run: Run) -> None:
     done = run("node.destroy_node()")
     assert done.returncode == 1
     assert "Traceback" in done.stderr
+
+
+def handles(pid: int, number: signal.Signals) -> bool:
+    """Return whether a process has a handler for the signal."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    caught = next(int(line.split()[1], 16) for line in lines if line.startswith("SigCgt:"))
+    return bool(caught >> (number - 1) & 1)
+
+
+def test_ctrl_c_while_a_node_is_still_importing_ends_it_without_a_traceback(domain_id: int) -> None:
+    (program,) = find_executable("slam_backend")
+    command = [program, "--ros-args", "-r", "__ns:=/uav1"]
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as node:
+        for expected in (True, False):  # of Python's start, then of the program's
+            assert wait_for(lambda expected=expected: handles(node.pid, signal.SIGINT) is expected, lambda: None)
+        node.send_signal(signal.SIGINT)
+        assert node.communicate()[1] == ""
+        assert node.returncode == -signal.SIGINT
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--params-file", "/nowhere.yaml"], "Couldn't parse params file: '--params-file /nowhere.yaml'"),
+        (["-p", "peers:=[uav2, 3]"], "Value type 'integer' do not belong"),
+        (["-p", "use_sim_time:=1"], "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'"),
+        (["-p", "qos_overrides./uav1/odometry.publisher.depth:=-1"], "use a whole number of at least 1"),
+        (["-p", "qos_overrides./uav1/odometry.publisher.reliability:=safe"], "system_default, reliable, best_effort"),
+    ],
+)
+def test_what_ros_refuses_is_one_line_too(run: Run, arguments: list[str], said: str) -> None:
+    command = [sys.executable, "-m", "uav_vslam.ros.slam_backend_node", "--ros-args", "-r", "__ns:=/uav1", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert done.stderr.startswith("uav_vslam: ")
+    assert said in done.stderr
+    assert ".c:" not in done.stderr

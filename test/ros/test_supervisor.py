@@ -39,10 +39,10 @@ def python(name: str, code: str, *, leads: bool = False) -> Command:
     return Command(name, [sys.executable, "-c", textwrap.dedent(code)], leads)
 
 
-def write_pid(folder: Path, name: str, code: str) -> Command:
+def write_pid(folder: Path, name: str, code: str, *, leads: bool) -> Command:
     """A process that first writes its process id."""
     begin = f"import os, pathlib\npathlib.Path({str(folder / name)!r}).write_text(str(os.getpid()))\n"
-    return python(name, begin + textwrap.dedent(code))
+    return python(name, begin + textwrap.dedent(code), leads=leads)
 
 
 def alive(pid: int) -> bool:
@@ -54,10 +54,10 @@ def alive(pid: int) -> bool:
 
 @contextmanager
 def supervised(
-    folder: Path, codes: dict[str, str], escalation: Escalation
+    folder: Path, codes: dict[str, str], escalation: Escalation, *, leader: str = ""
 ) -> Iterator[tuple[subprocess.Popen[str], list[int]]]:
     """Start a supervisor in its own process; wait until all of its processes run."""
-    commands = [write_pid(folder, name, code) for name, code in codes.items()]
+    commands = [write_pid(folder, name, code, leads=name == leader) for name, code in codes.items()]
     program = (
         "import sys; from uav_vslam.ros.supervisor import Command, Supervisor\n"
         f"sys.exit(Supervisor(escalation={[(s, int(number)) for s, number in escalation]!r}).run({commands!r}))"
@@ -113,8 +113,21 @@ def test_pauses_between_restarts_grow(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_signal_shuts_down_all(tmp_path: Path, number: signal.Signals) -> None:
     with supervised(tmp_path, {"a": POLITE, "b": POLITE}, FIRST_ONLY) as (process, pids):
         process.send_signal(number)
-        assert process.wait() == 128 + number
+        assert process.wait() == 0
         assert not any(map(alive, pids))
+
+
+def test_a_signal_that_interrupts_the_leader_is_the_exit_code(tmp_path: Path) -> None:
+    with supervised(tmp_path, {"a": POLITE, "replay": POLITE}, FIRST_ONLY, leader="replay") as (process, pids):
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 128 + signal.SIGINT
+        assert not any(map(alive, pids))
+
+
+def test_a_log_that_can_not_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="no log can be kept there"):
+        Supervisor(log_dir=tmp_path / "file" / "log").run([python("talker", "print()", leads=True)])
 
 
 def test_a_process_that_ignores_signals_is_killed(tmp_path: Path) -> None:
@@ -123,7 +136,8 @@ def test_a_process_that_ignores_signals_is_killed(tmp_path: Path) -> None:
         output, _ = process.communicate()
         said = [line for line in output.splitlines() if "ignored" in line or "killed" in line]
         expected = ["[deaf] ignored SIGINT", "[deaf] ignored SIGTERM", "uav-vslam: deaf does not exit; it is killed"]
-        assert sorted(said) == sorted(expected)
+        assert sorted(said) == sorted([*expected, "uav-vslam: deaf was killed by SIGKILL during shutdown"])
+        assert process.returncode == 128 + signal.SIGKILL
         assert not any(map(alive, pids))
 
 
@@ -194,7 +208,7 @@ def test_the_environment_is_inherited() -> None:
 
 
 def test_a_missing_program_shuts_down_those_already_started(tmp_path: Path) -> None:
-    worker = write_pid(tmp_path, "worker", POLITE)
+    worker = write_pid(tmp_path, "worker", POLITE, leads=False)
     with pytest.raises(ConfigError, match="ghost can't be started"):
         Supervisor().run([worker, Command("ghost", [str(tmp_path / "nothing")])])
     if (tmp_path / "worker").exists():

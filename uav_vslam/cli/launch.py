@@ -24,6 +24,9 @@ EXAMPLES = """examples:
   uav-vslam launch fleet.yaml --vehicle uav1                              the vehicle of this computer alone
 
 The end of the replay ends the fleet, as do SIGINT, SIGTERM and, with --on-failure stop, a node that dies.
+
+exit codes: 0 done, or, without recordings, ended by SIGINT or SIGTERM; 1 a node failed or a vehicle processed no frame;
+2 wrong input or configuration; 130 interrupted
 """
 
 
@@ -143,7 +146,7 @@ def launch(
         on_line: called with (process, line) for each line of output; the default prints it.
 
     Returns:
-        The exit code of the first process that failed, 128 + the signal that ended the run, or 0.
+        The exit code of the first process that failed, 128 + the signal that interrupted a replay, or 0.
     """
     from uav_vslam.errors import ConfigError
     from uav_vslam.ros.domain import MAX_DOMAIN_ID

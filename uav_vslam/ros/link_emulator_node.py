@@ -31,7 +31,8 @@ from uav_vslam.ros.inputs import unmatched
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import RADIO
 from uav_vslam.ros.radio import PeerInput
-from uav_vslam.ros.runtime import FOLLOW_PERIOD_S, READERS, UNMATCHED, run_node
+from uav_vslam.ros.readiness import DiscoveryReport
+from uav_vslam.ros.runtime import FOLLOW_PERIOD_S, run_node
 from uav_vslam_msgs.msg import LandmarkInformation
 
 POLL_S = 0.01  # largest additional delay
@@ -64,6 +65,7 @@ class LinkEmulatorNode(Node):
         self._inputs = [self._listen(packets_of(name), partial(self._on_packet, name)) for name in vehicles]
         self._inputs += [self._listen(feedback_to(name), partial(self._on_feedback, name)) for name in vehicles]
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        DiscoveryReport(self, lambda: unmatched(self._inputs))
         wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(POLL_S, self._deliver, clock=wall_clock)
         self.create_timer(FOLLOW_PERIOD_S, self._follow, clock=wall_clock)
@@ -107,10 +109,7 @@ class LinkEmulatorNode(Node):
             one.follow(self)
 
     def _report(self) -> None:
-        values: dict[str, Any] = {
-            UNMATCHED: " ".join(unmatched(self._inputs)),
-            READERS: " ".join(f"{p.topic_name}={p.get_subscription_count()}" for p in self.publishers),
-        }
+        values: dict[str, Any] = {}
         for (sender, receiver), link in self._links.items():
             for fate, count in sorted(link.packets.items()):
                 values[f"{sender}>{receiver}/{fate}"] = f"{count} packets, {link.size_bytes[fate]} B"

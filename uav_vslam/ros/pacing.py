@@ -81,6 +81,7 @@ class Answers:
 
     Attributes:
         frames: complete frames published, by vehicle.
+        processed: those of them that were answered on all topics.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class Answers:
         self._newest_ns = dict.fromkeys(names, -1)
         self._open: dict[str, dict[int, set[str]]] = {name: {} for name in names}
         self.frames = dict.fromkeys(names, 0)
+        self.processed = dict.fromkeys(names, 0)
 
     def published(self, message: Recorded) -> None:
         """Register a part of a frame; with its last part the frame awaits answers.
@@ -133,6 +135,7 @@ class Answers:
             waiting[stamp_ns].discard(topic)
             if not waiting[stamp_ns]:
                 del waiting[stamp_ns]
+                self.processed[vehicle] += topic in self._topics
 
     def open(self, vehicle: str | None = None) -> list[tuple[str, int]]:
         """Return (vehicle, stamp) of every unanswered frame."""

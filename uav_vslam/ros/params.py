@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.config.nodes import NODES
@@ -17,7 +18,12 @@ from uav_vslam.errors import ConfigError
 
 Config = typing.TypeVar("Config", bound=Settings)
 
-OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes of names that are not ours
+QOS_OVERRIDES = "qos_overrides."
+OF_ROS = ("use_sim_time", "start_type_description_service", QOS_OVERRIDES)  # prefixes of names that are not ours
+QOS_CHOICES: Mapping[str, type[HistoryPolicy] | type[ReliabilityPolicy]] = {
+    "history": HistoryPolicy,
+    "reliability": ReliabilityPolicy,
+}
 LARGEST_INTEGER = 2**63 - 1
 
 
@@ -28,11 +34,10 @@ def read(node: Node, cls: type[Config]) -> Config:
         ConfigError: a name that no node of ours has, or a value of this class that is not allowed.
     """
     where = f"parameters of {node.get_fully_qualified_name()}"
-    given = {
-        name: parameter.value
-        for name, parameter in node._parameter_overrides.items()  # rclpy hands them out one by one only, by known names
-        if not name.startswith(OF_ROS)
-    }
+    # rclpy hands them out one by one only, by known names
+    every = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+    _check_qos(every, where)
+    given = {name: value for name, value in every.items() if not name.startswith(OF_ROS)}
     check_names(given, VehicleConfig, *(parameters.own for parameters in NODES.values()), where=where)
     names = all_settings(cls)
     return build(cls, {name: value for name, value in given.items() if name in names}, where=where)
@@ -101,6 +106,19 @@ class VehicleParameters:
     def _with(self, parameters: list[Parameter]) -> VehicleConfig:
         changes = {one.name: one.value for one in parameters if one.name in self._settings}
         return replaced(self.config, changes, where=self._node.get_fully_qualified_name())
+
+
+def _check_qos(given: Mapping[str, object], where: str) -> None:
+    """Refuse values of qos_overrides.* that rclpy would fail on."""
+    for name, value in given.items():
+        policy = name.rpartition(".")[2]
+        if not name.startswith(QOS_OVERRIDES) or policy not in (*QOS_CHOICES, "depth"):
+            continue
+        choices = [one.name.lower() for one in QOS_CHOICES.get(policy, ()) if one.name != "UNKNOWN"]
+        if choices and str(value).lower() not in choices:
+            raise ConfigError(f"{where}: {name} = {value!r} is not allowed; use one of {', '.join(choices)}")
+        if not choices and (type(value) is not int or value < 1):
+            raise ConfigError(f"{where}: {name} = {value!r} is not allowed; use a whole number of at least 1")
 
 
 def _descriptor(described: Setting) -> ParameterDescriptor:

@@ -27,7 +27,8 @@ from uav_vslam.datasets.rosbag import RawRecorder
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
-from uav_vslam.ros.runtime import UNMATCHED, run_node
+from uav_vslam.ros.readiness import DiscoveryReport
+from uav_vslam.ros.runtime import run_node
 from uav_vslam_msgs.msg import FrameQuality, FusionStatus
 
 VEHICLE_TOPICS = {
@@ -63,6 +64,7 @@ class RecorderNode(Node):
             for name, message_type in VEHICLE_TOPICS.items():
                 self._record(f"/{vehicle}/{name}", message_type)
         self._record("/diagnostics", DiagnosticArray)
+        DiscoveryReport(self, self._unmatched)
         wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(REPORT_S, self._report, clock=wall_clock)
         self.create_timer(WAKE_S, lambda: None, clock=wall_clock)
@@ -92,10 +94,11 @@ class RecorderNode(Node):
 
         self._inputs.append(self.create_subscription(message_type, topic, write, SENSOR, raw=True))
 
+    def _unmatched(self) -> list[str]:
+        return [one.topic_name for one in self._inputs if one.get_publisher_count() == 0]
+
     def _report(self) -> None:
-        unmatched = [one.topic_name for one in self._inputs if one.get_publisher_count() == 0]
         values = [
-            KeyValue(key=UNMATCHED, value=" ".join(unmatched)),
             KeyValue(key="written", value=str(self._written)),
             KeyValue(key="dropped", value=str(self._dropped)),
         ]

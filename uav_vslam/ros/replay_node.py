@@ -9,7 +9,8 @@ out  /<vehicle>/...                   the recorded inputs, byte for byte
      /tf_static                       tf2_msgs/TFMessage, latched, merged over all bags
      /clock                           rosgraph_msgs/Clock
 
-Exit code 0 at the end; 1 if a consumer or an answer is missing; 2 if a bag can't be replayed, or only up to its damage.
+Exit code 0 at the end; 1 if a consumer or an answer is missing, or a vehicle processed no frame; 2 if a bag can't be
+replayed, or only up to its damage.
 """
 
 import time
@@ -222,9 +223,12 @@ class ReplayNode(Node):
         self.get_logger().info(self._summary())
         if unanswered := len(self._answers.open()):
             self.get_logger().warning(f"{unanswered} frames were not answered: the graph is slower than the replay")
+        idle = [name for name, count in self._answers.processed.items() if self._wait_for and count == 0]
+        if idle:
+            self.get_logger().error(f"{', '.join(idle)} processed no frame; the warnings of its nodes say why")
         for text in self._recording.damage:
             self.get_logger().error(text)
-        raise SystemExit(2 if self._recording.damage else 0)
+        raise SystemExit(2 if self._recording.damage else 1 if idle else 0)
 
     def _fail(self, text: str) -> None:
         self.get_logger().error(text)

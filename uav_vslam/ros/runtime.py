@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base of every vehicle node: start-up, shutdown, rejected messages counted by reason, and diagnostics."""
 
+import re
 import signal
 import sys
 import time
@@ -14,6 +15,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter_service import ParameterService
 from rclpy.qos import QoSProfile
@@ -24,17 +26,16 @@ from uav_vslam.config import VehicleConfig, idle_settings
 from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.memory import keep_freed_memory
+from uav_vslam.ros.health import DROPPED, RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
 from uav_vslam.ros.params import VehicleParameters, declare, read
 from uav_vslam.ros.qos import LATCHED_BY_MANY
+from uav_vslam.ros.readiness import DiscoveryReport
 from uav_vslam.stamps import TimeLine
 
 DIAGNOSTICS_PERIOD_S = 1.0
-UNMATCHED = "unmatched"  # key in diagnostics: subscriptions without a publisher so far; the replay waits for them
-READERS = "readers"  # key in diagnostics: matched subscriptions of each output, "topic=count ..."; likewise
 FOLLOW_PERIOD_S = 0.5  # how often inputs check the reliability that is offered
-QUIET_AFTER_S = 5.0  # without a first message for so long, report the topic as missing
 
 
 class VehicleNode(PausableNode):
@@ -71,11 +72,13 @@ class VehicleNode(PausableNode):
         self._inputs: list[Input] = []
         self._mixed: set[str] = set()  # topics that several nodes publish
         self._refused = 0  # messages off the time line, as last reported
+        self._startup, self._recent_drops = Start(self.get_clock()), RecentDrops()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        DiscoveryReport(self, lambda: unmatched(self._inputs))
         wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=wall_clock)
         self.create_timer(FOLLOW_PERIOD_S, self._follow_reliability, clock=wall_clock)
-        self.create_timer(QUIET_AFTER_S, self._report_missing, clock=wall_clock)
+        self.create_timer(START_S, self._report_missing, clock=wall_clock)
         if self.own.autostart:
             self.begin()
 
@@ -144,6 +147,7 @@ class VehicleNode(PausableNode):
     def watch(self, one: Input) -> None:
         """Report an input's faults in the diagnostics, and adapt its reliability to the offer."""
         self._inputs.append(one)
+        self._startup = Start(self.get_clock())  # in flight too: a new communication mode has new inputs
 
     def unwatch(self, one: Input) -> None:
         """Stop watching an input that is to be closed."""
@@ -157,7 +161,7 @@ class VehicleNode(PausableNode):
 
     def drop(self, reason: str, detail: str) -> None:
         """Count a dropped message and log it, throttled."""
-        self.counts[f"dropped/{reason}"] += 1
+        self.counts[f"{DROPPED}{reason}"] += 1
         self.get_logger().warning(f"dropped a message: {detail}", throttle_duration_sec=5.0)
 
     def report_clock(self, line: TimeLine[Any], happened: str = "") -> None:
@@ -200,7 +204,7 @@ class VehicleNode(PausableNode):
 
     def _report_missing(self) -> None:
         waiting = []
-        for topic in silent(self._inputs):
+        for topic in () if self._startup.lasts() else silent(self._inputs):
             resolved = self.resolve_topic_name(topic)
             published = self.count_publishers(resolved) > 0
             waiting.append(f"{resolved} ({'published, but no message yet' if published else 'no publisher'})")
@@ -210,29 +214,29 @@ class VehicleNode(PausableNode):
         if pauses:
             self.get_logger().warning(_pauses_text(pauses), throttle_duration_sec=20.0)
 
-    def _publish_diagnostics(self) -> None:
-        missing = silent(self._inputs)
-        dropped = sum(count for reason, count in self.counts.items() if reason.startswith("dropped/"))
+    def _health(self) -> tuple[bytes, str]:
+        """Return the level and the text of the node's status: failures first, then what most explains the rest."""
+        missing, drops = ", ".join(silent(self._inputs)), self._recent_drops.next_report(self.counts)
         pauses = stopped(self._inputs, time.monotonic())
-        level, text = DiagnosticStatus.OK, "running"
         if self.paused:
-            level, text = DiagnosticStatus.WARN, f"{self.paused}: messages are ignored"
-        elif self.failures:
-            level, text = DiagnosticStatus.ERROR, "; ".join(self.failures.values())
-        elif missing:
-            level, text = DiagnosticStatus.WARN, f"waiting for {', '.join(missing)}"
-        elif pauses:
-            level, text = DiagnosticStatus.WARN, _pauses_text(pauses)
-        elif self.alarms:
-            level, text = DiagnosticStatus.WARN, "; ".join(self.alarms.values())
-        elif dropped:
-            level, text = DiagnosticStatus.WARN, f"{dropped} messages dropped"
-        values = {
-            UNMATCHED: " ".join(unmatched(self._inputs)),
-            READERS: " ".join(f"{p.topic_name}={p.get_subscription_count()}" for p in self.publishers),
-            **{key: str(count) for key, count in sorted(self.counts.items())},
-            **self.notes,
-        }
+            return DiagnosticStatus.WARN, f"{self.paused}: messages are ignored"
+        if self.failures:
+            return DiagnosticStatus.ERROR, "; ".join(self.failures.values())
+        if missing and self._startup.lasts():
+            return DiagnosticStatus.OK, f"starting, waiting for {missing}"
+        if missing:
+            return DiagnosticStatus.WARN, f"waiting for {missing}"
+        if pauses:
+            return DiagnosticStatus.WARN, _pauses_text(pauses)
+        if self.alarms:
+            return DiagnosticStatus.WARN, "; ".join(self.alarms.values())
+        if drops:
+            return DiagnosticStatus.WARN, f"dropped in the last {RECENT_REPORTS * DIAGNOSTICS_PERIOD_S:g} s: {drops}"
+        return DiagnosticStatus.OK, "running"
+
+    def _publish_diagnostics(self) -> None:
+        level, text = self._health()
+        values = {**{key: str(count) for key, count in sorted(self.counts.items())}, **self.notes}
         status = DiagnosticStatus(
             level=level,
             name=f"{self.vehicle}: {self.get_name()}",
@@ -273,7 +277,8 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
         while not stopping:  # each node has a timer on wall time, which ends the wait
             executor.spin_once()
     except (UavVslamError, ParameterException) as error:
-        print(f"{getattr(node, 'get_name', lambda: 'uav_vslam')()}: {error}", file=sys.stderr)
+        name = node.get_fully_qualified_name().strip("/") if node is not None else "uav_vslam"
+        print(f"{name}: {error}", file=sys.stderr)
         return 2
     except SystemExit as leaving:
         return int(leaving.code or 0)
@@ -292,7 +297,11 @@ def _initialise(args: list[str] | None) -> None:
     Raises:
         ConfigError: an argument or a parameter file can't be parsed.
     """
+    rcl = rclpy.logging.get_logger("rcl")
+    rcl.set_level(LoggingSeverity.FATAL)  # it would say on a line of its own that it can't
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # what rcl says of each
-        raise ConfigError(str(error)) from None
+    except RuntimeError as error:
+        text = re.sub(r"(, at \S+\.c\w*:\d+|\s)+", lambda found: " " if found[0].isspace() else "", str(error))
+        raise ConfigError(f"{text.strip()}; correct the command line or the file that it names") from None
+    rcl.set_level(LoggingSeverity.UNSET)

@@ -89,7 +89,8 @@ class Supervisor:
         """Run until the shutdown of all processes.
 
         Returns:
-            0, the exit code of the first process that failed, or 128 + the signal that ended the run.
+            The exit code of the first process that failed, or 0; 128 + the signal that ended the run before the
+            leading process. Without a leading one, a signal is how a run ends.
         """
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         before = {number: signal.signal(number, self._on_signal) for number in numbers}
@@ -103,13 +104,14 @@ class Supervisor:
             self._shut_down()
             for number, handler in before.items():
                 signal.signal(number, handler)
-        return self._code if self._code else 128 + self._signal if self._signal else 0
+        return self._code or 0
 
     def _on_signal(self, number: int, _frame: object) -> None:
         self._signal = self._signal or number
 
     def _start(self, command: Command) -> _Child:
-        child = _Child(command, self._spawn(command), self._open_log(command.name))
+        log = self._open_log(command.name)
+        child = _Child(command, self._spawn(command), log)
         self._follow(child)
         return child
 
@@ -137,8 +139,12 @@ class Supervisor:
     def _open_log(self, name: str) -> IO[bytes] | None:
         if self.log_dir is None:
             return None
-        self.log_dir.mkdir(parents=True, exist_ok=True)
-        return (self.log_dir / f"{name.replace('/', '_')}.log").open("wb")
+        path = self.log_dir / f"{name.replace('/', '_')}.log"
+        try:
+            self.log_dir.mkdir(parents=True, exist_ok=True)
+            return path.open("wb", buffering=0)
+        except OSError as error:
+            raise ConfigError(f"{path}: no log can be kept there ({error.strerror}); choose another folder") from None
 
     def _relay(self, timeout_s: float) -> None:
         """Forward the processes' output."""
@@ -212,6 +218,8 @@ class Supervisor:
                 self._send(steps.pop(0)[1])
             self._relay_for(POLL_S)
         self._relay_for(0.0)
+        if self._signal and self._code is None:
+            self._code = 128 + self._signal if any(child.command.leads for child in self._children) else 0
         self._check_exit_codes()
         for child in self._children:
             if child.process.stdout is not None:

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node's status depends on besides its inputs: whether it is still starting, and what it dropped lately."""
+
+import time
+from collections import Counter, deque
+from collections.abc import Mapping
+
+from rclpy.clock import Clock
+
+from uav_vslam.types import NS_PER_S
+
+START_S = 5.0  # of the ROS clock, for the first message of each input
+LONGEST_START_S = 60.0  # of wall time, should the ROS clock not run
+RECENT_REPORTS = 10
+DROPPED = "dropped/"  # prefix of the counts of dropped messages, by reason
+
+
+class Start:
+    """The time in which first messages may still be on their way.
+
+    It is time of the ROS clock: the clock of a replay stands at zero until all nodes are there, and goes at its pace.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._begin_ns, self._made_s = 0, time.monotonic()
+
+    def lasts(self) -> bool:
+        """Return whether the node is still starting."""
+        now_ns = self._clock.now().nanoseconds
+        self._begin_ns = self._begin_ns or now_ns
+        waited_s = (now_ns - self._begin_ns) / NS_PER_S
+        return waited_s < START_S and time.monotonic() - self._made_s < LONGEST_START_S
+
+
+class RecentDrops:
+    """How many messages were dropped between the last reports, so that a fault that is over is no fault for ever."""
+
+    def __init__(self) -> None:
+        self._earlier = deque([Counter[str]()], maxlen=RECENT_REPORTS)
+
+    def next_report(self, counts: Mapping[str, int]) -> str:
+        """Return the drops since `RECENT_REPORTS` reports, "frame_lost 2, stamp 1"; empty if there were none."""
+        drops = Counter({key.removeprefix(DROPPED): n for key, n in counts.items() if key.startswith(DROPPED)})
+        recent = drops - self._earlier[0]
+        self._earlier.append(drops)
+        return ", ".join(f"{reason} {count}" for reason, count in sorted(recent.items()))
