@@ -62,6 +62,20 @@ def changed(name: str, **fields: Any) -> Edit:
     return lambda topic, message: dataclasses.replace(message, **fields) if topic == name else message
 
 
+def rotated_by_nothing(topic: str, message: Any) -> Any:
+    if topic == "/tf_static":
+        for stamped in message.transforms:
+            stamped.transform.rotation.w = stamped.transform.rotation.x = 0.0
+            stamped.transform.rotation.y = stamped.transform.rotation.z = 0.0
+    return message
+
+
+def started_nowhere(topic: str, message: Any) -> Any:
+    if topic == "/uav1/initial_state":
+        message.velocity.x = float("nan")
+    return message
+
+
 def half_as_high(topic: str, message: Any) -> Any:
     if topic != "/uav1/right/image_raw":
         return message
@@ -99,6 +113,22 @@ BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {
     "images of another size than calibrated": (
         half_as_high,
         ["/uav1/right/image_raw", "160x60", "160x120", "calibrate at the recorded size"],
+    ),
+    "images of unknown encoding": (
+        changed("/uav1/right/image_raw", encoding="yuv9"),
+        ["/uav1/right/image_raw", "image encoding 'yuv9' can't be used; record mono8"],
+    ),
+    "images that lack pixels": (
+        changed("/uav1/left/image_raw", data=np.zeros(9, np.uint8)),
+        ["/uav1/left/image_raw", "160x120 px holds only 9 bytes"],
+    ),
+    "extrinsics that are no rotation": (
+        rotated_by_nothing,
+        ["/tf_static, uav1/base_link to uav1/", "zero norm", "publish that transform anew"],
+    ),
+    "start state that is no number": (
+        started_nowhere,
+        ["/uav1/initial_state", "velocity holds NaN", "record a start state that is valid"],
     ),
 }
 
@@ -177,6 +207,32 @@ def test_a_link_that_there_is_not_or_that_is_impossible_is_told(
     assert f"{tmp_path / 'link.yaml'}: link.loss = 2.0 is not allowed" in line
 
 
+FLEETS = {
+    "vehicles: [uav1]": "'vehicles' must map at least one name",
+    "- uav1": "must hold keys and values, not list",
+    "vehicles: {1uav: {}}": "'1uav' must be a valid ROS namespace",
+    "vehicles: {uav1: {config: 3}}": "must look like {config: kagaru.yaml}",
+    "vehicles: {uav1: {}}\nreplay: {bags: bag}": "use a list of paths",
+    "vehicles: {uav1: {}}\nreplay: {bags: [bag], rate: fast}": "rate = 'fast' is not allowed",
+    "vehicles: {uav1: {}}\nreplay: {bags: [bag], rate: -1}": "rate = -1 is not allowed",
+    "vehicles: {uav1: {}}\nreplay: 7": "replay must hold keys and values",
+    "vehicles: {uav1: {}}\nmode: loud": "mode = 'loud' is not allowed; use one of wideband, narrowband, none",
+    "vehicles: {uav1: {}}\nradio: {domain_id: 400}": "domain_id = 400 is not allowed",
+    "vehicles: {uav1: {": "not valid YAML",
+}
+
+
+@pytest.mark.parametrize("text", FLEETS)
+def test_a_wrong_fleet_file_is_named_with_what_is_wrong(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fleet = fleet_file(tmp_path, text)
+    for verb in ("run", "launch", "check"):
+        line = refused(capsys, verb, fleet)
+        assert str(fleet) in line
+        assert FLEETS[text] in line
+
+
 @pytest.mark.parametrize("verb", ["run", "launch"])
 def test_a_vehicle_named_twice_is_told_with_its_line(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -232,10 +288,35 @@ def test_a_vehicle_named_twice_on_the_command_line_is_told(good: Path, capsys: p
         ("backend.sigma_px=abc", "backend.sigma_px = 'abc' is not allowed; use a number"),
         ("backend.nope=1", "unknown key backend.nope"),
         ("backend", "must have the form KEY=VALUE"),
+        ("backend.max_landmarks=1.5", "use a whole number of at least 1"),
+        ("backend.sigma_px=nan", "use a number above 0 [px]"),
+        ("backend=3", "backend must hold keys and values"),
     ],
 )
 def test_a_wrong_override_is_told(setting: str, said: str, good: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert said in refused(capsys, "run", good, "--set", setting)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["simulate", "NEW", "--noise", "-3"], "noise_sigma -3.0 is not allowed"),
+        (["simulate", "NEW", "--frames", "0"], "use 2 or more frames"),
+        (["simulate", "NEW", "--texture", "nothing.jpg"], "'nothing.jpg' is neither 'grass' nor an image"),
+        (["simulate", "FOLDER"], "choose a folder that does not exist yet"),
+        (["evaluate", "NEW"], "does not exist"),
+        (["launch", "FOLDER"], "Is a directory"),
+        (["launch", "NEW"], "No such file"),
+        (["check", "FOLDER"], "is not a bag"),
+        (["run", "FOLDER", "--config", "NEW"], "neither a file nor one of ours"),
+    ],
+)
+def test_wrong_paths_and_numbers_are_told(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "folder").mkdir()
+    paths = {"FOLDER": str(tmp_path / "folder"), "NEW": str(tmp_path / "new")}
+    assert said in refused(capsys, *(paths.get(argument, argument) for argument in arguments))
 
 
 def test_a_truncated_bag_is_run_up_to_the_damage(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -228,7 +228,7 @@ WRONG_FLEET = {
     "absent_config": ("vehicles: {uav1: {config: absent.yaml}}", r"absent\.yaml: can't be read"),
     "wrong_mode": (
         "vehicles: {uav1: }\nmode: radio",
-        r"fusion\.mode = 'radio' is not allowed; use one of wideband, narrowband, none",
+        r"given\.yaml: mode = 'radio' is not allowed; use one of wideband, narrowband, none",
     ),
     "replay_as_list": ("vehicles: {uav1: }\nreplay: [flight]", "replay must hold keys and values"),
     "bags_as_text": (

@@ -29,8 +29,8 @@ def compare_files(args: argparse.Namespace) -> int:
     name = args.name or "comparison"
     tree = compare(runs, name=name, git=git_revision(), lengths_m=args.segments)
     plot = partial(write_comparison_plot, runs, alignment=args.alignment, title=name)
-    folder = write_comparison(tree, args.results, plot=None if args.no_plots else plot)
     print_comparison(tree)
+    folder = write_comparison(tree, args.results, plot=None if args.no_plots else plot)
     print(f"written to {folder}")
     return 0
 
@@ -54,6 +54,8 @@ def _of_file(path: Path, name: str, truth: Trajectory | None, times: Path | None
     from uav_vslam.evaluation.comparison import Run
     from uav_vslam.evaluation.files.reading import read_trajectory
 
+    if not path.exists():
+        raise TrajectoryFileError(f"{path} does not exist; give trajectory files, folders of results, or bags")
     if truth is None:
         raise TrajectoryFileError(f"{path} needs a ground truth; give --truth FILE")
     return [Run(name, "", read_trajectory(path, times=times, reference=truth), truth)]

@@ -99,8 +99,8 @@ def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, 
     def plot(result: FlightResult, folder: Path) -> list[Path]:
         return [*write_plots(result, folder), write_page([folder])]
 
+    print_summary(build_summary(result, git=None, alignment=args.alignment))  # first: a full disk must not cost it
     folder = write_results(result, args.results, plot=None if args.no_plots else plot, alignment=args.alignment)
-    print_summary(build_summary(result, git=None, alignment=args.alignment))
     print(f"written to {folder}")
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")

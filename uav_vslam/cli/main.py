@@ -6,6 +6,7 @@ imported, and the verbs themselves import late, so that `--help` is quick.
 """
 
 import argparse
+import errno
 import importlib
 import keyword
 import os
@@ -49,6 +50,7 @@ exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (the readab
 first), 130 interrupted
 """
 FAILURE, WRONG_INPUT, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
+DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -66,6 +68,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader closed the pipe; Python would raise again while it flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
+    except OSError as error:
+        if error.errno in DISK_FULL:
+            where = f"{error.filename}: " if error.filename else ""
+            print(f"uav-vslam: {where}{error.strerror}; make room, or write to another disk", file=sys.stderr)
+            return FAILURE
+        if error.filename is None:
+            raise
+        print(f"uav-vslam: {error.filename}: {error.strerror}; check the path and its permissions", file=sys.stderr)
+        return WRONG_INPUT
 
 
 def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:

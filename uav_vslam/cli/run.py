@@ -110,8 +110,8 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
         )
     name = args.name or args.inputs[0].stem
     result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started, bags=bags)
+    print_summary(build_summary(result, git=None))  # first: a full disk must not cost it
     folder = write_results(result, args.results, plot=partial(_draw, flights=flights, tracks=tracks, args=args))
-    print_summary(build_summary(result, git=None))
     _save_maps(tracks, folder)
     print(f"results: {folder}")
     if not args.no_plots:

@@ -94,20 +94,15 @@ def seeds_of(args: argparse.Namespace) -> list[int]:
 
 
 def publish(name: str, findings: Findings, seeds: list[int], args: argparse.Namespace) -> None:
-    """Write tables and plots into a new folder below the results, print the tables and say where they are."""
+    """Print the tables, write them and the plots into a new folder below the results, and say where they are."""
     from uav_vslam.evaluation.output import write_study
+    from uav_vslam.evaluation.study import study_markdown, study_tree
     from uav_vslam.report.page.page import write_page
     from uav_vslam.studies.engine.columns import legend
 
-    folder = write_study(
-        name,
-        findings.rows,
-        seeds,
-        args.results,
-        notes={"Columns": legend(findings.rows), **findings.notes},
-        series=findings.series,
-        plot=findings.draw,
-    )
-    print((folder / "study.md").read_text(encoding="utf-8"))
+    rows, series = findings.rows, findings.series
+    notes = {"Columns": legend(rows), **findings.notes}
+    print(study_markdown(study_tree(name, rows, seeds, git=None, notes=notes, series=series)))
+    folder = write_study(name, rows, seeds, args.results, notes=notes, series=series, plot=findings.draw)
     print(f"results: {folder}")
     print(f"page: {write_page([folder])}")

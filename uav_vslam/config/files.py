@@ -24,7 +24,7 @@ import yaml
 from uav_vslam.config.fleet import FleetConfig, LinkConfig, RadioConfig, ReplayConfig
 from uav_vslam.config.nodes import LinkNodeConfig
 from uav_vslam.config.settings import build, differences, flatten, flattened, plain
-from uav_vslam.config.vehicle import VehicleConfig
+from uav_vslam.config.vehicle import FusionConfig, VehicleConfig
 from uav_vslam.errors import ConfigError
 
 ALL_NODES, PARAMETERS = "/**", "ros__parameters"
@@ -133,7 +133,7 @@ def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Fle
         raise ConfigError(
             f"{path}: 'vehicles' must map at least one name to its settings, e.g. uav1: {{config: kagaru.yaml}}"
         )
-    shared = {"fusion.mode": tree["mode"]} if "mode" in tree else {}
+    shared = {"fusion.mode": _mode(path, tree["mode"])} if "mode" in tree else {}
     shared |= _fleet_key(path, tree["fleet_key"]) if "fleet_key" in tree else {}
     vehicles = {
         name: load_vehicle(_vehicle_file(path, name, entry), overrides={**shared, **(overrides or {})})
@@ -183,6 +183,11 @@ def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:
         raise ConfigError(f"{path}: vehicles.{name} = {entry!r} must look like {{config: kagaru.yaml}}")
     _reject_unknown(entry, {"config", "address"}, where=str(path), prefix=f"vehicles.{name}.")
     return path.parent / entry["config"] if entry.get("config") else None
+
+
+def _mode(path: Path, value: object) -> str:
+    """Return a fleet file's communication mode."""
+    return build(FusionConfig, {"mode": value}, where=str(path)).mode
 
 
 def _section(path: Path, tree: Mapping[Any, Any], name: str) -> dict[str, Any]:
@@ -277,7 +282,8 @@ def read_yaml(path: Path) -> dict[Any, Any]:
     except OSError as error:
         raise ConfigError(f"{path}: can't be read ({error.strerror}); give the path of a YAML file") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid YAML ({error})") from None
+        text = " ".join(str(error).split())  # PyYAML writes several lines
+        raise ConfigError(f"{path}: not valid YAML ({text})") from None
     if tree is not None and not isinstance(tree, dict):
         raise ConfigError(f"{path}: must hold keys and values, not {type(tree).__name__}")
     return tree or {}

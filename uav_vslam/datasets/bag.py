@@ -27,7 +27,7 @@ from uav_vslam.datasets.messages import (
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, TopicInfo, decode, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import PairTolerance, StereoPairer
-from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
@@ -193,7 +193,10 @@ class BagFlight:
             first = next(self._images(topic), None)
             if first is None:
                 raise BagError(f"bag {_names(self.paths)} holds no message on {topic}; record the images")
-            height, width = image_of(decode(first)).shape[:2]
+            try:
+                height, width = image_of(decode(first)).shape[:2]
+            except BagError as error:
+                raise BagError(f"bag {_names(self.paths)}, {topic}: {error}") from None
             if (width, height) != self.image_size:
                 raise CalibrationError(
                     f"bag {_names(self.paths)}: images on {topic} are {width}x{height} px but the calibration says "
@@ -248,14 +251,18 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
         start = _first(bags, config.topic(name, "initial_state"))
         if start is not None and (conflict := setup.conflict(start.child_frame_id)):
             raise CalibrationError(f"{config.topic(name, 'initial_state')} {conflict}")
+        initial_state = None if start is None else navigation_state_of(start)
     except CalibrationError as error:
         raise CalibrationError(f"bag {_names(bags)}, vehicle {name}: {error}") from None
+    except InvalidMessage as error:
+        topic = config.topic(name, "initial_state")
+        raise BagError(f"bag {_names(bags)}: {topic}: {error}; record a start state that is valid") from None
     return BagFlight(
         paths=bags,
         vehicle=name,
         input=config,
         rig=rig,
-        initial_state=None if start is None else navigation_state_of(start),
+        initial_state=initial_state,
         frame_count=topics[left_topic].count,
         left_topic=left_topic,
         right_topic=right_topic,

@@ -127,7 +127,8 @@ def yaml_tree(text: str, path: Path) -> dict[str, Any]:
     try:
         tree = yaml.safe_load("\n".join(lines))
     except (yaml.YAMLError, ValueError) as error:
-        raise CalibrationError(f"{path}: not valid YAML ({error})") from None
+        text = " ".join(str(error).split())  # PyYAML writes several lines
+        raise CalibrationError(f"{path}: not valid YAML ({text})") from None
     if not isinstance(tree, dict):
         raise CalibrationError(f"{path}: holds no keys and values; give a calibration of Kalibr, ROS or EuRoC")
     return tree

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.rosbag import message
-from uav_vslam.errors import BagError, CalibrationError
+from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
@@ -274,15 +274,22 @@ def navigation_state_message(estimate: NavEstimate, *, frame_id: str, child_fram
 
 
 def navigation_state_of(built: Any) -> NavEstimate:
-    """Return the estimate of a NavigationState message."""
-    state = NavState(
-        stamp_ns_of(built),
-        _pose_of(built.pose),
-        _array(built.velocity),
-        _array(built.gyro_bias),
-        _array(built.accel_bias),
-    )
-    return NavEstimate(state, np.array(built.covariance, dtype=float).reshape(15, 15))
+    """Return the estimate of a NavigationState message.
+
+    Raises:
+        InvalidMessage: the quaternion is zero, or a number is not finite.
+    """
+    try:
+        pose = _pose_of(built.pose)
+    except ValueError as error:
+        raise InvalidMessage("orientation", str(error)) from None
+    parts = [pose.t, *(_array(vector) for vector in (built.velocity, built.gyro_bias, built.accel_bias))]
+    P = np.array(built.covariance, dtype=float).reshape(15, 15)
+    names = ("position", "velocity", "gyro_bias", "accel_bias", "covariance")
+    for what, numbers in zip(names, (*parts, P), strict=True):
+        if not np.isfinite(numbers).all():
+            raise InvalidMessage("not_finite", f"{what} holds NaN or infinity")
+    return NavEstimate(NavState(stamp_ns_of(built), pose, *parts[1:]), P)
 
 
 def transforms_message(stamp_ns: int, edges: Sequence[tuple[str, str, Pose]]) -> Any:
@@ -304,11 +311,18 @@ def transforms_message(stamp_ns: int, edges: Sequence[tuple[str, str, Pose]]) ->
 
 
 def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
-    """Return the edges (parent frame, child frame, T_parent_child) of a TFMessage."""
+    """Return the edges (parent frame, child frame, T_parent_child) of a TFMessage.
+
+    Raises:
+        CalibrationError: a rotation is no quaternion.
+    """
     edges = []
     for stamped in built.transforms:
-        pose = _pose_of_transform(stamped.transform)
-        edges.append((stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/"), pose))
+        parent, child = stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
+        try:
+            edges.append((parent, child, _pose_of_transform(stamped.transform)))
+        except ValueError as error:
+            raise CalibrationError(f"/tf_static, {parent} to {child}: {error}; publish that transform anew") from None
     return edges
 
 

@@ -4,12 +4,14 @@
 A damaged recording (its writer was killed, or the file is truncated) is read up to the damage; then `BagError` follows.
 """
 
+import errno
 import heapq
 import os
 import shutil
+import sqlite3
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -185,7 +187,7 @@ class RawRecorder:
                 self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
             self._file = _made_patient(self._writer) if patient else None
-        except (WriterError, OSError) as error:
+        except (WriterError, OSError, sqlite3.OperationalError) as error:
             raise BagError(f"can't record to {path}: {error}; choose a folder that does not exist yet") from None
 
     def write(
@@ -202,6 +204,7 @@ class RawRecorder:
 
         Raises:
             BagError: the type is not known, the topic already has another one, or a patient bag's disk is full.
+            OSError: the disk is full.
         """
         if self._file is not None and self.is_full():
             raise BagError(f"{self.path}: {self._file.error}; make room, recording then goes on")
@@ -210,7 +213,8 @@ class RawRecorder:
         connection = self._connections[topic]
         if connection.msgtype != msgtype:
             raise BagError(f"{topic} was recorded as {connection.msgtype} and can't also hold {msgtype}")
-        self._writer.write(connection, stamp_ns, data)
+        with self._naming_itself():
+            self._writer.write(connection, stamp_ns, data)
 
     def is_full(self) -> bool:
         """Try to write what a patient bag holds back, and return whether its disk is still full."""
@@ -222,12 +226,26 @@ class RawRecorder:
         """Write the index; nothing can be written afterwards.
 
         Raises:
-            BagError: the disk is full, so that the index is missing; what was recorded before can be read.
+            BagError: the disk of a patient bag is full: the index is missing, and what was recorded before can be read.
+            OSError: the disk is full.
         """
+        with self._naming_itself():
+            try:
+                self._writer.close()
+            except OSError as error:
+                if self._file is None:
+                    raise
+                raise BagError(f"bag {self.path} has no end: {error}; what was recorded before can be read") from None
+
+    @contextmanager
+    def _naming_itself(self) -> Iterator[None]:
+        """Name the bag in errors of its file; SQLite has an error of its own for a full disk."""
         try:
-            self._writer.close()
+            yield
         except OSError as error:
-            raise BagError(f"bag {self.path} has no end: {error}; what was recorded before can be read") from None
+            raise OSError(error.errno, error.strerror, str(self.path)) from None
+        except sqlite3.OperationalError as error:
+            raise OSError(errno.ENOSPC, str(error), str(self.path)) from None
 
     def __enter__(self) -> Self:
         return self
@@ -235,9 +253,13 @@ class RawRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
-        if error is not None:  # an incomplete bag would pass for a short one
-            shutil.rmtree(self.path)
+        complete = False
+        try:
+            self.close()
+            complete = error is None
+        finally:
+            if not complete:  # an incomplete bag would pass for a short one
+                shutil.rmtree(self.path)
 
     def _connect(self, topic: str, msgtype: str, *, latched: bool) -> Connection:
         _require_type(msgtype)

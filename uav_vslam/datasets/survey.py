@@ -84,7 +84,7 @@ class Survey:
         streams: by role, a field of `TopicsConfig`; those that were recorded with a type that can be read.
         imu: readings in the IMU's own axes.
         setup: calibration.
-        problems: why the calibration files can't be read.
+        problems: why the calibration files or /tf_static can't be read.
         initial: start states.
         child_frames: by role, the body's frame in the first start state and truth.
         truth: true motion, or None.
@@ -179,7 +179,10 @@ class _Reader:
     def add(self, raw: RawMessage) -> None:
         """Add a message; one that can't be read is counted."""
         if raw.topic == TF_STATIC:
-            self.found.setup.frames.add(transforms_of(decode(raw)))
+            try:
+                self.found.setup.frames.add(transforms_of(decode(raw)))
+            except CalibrationError as error:
+                self.found.problems.append(str(error))
             return
         role = self._roles[raw.topic]
         try:

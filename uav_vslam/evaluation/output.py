@@ -123,7 +123,11 @@ def new_folder(root: Path, name: str) -> Iterator[Path]:
     """Yield a new dated folder; if filled without an error, `latest` is linked to it."""
     latest = latest_link(root)
     folder = _dated_folder(root, name)
-    yield folder
+    try:
+        yield folder
+    except OSError as error:  # of a write, which knows no name
+        error.filename = error.filename or str(folder)
+        raise
     # Only renaming another link over it replaces a link atomically.
     fresh = root / f".{LATEST}_{os.getpid()}"
     fresh.unlink(missing_ok=True)

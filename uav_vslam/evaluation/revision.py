@@ -11,7 +11,7 @@ def git_revision(folder: Path | None = None) -> str | None:
     Args:
         folder: inside the tree; the one of this package if None.
     """
-    command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+    command = ["git", "--no-optional-locks", "describe", "--always", "--dirty", "--exclude=*"]
     where = folder or Path(__file__).resolve().parent
     try:
         done = subprocess.run(command, cwd=where, capture_output=True, text=True, timeout=10, check=True)

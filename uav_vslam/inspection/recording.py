@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig, replaced
 from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo, topics_of
 from uav_vslam.datasets.sensor_setup import with_noise_of_files
 from uav_vslam.datasets.survey import Survey, message_count, survey_flight
@@ -154,10 +155,13 @@ def _judge_stamps(survey: Survey, config: VehicleConfig, found: Inspection) -> N
 
 def _judge_cameras(survey: Survey, found: Inspection) -> StereoRig | None:
     """Judge calibration and images; return the rig if there is one."""
-    remedy = "correct or replace the file"
-    found.findings += [
-        error("calibration files", text, "files of Kalibr, ROS or EuRoC", remedy) for text in survey.problems
-    ]
+    for text in dict.fromkeys(survey.problems):
+        if text.startswith(TF_STATIC):
+            found.findings.append(error("frames", text, "unit quaternions", "publish the transform anew"))
+        else:
+            found.findings.append(
+                error("calibration files", text, "files of Kalibr, ROS or EuRoC", "correct or replace the file")
+            )
     found.findings += topics.check_frames(survey)
     for index, side in enumerate(SIDES):
         try:

@@ -2,6 +2,7 @@
 """A simulated flight of a fleet, fully described by one record; equal records give equal bytes."""
 
 import enum
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,6 +90,9 @@ class Scenario:
             )
         if not 0.05 <= self.scale <= 1.0:
             raise ConfigError(f"scenario scale {self.scale} is not allowed; use 0.05 to 1")
+        for name in ("blur_px", "noise_sigma", "vibration_deg"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"scenario {name} {getattr(self, name)} is not allowed; use a number of at least 0")
 
     @property
     def imu_config(self) -> ImuConfig:

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A full disk is one line and exit code 1, and costs neither the result table nor leaves a broken bag.
+
+The disk of these tests is a limit on the size of files, which any user can set.
+"""
+
+import dataclasses
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uav_vslam.simulation.recording import record
+from uav_vslam.simulation.scenario import SCENARIOS
+
+ROOM_BYTES = 60_000
+
+
+def limited(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run the command with that much room for each file."""
+    command = [sys.executable, "-m", "uav_vslam.cli.main", *map(str, arguments)]
+    return subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM_BYTES, ROOM_BYTES)),
+    )
+
+
+def only_line(done: subprocess.CompletedProcess[str]) -> str:
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+    assert done.stderr.startswith("uav-vslam: ")
+    return done.stderr
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_simulate_names_the_bag_and_removes_it(storage: str, tmp_path: Path) -> None:
+    bag = tmp_path / "flight"
+    line = only_line(limited("simulate", bag, "--frames", "3", "--scale", "0.125", "--storage", storage))
+    assert f"{bag}: " in line
+    assert "make room" in line
+    assert not bag.exists()
+
+
+def test_run_prints_its_table_first(tmp_path: Path) -> None:
+    flight, results = tmp_path / "flight", tmp_path / "results"
+    record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=8, scale=0.125, seed=3), flight)
+    done = limited("run", flight, "--results", results)
+    assert str(results) in only_line(done)
+    assert "S-SLAM" in done.stdout
+    assert not (results / "latest").exists()
