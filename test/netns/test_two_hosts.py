@@ -10,7 +10,6 @@ import dataclasses
 import json
 import os
 import pickle
-import shutil
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from network_namespaces import VEHICLES, Host, connected, unavailable
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
@@ -29,28 +29,13 @@ from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 
-TOOLS = ("ip", "tc", "nft")
-
-
-def _namespaces_work() -> bool:
-    if os.geteuid() != 0 or any(shutil.which(tool) is None for tool in TOOLS):
-        return False
-    probe = f"uav_probe_{os.getpid()}"
-    made = subprocess.run(["ip", "netns", "add", probe], capture_output=True).returncode == 0
-    return made and subprocess.run(["ip", "netns", "delete", probe], capture_output=True).returncode == 0
-
-
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.slow,
-    pytest.mark.skipif(os.environ.get("UAV_VSLAM_NETNS") != "1", reason="opt-in: set UAV_VSLAM_NETNS=1"),
-    pytest.mark.skipif(
-        os.environ.get("UAV_VSLAM_NETNS") == "1" and not _namespaces_work(), reason=f"needs root and {', '.join(TOOLS)}"
-    ),
+    pytest.mark.skipif(bool(missing := unavailable("ip", "tc", "nft")), reason=missing or "available"),
 ]
 
 ROOT = Path(__file__).parents[2]
-VEHICLES = ("uav1", "uav2")
 FRAMES = 1000  # 140 s
 RADIO_DOMAIN_ID = 42
 STARTING_S = 25.0  # from the start of the processes to that of the flight
@@ -84,33 +69,10 @@ class Flown:
 
 
 @dataclass
-class Host:
-    """A vehicle's network namespace; index 1 or 2 makes its names and addresses."""
+class RadioHost(Host):
+    """A host whose radio is watched."""
 
-    index: int
     samples: list[tuple[float, int, int, int]] = field(default_factory=list)  # (time, sent, backlog, dropped)
-
-    @property
-    def vehicle(self) -> str:
-        return VEHICLES[self.index - 1]
-
-    @property
-    def namespace(self) -> str:
-        return f"vslam_{self.vehicle}"
-
-    @property
-    def interface(self) -> str:
-        return f"radio{self.index}"
-
-    @property
-    def address(self) -> str:
-        return f"10.77.0.{self.index}"
-
-    def run(self, *command: str, text: str | None = None) -> str:
-        done = subprocess.run(
-            ["ip", "netns", "exec", self.namespace, *command], input=text, capture_output=True, text=True, check=True
-        )
-        return done.stdout
 
     def sample(self, now_s: float) -> None:
         """Note what the radio has sent, and the modem's queue."""
@@ -123,31 +85,16 @@ class Host:
 
 
 @pytest.fixture
-def hosts() -> Iterator[list[Host]]:
-    made = [Host(1), Host(2)]
-    try:
+def hosts() -> Iterator[list[RadioHost]]:
+    made = [RadioHost(1), RadioHost(2)]
+    with connected(made, rate_bit=RATE_BIT, burst_bytes=1600, queue_bytes=QUEUE_BYTES):
         for host in made:
-            subprocess.run(["ip", "netns", "delete", host.namespace], capture_output=True)  # of a run that was killed
-            subprocess.run(["ip", "netns", "add", host.namespace], check=True)
-        a, b = made
-        ends = ["name", b.interface, "netns", b.namespace]
-        link = ["ip", "link", "add", a.interface, "netns", a.namespace, "type", "veth", "peer", *ends]
-        subprocess.run(link, check=True)
-        for host in made:
-            _connect(host)
+            _lose(host)
         yield made
-    finally:
-        for host in made:
-            subprocess.run(["ip", "netns", "delete", host.namespace], capture_output=True)
 
 
-def _connect(host: Host) -> None:
-    host.run("sysctl", "-qw", "net.ipv6.conf.all.disable_ipv6=1")  # else the kernel itself would use the radio
-    host.run("ip", "address", "add", f"{host.address}/24", "dev", host.interface)
-    for interface in ("lo", host.interface):
-        host.run("ip", "link", "set", interface, "up")
-    shape = ["rate", f"{RATE_BIT}bit", "burst", "1600", "limit", str(QUEUE_BYTES)]
-    host.run("tc", "qdisc", "add", "dev", host.interface, "root", "tbf", *shape)
+def _lose(host: Host) -> None:
+    """Let the receiver lose datagrams."""
     rule = f'iifname "{host.interface}" meta l4proto udp numgen random mod 100 < {LOSS_PERCENT} counter drop'
     chain = f"type filter hook input priority 0\n{rule}\n"
     host.run("nft", "-f", "-", text=f"table inet radio {{\nchain input {{\n{chain}}}\n}}\n")
@@ -203,7 +150,7 @@ def fusion_command(host: Host, peer: Host) -> list[str]:
     return [sys.executable, "-m", "uav_vslam.ros.fusion_node", *arguments]
 
 
-def fly(hosts: list[Host], flown: dict[str, Flown], folder: Path) -> dict[str, dict[str, Any]]:
+def fly(hosts: list[RadioHost], flown: dict[str, Flown], folder: Path) -> dict[str, dict[str, Any]]:
     """Run the flight in real time and return what each vehicle's player noted; the hosts get their samples."""
     begin_s = time.time()
     processes = []
@@ -220,8 +167,7 @@ def fly(hosts: list[Host], flown: dict[str, Flown], folder: Path) -> dict[str, d
             ("player", [*player, str(folder / f"{host.vehicle}.json")]),
         ):
             with (folder / f"{host.vehicle}_{name}.log").open("w") as log:
-                command = ["ip", "netns", "exec", host.namespace, *command]
-                processes.append(subprocess.Popen(command, env=environment, stdout=log, stderr=log))
+                processes.append(subprocess.Popen(host.inside(*command), env=environment, stdout=log, stderr=log))
     fusions, players = processes[::2], processes[1::2]
     try:
         while any(player.poll() is None for player in players):
@@ -237,7 +183,7 @@ def fly(hosts: list[Host], flown: dict[str, Flown], folder: Path) -> dict[str, d
     return {host.vehicle: json.loads((folder / f"{host.vehicle}.json").read_text()) for host in hosts}
 
 
-def report(host: Host, noted: dict[str, Any]) -> str:
+def report(host: RadioHost, noted: dict[str, Any]) -> str:
     """Return what was measured, in a few lines."""
     first, *_, last = host.since(SETTLED_S)
     rate = (last[1] - first[1]) / (last[0] - first[0])
@@ -268,7 +214,7 @@ def pooled_ate(flown: dict[str, Flown], noted: dict[str, dict[str, Any]]) -> tup
 
 
 def test_two_hosts_cooperate_over_a_lossy_9600_bit_radio_within_its_budget(
-    hosts: list[Host], flown: dict[str, Flown], tmp_path: Path
+    hosts: list[RadioHost], flown: dict[str, Flown], tmp_path: Path
 ) -> None:
     noted = fly(hosts, flown, tmp_path)
     alone, together = pooled_ate(flown, noted)

@@ -2,6 +2,7 @@
 """Rates follow the counters, and the kernel's counters are those of the named interface."""
 
 import socket
+from pathlib import Path
 
 import pytest
 
@@ -48,6 +49,18 @@ def test_an_interface_counts_what_is_sent_over_it() -> None:
             sender.sendto(bytes(1000), ("127.0.0.1", 9))
     assert loopback.sent_bytes >= before[0] + 10_000
     assert loopback.received_bytes >= before[1] + 10_000
+
+
+@pytest.mark.parametrize(
+    ("state", "down"), [("up", False), ("unknown", False), ("down", True), ("lowerlayerdown", True)]
+)
+def test_an_interface_is_down_if_the_kernel_says_so(
+    state: str, down: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "wlan0").mkdir()
+    (tmp_path / "wlan0" / "operstate").write_text(f"{state}\n")
+    monkeypatch.setattr("uav_vslam.ros.traffic.INTERFACES", tmp_path)
+    assert Interface("wlan0").is_down is down
 
 
 @pytest.mark.parametrize("name", ["radio0", "../lo"])

@@ -87,8 +87,8 @@ class FusionNode(VehicleNode):
         host = self._participant.node if self._participant else None
         self._radio = Radio(self, peers, host=host)
         self._exchange = Exchange(self._fusion, peers, self._radio, self.config.fusion, on_drop=self.drop)
-        interface = Interface(self.own.radio_interface) if self.own.radio_interface else None
-        self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, interface)
+        self._interface = Interface(self.own.radio_interface) if self.own.radio_interface else None
+        self._reporter = StatusReporter(self.vehicle, self._fusion, self._exchange, self._interface)
         self._exchange.configure(self.config.fusion)
 
     def _forget_flight(self) -> None:
@@ -214,9 +214,11 @@ class FusionNode(VehicleNode):
         self.notes |= {f"received_bytes_per_s/{link.peer}": f"{link.received_bytes_per_s:.0f}" for link in status.peers}
 
     def _report_faults(self) -> None:
-        """Report silent peers, keys that differ and names that two vehicles have; log the onset."""
+        """Report a radio that is down, silent peers, keys that differ and names of two vehicles; log the onset."""
         self._radio.look_for_namesake()
-        faults = peer_faults(self._fusion.inbox)
+        is_down = self._interface is not None and self._interface.is_down
+        radio = {"radio": f"radio interface {self.own.radio_interface} is down"} if is_down else {}
+        faults = radio | peer_faults(self._fusion.inbox)
         for subject in faults.keys() - self.alarms.keys():
             self.get_logger().warning(faults[subject])
         silent = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}

@@ -10,6 +10,7 @@ from uav_vslam.types import NS_PER_S
 
 WINDOW_S = 10.0
 INTERFACES = Path("/sys/class/net")
+NO_LINK = {"down", "lowerlayerdown", "notpresent", "dormant"}  # of operstate; drivers that know none say "unknown"
 
 
 @dataclass(slots=True)
@@ -44,6 +45,11 @@ class Interface:
         if "/" in self.name or not (INTERFACES / self.name).is_dir():
             known = ", ".join(sorted(path.name for path in INTERFACES.iterdir()))
             raise ConfigError(f"radio_interface = {self.name!r} is no network interface of this host ({known})")
+
+    @property
+    def is_down(self) -> bool:
+        """Whether it carries nothing: switched off, or without a link."""
+        return (INTERFACES / self.name / "operstate").read_text().strip() in NO_LINK
 
     @property
     def sent_bytes(self) -> int:
