@@ -10,6 +10,21 @@ from uav_vslam.cli.main import main
 from uav_vslam.evaluation.output import LATEST
 
 
+@pytest.mark.ros
+@pytest.mark.slow
+def test_the_cost_of_a_node_is_a_ratio_to_a_bare_one_in_the_same_run(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--nodes", "3"]) == 0
+    node, bare = (
+        [float(figure) for figure in line.split("│")[2:-1]]
+        for line in capsys.readouterr().out.splitlines()
+        if "ins_propagator" in line or "bare_odometry" in line
+    )
+    assert node[0] > 0 < bare[0]
+    assert node[1] == pytest.approx(node[0] / bare[0], rel=0.02)
+    assert bare[1] == 1.0
+    assert node[2] < bare[2]  # 50 a second beside one per reading
+
+
 @pytest.mark.slow
 def test_the_quick_bench_measures_every_stage_and_writes_the_study(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

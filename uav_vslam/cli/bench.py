@@ -6,12 +6,13 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from uav_vslam.cli.arguments import results_folder
+from uav_vslam.cli.arguments import positive, results_folder
 
 HELP = "measure the speed of each stage"
 EXAMPLES = """examples:
   uav-vslam bench
   uav-vslam bench --quick          a few repeats only, for a quick check
+  uav-vslam bench --nodes 30       instead, for 30 s: ins_propagator beside a node that does nothing, both as processes
 
 Each time comes with a reference measured alternately in the same run: compare ratios, not milliseconds, between
 machines and revisions. All in one process and one thread; times are processor time.
@@ -21,11 +22,15 @@ machines and revisions. All in one process and one thread; times are processor t
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("--quick", action="store_true", help="a few repeats only")
+    parser.add_argument("--nodes", type=positive, metavar="S", help="measure the cost of a node for S seconds instead")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure; print the table and write study.json."""
+    if args.nodes:
+        _print_nodes(args.nodes)
+        return 0
     import cv2
     from rich.progress import Progress
 
@@ -42,6 +47,21 @@ def run(args: argparse.Namespace) -> int:
     _print(rows)
     print(f"results: {write_study('bench', rows, [], args.results)}")
     return 0
+
+
+def _print_nodes(seconds: int) -> None:
+    """Print what the node costs, and the ratio of its processor time to the bare node's in the same run."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from uav_vslam.ros.node_cost import node_costs
+
+    node, bare = node_costs(seconds)
+    table = Table("Node", "Cores", "Ratio", "Odometry [Hz]", "Latency p50 [ms]", "p99 [ms]")
+    for one in (node, bare):
+        figures = (one.cores, one.cores / bare.cores, one.rate_hz, *one.latency_ms)
+        table.add_row(one.node, *(f"{figure:.3g}" for figure in figures))
+    Console().print(table)
 
 
 def _print(rows: list[dict[str, Any]]) -> None:

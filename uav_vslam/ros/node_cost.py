@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node costs: processor time of `ins_propagator` beside that of a bare node, in one run on the same readings.
+
+Both are processes of their own, on a ROS domain of their own. This process stands for the IMU and the camera, and
+reads the odometry of both.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Imu
+from tf2_msgs.msg import TFMessage
+
+from uav_vslam.datasets.messages import header_stamp_ns
+from uav_vslam.errors import UavVslamError
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg
+from uav_vslam.ros.domain import claimed_domain
+from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, SENSOR, STATE
+from uav_vslam.types import NS_PER_S, NavEstimate, NavState
+
+IMU_RATE_HZ, IMAGE_EVERY = 200, 28  # 7.14 images a second
+GRAVITY = 9.81
+WARM_UP_S = 3.0
+START_S = 60.0  # limit for the nodes to come up
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+UTIME, STIME = 11, 12  # places in /proc/PID/stat after the program's name
+NODES = {"ins_propagator": "ins/odometry", "bare_odometry": "bare/odometry"}
+
+
+@dataclass(frozen=True, slots=True)
+class NodeCost:
+    """What one node took.
+
+    Attributes:
+        node: its name.
+        cores: processor time over wall time.
+        rate_hz: of its odometry.
+        latency_ms: 50th and 99th percentile of the time from a reading's publication to its odometry's arrival [ms].
+    """
+
+    node: str
+    cores: float
+    rate_hz: float
+    latency_ms: tuple[float, float]
+
+
+def node_costs(seconds: float) -> list[NodeCost]:
+    """Measure for so long, after a warm-up.
+
+    Raises:
+        UavVslamError: a node did not come up.
+    """
+    with claimed_domain() as domain_id, _started(domain_id) as processes, _source(domain_id) as source:
+        source.wait_for_nodes()
+        source.play(WARM_UP_S)
+        before = {name: _processor_s(process.pid) for name, process in processes.items()}
+        begin_s = time.monotonic()
+        source.latencies_s = {name: [] for name in NODES}
+        source.play(seconds)
+        elapsed_s = time.monotonic() - begin_s
+        spent = {name: _processor_s(process.pid) - before[name] for name, process in processes.items()}
+    return [_cost(name, spent[name] / elapsed_s, source.latencies_s[name], elapsed_s) for name in NODES]
+
+
+def _cost(name: str, cores: float, latencies_s: list[float], elapsed_s: float) -> NodeCost:
+    if not latencies_s:
+        raise UavVslamError(f"{name} published nothing")
+    middle, late = (1000.0 * float(np.percentile(latencies_s, share)) for share in (50, 99))
+    return NodeCost(name, cores, len(latencies_s) / elapsed_s, (middle, late))
+
+
+class _Source:
+    """The sensors of a vehicle at rest, and the listener to both nodes."""
+
+    def __init__(self, node: Node, executor: SingleThreadedExecutor) -> None:
+        self._node, self._executor = node, executor
+        self._sent_s: dict[int, float] = {}  # wall time of each reading, by its stamp
+        self.latencies_s: dict[str, list[float]] = {name: [] for name in NODES}
+        self._imu = node.create_publisher(Imu, "imu/data_raw", SENSOR)
+        self._info = node.create_publisher(CameraInfo, "left/camera_info", STATE)
+        self._latched: list[Any] = []
+        for name, topic in NODES.items():
+            node.create_subscription(
+                Odometry, topic, lambda data, name=name: self._on_odometry(name, data), SENSOR, raw=True
+            )
+        self._count = 0
+        self._begin_ns = time.time_ns()
+        self._start()
+
+    def _start(self) -> None:
+        """Publish the frames and the start state of a vehicle at rest."""
+        from uav_vslam_msgs.msg import NavigationState
+
+        state = NavState(self._begin_ns, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+        start = navigation_to_msg(
+            NavEstimate(state, 1e-4 * np.eye(15)), frame_id="uav1/map", child_frame_id="uav1/base_link"
+        )
+        edge = transform_to_msg(Pose.identity(), stamp_ns=self._begin_ns, parent="uav1/base_link", child="uav1/imu")
+        states = self._node.create_publisher(NavigationState, "initial_state", LATCHED)
+        frames = self._node.create_publisher(TFMessage, "/tf_static", LATCHED_BY_MANY)
+        states.publish(start)
+        frames.publish(TFMessage(transforms=[edge]))
+        self._latched += [states, frames]
+
+    def wait_for_nodes(self) -> None:
+        """Wait until both nodes take the readings and their odometry has been found."""
+        end_s = time.monotonic() + START_S
+        topics = [f"/uav1/{topic}" for topic in NODES.values()]
+        while self._imu.get_subscription_count() < len(NODES) or not all(map(self._node.count_publishers, topics)):
+            if time.monotonic() > end_s:
+                raise UavVslamError(f"the nodes {', '.join(NODES)} did not come up within {START_S:g} s")
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def play(self, seconds: float) -> None:
+        """Publish readings in real time."""
+        begin_s, first = time.monotonic(), self._count
+        for k in range(round(seconds * IMU_RATE_HZ)):
+            due_s = begin_s + k / IMU_RATE_HZ
+            while (left_s := due_s - time.monotonic()) > 0:
+                self._executor.spin_once(timeout_sec=left_s)
+            self._publish(first + k)
+        self._count = first + round(seconds * IMU_RATE_HZ)
+
+    def _publish(self, index: int) -> None:
+        stamp_ns = self._begin_ns + index * (NS_PER_S // IMU_RATE_HZ)
+        reading = Imu(header=header(stamp_ns, "uav1/imu"))
+        reading.linear_acceleration.z = GRAVITY
+        self._sent_s[stamp_ns] = time.monotonic()
+        self._imu.publish(reading)
+        if index % IMAGE_EVERY == 0:
+            self._info.publish(CameraInfo(header=header(stamp_ns, "uav1/left")))
+
+    def _on_odometry(self, name: str, data: bytes) -> None:
+        sent_s = self._sent_s.get(header_stamp_ns(data))
+        if sent_s is not None:
+            self.latencies_s[name].append(time.monotonic() - sent_s)
+
+
+@contextmanager
+def _source(domain_id: int) -> Iterator[_Source]:
+    context = Context()
+    context.init(args=[], domain_id=domain_id)
+    node, executor = Node("sensors", context=context, namespace="/uav1"), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        yield _Source(node, executor)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+@contextmanager
+def _started(domain_id: int) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
+    arguments = ["--ros-args", "-r", "__ns:=/uav1", "--log-level", "error"]
+    processes = {
+        name: subprocess.Popen(
+            [sys.executable, "-m", f"uav_vslam.ros.{name}_node", *arguments],
+            env=environment,
+        )
+        for name in NODES
+    }
+    try:
+        yield processes
+    finally:
+        for process in processes.values():
+            process.terminate()
+        for process in processes.values():
+            process.wait()
+
+
+def _processor_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[UTIME]) + int(fields[STIME])) / TICKS_PER_S
