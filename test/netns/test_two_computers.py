@@ -154,7 +154,7 @@ def test_two_computers_cooperate_switch_the_mode_name_a_dead_radio_and_end_clean
         one.launcher.send_signal(signal.SIGINT)
     assert [one.launcher.wait() for one in computers] == [0, 0]
     for one in computers:
+        assert "Traceback" not in one.log()
         one.driver.terminate()
         one.driver.wait()
         assert subprocess.run(["ip", "netns", "pids", one.host.namespace], capture_output=True, text=True).stdout == ""
-        assert "Traceback" not in one.log()

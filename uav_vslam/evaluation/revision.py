@@ -11,10 +11,16 @@ def git_revision(folder: Path | None = None) -> str | None:
     Args:
         folder: inside the tree; the one of this package if None.
     """
-    command = ["git", "--no-optional-locks", "describe", "--always", "--dirty", "--exclude=*"]
     where = folder or Path(__file__).resolve().parent
     try:
-        done = subprocess.run(command, cwd=where, capture_output=True, text=True, timeout=10, check=True)
+        revision = _git(where, "rev-parse", "--short", "HEAD")
+        # `describe --dirty` would rewrite the index, and leave it locked on a full disk.
+        changes = _git(where, "--no-optional-locks", "status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.strip() or None
+    return f"{revision}-dirty" if changes else revision
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, timeout=10, check=True)
+    return done.stdout.strip()
