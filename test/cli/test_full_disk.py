@@ -5,9 +5,11 @@ The disk of these tests is a limit on the size of files, which any user can set.
 """
 
 import dataclasses
+import os
 import resource
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -25,6 +27,7 @@ def limited(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
         command,
         capture_output=True,
         text=True,
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "MPLCONFIGDIR": tempfile.gettempdir()},  # no cut caches
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM_BYTES, ROOM_BYTES)),
     )
 
