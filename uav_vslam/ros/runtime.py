@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity
@@ -155,9 +156,14 @@ class VehicleNode(PausableNode):
             self._inputs.remove(one)
 
     def advertise(self, message_type: Any, topic: str, qos: QoSProfile) -> Any:
-        """Create a publisher whose policies can be overridden by parameters qos_overrides.<topic>.publisher."""
+        """Create a publisher whose policies can be overridden by parameters qos_overrides.<topic>.publisher.
+
+        It does not watch for subscriptions that can't match it: they say so themselves, and each watch costs time at
+        every turn of the executor.
+        """
         overrides = QoSOverridingOptions.with_default_policies()
-        return self.create_publisher(message_type, topic, qos, qos_overriding_options=overrides)
+        events = PublisherEventCallbacks(use_default_callbacks=False)
+        return self.create_publisher(message_type, topic, qos, qos_overriding_options=overrides, event_callbacks=events)
 
     def drop(self, reason: str, detail: str) -> None:
         """Count a dropped message and log it, throttled."""
