@@ -2,6 +2,7 @@
 """What the tests share: recordings outside the repository, repeatable property tests, made-up beliefs, a node graph."""
 
 import os
+import signal
 import subprocess
 import sys
 import uuid
@@ -28,6 +29,12 @@ ROOT = Path(__file__).parents[1]
 
 def _data_root() -> Path:
     return Path(os.environ.get("UAV_VSLAM_DATA", ROOT / "../shared/data")).resolve()
+
+
+def pytest_configure() -> None:
+    """Let processes that tests start be interrupted where a shell's background job, which ignores SIGINT, runs them."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

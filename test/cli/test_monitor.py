@@ -44,5 +44,5 @@ def test_ctrl_c_ends_it_without_a_traceback(domain_id: int) -> None:
         assert process.stdout is not None
         assert "waiting for a vehicle" in process.stdout.readline()
         process.send_signal(signal.SIGINT)
-        _, error = process.communicate()
+        _, error = process.communicate(timeout=60)
     assert (process.returncode, error) == (INTERRUPTED, "")
