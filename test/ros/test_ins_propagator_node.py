@@ -140,6 +140,17 @@ def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_eve
     )  # it hovers, and knows it
 
 
+@pytest.mark.parametrize("take_off_first", [True, False])
+def test_a_node_restarted_in_flight_starts_at_the_correction(make: Make, take_off_first: bool) -> None:
+    """The latched start state is the take-off's, and comes before or after the back end's correction."""
+    node = make()
+    messages = [("initial_state", start_at(NOW_NS - 60 * NS_PER_S)), ("slam/correction", start_at(NOW_NS))]
+    for topic, message in messages if take_off_first else reversed(messages):
+        deliver(node, topic, message)
+    rest(node, NOW_NS, 0.1)
+    assert node.counts["increments"] > 0
+
+
 def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_covariances(make: Make) -> None:
     node = make("odometry_rate_hz:=50.0")
     edges: list[TransformStamped] = []

@@ -85,6 +85,7 @@ class InsPropagatorNode(VehicleNode):
         self._startup_buffer = StartupBuffer(self.config.start.rest_s if self._aligns else MAX_APART_S)
         self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
         self._given_frame = ""
+        self._corrected_ns = -1  # newest correction before the start: the back end is in flight
 
     def reset(self) -> None:
         """Start again, at whatever stamps come next."""
@@ -106,7 +107,11 @@ class InsPropagatorNode(VehicleNode):
         if self._preintegrator is not None:  # found in flight by the back end
             self._start(given)
             return
-        self._given, self._given_frame = given, message.child_frame_id
+        if given.state.stamp_ns >= self._corrected_ns:  # latched, the take-off state comes in flight too
+            self._wait_to_start(given, message.child_frame_id)
+
+    def _wait_to_start(self, given: NavEstimate, frame: str) -> None:
+        self._given, self._given_frame = given, frame
         self._start_if_confirmed()
 
     def _start_if_confirmed(self) -> None:
@@ -249,8 +254,8 @@ class InsPropagatorNode(VehicleNode):
         if self._live is not None:
             self._live.correct(corrected)
         elif self._preintegrator is None:  # restarted in flight: the back end knows better than the take-off state
-            self._given, self._given_frame = corrected, message.child_frame_id
-            self._start_if_confirmed()
+            self._corrected_ns = corrected.state.stamp_ns
+            self._wait_to_start(corrected, message.child_frame_id)
 
 
 def main(args: list[str] | None = None) -> int:
