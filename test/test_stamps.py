@@ -148,3 +148,18 @@ def test_the_nearest_stamp_is_found_before_between_and_after_all() -> None:
     stamps_ns = np.array([41, -5, 14, 15, 16, 20, 31], np.int64)  # 15 is as near to 10 as to 20
     assert nearest(stamps_ns, others_ns).tolist() == [2, 0, 0, 0, 1, 1, 2]
     assert nearest(stamps_ns, others_ns[:1]).tolist() == [0] * len(stamps_ns)
+
+
+def test_of_large_items_only_the_newest_few_are_held_and_the_others_are_counted() -> None:
+    line: TimeLine[int] = TimeLine({"small": 5.0, "large": 5.0}, least=3, most={"large": 3})
+    line.add("small", 0, 0)
+    line.add("large", 0, 0)
+    for k in range(10):
+        assert not line.add("large", 60 * NS_PER_S + k * NS_PER_S, k).items
+    assert line.refused["stamp_jump"] == 7
+    assert not line.add("small", 60 * NS_PER_S, 0).items
+    for k in range(1, 20):
+        admitted = line.add("small", 60 * NS_PER_S + k * NS_PER_S // 10, k)
+        if admitted.jump:
+            break
+    assert [item for name, item in admitted.items if name == "large"] == [7, 8, 9]

@@ -7,6 +7,7 @@ followed only if every stream that has to be paired jumps to the same time: the 
 """
 
 from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -23,7 +24,7 @@ RUN_S = 0.5  # a clock that was set shows in stamps that agree for so long,
 RUN_LENGTH = 5  # and in so many of them
 FAULT_S = 2.0  # a stream that has left the time line alone for so long is a fault: the others should have followed
 BEHIND_S = 0.5  # normal delay between streams
-MAX_HELD = 2000  # of a run: 10 s of readings at 200 Hz, while slower streams follow
+MAX_HELD = 2000  # of a run, then the oldest goes: 10 s of readings at 200 Hz, while slower streams follow
 
 
 def nearest(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDArray[np.intp]:
@@ -87,12 +88,14 @@ class _Stream(Generic[T]):
     Attributes:
         jump_ns: largest step ahead that is no jump [ns].
         newest_ns: newest stamp on the time line; None before the first.
+        most: largest number of candidates that are kept.
         run: arrival number, stamp and item of the candidates that agree with each other.
     """
 
     jump_ns: int
+    most: int
     newest_ns: int | None = None
-    run: deque[tuple[int, int, T]] = field(default_factory=lambda: deque(maxlen=MAX_HELD))
+    run: deque[tuple[int, int, T]] = field(default_factory=deque)
 
     @property
     def run_ns(self) -> int:
@@ -123,6 +126,7 @@ class TimeLine(Generic[T]):
         follow: bool = True,
         back: bool = True,
         least: int = RUN_LENGTH,
+        most: Mapping[str, int] | None = None,
     ) -> None:
         """Begin with the first stamp of each stream.
 
@@ -133,9 +137,11 @@ class TimeLine(Generic[T]):
             follow: whether jumps are followed; otherwise whatever is off the time line is refused for good.
             back: whether jumps back are; otherwise older stamps are repetitions.
             least: messages that confirm a jump, besides `RUN_S`.
+            most: by name how many candidates are kept, of large ones; others: `MAX_HELD`.
         """
         self._streams: dict[str, _Stream[T]] = {
-            name: _Stream(round(jump_s * NS_PER_S)) for name, jump_s in streams.items()
+            name: _Stream(round(jump_s * NS_PER_S), (most or {}).get(name, MAX_HELD))
+            for name, jump_s in streams.items()
         }
         self._apart_ns, self._reference, self._follow, self._back = apart_s * NS_PER_S, reference, follow, back
         self._least, self._arrivals = least, 0
@@ -190,6 +196,10 @@ class TimeLine(Generic[T]):
         stream = self._streams[name]
         if stream.run and not 0 < stamp_ns - stream.run_ns <= stream.jump_ns:
             self._refuse_run(name)
+        if len(stream.run) == stream.most:
+            if self._follow:
+                self._refuse("stamp_jump", self._off(name))
+            stream.run.popleft()
         stream.run.append((self._arrivals, stamp_ns, item))
         if not self._follow:
             self._refuse("stamp_jump", self._off(name))

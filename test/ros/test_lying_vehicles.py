@@ -247,7 +247,7 @@ def test_a_forged_session_does_not_end_cooperation_and_the_future_does_not_fill_
         before_mb, future = memory_mb(processes["fusion"].pid), itertools.count(10**6)
 
         def dropped() -> int:
-            return int(uav1.witness.value(uav1.fusion, "dropped/joint_early") or 0)
+            return int(uav1.witness.value(uav1.fusion, "dropped/stamp_jump") or 0)
 
         def flood() -> None:
             uav1.joints.publish(joint_to_msg(uav1.joint(next(future), landmarks=LANDMARKS), frame_id="uav1/map"))

@@ -69,7 +69,9 @@ class FusionNode(VehicleNode):
         # The back end never goes back within a session: older stamps are those of one that was restarted.
         follow = self.config.input.on_time_jump != "refuse"
         streams = {ODOMETRY: IMAGE_TIME_JUMP_S, JOINT: IMAGE_TIME_JUMP_S}
-        self._stamps: TimeLine[Any] = TimeLine(streams, follow=follow, back=False, least=CONFIRMING)
+        self._stamps: TimeLine[Any] = TimeLine(
+            streams, follow=follow, back=False, least=CONFIRMING, most={JOINT: MAX_JOINTS}
+        )
         self._session: int | None = None
         self._forget_flight()
         map_file = self.config.start.map
