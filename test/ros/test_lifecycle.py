@@ -3,6 +3,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from lone_node import lone_node  # noqa: E402
 from node_flight import NodeFlight  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
@@ -30,18 +32,8 @@ def vehicle() -> SimulatedVehicle:
 @pytest.fixture
 def make(vehicle: SimulatedVehicle, domain_id: int) -> Iterator[Make]:
     """Return a factory of the nodes with parameters."""
-    made = []
-
-    def flight(*parameters: str) -> NodeFlight:
-        arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
-        rclpy.init(args=arguments, domain_id=domain_id)
-        made.append(NodeFlight(vehicle))
-        return made[-1]
-
-    yield flight
-    for each in made:
-        each.close()
-    rclpy.shutdown()
+    with lone_node(partial(NodeFlight, vehicle), domain_id) as made:
+        yield made
 
 
 def call(flight: NodeFlight, kind: Any, service: str, request: Any) -> Any:

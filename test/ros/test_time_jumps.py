@@ -3,11 +3,13 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from lone_node import lone_node  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from node_flight import NodeFlight  # noqa: E402
 
@@ -28,18 +30,8 @@ def vehicle() -> SimulatedVehicle:
 @pytest.fixture
 def make(vehicle: SimulatedVehicle, domain_id: int) -> Iterator[Make]:
     """Return a factory of the nodes with parameters."""
-    made = []
-
-    def flight(*parameters: str) -> NodeFlight:
-        arguments = ["--ros-args", "-r", "__ns:=/uav1", *(part for p in parameters for part in ("-p", p))]
-        rclpy.init(args=arguments, domain_id=domain_id)
-        made.append(NodeFlight(vehicle))
-        return made[-1]
-
-    yield flight
-    for each in made:
-        each.close()
-    rclpy.shutdown()
+    with lone_node(partial(NodeFlight, vehicle), domain_id) as made:
+        yield made
 
 
 def stamps_ns(messages: list[Odometry]) -> list[int]:

@@ -1,15 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node of uav1 without its graph: inputs go to its callbacks directly."""
+"""Nodes of uav1 in the test's process; without their graph, inputs go to their callbacks directly."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import rclpy
 
 from uav_vslam.ros.runtime import VehicleNode
 
-Node = TypeVar("Node", bound=VehicleNode)
+
+class Destroyable(Protocol):
+    """A node, or several."""
+
+    def destroy_node(self) -> None:
+        """Destroy it, or them."""
+
+
+Node = TypeVar("Node", bound=Destroyable)
 
 
 @contextmanager

@@ -157,7 +157,7 @@ class NodeFlight:
         self.send("left/camera_info", CameraInfo(header=header(shown.stamp_ns, "left_optical")))
         self.send("stereo_features", features_to_msg(shown, frame_id="left_optical", size=self._size))
 
-    def close(self) -> None:
+    def destroy_node(self) -> None:
         """Destroy the nodes."""
         for node in (*self.nodes, self.player):
             node.destroy_node()
