@@ -10,6 +10,11 @@ class UavVslamError(Exception):
     """Base of all deliberate errors; the text gives the value met, the values allowed and the remedy."""
 
 
+def one_line(error: Exception) -> str:
+    """Return the text of another library's error, which may have several lines, in one; its type if it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 class ConfigError(UavVslamError):
     """A configuration key, type or value is wrong."""
 

@@ -95,15 +95,16 @@ def seeds_of(args: argparse.Namespace) -> list[int]:
 
 def publish(name: str, findings: Findings, seeds: list[int], args: argparse.Namespace) -> None:
     """Print the tables, write them and the plots into a new folder below the results, and say where they are."""
-    from uav_vslam.evaluation.output import write_study
+    from uav_vslam.evaluation.output import write_study_tree
     from uav_vslam.evaluation.revision import git_revision
     from uav_vslam.evaluation.study import study_markdown, study_tree
     from uav_vslam.report.page.page import write_page
     from uav_vslam.studies.engine.columns import legend
 
-    rows, series = findings.rows, findings.series
+    rows = findings.rows
     notes = {"Columns": legend(rows), **findings.notes}
-    print(study_markdown(study_tree(name, rows, seeds, git=git_revision(), notes=notes, series=series)))
-    folder = write_study(name, rows, seeds, args.results, notes=notes, series=series, plot=findings.draw)
+    tree = study_tree(name, rows, seeds, git=git_revision(), notes=notes, series=findings.series)
+    print(study_markdown(tree))
+    folder = write_study_tree(tree, args.results, plot=findings.draw)
     print(f"results: {folder}")
     print(f"page: {write_page([folder])}")

@@ -25,7 +25,7 @@ from uav_vslam.config.fleet import FleetConfig, LinkConfig, RadioConfig, ReplayC
 from uav_vslam.config.nodes import LinkNodeConfig
 from uav_vslam.config.settings import build, differences, flatten, flattened, plain
 from uav_vslam.config.vehicle import FusionConfig, VehicleConfig
-from uav_vslam.errors import ConfigError
+from uav_vslam.errors import ConfigError, one_line
 
 ALL_NODES, PARAMETERS = "/**", "ros__parameters"
 CALIBRATION = "input.calibration"
@@ -282,8 +282,7 @@ def read_yaml(path: Path) -> dict[Any, Any]:
     except OSError as error:
         raise ConfigError(f"{path}: can't be read ({error.strerror}); give the path of a YAML file") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        text = " ".join(str(error).split())  # PyYAML writes several lines
-        raise ConfigError(f"{path}: not valid YAML ({text})") from None
+        raise ConfigError(f"{path}: not valid YAML ({one_line(error)})") from None
     if tree is not None and not isinstance(tree, dict):
         raise ConfigError(f"{path}: must hold keys and values, not {type(tree).__name__}")
     return tree or {}

@@ -18,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.kalibr_camchain import KALIBR_LENSES
-from uav_vslam.errors import CalibrationError
+from uav_vslam.errors import CalibrationError, one_line
 from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
 from uav_vslam.geometry.pose import Pose
 
@@ -127,8 +127,7 @@ def yaml_tree(text: str, path: Path) -> dict[str, Any]:
     try:
         tree = yaml.safe_load("\n".join(lines))
     except (yaml.YAMLError, ValueError) as error:
-        text = " ".join(str(error).split())  # PyYAML writes several lines
-        raise CalibrationError(f"{path}: not valid YAML ({text})") from None
+        raise CalibrationError(f"{path}: not valid YAML ({one_line(error)})") from None
     if not isinstance(tree, dict):
         raise CalibrationError(f"{path}: holds no keys and values; give a calibration of Kalibr, ROS or EuRoC")
     return tree

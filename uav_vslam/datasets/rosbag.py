@@ -37,7 +37,7 @@ from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.compressed_bag import compressed_files, unpacked
 from uav_vslam.datasets.patient_file import PatientFile
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
-from uav_vslam.errors import BagError
+from uav_vslam.errors import BagError, one_line
 
 MESSAGE_PACKAGE = "uav_vslam_msgs"
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
@@ -355,8 +355,7 @@ def _messages_of_file(file: Path, topics: frozenset[str] | None) -> Iterator[Raw
 
 def _damage(file: Path, last_ns: int | None, error: Exception) -> BagError:
     reached = "nothing could be read" if last_ns is None else f"read up to the damage after stamp {last_ns} ns"
-    detail = " ".join(str(error).split()) or type(error).__name__
-    return BagError(f"bag {file} is damaged: {reached} ({detail}); record it again or use the readable part")
+    return BagError(f"bag {file} is damaged: {reached} ({one_line(error)}); record it again or use the readable part")
 
 
 def _messages_of_whole_file(file: Path, topics: frozenset[str] | None) -> Iterator[RawMessage]:

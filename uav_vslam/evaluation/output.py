@@ -79,8 +79,14 @@ def write_study(
     Returns:
         The new folder.
     """
-    tree = study_tree(name, rows, seeds, git=git_revision(), notes=notes, series=series)
-    with new_folder(root, name) as folder:
+    return write_study_tree(
+        study_tree(name, rows, seeds, git=git_revision(), notes=notes, series=series), root, plot=plot
+    )
+
+
+def write_study_tree(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: StudyPlotter | None = None) -> Path:
+    """Write a `study_tree` as `write_study` does."""
+    with new_folder(root, tree["study"]) as folder:
         write_json(folder / "study.json", tree)
         (folder / "study.md").write_text(study_markdown(tree), encoding="utf-8")
         if plot is not None:

@@ -12,6 +12,7 @@ from uav_vslam.types import NS_PER_S, NavEstimate
 
 IMU, IMAGES = "IMU", "image"  # streams of the time line
 MOST_BRIDGED_S = 30.0  # of a jump ahead; beyond it an estimate is worth no more than a new start
+EARLY_STARTS = 4  # start states remembered that belong to no known time line
 MOST_ELAPSED_S = 60.0  # flown unseen, however far a clock was set
 
 

@@ -57,7 +57,6 @@ CONFIRMING = 3  # messages of each that confirm a jump: joint information comes 
 MAX_WAITING = 20  # odometry held for an epoch's joint information; then the epoch is skipped
 MAX_JOINTS = 8  # epochs' joint information that waits for its odometry: the back end sends it just before
 MAX_PATH = 2000  # poses in a published path
-NAMESAKE = "namesake"  # subject of a failure
 
 
 class FusionNode(VehicleNode):
@@ -225,11 +224,7 @@ class FusionNode(VehicleNode):
             self.get_logger().warning(faults[subject])
         silent = {peer: f"{peer} silent for {age_s:.0f} s" for peer, age_s in self._reporter.silent.items()}
         self.alarms = faults | silent
-        namesake = namesake_fault(self._fusion.inbox, self.vehicle)
-        if namesake and NAMESAKE not in self.failures:
-            self.get_logger().error(namesake)
-        self.failures.pop(NAMESAKE, None)
-        self.failures |= {NAMESAKE: namesake} if namesake else {}
+        self.report_failure("namesake", namesake_fault(self._fusion.inbox, self.vehicle))
 
 
 def main(args: list[str] | None = None) -> int:

@@ -27,7 +27,7 @@ from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
-from uav_vslam.ins.sensor_clock import IMAGES, IMU, bridges, carried_over, sensor_time_line
+from uav_vslam.ins.sensor_clock import EARLY_STARTS, IMAGES, IMU, bridges, carried_over, sensor_time_line
 from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
 from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
@@ -44,8 +44,6 @@ from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.stamps import Admitted, TimeJump
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
-
-EARLY_STARTS = 4  # start states remembered that belong to no known time line
 
 
 class InsPropagatorNode(VehicleNode):

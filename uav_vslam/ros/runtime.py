@@ -180,12 +180,16 @@ class VehicleNode(PausableNode):
             self._refused = refused
             self.counts |= {f"dropped/{reason}": count for reason, count in line.refused.items()}
             self.get_logger().warning(f"dropped a message: {line.refusal}", throttle_duration_sec=5.0)
-        if not (faults := line.faults):
-            self.failures.pop("clock", None)
+        self.report_failure("clock", "; ".join(line.faults.values()))
+
+    def report_failure(self, subject: str, text: str) -> None:
+        """Set a failure, and log it if it is new; an empty text means that there is none."""
+        if not text:
+            self.failures.pop(subject, None)
             return
-        if "clock" not in self.failures:
-            self.get_logger().error("; ".join(faults.values()))
-        self.failures["clock"] = "; ".join(faults.values())
+        if subject not in self.failures:
+            self.get_logger().error(text)
+        self.failures[subject] = text
 
     def _follow_reliability(self) -> None:
         for one in self._inputs:
@@ -197,13 +201,11 @@ class VehicleNode(PausableNode):
     def _refuse_mixed(self) -> None:
         """Report inputs that several nodes publish; the inputs themselves stop passing messages on."""
         faults = mixed(self._inputs, self)
-        for topic in faults.keys() - self._mixed:
-            self.get_logger().error(faults[topic])
         for topic in self._mixed - faults.keys():
-            self.failures.pop(topic, None)
             self.get_logger().info(f"one node publishes {topic} again; it is used")
+        for topic in self._mixed | faults.keys():
+            self.report_failure(topic, faults.get(topic, ""))
         self._mixed = set(faults)
-        self.failures |= faults
         refused = sum(one.refused for one in self._inputs)
         if refused:
             self.counts["dropped/several_publishers"] = refused

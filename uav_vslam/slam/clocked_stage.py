@@ -10,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.ins.sensor_clock import MOST_BRIDGED_S, carried_over
+from uav_vslam.ins.sensor_clock import EARLY_STARTS, MOST_BRIDGED_S, carried_over
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.stage import SlamStage
 from uav_vslam.stamps import IMU_TIME_JUMP_S, Admitted, TimeJump, TimeLine
@@ -18,7 +18,6 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 
 FEATURES, MOTION = "stereo_features", "ins/increment"
 Item = StereoFeatures | ImuIncrement
-EARLY_STARTS = 4  # start states remembered that belong to no known time line
 
 
 class ClockedStage:
