@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 
+from rclpy.callback_groups import CallbackGroup
 from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
@@ -13,6 +14,7 @@ from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
 from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
+from uav_vslam.ros.batches import take_waiting
 from uav_vslam.ros.convert import imu_from_msg
 from uav_vslam.ros.qos import LATCHED_BY_MANY, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode
@@ -83,13 +85,19 @@ class RigListener:
 class ImuListener:
     """Finds out where the IMU is; readings wait until then."""
 
-    def __init__(self, node: VehicleNode, on_reading: Callable[[ImuSample], None]) -> None:
-        """Set up; `on_reading` gets each reading as of the body's origin and axes, in order of arrival."""
+    def __init__(self, node: VehicleNode, on_reading: Callable[[ImuSample], None], group: CallbackGroup) -> None:
+        """Set up.
+
+        Args:
+            node: owner.
+            on_reading: gets each reading as of the body's origin and axes, in order of arrival.
+            group: of the readings.
+        """
         self._node, self._on_reading = node, on_reading
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
         self._mounting: ImuMounting | None = None
         self._waiting: deque[ImuSample] = deque()
-        node.listen(Imu, node.config.input.topics.imu, self._on_imu, SENSOR)
+        self._readings = node.listen(Imu, node.config.input.topics.imu, self._on_imu, SENSOR, group=group)
         if self._setup.needs_imu_frame:
             node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED_BY_MANY)
 
@@ -102,6 +110,10 @@ class ImuListener:
     def has_infos(self) -> bool:
         """Whether camera_info is expected: if the calibration files tell all, cameras need not publish it."""
         return self._setup.needs_infos
+
+    def take_readings(self) -> None:
+        """Take the readings that wait."""
+        take_waiting(self._readings.subscription)
 
     def conflict(self, frame: str) -> str:
         """Return why a start state of a frame is not one of the body, as `SensorSetup.conflict`."""

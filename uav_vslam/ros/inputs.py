@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -35,6 +36,7 @@ class Input:
         message_type, topic, callback, qos: as given to create_subscription.
         stands_for: topic that it can replace; usually its own.
         raw: the callback gets serialised messages.
+        group: of the subscription; None for the node's.
         subscription: the current one.
         received: number of messages.
         may_pause: a pause is not reported.
@@ -50,6 +52,7 @@ class Input:
     qos: QoSProfile
     stands_for: str
     raw: bool = False
+    group: CallbackGroup | None = None
     subscription: Any = None
     received: int = 0
     may_pause: bool = False
@@ -69,6 +72,7 @@ class Input:
             self.qos,
             qos_overriding_options=overrides,
             raw=self.raw,
+            callback_group=self.group,
         )
 
     def follow(self, node: Node) -> bool:
@@ -91,7 +95,7 @@ class Input:
         node.destroy_subscription(self.subscription)
         self.qos = QoSProfile(depth=self.qos.depth, reliability=reliability, durability=durability)
         self.subscription = node.create_subscription(
-            self.message_type, self.topic, self._listener(node), self.qos, raw=self.raw
+            self.message_type, self.topic, self._listener(node), self.qos, raw=self.raw, callback_group=self.group
         )
         return True
 

@@ -18,6 +18,7 @@ out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
 from collections import deque
 
 from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
@@ -29,6 +30,7 @@ from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.ins.sensor_clock import EARLY_STARTS, IMAGES, IMU, bridges, carried_over, sensor_time_line
 from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
+from uav_vslam.ros.batches import Batches
 from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
     increment_to_msg,
@@ -45,6 +47,8 @@ from uav_vslam.stamps import Admitted, TimeJump
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
 
+SHORTEST_NS = NS_PER_S // 1000  # time between two looks at the readings
+
 
 class InsPropagatorNode(VehicleNode):
     """Feeds `ImuPreintegrator`, `DeadReckoning` and `LiveOdometry`; buffers input until the start state arrives."""
@@ -57,6 +61,7 @@ class InsPropagatorNode(VehicleNode):
         self._starts: deque[NavigationState] = deque(maxlen=EARLY_STARTS)  # received in flight
         self._stamps = sensor_time_line(self._policy)
         self._image_ns = -1
+        self._period_s = 1.0 / self.own.odometry_rate_hz if self.own.odometry_rate_hz else 0.0
         self._forget_flight()
         self._increments = self.advertise(InsIncrement, "ins/increment", MOTION)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
@@ -66,7 +71,11 @@ class InsPropagatorNode(VehicleNode):
             self._initial_state = self.advertise(NavigationState, topics.initial_state, LATCHED)
         else:
             self.listen(NavigationState, topics.initial_state, self._on_initial_state, LATCHED)
-        self._sensors = ImuListener(self, lambda reading: self._feed(IMU, reading.stamp_ns, reading))
+        self._batches, self._reading_ns = Batches(at_once=True), -1
+        self._sensors = ImuListener(self, self._on_reading, self._batches)
+        if self._period_s:
+            wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = self.create_timer(self._period_s, self._take_readings, clock=wall_clock)
         if self._sensors.has_infos:
             self.listen(CameraInfo, topics.left_info, lambda m: self._on_image(stamp_ns_of(m)), STATE)
         else:
@@ -91,11 +100,29 @@ class InsPropagatorNode(VehicleNode):
         self._stamps.restart()
         self._forget_flight()
 
+    def _take_readings(self) -> None:
+        """Take the readings that wait; be back when the one is due that makes the next odometry."""
+        self._sensors.take_readings()
+        if self._live is not None:
+            period_ns = round(self._period_s * NS_PER_S)
+            beyond_ns = self._reading_ns - self._live.estimate.state.stamp_ns
+            wait_ns = period_ns - beyond_ns if SHORTEST_NS < period_ns - beyond_ns < period_ns else period_ns
+            if wait_ns != self._timer.timer_period_ns:
+                self._timer.timer_period_ns = wait_ns
+                self._timer.reset()
+
+    def _on_reading(self, reading: ImuSample) -> None:
+        self._reading_ns = reading.stamp_ns
+        self._feed(IMU, reading.stamp_ns, reading)
+        self._batches.at_once = not self._period_s or self._live is None or reading.stamp_ns < self._image_ns
+
     def _on_image(self, stamp_ns: int) -> None:
         stamp_ns += self._sensors.time_offset_ns
         if stamp_ns != self._image_ns:  # the same image raw and compressed
+            self._sensors.take_readings()
             self._image_ns = stamp_ns
             self._feed(IMAGES, stamp_ns, stamp_ns)
+            self._batches.at_once = True  # for the readings that it may wait for
 
     def _on_initial_state(self, message: NavigationState) -> None:
         if self._live is not None:
@@ -148,8 +175,7 @@ class InsPropagatorNode(VehicleNode):
         early = self._startup_buffer.take()
         for estimate in self._reckoner.start(initial):
             self._publish_dead_reckoning(estimate, None)
-        rate_hz = self.own.odometry_rate_hz
-        self._live = LiveOdometry(initial, self.config.imu, period_s=1.0 / rate_hz if rate_hz else 0.0)
+        self._live = LiveOdometry(initial, self.config.imu, period_s=self._period_s)
         already_running = self._preintegrator is not None  # in flight, increments are needed before the start state
         if self._preintegrator is None:
             self._preintegrator = ImuPreintegrator(self.config.imu, initial.state)

@@ -25,6 +25,7 @@ from uav_vslam.config.nodes import RecorderNodeConfig
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawRecorder
 from uav_vslam.errors import BagError, ConfigError
+from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.readiness import DiscoveryReport
@@ -41,7 +42,7 @@ VEHICLE_TOPICS = {
     "slam/smoothed": PoseWithCovarianceStamped,
 }
 REPORT_S = 1.0
-WAKE_S = 0.2  # Python handles a signal only when the executor wakes
+PERIOD_S = 0.1  # between batches
 
 
 class RecorderNode(Node):
@@ -67,11 +68,12 @@ class RecorderNode(Node):
         DiscoveryReport(self, self._unmatched)
         wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(REPORT_S, self._report, clock=wall_clock)
-        self.create_timer(WAKE_S, lambda: None, clock=wall_clock)
+        self.create_timer(PERIOD_S, self._take_messages, clock=wall_clock)
         self.get_logger().info(f"recording to {output}")
 
     def destroy_node(self) -> None:
-        """Close the bag, then destroy the node."""
+        """Record what still waits, close the bag, then destroy the node."""
+        self._take_messages()
         try:
             self._bag.close()
         except BagError as error:
@@ -82,7 +84,10 @@ class RecorderNode(Node):
     def _record(self, topic: str, message_type: Any) -> None:
         package, name = message_type.__module__.split(".")[0], message_type.__name__
 
-        def write(data: bytes) -> None:
+        batches = Batches(at_once=True)
+
+        def write(data: bytes, _: Any) -> None:
+            batches.at_once = False  # there are messages: its QoS suits the publisher
             try:
                 stamp_ns = header_stamp_ns(data)
                 if stamp_ns or topic != "/diagnostics":  # these are stamped 0 until the clock runs
@@ -92,7 +97,13 @@ class RecorderNode(Node):
                 self._dropped += 1
                 self.get_logger().error(f"not recorded: {error}", throttle_duration_sec=5.0)
 
-        self._inputs.append(self.create_subscription(message_type, topic, write, SENSOR, raw=True))
+        self._inputs.append(
+            self.create_subscription(message_type, topic, write, SENSOR, raw=True, callback_group=batches)
+        )
+
+    def _take_messages(self) -> None:
+        for one in self._inputs:
+            take_waiting(one)
 
     def _unmatched(self) -> list[str]:
         return [one.topic_name for one in self._inputs if one.get_publisher_count() == 0]

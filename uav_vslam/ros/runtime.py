@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
@@ -115,6 +116,7 @@ class VehicleNode(PausableNode):
         *,
         instead_of: str = "",
         raw: bool = False,
+        group: CallbackGroup | None = None,
     ) -> Input:
         """Subscribe; a message that the callback rejects is dropped and counted by reason.
 
@@ -123,9 +125,10 @@ class VehicleNode(PausableNode):
             callback: may raise ValueError or an error of ours.
             instead_of: another topic that this one can replace: the node needs only one of them.
             raw: the callback gets serialised messages.
+            group: as for create_subscription.
         """
 
-        one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic, raw)
+        one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic, raw, group)
         one.shared = qos is LATCHED_BY_MANY
         one.subscribe(self)
         self.watch(one)
