@@ -3,8 +3,10 @@
 
 import contextlib
 import dataclasses
+import io
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import field
 from pathlib import Path
 
 import pytest
@@ -26,9 +28,40 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_sound_recording_of_two_vehicles_can_run(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", str(flight)]) == 0
-    said = capsys.readouterr().out
+@dataclasses.dataclass
+class Progress:
+    """What is shown in place of a bar: totals of the bars, and steps taken."""
+
+    totals: list[int] = field(default_factory=list)
+    steps: int = 0
+
+    @contextlib.contextmanager
+    def bar(self, _: str, total: int) -> Iterator[Callable[[], None]]:
+        self.totals.append(total)
+        yield self._advance
+
+    def _advance(self) -> None:
+        self.steps += 1
+
+
+def checked(*arguments: str | Path) -> tuple[int, str, Progress]:
+    """Run the command and return exit code, what it printed, and its progress."""
+    progress, printed = Progress(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.setattr(check, "progress_bar", progress.bar)
+        code = main(["check", *map(str, arguments)])
+    return code, printed.getvalue(), progress
+
+
+@pytest.fixture(scope="module")
+def sound(flight: Path) -> tuple[int, str, Progress]:
+    """The check of both vehicles as they are."""
+    return checked(flight)
+
+
+def test_a_sound_recording_of_two_vehicles_can_run(sound: tuple[int, str, Progress]) -> None:
+    code, said, _ = sound
+    assert code == 0
     for vehicle in ("uav1", "uav2"):
         assert f"{vehicle}: the graph can run: no errors, no warnings" in said
     assert max(map(len, said.splitlines())) <= 100
@@ -68,21 +101,11 @@ def test_the_block_to_paste_has_the_start_that_the_report_advises(
     assert main(["check", str(bag), "--vehicles", "uav1", "--config", str(config)]) == 0
 
 
-def test_the_progress_ends_at_its_total(flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    totals, steps = [], []
-
-    @contextlib.contextmanager
-    def counting(_: str, total: int) -> Iterator[Callable[[], None]]:
-        totals.append(total)
-        yield lambda: steps.append(1)
-
-    monkeypatch.setattr(check, "progress_bar", counting)
+def test_the_progress_ends_at_its_total(sound: tuple[int, str, Progress], flight: Path, tmp_path: Path) -> None:
     foreign = rewritten(flight, tmp_path / "bag", renamed)
-    for bag, vehicles in ((flight, ["uav1", "uav2"]), (flight, ["uav2"]), (foreign, ["uav1"])):
-        totals.clear(), steps.clear()
-        main(["check", str(bag), "--vehicles", *vehicles])
-        assert totals == [len(steps)]
-        assert steps
+    for _, _, progress in (sound, checked(foreign, "--vehicles", "uav1")):
+        assert progress.totals == [progress.steps]
+        assert progress.steps
 
 
 def test_settings_count(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,7 +116,9 @@ def test_settings_count(flight: Path, capsys: pytest.CaptureFixture[str]) -> Non
 def test_a_fleet_file_names_recordings_and_vehicles(flight: Path, tmp_path: Path) -> None:
     fleet = tmp_path / "fleet.yaml"
     fleet.write_text(f"vehicles: {{uav2: {{}}}}\nreplay: {{bags: [{flight}]}}\n")
-    assert main(["check", str(fleet), "--json", str(tmp_path / "check.json")]) == 0
+    code, _, progress = checked(fleet, "--json", tmp_path / "check.json")
+    assert code == 0
+    assert progress.totals == [progress.steps]  # of one vehicle out of two
     (only,) = json.loads((tmp_path / "check.json").read_text())["vehicles"]
     assert only["vehicle"] == "uav2"
     assert main(["check", str(fleet), "--config", "kagaru"]) == 2
