@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from short_bag import before
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import BackendConfig, load_fleet
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
-from uav_vslam.datasets.rosbag import RawRecorder, iter_raw, topics_of
 from uav_vslam.datasets.truth import truth_trajectory
 from uav_vslam.evaluation.output import ALL_TRACKS
 from uav_vslam.evaluation.summary import build_summary
@@ -91,12 +91,8 @@ def euroc_begin(euroc: Case, tmp_path: Path) -> Case:
     """The first frames of the real flight, and the readings up to the next one."""
     (bag,) = load_fleet(euroc.fleet).replay.bags
     end_ns = euroc.tracks["uav1"].outputs[EUROC_FIRST_FRAMES].report.pose.stamp_ns
-    latched = {topic: info.latched for topic, info in topics_of([bag]).items()}
-    with RawRecorder(tmp_path / "begin") as recorder:
-        for raw in iter_raw([bag]):
-            if raw.stamp_ns < end_ns:
-                recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns, latched=latched[raw.topic])
-    return fly_twin(write_fleet(tmp_path, tmp_path / "begin", "euroc.yaml", vehicles=("uav1",), mode="none"))
+    begin = before(end_ns, bag, tmp_path / "begin")
+    return fly_twin(write_fleet(tmp_path, begin, "euroc.yaml", vehicles=("uav1",), mode="none"))
 
 
 def run_graph(launched: Launched, case: Case, folder: Path) -> dict[str, RecordedOutputs]:

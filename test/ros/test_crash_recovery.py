@@ -3,9 +3,7 @@
 
 import contextlib
 import os
-import re
 import signal
-import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -14,39 +12,55 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_vslam import offline
-from uav_vslam.cli.recordings import open_flights
-from uav_vslam.config import load_fleet
-from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
-from uav_vslam.evaluation.consistency import nees
-from uav_vslam.evaluation.pairing import pair_with_truth
-from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.fleet import CooperativeTrack
-from uav_vslam.pipeline import VehicleTrack
-from uav_vslam.types import PoseEstimate
-from waiting import wait_for
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from nav_msgs.msg import Odometry  # noqa: E402
+from node_processes import Witness  # noqa: E402
+from short_bag import before  # noqa: E402
+
+from uav_vslam import offline  # noqa: E402
+from uav_vslam.cli.recordings import open_flights  # noqa: E402
+from uav_vslam.config import load_fleet  # noqa: E402
+from uav_vslam.datasets.messages import stamp_ns_of  # noqa: E402
+from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs  # noqa: E402
+from uav_vslam.evaluation.consistency import nees  # noqa: E402
+from uav_vslam.evaluation.pairing import pair_with_truth  # noqa: E402
+from uav_vslam.evaluation.trajectory import Trajectory  # noqa: E402
+from uav_vslam.fleet import CooperativeTrack  # noqa: E402
+from uav_vslam.pipeline import VehicleTrack  # noqa: E402
+from uav_vslam.types import PoseEstimate  # noqa: E402
+from waiting import wait_for  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
+SAMPLE = ROOT / "bags" / "sample"
+FRAMES = 28  # of the lock-step flight: three epochs
 Launched = Callable[..., AbstractContextManager[Any]]
+Tracks = dict[str, tuple[VehicleTrack, CooperativeTrack]]
 
 
-def fly(launched: Launched, folder: Path, kills: dict[int, str], *, rate: float) -> dict[str, RecordedOutputs]:
-    """Fly the sample recordings, kill nodes, each at that frame of uav1, and return the estimates."""
-    arguments = ["--on-failure", "restart", "--record", str(folder / "out"), "--rate", str(rate)]
+def fly(
+    launched: Launched, folder: Path, bag: Path, kills: dict[int, str], *, rate: float
+) -> dict[str, RecordedOutputs]:
+    """Fly a recording, kill nodes, each when uav1 has answered a frame of that stamp, and return the estimates."""
+    arguments = ["--bag", str(bag), "--on-failure", "restart", "--record", str(folder / "out"), "--rate", str(rate)]
     printed: list[str] = []
-    with launched(str(ROOT / "config" / "fleet_demo.yaml"), *arguments, "--log-dir", str(folder / "log")) as graph:
+    answered_ns = [0]
+    fleet = str(ROOT / "config" / "fleet_demo.yaml")
+    with launched(fleet, *arguments, "--log-dir", str(folder / "log")) as graph, Witness(graph.domain_id) as witness:
+        witness.node.create_subscription(
+            Odometry, "/uav1/odometry", lambda message: answered_ns.append(stamp_ns_of(message)), 10
+        )
         pipe = graph.process.stdout.fileno()
         os.set_blocking(pipe, False)
 
         def listen() -> None:
-            time.sleep(0.02)
+            witness.turn()
             with contextlib.suppress(BlockingIOError):
                 printed.append(os.read(pipe, 1 << 16).decode())
 
-        for frame, node in kills.items():
-            assert wait_for(lambda frame=frame: replayed("".join(printed)) >= frame, listen, alive=graph.alive)
+        for stamp_ns, node in kills.items():
+            assert wait_for(lambda stamp_ns=stamp_ns: answered_ns[-1] >= stamp_ns, listen, alive=graph.alive)
             os.kill(graph.pid_of(node), signal.SIGKILL)
         assert wait_for(lambda: not graph.alive(), listen)
         listen()
@@ -54,37 +68,39 @@ def fly(launched: Launched, folder: Path, kills: dict[int, str], *, rate: float)
     for node in kills.values():
         assert f"{node} was killed by SIGKILL; it is restarted" in "".join(printed)
     assert "".join(printed).count("the vehicles have no key") == 1
-    outputs, damage = read_outputs([folder / "out", ROOT / "bags" / "sample"])
+    outputs, damage = read_outputs([folder / "out", bag])
     assert not damage
     return outputs
 
 
-def replayed(printed: str) -> int:
-    """Return how many frames of uav1 the replay has reported."""
-    return max((int(count) for count in re.findall(r"uav1 (\d+)/64", printed)), default=0)
-
-
 @pytest.fixture(scope="module")
-def undisturbed() -> dict[str, tuple[VehicleTrack, CooperativeTrack]]:
+def undisturbed() -> Tracks:
     """The same flight without ROS, which the graph equals (test_parity)."""
-    bags = (ROOT / "bags" / "sample",)
     configs = load_fleet(ROOT / "config" / "fleet_demo.yaml").vehicles
-    flights = open_flights(bags, configs)
+    flights = open_flights((SAMPLE,), configs)
     tracks, fleet = offline.fly(list(flights.values()), configs, workers=2)
     return {name: (tracks[name], fleet[name]) for name in fleet}
 
 
+def stamps_ns(undisturbed: Tracks) -> list[int]:
+    """Return the stamps of uav1's frames."""
+    return [output.report.pose.stamp_ns for output in undisturbed["uav1"][0].outputs]
+
+
 def test_a_back_end_killed_in_lock_step_catches_up_to_the_same_estimates(
-    launched: Launched, tmp_path: Path, undisturbed: dict[str, tuple[VehicleTrack, CooperativeTrack]]
+    launched: Launched, tmp_path: Path, undisturbed: Tracks
 ) -> None:
     """The own ones to the digit; landmarks since the checkpoint have new identifiers, so fusion may differ a little."""
-    outputs = fly(launched, tmp_path, {12: "uav1/slam_backend"}, rate=0.0)
+    frames_ns = stamps_ns(undisturbed)
+    end_ns = frames_ns[FRAMES]
+    bag = before(end_ns, SAMPLE, tmp_path / "begin")
+    outputs = fly(launched, tmp_path, bag, {frames_ns[12]: "uav1/slam_backend"}, rate=0.0)
     for name, (own, fused) in undisturbed.items():
-        expected = {pose.stamp_ns: pose.T_map_body.t for pose in fused.poses}
+        expected = {pose.stamp_ns: pose.T_map_body.t for pose in fused.poses if pose.stamp_ns < end_ns}
         assert {pose.stamp_ns for pose in outputs[name].fused} == set(expected)
         last = outputs[name].fused[-1]
         np.testing.assert_allclose(last.T_map_body.t, expected[last.stamp_ns], rtol=0, atol=0.01)
-        pose = own.outputs[-1].report.pose
+        pose = [output.report.pose for output in own.outputs if output.report.pose.stamp_ns < end_ns][-1]
         assert outputs[name].own_only[-1].stamp_ns == pose.stamp_ns
         np.testing.assert_allclose(outputs[name].own_only[-1].T_map_body.t, pose.T_map_body.t, rtol=0, atol=1e-6)
 
@@ -96,11 +112,13 @@ def end_error_m(estimates: list[PoseEstimate], truth: Trajectory) -> float:
 
 
 def test_each_node_of_a_vehicle_killed_in_turn_leaves_it_consistent(
-    launched: Launched, tmp_path: Path, undisturbed: dict[str, tuple[VehicleTrack, CooperativeTrack]]
+    launched: Launched, tmp_path: Path, undisturbed: Tracks
 ) -> None:
-    """In real time, slowly enough that a busy machine has a node back before the next one dies."""
-    kills = {8: "uav1/stereo_frontend", 20: "uav1/ins_propagator", 32: "uav1/slam_backend", 44: "uav1/fusion"}
-    outputs = fly(launched, tmp_path, kills, rate=0.15)
+    """In real time, slowly enough that a busy machine has the last node back before the flight ends."""
+    nodes = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
+    frames_ns = stamps_ns(undisturbed)
+    kills = {frames_ns[8 + 12 * k]: f"uav1/{node}" for k, node in enumerate(nodes)}
+    outputs = fly(launched, tmp_path, SAMPLE, kills, rate=0.15)
     for name, flown in outputs.items():
         truth, calm = Trajectory.from_estimates(flown.truth), list(undisturbed[name][1].poses)
         assert flown.fused[-1].stamp_ns == calm[-1].stamp_ns
