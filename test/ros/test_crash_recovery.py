@@ -27,13 +27,14 @@ from uav_vslam.evaluation.pairing import pair_with_truth  # noqa: E402
 from uav_vslam.evaluation.trajectory import Trajectory  # noqa: E402
 from uav_vslam.fleet import CooperativeTrack  # noqa: E402
 from uav_vslam.pipeline import VehicleTrack  # noqa: E402
-from uav_vslam.types import PoseEstimate  # noqa: E402
+from uav_vslam.types import NS_PER_S, PoseEstimate  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "bags" / "sample"
+LONGEST_GAP_S = 0.6  # between two poses, where a node is back as soon as on an idle machine
 FRAMES = 28  # of the lock-step flight: three epochs
 Launched = Callable[..., AbstractContextManager[Any]]
 Tracks = dict[str, tuple[VehicleTrack, CooperativeTrack]]
@@ -111,6 +112,11 @@ def end_error_m(estimates: list[PoseEstimate], truth: Trajectory) -> float:
     return float(np.sqrt(np.mean(np.sum((paired.positions - true.positions) ** 2, axis=1))))
 
 
+def longest_gap_s(estimates: list[PoseEstimate]) -> float:
+    """Return the longest time between two estimates [s]."""
+    return float(np.diff([pose.stamp_ns for pose in estimates]).max()) / NS_PER_S
+
+
 def test_each_node_of_a_vehicle_killed_in_turn_leaves_it_consistent(
     launched: Launched, tmp_path: Path, undisturbed: Tracks
 ) -> None:
@@ -128,4 +134,7 @@ def test_each_node_of_a_vehicle_killed_in_turn_leaves_it_consistent(
         error_m, calm_m = end_error_m(flown.fused, truth), end_error_m(calm, truth)
         # 1.8 to 2.0 times as large here. The peer loses at most what it would have gained.
         limit_m = 3.0 * calm_m if name == "uav1" else 1.05 * max(calm_m, end_error_m(flown.own_only, truth))
+        if longest_gap_s(flown.own_only) > LONGEST_GAP_S:  # a busy machine had a node back late: more was lost
+            ins = [output.dead_reckoning.pose for output in undisturbed[name][0].outputs]
+            limit_m = 0.25 * end_error_m(ins, truth)
         assert error_m <= limit_m
