@@ -16,7 +16,8 @@ def test_the_page_in_docs_is_up_to_date() -> None:
 
 
 def test_every_parameter_is_on_the_page_and_declared_by_a_node() -> None:
+    written = page()
     for name, described in all_settings(VehicleConfig).items():
-        assert f"| `{name}` |" in page()
-        assert described.text in page()
+        assert f"| `{name}` |" in written
+        assert described.text in written
         assert any(name in node.used_names for node in NODES.values()), name
