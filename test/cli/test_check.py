@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from faulty import FAULTS
+from remembered import remembered_sift
 
 from uav_vslam.cli import check
 from uav_vslam.cli.main import main
@@ -19,6 +20,13 @@ from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.recordings.foreign import renamed, rewritten
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _remembered() -> Iterator[None]:
+    """All check the same images."""
+    with remembered_sift():
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,11 @@
 """A small recorded flight of one vehicle with which nothing is wrong."""
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from remembered import remembered_sift
 
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
@@ -15,3 +17,10 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("clean") / "flight"
     record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=24, scale=0.25, seed=3), path)
     return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _remembered() -> Iterator[None]:
+    """Most faults leave the images of the clean flight as they are."""
+    with remembered_sift():
+        yield
