@@ -17,6 +17,8 @@ from uav_vslam.simulation.scenario import SCENARIOS, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
 
+pytestmark = pytest.mark.slow
+
 LATENCY_NS = NS_PER_S // 10  # of a correction after its image
 SEEDS = (1, 2, 3)
 

@@ -108,6 +108,7 @@ def test_a_recording_of_the_pictures_gives_the_same_cameras(chessboard: Path, tm
     assert baselines[0] == baselines[1]
 
 
+@pytest.mark.slow
 def test_a_wrong_board_is_told_with_the_right_one(chessboard: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, chessboard, "--board", "9x6", "--square", "0.03")
     assert f"0 of {PAIRS} pairs show the 9x6 board" in line
@@ -134,6 +135,7 @@ def test_a_folder_without_pictures_is_refused(tmp_path: Path, capsys: pytest.Cap
     assert "holds 0 pictures" in refused(capsys, tmp_path, "--board", "8x5", "--square", "0.03")
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_real_pictures_are_calibrated_to_a_fifth_of_a_pixel_and_both_halves_agree(
     data_root: Path, tmp_path: Path

@@ -24,6 +24,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_cut_runs_as_it_is(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["cut", str(bag), str(tmp_path / "pair"), "--config", "kagaru", *OFTEN, *LEGS]) == 0
     printed = capsys.readouterr().out
@@ -45,6 +46,7 @@ def test_legs_are_found(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert "uav1: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_an_estimate_takes_the_place_of_the_truth(bag: Path, tmp_path: Path) -> None:
     assert main(["run", str(bag), "--config", "kagaru", "--results", str(tmp_path), "--no-plots"]) == 0
     estimate = tmp_path / "latest" / "uav1_s_slam.tum"

@@ -47,6 +47,7 @@ def test_simulate_names_the_bag_and_removes_it(storage: str, tmp_path: Path) -> 
     assert not bag.exists()
 
 
+@pytest.mark.slow
 def test_run_prints_its_table_first(tmp_path: Path) -> None:
     flight, results = tmp_path / "flight", tmp_path / "results"
     record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=8, scale=0.125, seed=3), flight)

@@ -21,6 +21,8 @@ from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.simulation.terrain import ground_of
 
+pytestmark = pytest.mark.slow
+
 SCENARIO = dataclasses.replace(SCENARIOS["sample"], frames=10, vehicles=2)
 
 

@@ -30,6 +30,7 @@ def rows_of(path: Path) -> list[list[str]]:
     return list(csv.reader(lines))[1:]
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, folder = data_root / "odm_caliterra", tmp_path / "pictures"

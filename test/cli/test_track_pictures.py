@@ -34,6 +34,7 @@ def test_left_images_are_those_of_the_frames(bag: Path) -> None:
     assert all((found[stamp_ns] == frames[stamp_ns]).all() for stamp_ns in wanted)
 
 
+@pytest.mark.slow
 def test_a_run_writes_sheet_and_video_and_the_same_trajectories_as_without(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

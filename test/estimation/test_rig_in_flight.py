@@ -47,6 +47,7 @@ def test_a_flexing_rigs_bias_is_estimated(fly, axis: int) -> None:
     assert (np.abs(off) < 2.5 * sigma).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["eif", "ukf"])
 def test_position_and_bias_of_a_flexing_rig_are_consistent(fly, name: str) -> None:
     """NEES with three degrees of freedom a flight; NIS too, but it is not sufficient, see below."""
@@ -65,6 +66,7 @@ def test_position_and_bias_of_a_flexing_rig_are_consistent(fly, name: str) -> No
     assert nis == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["eif", "ukf"])
 def test_position_and_disparity_error_are_consistent(fly, name: str) -> None:
     """Errors drawn from the prior: of 0.2 px a half to a fifth is left."""
@@ -96,6 +98,7 @@ def test_an_unmodelled_bias_about_the_disparity_axis_ruins_the_estimate_but_not_
     assert flexing.position_nees < 4.0
 
 
+@pytest.mark.slow
 def test_the_statistic_against_a_rigid_rig_grows_only_if_it_is_wrong(fly) -> None:
     """With a sigma of 0.002 degrees, ten sigmas about either axis that moves pixels exceed the limit."""
     limit = chi2.ppf(0.99, 3)

@@ -51,6 +51,7 @@ def updates(*, sigma_px: float) -> list[FrameQuality]:
     return [frame for seed in SEEDS for frame in flown(seed, sigma_px=sigma_px).frames or ()]
 
 
+@pytest.mark.slow
 def test_the_innovations_of_flights_with_the_stated_noise_are_consistent() -> None:
     figures = innovation_figures(updates(sigma_px=1.0))
     assert figures["nis_verdict"] == "consistent"
@@ -59,6 +60,7 @@ def test_the_innovations_of_flights_with_the_stated_noise_are_consistent() -> No
     assert figures["nis_outside_share"] < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma_px", "expected"), [(0.5, "over-confident"), (2.0, "conservative")])
 def test_a_wrong_pixel_noise_is_named(sigma_px: float, expected: str) -> None:
     figures = innovation_figures(updates(sigma_px=sigma_px))

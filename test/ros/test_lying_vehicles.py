@@ -30,7 +30,7 @@ from uav_vslam_msgs.msg import FusionStatus, LandmarkInformation  # noqa: E402
 from uav_vslam_msgs.msg import JointInformation as JointInformationMsg  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 MakeJoint = Callable[..., JointInformation]
 FLOOD = 100  # messages of the future

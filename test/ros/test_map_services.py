@@ -114,6 +114,7 @@ def offline_map_hash(ground: Ground) -> str:
     return stage.saved_map().hash
 
 
+@pytest.mark.slow
 def test_a_node_that_loads_a_map_starts_in_it_and_saves_the_offline_twin_s_map(
     node: Node, ground: Ground, tmp_path: Path
 ) -> None:

@@ -92,6 +92,7 @@ def feed(domain_id: int, witness: Witness) -> Iterator[Feed]:
         one.leave(key)
 
 
+@pytest.mark.slow
 def test_while_two_nodes_publish_an_input_it_is_not_used(
     feed: Feed, witness: Witness, domain_id: int, tmp_path: Path
 ) -> None:

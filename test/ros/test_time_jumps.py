@@ -47,6 +47,7 @@ def worst_nees(vehicle: SimulatedVehicle, messages: list[Odometry], offset_s: fl
     return max(found)
 
 
+@pytest.mark.slow
 def test_a_bag_played_in_a_loop_is_flown_again_to_the_same_bits(make: Make) -> None:
     """Under use_sim_time, with a clock that jumps back and a start state that is published again."""
     flight = make("use_sim_time:=true", "session:=1")

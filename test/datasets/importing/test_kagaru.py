@@ -57,6 +57,7 @@ def imported(folder: Path, layout: Path, out: Path, *options: str) -> BagFlight:
     return open_flight(out, "uav1")
 
 
+@pytest.mark.slow
 def test_the_flight_comes_back(flight: Flight, folder: Path, tmp_path: Path, capsys: Capsys) -> None:
     found = imported(folder, kagaru_layout(flight, tmp_path / "layout.yaml"), tmp_path / "out")
     said = capsys.readouterr()

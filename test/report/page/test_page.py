@@ -138,6 +138,7 @@ def test_several_flights_share_a_page_that_marks_their_differences(full: Path, t
     assert re.findall(r'class="key">([\w.]+)<', table) == ["backend.window", "backend.sigma_px"]
 
 
+@pytest.mark.slow
 def test_the_page_of_a_long_flight_with_a_large_map_stays_small(tmp_path: Path) -> None:
     folder = write_long(tmp_path)
     rng = np.random.default_rng(1)

@@ -33,6 +33,7 @@ def test_a_shifted_picture_has_its_shift_as_error_and_none_after_a_rigid_fit() -
     assert found.brightness == pytest.approx(0.8, abs=0.01)
 
 
+@pytest.mark.slow
 def test_errors_that_grow_slowly_are_followed_far() -> None:
     image = picture(lambda x: 0.08 * (x + 30.0), lambda x: 0.0 * x)
     found = displacements(image, SEEN, RASTER, ground, (-30.0, 5.0))

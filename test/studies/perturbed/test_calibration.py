@@ -81,6 +81,7 @@ def test_a_wrong_attitude_about_the_baselines_normal_shifts_the_disparity():
     assert abs(u) < 0.02
 
 
+@pytest.mark.slow
 def test_a_board_leaves_large_errors_that_make_up_for_each_other():
     """So a rig that is drawn from the reported standard deviations alone is far worse than the calibrated one."""
     point = np.array([0.0, 0.0, 70.0])

@@ -55,6 +55,7 @@ def test_a_time_offset_shows_the_world_of_before_under_the_told_stamps(scenario)
         np.testing.assert_array_equal(frame.pixels, features.pixels)
 
 
+@pytest.mark.slow
 def test_both_levels_have_a_row_and_a_curve_for_each_condition():
     rows, series = run_study(CONFIGS, {LANDMARKS: [1, 2], RENDERED: [1]}, frames=3, workers=1)
     labels = [(row["table"], row["condition"]) for row in rows]

@@ -55,6 +55,7 @@ def outcomes(legs: list[RecordedFlight], cut: Cut) -> list[Outcome]:
     return run_starts(legs, cut, CONFIG, [1, 2, 3])
 
 
+@pytest.mark.slow
 def test_a_leg_flies_as_the_bag_of_the_cut(
     flight: BagFlight, cut: Cut, outcomes: list[Outcome], tmp_path: Path
 ) -> None:
@@ -138,6 +139,7 @@ def test_a_run_that_diverges_everywhere_still_has_a_table(legs: list[RecordedFli
     assert all(row["ate_rms_m"] is None for row in rows)
 
 
+@pytest.mark.slow
 def test_the_study_leaves_its_table_and_picture(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--config", "kagaru", "--legs", "0-1.5,1.6-3.2", "--seeds", "2", "--workers", "1"]
     assert main(["study", "split", str(bag), *arguments, "--results", str(tmp_path)]) == 0
