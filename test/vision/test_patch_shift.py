@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -11,10 +13,16 @@ Real = NDArray[np.float32]
 SIZE, FINER = 96, 20
 
 
+@cache
+def clouds(seed: int) -> NDArray[np.float64]:
+    """Return the finer picture; its blur takes two seconds."""
+    fine = cv2.GaussianBlur(np.random.default_rng(seed).normal(0.0, 1.0, (2600, 2600)), (0, 0), 1.5 * FINER)
+    return np.asarray(120.0 + 25.0 * fine / fine.std())
+
+
 def patch(shift: tuple[float, float], seed: int = 1) -> Real:
     """Return a cloudy patch moved by whole steps of a finer picture, averaged down, with noise."""
-    fine = cv2.GaussianBlur(np.random.default_rng(seed).normal(0.0, 1.0, (2600, 2600)), (0, 0), 1.5 * FINER)
-    fine = 120.0 + 25.0 * fine / fine.std()
+    fine = clouds(seed)
     u, v = (300 - round(FINER * step) for step in shift)
     cut = fine[v : v + SIZE * FINER, u : u + SIZE * FINER].astype(np.float32)
     drawn = cv2.resize(cut, (SIZE, SIZE), interpolation=cv2.INTER_AREA)
