@@ -10,12 +10,24 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from uav_vslam.config import IMU_GRADES, ImuConfig
-from uav_vslam.geometry.rotation import rotation_from_rpy
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import rotation_from_rpy, so3_exp, so3_log
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.imu import ideal_imu, simulate_imu
 from uav_vslam.simulation.rig import kagaru_rig
 from uav_vslam.simulation.trajectory import Trajectory
-from uav_vslam.slam.visual_inertial_alignment import BIASES, GRAVITY, GYRO_BIAS, VELOCITY, Alignment, View, align
+from uav_vslam.slam.survey import Survey
+from uav_vslam.slam.visual_inertial_alignment import (
+    BIASES,
+    GRAVITY,
+    GYRO_BIAS,
+    VELOCITY,
+    Alignment,
+    MapAlignment,
+    View,
+    align,
+    align_in_map,
+)
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
 
 Array = NDArray[np.float64]
@@ -41,9 +53,27 @@ class Case:
     velocity_body: Array
     gravity_body: Array
     gyro_bias: Array
+    ground: Array
+    T_map_body: Pose
 
     def solve(self, *, imu: ImuConfig = IMU, sigma_px: float = 1.0) -> Alignment:
         return align(RIG, self.pixels, self.views, imu=imu, sigma_px=sigma_px)
+
+    def solve_in_map(self, *, sigma_m: float, rng: np.random.Generator, wrong: int = 0) -> MapAlignment:
+        """Solve with every third point in a map, from a pose that is 5 m and some degrees off."""
+        rows = np.arange(0, POINTS, 3)
+        positions = self.ground[rows] + rng.normal(0.0, sigma_m, (len(rows), 3))
+        positions[:wrong] += 20.0
+        turn = so3_exp(np.array([0.05, -0.05, 0.05]))
+        off = Pose(turn @ self.T_map_body.R, self.T_map_body.t + np.array([5.0, -4.0, 3.0]))
+        covariances = np.broadcast_to((sigma_m**2 + 1e-6) * np.eye(3), (len(rows), 3, 3))
+        survey = Survey(rows, positions, covariances, off)
+        return align_in_map(RIG, self.pixels, self.views, survey, imu=IMU, sigma_px=1.0)
+
+    def pose_error(self, found: MapAlignment) -> Array:
+        """Return the true position less the estimate, and the rotation vector between them, in map axes."""
+        T = found.T_map_body
+        return np.concatenate([self.T_map_body.t - T.t, so3_log(self.T_map_body.R @ T.R.T)])
 
     def nees(self, found: Alignment) -> tuple[float, float]:
         """NEES of velocity and gravity, per degree of freedom."""
@@ -87,7 +117,9 @@ def window(
         z[swapped] = z[np.roll(swapped, 1)]
         views.append(View(step(readings.samples(), start_ns, stamp_ns, imu or IMU), np.arange(POINTS), z))
     R = flown.pose(0.0).R
-    return Case(pixels[0], views, R.T @ flown.velocity(0.0), R.T @ DOWN, readings.gyro_bias[50])
+    return Case(
+        pixels[0], views, R.T @ flown.velocity(0.0), R.T @ DOWN, readings.gyro_bias[50], ground, flown.pose(0.0)
+    )
 
 
 def observe(flown: Trajectory, t: float, ground: Array, sigma_px: float, rng: np.random.Generator) -> Array:
@@ -170,3 +202,39 @@ def test_without_matches_the_motion_is_undetermined() -> None:
     assert np.sqrt(found.covariance[0, 0]) > 5.0
     prior = np.repeat([IMU.gyro_bias_sigma, IMU.accel_bias_sigma], 3)
     assert np.all(np.sqrt(np.diag(found.covariance)[BIASES]) <= prior * (1 + 1e-6))
+
+
+def test_without_noise_the_pose_in_the_map_is_found_exactly() -> None:
+    case = window(motion(20.0))
+    found = case.solve_in_map(sigma_m=0.0, rng=np.random.default_rng(1))
+    np.testing.assert_allclose(case.pose_error(found), 0.0, atol=1e-3)
+    np.testing.assert_allclose(found.velocity, case.velocity_body, atol=1e-3)
+    assert found.landmarks == POINTS / 3
+
+
+def test_the_pose_in_the_map_and_the_motion_err_together_as_their_covariance_says() -> None:
+    values = []
+    for seed in range(RUNS):
+        case = window(motion(20.0), sigma_px=1.0, imu=IMU, seed=seed)
+        found = case.solve_in_map(sigma_m=0.5, rng=np.random.default_rng(100 + seed))
+        error = np.r_[case.velocity_body - found.velocity, case.pose_error(found)]
+        P = found.covariance[np.ix_(kept := np.r_[0:3, 12:18], kept)]
+        values.append(error @ np.linalg.solve(P, error) / len(error))
+    low, high = chi2.ppf([0.001, 0.999], 9 * RUNS) / (9 * RUNS)
+    assert low < np.mean(values) < high
+
+
+def test_a_window_tells_tilt_better_than_its_first_frame() -> None:
+    case = window(motion(20.0), sigma_px=1.0, imu=IMU)
+    short = window(motion(20.0), sigma_px=1.0, imu=IMU, frames=2)
+    both = (one.solve_in_map(sigma_m=0.5, rng=np.random.default_rng(1)) for one in (case, short))
+    whole, first = (np.trace(found.covariance[15:17, 15:17]) for found in both)
+    assert whole < 0.5 * first
+
+
+def test_landmarks_at_the_wrong_place_in_the_map_are_rejected() -> None:
+    case = window(motion(20.0), sigma_px=1.0, imu=IMU)
+    found = case.solve_in_map(sigma_m=0.3, rng=np.random.default_rng(1), wrong=4)
+    error = case.pose_error(found)
+    assert found.landmarks <= POINTS / 3 - 4
+    assert error @ np.linalg.solve(found.covariance[12:, 12:], error) < chi2.ppf(0.999, 6)

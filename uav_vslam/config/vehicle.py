@@ -25,7 +25,10 @@ class StartConfig(Settings):
         "", "file of a map to fly in: fusion corrects by it, and method map starts in it; empty for none"
     )
     velocity_sigma: float = setting(
-        5.0, "in_flight, map: prior standard deviation of the start's velocity, per axis", unit="m/s", above=0
+        5.0,
+        "in_flight: prior standard deviation of the start's velocity, per axis; map: largest one of a usable window",
+        unit="m/s",
+        above=0,
     )
 
     @property

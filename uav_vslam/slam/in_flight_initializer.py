@@ -50,6 +50,25 @@ class Start:
     frames: list[Frame]
 
 
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Frames that agree on a motion.
+
+    Attributes:
+        first: the first frame.
+        usable: (N,) rows of its features that triangulate.
+        pixels: (N, 4) theirs [px].
+        views: them in later frames.
+        motion: at the first frame.
+    """
+
+    first: StereoFeatures
+    usable: NDArray[np.intp]
+    pixels: NDArray[np.float64]
+    views: list[View]
+    motion: Alignment
+
+
 class InFlightInitializer:
     """Slides a window over the frames until one determines the motion.
 
@@ -90,7 +109,7 @@ class InFlightInitializer:
             self._buffer.append((features, increment))
         while self._window_is_full():
             try:
-                return Start(self._find(), self._buffer)
+                return self._start()
             except InsufficientEvidence as error:
                 self.reason = str(error)
                 self._slide()
@@ -110,20 +129,28 @@ class InFlightInitializer:
         self.dropped += 1
         self._buffer = [(features, None if k == 0 else step) for k, (features, step) in enumerate(self._buffer[1:])]
 
-    def _find(self) -> NavEstimate:
-        first = self._buffer[0][0]
-        pixels = first.pixels.astype(float)
-        usable = np.flatnonzero(np.isfinite(self._rig.triangulate(pixels)).all(axis=1))
-        views = self._views(first.descriptors[usable])
-        found = align(self._rig, pixels[usable], views, imu=self._config.imu, sigma_px=self._config.backend.sigma_px)
-        self._validate(found, views)
-        return self._start_state(first, found)
+    def _start(self) -> Start:
+        """Return the start that the window determines.
 
-    def _start_state(self, first: StereoFeatures, found: Alignment) -> NavEstimate:
-        """Return the state at a window's first frame, given the motion there."""
-        imu = self._config.imu
+        Raises:
+            InsufficientEvidence: it does not.
+        """
+        return Start(self._start_state(self._window()), self._buffer)
+
+    def _window(self) -> Window:
+        """Return the window's first points and its motion."""
+        first = self._buffer[0][0]
+        usable = np.flatnonzero(np.isfinite(self._rig.triangulate(first.pixels.astype(float))).all(axis=1))
+        pixels, views = first.pixels[usable].astype(float), self._views(first.descriptors[usable])
+        found = align(self._rig, pixels, views, imu=self._config.imu, sigma_px=self._config.backend.sigma_px)
+        self._validate(found, views)
+        return Window(first, usable, pixels, views, found)
+
+    def _start_state(self, window: Window) -> NavEstimate:
+        """Return the state at a window's first frame."""
+        imu, found = self._config.imu, window.motion
         return levelled(
-            first.stamp_ns,
+            window.first.stamp_ns,
             up_body=-found.gravity,
             v_body=found.velocity,
             gyro_bias=found.gyro_bias,

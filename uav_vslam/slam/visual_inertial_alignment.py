@@ -10,18 +10,24 @@ Unknown are x = (v, g, gyro bias, accelerometer bias, n) and the points l_i. |g|
 that `ImuConfig` gives them, and n ~ N(0, I) is the increments' noise, scaled by a factor of its covariance. Solved by
 Gauss-Newton on the pixels with the points eliminated, first with Cauchy weights against wrong matches, then on the
 inliers. No pose is estimated from one pair of frames: far points are too uncertain.
+
+Where a map knows some of the points, `align_in_map` solves for the body's pose in it as well: `survey`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from uav_vslam.config import ImuConfig
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import compose, error_transfer
+from uav_vslam.slam.pose_equations import POSE, TINY_INFORMATION, PoseEquations
+from uav_vslam.slam.survey import SURVEY_POSE, Survey
 from uav_vslam.types import ImuIncrement
 
 Array = NDArray[np.float64]
@@ -29,14 +35,19 @@ Rows = NDArray[np.intp]
 
 VELOCITY, GRAVITY, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, 12, 3))
 BIASES, NOISE = slice(6, 12), slice(12, None)
-POSE = 6  # rotation (right perturbation), position: the part of a frame's motion that affects its pixels
-INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # the same among (rotation, velocity, position)
+INCREMENT_POSE = [
+    0,
+    1,
+    2,
+    6,
+    7,
+    8,
+]  # of a frame's (rotation, velocity, position), what affects its pixels: POSE numbers
 SIGMA_GRAVITY = 0.03  # [m/s^2] uncertainty of the configured norm of gravity
 ROBUST_STEPS, FINAL_STEPS = 12, 4
 PIXELS = 4  # of one stereo observation
 MEDIAN_CHI2, INLIER_CHI2 = (float(chdtri(PIXELS, beyond)) for beyond in (0.5, 1e-3))
 MIN_DEPTH_M = 0.05  # nearer points, and those behind, are projected from this depth
-TINY_INFORMATION = 1e-9  # of unobserved directions, so that the equations stay regular
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +84,28 @@ class Alignment:
     inliers: NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True)
+class MapAlignment:
+    """The motion at the first frame, in its body axes, and the pose of that frame in a map.
+
+    Attributes:
+        velocity, gravity, gyro_bias: as in `Alignment`.
+        accel_bias: (3,) [m/s^2].
+        T_map_body: pose.
+        covariance: (18, 18) of velocity, gravity, gyro and accelerometer bias, then the pose's position and rotation
+            (map-frame rotation vector); without errors that all points of the map share.
+        landmarks: points of the map that agree.
+    """
+
+    velocity: Array
+    gravity: Array
+    gyro_bias: Array
+    accel_bias: Array
+    T_map_body: Pose
+    covariance: Array
+    landmarks: int
+
+
 def align(rig: StereoRig, pixels: Array, views: list[View], *, imu: ImuConfig, sigma_px: float) -> Alignment:
     """Solve for the motion at the first frame.
 
@@ -83,21 +116,56 @@ def align(rig: StereoRig, pixels: Array, views: list[View], *, imu: ImuConfig, s
         imu: gravity, and the spread of the biases.
         sigma_px: standard deviation of each pixel coordinate [px].
     """
+    x, H, weight, _ = _solve(rig, pixels, views, None, imu, sigma_px)
+    covariance = np.asarray(np.linalg.inv(H)[: NOISE.start, : NOISE.start])
+    return Alignment(x[VELOCITY], x[GRAVITY], x[GYRO_BIAS], covariance, (weight[:, 1:] > 0).sum(axis=0))
+
+
+def align_in_map(
+    rig: StereoRig, pixels: Array, views: list[View], survey: Survey, *, imu: ImuConfig, sigma_px: float
+) -> MapAlignment:
+    """Solve for the motion at the first frame and its pose in a map; arguments as for `align`.
+
+    The views fix the shape of the ground, so that its fit to the map tells tilt from shift; one frame hardly does.
+    """
+    x, H, weight, T_map_body = _solve(rig, pixels, views, survey, imu, sigma_px)
+    kept = np.r_[: NOISE.start, len(H) - SURVEY_POSE : len(H)]
+    covariance = np.linalg.inv(H)[np.ix_(kept, kept)]
+    landmarks = int((weight[:, -1] > 0).sum())
+    return MapAlignment(x[VELOCITY], x[GRAVITY], x[GYRO_BIAS], x[ACCEL_BIAS], T_map_body, covariance, landmarks)
+
+
+def _solve(
+    rig: StereoRig, pixels: Array, views: list[View], survey: Survey | None, imu: ImuConfig, sigma_px: float
+) -> tuple[Array, Array, Array, Pose]:
+    """Return x, the information matrix, the weights (N, K) and the pose in the map.
+
+    With a survey, the map is the last of the K frames, and its pose follows x in the matrix.
+    """
     motion = _Motion.through(views)
     z, seen = _table(pixels, views)
     points = rig.T_body_left.apply(rig.triangulate(pixels))
     x = _first_guess(rig, motion, z, points, imu.gravity)
+    by_x, T_map_body = motion.by_x, Pose.identity()
+    if survey is not None:
+        by_x, T_map_body = block_diag(by_x, np.eye(SURVEY_POSE)), survey.T_map_body
+        seen = np.concatenate([seen, survey.seen(len(points))], axis=1)
     for step in range(ROBUST_STEPS + FINAL_STEPS):
         residual, J_pose, J_point = _linearise(rig, motion, x, points, z, sigma_px)
+        if survey is not None:
+            residual, J_pose, J_point = survey.appended(T_map_body, points, residual, J_pose, J_point)
         chi2 = np.einsum("nki,nki->nk", residual, residual)
         weight = _cauchy(chi2, seen) if step < ROBUST_STEPS else seen * (chi2 <= INLIER_CHI2)
-        system = _Reduced.of(residual, J_pose, J_point, weight)
-        H, b = _prior(x, imu)
-        H, b = H + motion.by_x.T @ system.H @ motion.by_x, b + motion.by_x.T @ system.b
+        system = PoseEquations.of(residual, J_pose, J_point, weight)
+        H, b = by_x.T @ system.H @ by_x, by_x.T @ system.b
+        H_prior, b_prior = _prior(x, imu)
+        H[: len(x), : len(x)] += H_prior
+        b[: len(x)] += b_prior
         dx = np.linalg.solve(H, b)
-        x, points = x + dx, points + system.points(motion.by_x @ dx)
-    covariance = np.asarray(np.linalg.inv(H)[: NOISE.start, : NOISE.start])
-    return Alignment(x[VELOCITY], x[GRAVITY], x[GYRO_BIAS], covariance, (weight[:, 1:] > 0).sum(axis=0))
+        points = points + system.points(by_x @ dx)
+        x = x + dx[: len(x)]
+        T_map_body = T_map_body if survey is None else survey.moved(T_map_body, np.asarray(dx[len(x) :], float))
+    return x, H, weight, T_map_body
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,39 +265,3 @@ def _prior(x: Array, imu: ImuConfig) -> tuple[Array, Array]:
     H[GRAVITY, GRAVITY] += np.outer(down, down) / SIGMA_GRAVITY**2
     b[GRAVITY] += down * (imu.gravity - norm) / SIGMA_GRAVITY**2
     return H, b
-
-
-@dataclass(frozen=True, slots=True)
-class _Reduced:
-    """Normal equations of all poses, H (6K, 6K) and b (6K,), with the points eliminated.
-
-    Attributes:
-        H, b: the equations.
-        inverse: (N, 3, 3) of the points' own blocks, b_points: (N, 3) their vector, cross: (N, 6K, 3) with the poses.
-    """
-
-    H: Array
-    b: Array
-    inverse: Array
-    b_points: Array
-    cross: Array
-
-    @staticmethod
-    def of(residual: Array, J_pose: Array, J_point: Array, weight: Array) -> "_Reduced":
-        count, frames = weight.shape
-        W_pose = weight[..., None, None] * J_pose.swapaxes(-1, -2)
-        W_point = weight[..., None, None] * J_point.swapaxes(-1, -2)
-        own = (W_point @ J_point).sum(axis=1) + TINY_INFORMATION * np.eye(3)
-        inverse = np.linalg.inv(own)
-        b_points = np.einsum("nkai,nki->na", W_point, residual)
-        cross = (W_pose @ J_point).reshape(count, POSE * frames, 3)
-        gain = cross @ inverse
-        H = -np.einsum("nai,nbi->ab", gain, cross, optimize=True)
-        for k, block in enumerate((W_pose @ J_pose).sum(axis=0)):
-            H[POSE * k : POSE * (k + 1), POSE * k : POSE * (k + 1)] += block
-        b = np.einsum("nkai,nki->ka", W_pose, residual).ravel() - np.einsum("nai,ni->a", gain, b_points)
-        return _Reduced(H, b, inverse, b_points, cross)
-
-    def points(self, poses: Array) -> Array:
-        """Return the points' step (N, 3) for a step of the poses (6K,), by back-substitution."""
-        return np.einsum("nij,nj->ni", self.inverse, self.b_points - np.einsum("nai,a->ni", self.cross, poses))

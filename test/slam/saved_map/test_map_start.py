@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from uav_vslam.config import FusionConfig, StartConfig, VehicleConfig
 from uav_vslam.errors import ConfigError, MapError, UavVslamError
 from uav_vslam.fleet import cooperate
+from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.offline import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
@@ -67,6 +69,22 @@ def test_the_vehicle_knows_within_seconds_where_it_is(mapped, over: dict[int, Ve
             errors_m.append(np.linalg.norm(error))
     assert 0.1 < np.mean(values) < 2.0
     assert np.median(errors_m) < 2.0  # landmark level, 1 px; the map itself errs by some decimetres
+
+
+def test_the_start_is_where_it_claims_to_be_and_uses_no_frame_again(mapped, over: dict[int, VehicleTrack]) -> None:
+    for seed, track in over.items():
+        vehicle, start = mapped(seed).vehicles[1], track.start
+        assert start is not None
+        true = vehicle.true_state(start.state.stamp_ns)
+        T = start.state.T_map_body
+        error = np.concatenate([true.T_map_body.t - T.t, true.v_map - start.state.v_map])
+        error = np.concatenate([error, so3_log(true.T_map_body.R @ T.R.T)])
+        assert error @ np.linalg.solve(start.covariance[:9, :9], error) < chi2.ppf(0.999, 9)
+        assert np.linalg.norm(error[:3]) < 1.0
+        assert track.outputs[0].report.pose.stamp_ns == start.state.stamp_ns
+        assert track.outputs[0].increment is None
+        processed = len(track.outputs) + track.dropped["before_start"]
+        assert processed == len(vehicle.frame_stamps_ns)
 
 
 def test_its_beliefs_and_its_map_name_the_map_they_depend_on(mapped, over: dict[int, VehicleTrack]) -> None:

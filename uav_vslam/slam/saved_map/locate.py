@@ -26,7 +26,7 @@ from uav_vslam.vision.pnp import pnp_ransac
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-MIN_INLIERS = 12  # landmarks that must fit one pose: a dozen wrong matches do not by chance
+MIN_INLIERS = 8  # landmarks that must fit one pose: so many wrong matches of some dozens do not by chance
 TRIED_SECTIONS = 6  # those with most matches
 WIDER_PNP = 2.5  # of `backend.pnp_px`: landmarks err by decimetres of their own, which the fit weighs and PnP does not
 STEPS = 8  # of Gauss-Newton, each with a new choice of inliers
@@ -41,12 +41,19 @@ class Located:
     Attributes:
         T_map_body: pose.
         covariance: (6, 6) of position and rotation (map-frame rotation vector), the map's errors included.
-        inliers: landmarks that fit.
+        section: of the map.
+        pairs: (M, 2) rows of the section's landmarks that fit, and of the frame's features.
     """
 
     T_map_body: Pose
     covariance: Array
-    inliers: int
+    section: MapSection
+    pairs: Rows
+
+    @property
+    def inliers(self) -> int:
+        """Landmarks that fit."""
+        return len(self.pairs)
 
 
 class MapLocator:
@@ -103,7 +110,7 @@ class MapLocator:
             inliers = mahalanobis2(nu, S) <= chdtri(STEREO_DOF, 1.0 - GATE_PROBABILITY)
             if inliers.sum() < MIN_INLIERS:
                 return None
-        return Located(T, symmetrise(P + section.common_covariance(T.t)), int(inliers.sum()))
+        return Located(T, symmetrise(P + section.common_covariance(T.t)), section, pairs[inliers])
 
 
 def _linearised(

@@ -108,6 +108,7 @@ COLUMNS: dict[str, str] = {
     "found": "runs that found it",
     "good": "runs that found it in time and well",
     "settled": "runs that settled in time",
+    "settled_to_start": "the same, with the map's own heading and drift in the error",
     "settled_worst_s": "time until the last one settled",
     "warned": "runs in which the start monitor warned",
     "closed": "runs with a right loop closure",

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Normal equations of the poses of frames that see common points, with the points eliminated (Schur complement)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+POSE = 6
+TINY_INFORMATION = 1e-9  # of unobserved directions, so that the equations stay regular
+
+
+@dataclass(frozen=True, slots=True)
+class PoseEquations:
+    """Normal equations of all poses, H (6K, 6K) and b (6K,), with the points eliminated.
+
+    Attributes:
+        H, b: the equations.
+        inverse: (N, 3, 3) of the points' own blocks, b_points: (N, 3) their vector, cross: (N, 6K, 3) with the poses.
+    """
+
+    H: Array
+    b: Array
+    inverse: Array
+    b_points: Array
+    cross: Array
+
+    @staticmethod
+    def of(residual: Array, J_pose: Array, J_point: Array, weight: Array) -> "PoseEquations":
+        count, frames = weight.shape
+        W_pose = weight[..., None, None] * J_pose.swapaxes(-1, -2)
+        W_point = weight[..., None, None] * J_point.swapaxes(-1, -2)
+        own = (W_point @ J_point).sum(axis=1) + TINY_INFORMATION * np.eye(3)
+        inverse = np.linalg.inv(own)
+        b_points = np.einsum("nkai,nki->na", W_point, residual)
+        cross = (W_pose @ J_point).reshape(count, POSE * frames, 3)
+        gain = cross @ inverse
+        H = -np.einsum("nai,nbi->ab", gain, cross, optimize=True)
+        for k, block in enumerate((W_pose @ J_pose).sum(axis=0)):
+            H[POSE * k : POSE * (k + 1), POSE * k : POSE * (k + 1)] += block
+        b = np.einsum("nkai,nki->ka", W_pose, residual).ravel() - np.einsum("nai,ni->a", gain, b_points)
+        return PoseEquations(H, b, inverse, b_points, cross)
+
+    def points(self, poses: Array) -> Array:
+        """Return the points' step (N, 3) for a step of the poses (6K,), by back-substitution."""
+        return np.einsum("nij,nj->ni", self.inverse, self.b_points - np.einsum("nai,a->ni", self.cross, poses))
