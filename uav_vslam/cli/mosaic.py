@@ -79,17 +79,22 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
-    from uav_vslam.mapping.pictures.features import detect
+    import sys
+
+    from uav_vslam.errors import PictureError
+    from uav_vslam.mapping.pictures.features import detect_all
     from uav_vslam.mapping.pictures.pairs import candidates, match_all
     from uav_vslam.mapping.pictures.placement import local_positions
+    from uav_vslam.mapping.pictures.reading import FEWEST, listed
     from uav_vslam.mapping.pictures.reconstruction import reconstruct
 
-    pictures = folder.pictures
-    features = []
-    with progress_bar("finding points", len(pictures)) as advance:
-        for picture in pictures:
-            features.append(detect(picture))
-            advance()
+    with progress_bar("finding points", len(folder.pictures)) as advance:
+        detected = detect_all(folder.pictures, on_picture=advance)
+    if detected.undecoded:
+        print(f"uav-vslam: warning: left out, can't be decoded: {listed(detected.undecoded)}", file=sys.stderr)
+    if len(detected.pictures) < FEWEST:
+        raise PictureError(f"{len(detected.pictures)} pictures can be decoded; a mosaic needs {FEWEST} or more")
+    pictures, features = detected.pictures, detected.features
     pairs = candidates(features, local_positions(pictures)[0][:, :2])
     sides = [max(picture.width, picture.height) for picture in pictures]
     with progress_bar("matching pairs", len(pairs)) as advance:

@@ -11,6 +11,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from uav_vslam.errors import PictureError
 from uav_vslam.mapping.pictures.exif import clock_s, focal_px
+from uav_vslam.mapping.pictures.features import detect_all
 from uav_vslam.mapping.pictures.reading import read_folder
 
 TABLE = "file,lat_deg,lon_deg,alt_m,datetime\n"
@@ -72,6 +73,44 @@ def test_copies_and_damaged_files_are_left_out_by_name(tmp_path: Path) -> None:
     assert [each.name for each in found.pictures] == ["a.png", "b.png"]
     assert any("c.png" in text for text in found.warnings)
     assert any("d.jpg" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("name", ["c.JPG", "c.png", "c.tif"])
+def test_a_picture_that_ends_early_is_left_out_by_name(tmp_path: Path, name: str) -> None:
+    for k, whole in enumerate(("a.jpg", "b.TIFF")):
+        picture(tmp_path / whole, seed=k)
+    picture(tmp_path / name, (640, 480), seed=2)
+    content = (tmp_path / name).read_bytes()
+    assert len(read_folder(tmp_path).pictures) == 3
+    (tmp_path / name).write_bytes(content[: len(content) // 2])
+    found = read_folder(tmp_path)
+    assert [each.name for each in found.pictures] == ["a.jpg", "b.TIFF"]
+    assert any(name in text for text in found.warnings)
+
+
+def test_pictures_of_a_kind_that_is_not_supported_are_left_out_by_name(tmp_path: Path) -> None:
+    for k, name in enumerate("ab"):
+        picture(tmp_path / f"{name}.png", seed=k)
+    Image.fromarray(np.ones((48, 64), np.float32)).save(tmp_path / "c.tif")
+    ticks: list[int] = []
+    found = detect_all(read_folder(tmp_path).pictures, on_picture=lambda: ticks.append(1))
+    assert [each.name for each in found.pictures] == ["a.png", "b.png"]
+    assert len(found.features) == 2
+    assert found.undecoded == ["c.tif"]
+    assert len(ticks) == 3
+
+
+def test_folders_below_are_named_but_not_taken(tmp_path: Path) -> None:
+    (tmp_path / "100MEDIA").mkdir()
+    (tmp_path / "other").mkdir()
+    picture(tmp_path / "100MEDIA" / "x.jpg", seed=9)
+    with pytest.raises(PictureError, match="folders 100MEDIA;"):
+        read_folder(tmp_path)
+    for k, name in enumerate("ab"):
+        picture(tmp_path / f"{name}.png", seed=k)
+    found = read_folder(tmp_path)
+    assert len(found.pictures) == 2
+    assert any("100MEDIA" in text for text in found.warnings)
 
 
 def test_a_portrait_picture_is_turned_to_lie_like_the_others(tmp_path: Path) -> None:

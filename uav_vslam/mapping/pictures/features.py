@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """SIFT points of downscaled pictures, spread over each."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig
+from uav_vslam.errors import InvalidMessage, PictureError
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.vision.features.sift import SiftExtractor
@@ -33,11 +35,36 @@ class PictureFeatures:
     descriptors: NDArray[np.uint8]
 
 
+@dataclass(frozen=True, slots=True)
+class Detected:
+    """Pictures with their points, in the same order, and the names of those that can't be decoded."""
+
+    pictures: list[Picture]
+    features: list[PictureFeatures]
+    undecoded: list[str]
+
+
+def detect_all(pictures: Sequence[Picture], *, on_picture: Callable[[], None] = lambda: None) -> Detected:
+    """Return the points of all pictures that can be decoded."""
+    found = Detected([], [], [])
+    for picture in pictures:
+        try:
+            features = detect(picture)
+        except (PictureError, InvalidMessage):
+            found.undecoded.append(picture.name)
+        else:
+            found.pictures.append(picture)
+            found.features.append(features)
+        on_picture()
+    return found
+
+
 def detect(picture: Picture, *, longest_side_px: int = LONGEST_SIDE_PX) -> PictureFeatures:
     """Return the points of a picture.
 
     Raises:
         PictureError: it can't be read.
+        InvalidMessage: its pixels are of a kind that is not supported.
     """
     image = picture.read()
     small = shrink(image, min(1.0, longest_side_px / max(image.shape)))

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PIL import Image as PillowImage
-from PIL import UnidentifiedImageError
 
 from uav_vslam.errors import PictureError
 from uav_vslam.mapping.pictures.exif import clock_s, metadata_of
@@ -36,7 +35,7 @@ class Folder:
 
 
 def read_folder(folder: Path, *, focal_px: float | None = None) -> Folder:
-    """Return a folder's pictures, without decoding them.
+    """Return a folder's pictures; those in folders below it are not taken.
 
     Args:
         folder: holds JPEG, PNG or TIFF files and, optionally, `gps.csv`.
@@ -47,20 +46,26 @@ def read_folder(folder: Path, *, focal_px: float | None = None) -> Folder:
     """
     if not folder.is_dir():
         raise PictureError(f"{folder} is not a folder; name the one that holds the pictures")
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    files = _files(folder)
+    below = [path for path in sorted(folder.iterdir()) if path.is_dir() and _files(path)]
     pictures, unreadable = _opened(files)
     pictures, copies = _without_copies(pictures)
     if len(pictures) < FEWEST:
         raise PictureError(
             f"{folder} holds {len(pictures)} different pictures ({', '.join(sorted(SUFFIXES))}) that can be read; "
-            f"a mosaic needs {FEWEST} or more"
+            f"a mosaic needs {FEWEST} or more" + "".join(f"; {text}" for text in _left_out(unreadable, copies, below))
         )
     table = folder / TABLE
     positions = read_positions(table) if table.is_file() else {}
     pictures = [_with_row(picture, positions) for picture in _lying_alike(pictures)]
     if focal_px is not None:
         pictures = [dataclasses.replace(picture, focal_px=focal_px) for picture in pictures]
-    return Folder(tuple(_by_time(pictures)), tuple(_warnings(unreadable, copies, positions, pictures)))
+    texts = [*_left_out(unreadable, copies, below), *_unnamed(positions, pictures)]
+    return Folder(tuple(_by_time(pictures)), tuple(texts))
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,17 +102,24 @@ def _row(row: dict[str, str], where: str) -> Row:
 
 
 def _opened(files: Sequence[Path]) -> tuple[list[Picture], list[Path]]:
-    """Return the pictures of files, and the files that are none."""
+    """Return the pictures of files, and the files that are none or damaged."""
     found, unreadable = [], []
     for path in files:
         try:
             with PillowImage.open(path) as image:
                 size, data = image.size, metadata_of(image)
-        except (UnidentifiedImageError, OSError, SyntaxError):
+                _check_whole(image)
+        except (OSError, SyntaxError, ValueError, EOFError, PillowImage.DecompressionBombError):
             unreadable.append(path)
             continue
         found.append(Picture(path, *size, False, data.camera, data.focal_px, data.time_s, data.position))
     return found, unreadable
+
+
+def _check_whole(image: PillowImage.Image) -> None:
+    """Raise if the file ends early: OpenCV decodes such a picture, and paints the rest grey."""
+    image.draft("L", (image.width // 8, image.height // 8))  # JPEG only: read to the end, but decoded coarsely
+    image.load()
 
 
 def _without_copies(pictures: Sequence[Picture]) -> tuple[list[Picture], list[Path]]:
@@ -152,13 +164,16 @@ def _by_time(pictures: Sequence[Picture]) -> list[Picture]:
     return sorted(pictures, key=lambda picture: (picture.time_s, picture.name))
 
 
-def _warnings(
-    unreadable: Sequence[Path], copies: Sequence[Path], rows: dict[str, Row], pictures: Sequence[Picture]
-) -> Iterator[str]:
+def _left_out(unreadable: Sequence[Path], copies: Sequence[Path], below: Sequence[Path]) -> Iterator[str]:
     if unreadable:
-        yield f"left out, no pictures: {listed([path.name for path in unreadable])}"
+        yield f"left out, no pictures or damaged: {listed([path.name for path in unreadable])}"
     if copies:
         yield f"left out, copies of other files: {listed([path.name for path in copies])}"
+    if below:
+        yield f"not taken, pictures in the folders {listed([path.name for path in below])}; name one of these to use it"
+
+
+def _unnamed(rows: dict[str, Row], pictures: Sequence[Picture]) -> Iterator[str]:
     if rows and not any(picture.name in rows for picture in pictures):
         yield f"{TABLE} names none of the pictures; its column `file` must hold names such as {pictures[0].name}"
 
