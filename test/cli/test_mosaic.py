@@ -43,6 +43,8 @@ def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: 
     results = tmp_path / "results" / "latest"
     figures = json.loads((results / "mosaic.json").read_text())
     assert figures["used"] == 24
+    assert any("GPS contradicts" in text for text in figures["warnings"])
+    assert "GPS contradicts" in (results / "report.html").read_text(encoding="utf-8")
     assert figures["seam"]["median_px"] < SEAM_PX
     truth = {row[0]: np.array(row[1:4], float) for row in rows_of(source / "reference_poses.csv")}
     poses = {row[0]: np.array(row[1:4], float) for row in rows_of(results / "poses.csv")}

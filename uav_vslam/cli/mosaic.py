@@ -23,8 +23,9 @@ EXAMPLES = """examples:
   uav-vslam mosaic pictures --method homography   a chain of homographies, as a baseline; in pixels of the first picture
 
 Pictures should look down, and overlap by 60 % along and 30 % across the path. gps.csv, in the same folder, has the
-columns file,lat_deg,lon_deg,alt_m and optionally datetime. Writes poses.csv, cameras.json, mosaic.json (quality) and
-map/: orthomosaic, overlap.png and map.json, into a new folder below results/, to which results/latest leads.
+columns file,lat_deg,lon_deg,alt_m and optionally datetime. Writes report.html, poses.csv, cameras.json, mosaic.json
+(quality) and map/: orthomosaic, overlap.png and map.json, into a new folder below results/, to which results/latest
+leads.
 """
 MOST_PIXELS = 80e6  # of a mosaic whose pixel is not given
 
@@ -61,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.evaluation.output import new_folder
     from uav_vslam.mapping.pictures.reading import read_folder
     from uav_vslam.report.mosaic_table import print_mosaic
+    from uav_vslam.report.page.page import write_page
 
     cv2.setNumThreads(1)
     folder = read_folder(args.folder, focal_px=args.focal_px)
@@ -72,9 +74,11 @@ def run(args: argparse.Namespace) -> int:
     for text in found.warnings:
         print(f"uav-vslam: warning: {text}", file=sys.stderr)
     with new_folder(args.results, args.name or f"{args.folder.resolve().name}_mosaic") as results:
-        figures = _write(found, args.pixel, results)
+        figures = _write(found, [*folder.warnings, *found.warnings], args.pixel, results)
+        page = write_page([results])
     print_mosaic(figures)
     print(f"results: {results}")
+    print(f"page: {page}")
     return 0
 
 
@@ -117,7 +121,7 @@ def _chained(folder: Folder, args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(found: Reconstruction, pixel_m: float | None, results: Path) -> dict[str, Any]:
+def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, results: Path) -> dict[str, Any]:
     """Draw the mosaic and write everything; return the figures of quality."""
     from uav_vslam.evaluation.output import write_json
     from uav_vslam.mapping.pictures import output
@@ -129,7 +133,7 @@ def _write(found: Reconstruction, pixel_m: float | None, results: Path) -> dict[
     pixel_m = pixel_m or output.pixel_size_m(found.gsd_m, overlap["area_m2"], MOST_PIXELS)
     with progress_bar("drawing", PASSES * len(found.adjusted.used)) as advance:
         drawn = draw(found, pixel_m, folder, on_view=advance)
-    figures = output.quality(found) | {"overlap": overlap} | drawn
+    figures = output.quality(found) | {"overlap": overlap, "warnings": warnings} | drawn
     output.write_poses(found, results / "poses.csv")
     write_json(results / "cameras.json", figures["cameras"])
     write_json(results / "mosaic.json", figures)

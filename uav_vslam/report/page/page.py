@@ -17,6 +17,7 @@ from uav_vslam.report.page.figures import figure_sections
 from uav_vslam.report.page.flight import FlightFiles, read_flight
 from uav_vslam.report.page.html import Markup, joined, section, tag
 from uav_vslam.report.page.map_folder import map_sections
+from uav_vslam.report.page.mosaic_page import is_mosaic, mosaic_sections
 from uav_vslam.report.page.pictures import figure, photograph
 from uav_vslam.report.page.scene import scene_data
 from uav_vslam.report.page.score_tables import drop_section, quality_section, score_section
@@ -45,7 +46,7 @@ CLOCK = """\
 
 
 def write_page(folders: Sequence[Path], output: Path | None = None) -> Path:
-    """Write the page of one or several flights, or of a study.
+    """Write the page of one or several flights, of a study, or of a mosaic.
 
     Args:
         folders: of results, at least one.
@@ -55,12 +56,14 @@ def write_page(folders: Sequence[Path], output: Path | None = None) -> Path:
         The file.
 
     Raises:
-        UavVslamError: a folder holds neither a flight nor a study, or a study is among several folders.
+        UavVslamError: a folder holds none of these, or a study or mosaic is among several folders.
     """
-    studies = [folder for folder in folders if is_study(folder)]
-    if studies and len(folders) > 1:
-        raise UavVslamError(f"{studies[0]} is a study, which has a page of its own; give flights only, or it alone")
-    content = _study_page(folders[0]) if studies else _flight_page(folders)
+    kinds = ((is_study, "study", _study_page), (is_mosaic, "mosaic", _mosaic_page))
+    alone = [(folder, name, page_of) for folder in folders for is_kind, name, page_of in kinds if is_kind(folder)]
+    if alone and len(folders) > 1:
+        folder, name, _ = alone[0]
+        raise UavVslamError(f"{folder} is a {name}, which has a page of its own; give flights only, or it alone")
+    content = alone[0][2](folders[0]) if alone else _flight_page(folders)
     path = output or folders[0] / NAME
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,6 +106,12 @@ def _study_page(folder: Path) -> str:
     drawn = f"{len(seeds)} seed{'s' if len(seeds) != 1 else ''}: {', '.join(map(str, seeds))}" if seeds else "no seeds"
     facts = f"code {tree['git'] or 'of unknown revision'}; {drawn}"
     return _page(tree["study"].replace("_", " "), [facts], sections, {})
+
+
+def _mosaic_page(folder: Path) -> str:
+    tree, sections = mosaic_sections(folder)
+    facts = f"{tree['used']} of {tree['pictures']} pictures, {tree['width']}x{tree['height']} px"
+    return _page(short_name(folder), [facts], sections, {})
 
 
 def _facts(flight: FlightFiles, *, several: bool) -> str:

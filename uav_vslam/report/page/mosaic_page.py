@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mosaic of plain pictures as sections of a page: the picture, how good it is, and what became of each picture."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from uav_vslam.errors import UavVslamError
+from uav_vslam.report.mosaic_table import rows
+from uav_vslam.report.page.flight import read_json
+from uav_vslam.report.page.html import Markup, section, table, tag
+from uav_vslam.report.page.map_folder import MAP, ORTHOMOSAICS
+from uav_vslam.report.page.pictures import figure, photograph
+
+MOSAIC, POSES = "mosaic.json", "poses.csv"
+PICTURE_BYTES = {"orthomosaic": 3_000_000, "overlap": 400_000}
+COLUMNS = ("picture", "x_m", "y_m", "z_m", "points", "reprojection_px")  # of the table of poses that are shown
+
+
+def is_mosaic(folder: Path) -> bool:
+    """Return whether a folder holds the results of `uav-vslam mosaic`."""
+    return (folder / MOSAIC).exists()
+
+
+def mosaic_sections(folder: Path) -> tuple[dict[str, Any], list[Markup]]:
+    """Return the tree of mosaic.json and the sections of its page.
+
+    Raises:
+        UavVslamError: a file is damaged or missing.
+    """
+    tree = read_json(folder / MOSAIC)
+    quality = _quality(tree, folder)
+    mosaic = _picture(folder / MAP, ORTHOMOSAICS, "The mosaic", PICTURE_BYTES["orthomosaic"])
+    overlap = _picture(folder / MAP, ("overlap.png",), "Pictures that show each place", PICTURE_BYTES["overlap"])
+    sections = [
+        section("orthomosaic", "Orthomosaic", mosaic, text=_frame(tree)),
+        section("quality", "Quality", _warnings(tree), tag("div", quality, overlap, class_="cells")),
+        section("pictures", "Pictures", _pictures(folder / POSES, tree)),
+    ]
+    return tree, sections
+
+
+def _frame(tree: dict[str, Any]) -> str:
+    if tree["scale"] == "none":
+        return "The scale is arbitrary: one unit is a hundredth of the flight's height."
+    return "North up." if tree["scale"] == "gps" else "Lengths in metres; the direction of north is not known."
+
+
+def _picture(folder: Path, names: Sequence[str], text: str, most_bytes: int) -> Markup:
+    path = next((folder / name for name in names if (folder / name).exists()), None)
+    if path is None:
+        return tag("p", f"{folder.name}/{names[0]} is missing.")
+    return figure(photograph(path, most_bytes), text, pannable=True)
+
+
+def _warnings(tree: dict[str, Any]) -> Markup | None:
+    texts = [tag("li", text) for text in tree.get("warnings", [])]
+    return tag("ul", *texts) if texts else None
+
+
+def _quality(tree: dict[str, Any], folder: Path) -> Markup:
+    try:
+        lines = rows(tree)
+    except (KeyError, TypeError) as error:
+        raise UavVslamError(f"{folder / MOSAIC} lacks {error}; make the mosaic again") from None
+    return table(["Figure", "Value"], [[name, (value, "number")] for name, value in lines], caption="Quality")
+
+
+def _pictures(path: Path, tree: dict[str, Any]) -> Markup:
+    """Return the table of positions and errors, with the pictures that were left out below."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            poses = [[row[name] for name in COLUMNS] for row in csv.DictReader(file)]
+    except (OSError, ValueError, KeyError, csv.Error) as error:
+        raise UavVslamError(f"{path} can't be read ({error}); make the mosaic again") from None
+    left_out = [[name, "left out", *[""] * (len(COLUMNS) - 2)] for name in tree["left_out"]]
+    return table(COLUMNS, [*poses, *left_out], caption="Positions and errors of the pictures")
