@@ -10,6 +10,9 @@ from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the study's own arguments."""
+    from uav_vslam.config import IMU_GRADES
+
+    parser.add_argument("--imu", choices=tuple(IMU_GRADES), default="adis16480", help="grade (default adis16480)")
     parser.add_argument(
         "--rendered-seeds",
         type=int,
@@ -25,7 +28,8 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
     rendered = [seeds[0] + k for k in range(args.rendered_seeds)] if seeds else []
     advance = progress(len(seeds) + len(rendered))
-    return Findings(study_rows(seeds, rendered, frames=args.frames, workers=args.workers, on_job=advance), NOTES)
+    rows = study_rows(seeds, rendered, frames=args.frames, workers=args.workers, imu=args.imu, on_job=advance)
+    return Findings(rows, NOTES)
 
 
 STUDY = Study(
@@ -34,6 +38,7 @@ STUDY = Study(
     examples="""examples:
   uav-vslam study map_reuse --seeds 20 --first-seed 1001
   uav-vslam study map_reuse --seeds 2 --rendered-seeds 0      a quick check
+  uav-vslam study map_reuse --seeds 8 --rendered-seeds 0 --imu consumer
 """,
     run=run,
     add_arguments=add_arguments,

@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 
 SIGMA_START_M = 2.0  # of the mapping flight's start, per axis: the error that all flights in the map share
 SETTLED_M, SETTLED_WITHIN_S = 1.0, 5.0
+DEFAULT_IMU = "adis16480"
 ALONE, WITH_MAP = "alone", "with the map"
 
 NOTES = {
@@ -93,10 +94,11 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One seed, at landmark level or over rendered ground."""
+    """One seed, at landmark level or over rendered ground, with an inertial unit of a grade."""
 
     seed: int
     frames: int
+    imu: str = DEFAULT_IMU
     rendered: bool = False
 
 
@@ -106,13 +108,14 @@ def study_rows(
     *,
     frames: int,
     workers: int,
+    imu: str = DEFAULT_IMU,
     on_job: Callable[[], None] = lambda: None,
 ) -> list[Row]:
     """Fly all seeds and return the table."""
     rows: list[Row] = []
     for condition, jobs in (
-        ("landmark level, 1 px, ADIS16480", [Job(seed, frames) for seed in seeds]),
-        ("rendered images, 480x360, ADIS16480", [Job(seed, frames, rendered=True) for seed in rendered]),
+        (f"landmark level, 1 px, {imu}", [Job(seed, frames, imu) for seed in seeds]),
+        (f"rendered images, 480x360, {imu}", [Job(seed, frames, imu, rendered=True) for seed in rendered]),
     ):
         runs = list(in_pool(run_seed, jobs, workers, on_job))
         rows += _rows(condition, runs) if runs else []
@@ -123,7 +126,7 @@ def run_seed(job: Job) -> list[Flight]:
     """Map the ground, then fly uav2 and uav3 in the map."""
     base = SCENARIOS["sample" if job.rendered else "kagaru"]
     scenario = dataclasses.replace(
-        base, seed=job.seed, frames=job.frames, vehicles=3, imu="adis16480", sigma_position_m=SIGMA_START_M
+        base, seed=job.seed, frames=job.frames, vehicles=3, imu=job.imu, sigma_position_m=SIGMA_START_M
     )
     config = load_vehicle(find_config("sample")) if job.rendered else VehicleConfig()
     config = dataclasses.replace(config, imu=scenario.imu_config)
