@@ -2,6 +2,8 @@
 """The offline graph's start state, and the reference of its result."""
 
 import dataclasses
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.studies.engine.flights import true_trajectory
-from uav_vslam.types import StereoFeatures
+from uav_vslam.types import ImuSample, StereoFeatures
 
 IN_FLIGHT = StartConfig(method="in_flight")
 FRAMES = 14
@@ -78,6 +80,22 @@ def test_a_failed_in_flight_initialisation_says_why(source: SimulatedSource) -> 
     dark = dataclasses.replace(source, features=blind)
     with pytest.raises(UavVslamError, match=rf"none of {FRAMES} frames allowed a start in flight; the last: of 0"):
         track_vehicle(dark, config(source, IN_FLIGHT))
+
+
+@pytest.mark.parametrize("readings", ["not finite", "absent"])
+def test_a_flight_without_any_usable_imu_reading_is_no_result(source: SimulatedSource, readings: str) -> None:
+    class Deaf(SimulatedSource):
+        def iter_events(self) -> Iterator[Any]:
+            for event in super().iter_events():
+                if not isinstance(event, ImuSample):
+                    yield event
+                elif readings == "not finite":
+                    yield dataclasses.replace(event, gyro=np.full(3, np.nan))
+
+    count = len(source.simulated.imu.samples())
+    reasons = f"not_finite {count}" if readings == "not finite" else "none is in the flight"
+    with pytest.raises(UavVslamError, match=rf"uav1: no IMU reading was used \({reasons}\)"):
+        track_vehicle(Deaf(source.simulated, source.field), config(source, StartConfig()))
 
 
 def test_a_flying_vehicle_is_refused_by_static_alignment_with_the_remedy(source: SimulatedSource) -> None:

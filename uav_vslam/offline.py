@@ -80,7 +80,7 @@ def track_vehicle(
 
     Raises:
         UavVslamError: the source has no start state and the configuration does not set how to find one, or none was
-            found.
+            found; no frame was processed, or no IMU reading used.
     """
     cv2.setNumThreads(1)
     pipeline = VehiclePipeline(
@@ -102,6 +102,7 @@ def track_vehicle(
             f"the last: {pipeline.missing_start}"
         )
     _count_unpaired(source, pipeline.track)
+    _check_measured(pipeline.track)
     if keep_map:
         keep_saved_map(pipeline)
     if smoothing:
@@ -145,6 +146,21 @@ def _count_unpaired(source: FlightSource, track: VehicleTrack) -> None:
     reasons = ", ".join(f"{reason} {count}" for reason, count in track.dropped.items()) or "the IMU does not cover any"
     detail = f"; {source.unpaired_reason()}" if alone > 0 else ""
     raise UavVslamError(f"{source.vehicle}: none of {source.frame_count} frames was processed: {reasons}{detail}")
+
+
+def _check_measured(track: VehicleTrack) -> None:
+    """Check that the flight is more than a guess.
+
+    Raises:
+        UavVslamError: no IMU reading was used.
+    """
+    increments = [output.increment for output in track.outputs if output.increment is not None]
+    if increments and not any(increment.samples for increment in increments):
+        reasons = ", ".join(f"{reason} {count}" for reason, count in track.dropped.items()) or "none is in the flight"
+        raise UavVslamError(
+            f"{track.vehicle}: no IMU reading was used ({reasons}), so all motion is unknown; uav-vslam check says "
+            "what is wrong with the recording"
+        )
 
 
 def fly(

@@ -100,7 +100,7 @@ BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {
     ),
     "uncalibrated camera": (
         changed("/uav1/left/camera_info", k=np.zeros(9)),
-        ["/uav1/left/camera_info", "focal length", "K filled in"],
+        ["/uav1/left/camera_info", "focal length", "K filled in? All faults"],
     ),
     "distortion model we don't know": (
         changed("/uav1/right/camera_info", distortion_model="omni"),

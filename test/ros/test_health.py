@@ -6,7 +6,15 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS")
 from types import SimpleNamespace
 
-from uav_vslam.ros.health import LONGEST_START_S, RECENT_REPORTS, START_S, RecentDrops, Start
+from uav_vslam.ros.health import (
+    LONGEST_START_S,
+    RECENT_REPORTS,
+    RECENT_S,
+    START_S,
+    RecentDrops,
+    RecentEvents,
+    Start,
+)
 from uav_vslam.types import NS_PER_S
 
 
@@ -42,3 +50,13 @@ def test_a_drop_is_reported_with_its_reason_until_it_is_long_past() -> None:
     reports = [drops.next_report(counts) for _ in range(RECENT_REPORTS + 1)]
     assert reports == ["stamp 2"] * RECENT_REPORTS + [""]
     assert drops.next_report(counts | {"dropped/stamp": 3, "dropped/frame_lost": 1}) == "frame_lost 1, stamp 1"
+
+
+def test_events_count_for_ten_seconds_of_stamps_and_not_after_a_clock_that_was_set_back() -> None:
+    events = RecentEvents()
+    counts = [events.count(round(at_s * NS_PER_S), happened) for at_s, happened in ((1, 1), (2, 0), (3, 2), (10.9, 0))]
+    assert counts == [1, 1, 3, 3]
+    assert events.count(round((1 + RECENT_S) * NS_PER_S), 0) == 2
+    assert events.count(round((3 + RECENT_S) * NS_PER_S), 0) == 0
+    events.count(100 * NS_PER_S, 1)
+    assert events.count(50 * NS_PER_S, 0) == 0

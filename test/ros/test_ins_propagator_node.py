@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Increments start at a start state near the IMU samples, given or estimated at rest."""
 
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -16,9 +17,10 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.startup_buffer import MAX_APART_S  # noqa: E402
 from uav_vslam.ros import calibration  # noqa: E402
+from uav_vslam.ros.batches import Batches, take_waiting  # noqa: E402
 from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
-from uav_vslam.ros.qos import STATE  # noqa: E402
+from uav_vslam.ros.qos import SENSOR, STAMPS, STATE  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
 from waiting import wait_for  # noqa: E402
@@ -186,3 +188,27 @@ def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_cov
     assert all(np.linalg.eigvalsh(message.twist.covariance.reshape(6, 6))[0] > 0 for message in odometry)
     sigmas_m = [np.sqrt(message.pose.covariance[0]) for message in odometry]
     assert np.all(np.diff(sigmas_m[:10]) > 0)  # propagated to the stamp, not that of the last correction
+
+
+def test_a_node_that_is_behind_catches_up_in_one_turn(make: Make) -> None:
+    """Image stamps and readings that wait are taken together, and the transforms of all that time are one message."""
+    node, transforms = make("odometry_rate_hz:=50.0"), []
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 0.05)
+    listening = node.create_subscription(
+        TFMessage, "/tf", lambda m, _: transforms.append(m), STATE, callback_group=Batches(at_once=False)
+    )
+    readings = node.create_publisher(Imu, "imu/data_raw", SENSOR)
+    images = node.create_publisher(CameraInfo, "left/camera_info", STAMPS)
+    assert wait_for(lambda: all(p.get_subscription_count() for p in (readings, images, node._tf)))
+    gravity, before = Vector3(z=node.config.imu.gravity), node.counts["increments"]
+    for k in range(11, 91):
+        stamp_ns = NOW_NS + k * STEP_NS
+        if k % 4 == 0:
+            images.publish(CameraInfo(header=header(stamp_ns, "left_optical")))
+        readings.publish(Imu(header=header(stamp_ns, node.base_frame), linear_acceleration=gravity))
+    time.sleep(0.3)  # in the node's queues
+    assert wait_for(lambda: node.counts["increments"] - before == 20, node._take_waiting)  # nothing else turns
+    assert wait_for(lambda: sum(len(m.transforms) for m in transforms) >= 2 * 18, lambda: take_waiting(listening))
+    assert len(transforms) <= 5
+    assert node.counts["imu_gaps"] == 0

@@ -86,6 +86,21 @@ def test_nodes_start_by_themselves_and_a_paused_one_says_so_and_goes_on_as_after
     assert flight.fused[-1].header.stamp == flight.odometry[-1].header.stamp
 
 
+def test_recoveries_and_gaps_in_the_readings_are_alarms_while_they_are_recent(make: Make, monkeypatch) -> None:
+    flight = make()
+    flight.start()
+    flight.fly(0, 6)
+    assert (flight.backend.alarms, flight.ins.alarms) == ({}, {})
+    flight.backend._stage._backend._filter.belief.Y[3, 3] = -1.0
+    with monkeypatch.context() as patch:
+        patch.setattr(flight, "_read", lambda *_: None)
+        flight.fly(6, 8)
+    flight.fly(8, 12)
+    assert flight.backend.alarms["recovery"].startswith("the filter was re-initialised 1x in the last 10 s, the last")
+    assert flight.backend.counts["recoveries"] == 1
+    assert flight.ins.alarms["imu"].endswith(" increments of the last 10 s lack IMU readings")
+
+
 def test_reset_begins_a_session_that_waits_for_a_start_state(make: Make) -> None:
     flight = make("session:=1")
     flight.start()

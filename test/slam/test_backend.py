@@ -254,18 +254,34 @@ def test_an_indefinite_filter_is_reinitialised_from_the_imu(flight: Flight) -> N
     assert flight.position_error_m(reports[-1]) < 1.0
 
 
+def test_a_filter_that_fails_at_frame_after_frame_works_again_as_soon_as_it_can(flight: Flight, monkeypatch) -> None:
+    """Each recovery inflates the covariance, but not so far that the filter can only fail at the next frame."""
+    backend, failing = flight.backend(), range(2, 18)
+    reports = [backend.process(flight.features[k], flight.increments[k]) for k in range(failing.start)]
+    with monkeypatch.context() as patch:
+        patch.setattr(type(backend._filter.belief), "predicted", singular)
+        reports += [backend.process(flight.features[k], flight.increments[k]) for k in failing]
+    reports += [backend.process(flight.features[k], flight.increments[k]) for k in range(failing.stop, FRAMES)]
+    assert [k for k, r in enumerate(reports) if r.recovery] == list(failing)
+    assert min(r.associated for r in reports[failing.stop :]) >= 10
+    position_m = np.sqrt(np.trace(reports[-1].pose.covariance[:3, :3]))
+    assert flight.position_error_m(reports[-1]) < 3.0 * position_m
+    assert position_m < 100.0  # after 16 frames of 0.14 s, at 20 m/s
+
+
+def singular(*_, **__) -> None:
+    raise np.linalg.LinAlgError("Singular matrix")
+
+
 @pytest.mark.parametrize("step", ["predicted", "updated", "candidates"])
 def test_a_matrix_that_numpy_cannot_factor_reinitialises_the_filter(flight: Flight, step: str, monkeypatch) -> None:
     """Raised in prediction, association or update: the frame's motion is integrated either way."""
     backend = flight.backend()
     reports = [backend.process(flight.features[k], flight.increments[k]) for k in range(8)]
 
-    def fail(*_, **__) -> None:
-        raise np.linalg.LinAlgError("Singular matrix")
-
     of = MapMatcher if step == "candidates" else type(backend._filter.belief)
     with monkeypatch.context() as patch:
-        patch.setattr(of, step, fail)
+        patch.setattr(of, step, singular)
         reports.append(backend.process(flight.features[8], flight.increments[8]))
     reports += [backend.process(flight.features[k], flight.increments[k]) for k in range(9, FRAMES)]
     assert [k for k, r in enumerate(reports) if r.recovery] == [8]

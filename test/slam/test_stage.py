@@ -8,6 +8,7 @@ import pytest
 
 from uav_vslam.config import RigConfig, StartConfig, VehicleConfig
 from uav_vslam.config.vehicle import OutputFramesConfig
+from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegrator import advance
@@ -137,6 +138,29 @@ def test_a_reinitialised_filter_is_reported(flown) -> None:
     assert [len(o.warnings) for o in outputs] == [1, 0, 0, 0]
     assert "re-initialised" in outputs[0].warnings[0]
     assert "not positive definite" in outputs[0].warnings[0]
+
+
+def test_an_estimate_that_proves_indefinite_at_an_epoch_costs_a_recovery_and_no_frame(flown, monkeypatch) -> None:
+    flight = flown(1)
+    stage = make(flight)
+    stage.start(flight.vehicle.initial)
+    outputs = feed(stage, flight.frames[:10])
+    before = type(stage._backend._filter).pose_landmark_information
+    failures = [FilterDivergence("information is not positive definite")]
+
+    def fail_once(self) -> np.ndarray:
+        if failures:
+            raise failures.pop()
+        return before(self)
+
+    monkeypatch.setattr(type(stage._backend._filter), "pose_landmark_information", fail_once)
+    outputs += feed(stage, flight.frames[10:])
+    assert stamps(outputs) == [f.stamp_ns for f, _ in flight.frames]
+    (lost,) = [o for o in outputs if o.report.recovery]
+    assert "not positive definite" in lost.warnings[0]
+    assert lost.joint is not None
+    assert len(lost.joint.ids) == lost.report.landmarks > 0
+    assert outputs[-1].report.associated > 10
 
 
 def position_error_m(flight, output: FrameOutput) -> float:

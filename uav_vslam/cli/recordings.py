@@ -67,5 +67,6 @@ def open_flights(bags: Sequence[Path], configs: Mapping[str, VehicleConfig]) -> 
         for flight in flights.values():
             flight.check_images()
     except (BagError, CalibrationError) as error:
-        raise type(error)(f"{error}. All faults: uav-vslam check {' '.join(map(str, bags))}") from None
+        text = f"{error}" if f"{error}".endswith("?") else f"{error}."
+        raise type(error)(f"{text} All faults: uav-vslam check {' '.join(map(str, bags))}") from None
     return flights

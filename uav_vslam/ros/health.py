@@ -12,6 +12,7 @@ from uav_vslam.types import NS_PER_S
 START_S = 5.0  # of the ROS clock, for the first message of each input
 LONGEST_START_S = 60.0  # of wall time, should the ROS clock not run
 RECENT_REPORTS = 10
+RECENT_S = 10.0  # of stamps
 DROPPED = "dropped/"  # prefix of the counts of dropped messages, by reason
 
 
@@ -45,3 +46,20 @@ class RecentDrops:
         recent = drops - self._earlier[0]
         self._earlier.append(drops)
         return ", ".join(f"{reason} {count}" for reason, count in sorted(recent.items()))
+
+
+class RecentEvents:
+    """How often something happened to the messages of the last `RECENT_S`, by their stamps."""
+
+    def __init__(self) -> None:
+        self._stamps_ns: deque[int] = deque()
+
+    def count(self, stamp_ns: int, happened: int) -> int:
+        """Add how often it happened to the newest message, and return how often to all recent ones.
+
+        After a clock that was set back, those before do not count.
+        """
+        self._stamps_ns.extend([stamp_ns] * happened)
+        recent = (one for one in self._stamps_ns if 0 <= stamp_ns - one < RECENT_S * NS_PER_S)
+        self._stamps_ns = deque(recent)
+        return len(self._stamps_ns)

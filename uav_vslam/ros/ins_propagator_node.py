@@ -17,6 +17,7 @@ out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
 
 from collections import deque
 
+from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import CameraInfo
@@ -30,7 +31,7 @@ from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.ins.sensor_clock import EARLY_STARTS, IMAGES, IMU, bridges, carried_over, sensor_time_line
 from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
-from uav_vslam.ros.batches import Batches
+from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
     increment_to_msg,
@@ -40,8 +41,9 @@ from uav_vslam.ros.convert import (
     transform_to_msg,
     twist_to_msg,
 )
-from uav_vslam.ros.inputs import image_topics
-from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STATE
+from uav_vslam.ros.health import RECENT_S, RecentEvents
+from uav_vslam.ros.inputs import Input, image_topics
+from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STAMPS, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.stamps import Admitted, TimeJump
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
@@ -62,6 +64,9 @@ class InsPropagatorNode(VehicleNode):
         self._stamps = sensor_time_line(self._policy)
         self._image_ns = -1
         self._period_s = 1.0 / self.own.odometry_rate_hz if self.own.odometry_rate_hz else 0.0
+        self._gaps = RecentEvents()
+        self._transforms: list[TransformStamped] = []  # of the readings of a batch
+        self._in_batch = False
         self._forget_flight()
         self._increments = self.advertise(InsIncrement, "ins/increment", MOTION)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
@@ -75,13 +80,16 @@ class InsPropagatorNode(VehicleNode):
         self._sensors = ImuListener(self, self._on_reading, self._batches)
         if self._period_s:
             wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
-            self._timer = self.create_timer(self._period_s, self._take_readings, clock=wall_clock)
+            self._timer = self.create_timer(self._period_s, self._take_waiting, clock=wall_clock)
         if self._sensors.has_infos:
-            self.listen(CameraInfo, topics.left_info, lambda m: self._on_image(stamp_ns_of(m)), STATE)
-        else:
-            for kind, name in image_topics(topics.left).items():  # serialised: only the stamps are read
-                on_image = lambda data: self._on_image(header_stamp_ns(data))  # noqa: E731
-                self.listen(kind, name, on_image, IMAGE, instead_of=topics.left, raw=True)
+            on_info = lambda message: self._on_image(stamp_ns_of(message))  # noqa: E731
+            self._images = [self.listen(CameraInfo, topics.left_info, on_info, STAMPS)]
+        else:  # serialised: only the stamps are read
+            on_data = lambda data: self._on_image(header_stamp_ns(data))  # noqa: E731
+            self._images = [
+                self.listen(kind, name, on_data, IMAGE, instead_of=topics.left, raw=True)
+                for kind, name in image_topics(topics.left).items()
+            ]
         self.listen(NavigationState, "slam/correction", self._on_correction, NEWEST)
 
     def _forget_flight(self) -> None:
@@ -100,9 +108,12 @@ class InsPropagatorNode(VehicleNode):
         self._stamps.restart()
         self._forget_flight()
 
-    def _take_readings(self) -> None:
-        """Take the readings that wait; be back when the one is due that makes the next odometry."""
-        self._sensors.take_readings()
+    def _take_waiting(self) -> None:
+        """Take the image stamps and readings that wait; be back when the reading is due that makes the next odometry.
+
+        On a machine that is behind, a turn of the executor takes so long that one image in each turn would not do.
+        """
+        self._take(*self._images)
         if self._live is not None:
             period_ns = round(self._period_s * NS_PER_S)
             beyond_ns = self._reading_ns - self._live.estimate.state.stamp_ns
@@ -110,6 +121,15 @@ class InsPropagatorNode(VehicleNode):
             if wait_ns != self._timer.timer_period_ns:
                 self._timer.timer_period_ns = wait_ns
                 self._timer.reset()
+
+    def _take(self, *first: Input) -> None:
+        """Take what waits of some inputs, then of the readings; no more than their queues, so that all else goes on."""
+        self._in_batch = True
+        for one in first:
+            take_waiting(one.subscription)
+        self._sensors.take_readings()
+        self._in_batch = False
+        self._publish_transforms()
 
     def _on_reading(self, reading: ImuSample) -> None:
         self._reading_ns = reading.stamp_ns
@@ -119,7 +139,8 @@ class InsPropagatorNode(VehicleNode):
     def _on_image(self, stamp_ns: int) -> None:
         stamp_ns += self._sensors.time_offset_ns
         if stamp_ns != self._image_ns:  # the same image raw and compressed
-            self._sensors.take_readings()
+            if not self._in_batch:
+                self._take()
             self._image_ns = stamp_ns
             self._feed(IMAGES, stamp_ns, stamp_ns)
             self._batches.at_once = True  # for the readings that it may wait for
@@ -237,9 +258,21 @@ class InsPropagatorNode(VehicleNode):
             preintegrator.add_imu(item)
         elif preintegrator.start_ns is None or item > preintegrator.start_ns:
             preintegrator.add_frame_stamp(item)
-        for increment in preintegrator.increments():
+        before = preintegrator.gaps
+        increments = preintegrator.increments()
+        for increment in increments:
             self._publish_increment(increment)
-        self.counts["imu_gaps"] = preintegrator.gaps
+        if increments:
+            self._report_gaps(increments[-1].stamp_ns, preintegrator.gaps - before)
+
+    def _report_gaps(self, stamp_ns: int, gaps: int) -> None:
+        """Count increments with gaps in their readings, and warn of them for a while."""
+        self.counts["imu_gaps"] += gaps
+        recent = self._gaps.count(stamp_ns, gaps)
+        if recent:
+            self.alarms["imu"] = f"{recent} increments of the last {RECENT_S:g} s lack IMU readings"
+        else:
+            self.alarms.pop("imu", None)
 
     def _propagate(self, live: LiveOdometry, item: ImuSample | int) -> None:
         if not isinstance(item, ImuSample) or not live.add_imu(item):
@@ -250,7 +283,15 @@ class InsPropagatorNode(VehicleNode):
             stamp_ns, odom = live.estimate.state.stamp_ns, self.odom_frame
             jumps = transform_to_msg(live.T_map_odom, stamp_ns=stamp_ns, parent=self.map_frame, child=odom)
             motion = transform_to_msg(live.T_odom_body, stamp_ns=stamp_ns, parent=odom, child=self.base_frame)
-            self._tf.publish(TFMessage(transforms=[jumps, motion]))
+            self._transforms += [jumps, motion]
+            if not self._in_batch:
+                self._publish_transforms()
+
+    def _publish_transforms(self) -> None:
+        """Publish the transforms of a batch at once: where a machine is behind, each message may wait for readers."""
+        if self._transforms:
+            self._tf.publish(TFMessage(transforms=self._transforms))
+            self._transforms = []
 
     def _align(self, samples: list[ImuSample]) -> None:
         """Estimate the start state from IMU samples at rest, and publish it."""

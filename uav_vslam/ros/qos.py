@@ -18,6 +18,7 @@ def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATI
 IMAGE = _reliable(5)  # reliable with the shared-memory profile; best effort loses images without it
 IMAGES = _reliable(60)  # for a node that may lag behind them, 3 s at 20 Hz
 SENSOR = _reliable(500)  # IMU samples: none may be lost, 2.5 s at 200 Hz
+STAMPS = _reliable(100)  # of images, for a node that is behind: each is an increment, and a frame without one is lost
 STATE = _reliable(10)
 MOTION = _reliable(500, DurabilityPolicy.TRANSIENT_LOCAL)  # increments: none may be lost, not even by a restart
 RESUMABLE = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)  # for a back end that is restarted: 14 s to catch up

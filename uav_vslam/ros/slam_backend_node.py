@@ -42,10 +42,12 @@ from uav_vslam.ros.convert import (
     pose_with_covariance_to_msg,
     twist_to_msg,
 )
+from uav_vslam.ros.health import RECENT_S, RecentEvents
 from uav_vslam.ros.map_services import offer_map_services
 from uav_vslam.ros.qos import LATCHED, MOTION, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.slam.backend import FrameReport
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
 from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.session import next_session
@@ -67,6 +69,7 @@ class SlamBackendNode(VehicleNode):
         self._checkpoint = checkpoint_file(state_folder(), self.vehicle)
         self._saved_ns: int | None = None
         self._clocked = ClockedStage(self._resumed() or self._fresh(), self.config, self._next_session)
+        self._recoveries, self._recovery = RecentEvents(), ""
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._odometry = self.advertise(Odometry, "odometry", NEWEST)
         self._paths = self.advertise(Path, "path", STATE)
@@ -201,6 +204,7 @@ class SlamBackendNode(VehicleNode):
         self.counts["relocalisations"] += report.relocalised
         self.counts["closures"] += report.closures
         self.counts["recoveries"] += report.recovery != ""
+        self._report_recoveries(report)
         self.notes["landmarks"] = str(report.landmarks)
         self.notes["associated"] = str(report.associated)
         if report.innovation is not None:
@@ -208,6 +212,17 @@ class SlamBackendNode(VehicleNode):
         for text in output.warnings:
             self.get_logger().warning(text)
             self.notes["warning"] = text
+
+    def _report_recoveries(self, report: FrameReport) -> None:
+        """Warn while the filter has been re-initialised lately: what it claims is then no more than a guess."""
+        self._recovery = report.recovery or self._recovery
+        recent = self._recoveries.count(report.pose.stamp_ns, report.recovery != "")
+        if recent:
+            self.alarms["recovery"] = (
+                f"the filter was re-initialised {recent}x in the last {RECENT_S:g} s, the last time: {self._recovery}"
+            )
+        else:
+            self.alarms.pop("recovery", None)
 
 
 def main(args: list[str] | None = None) -> int:

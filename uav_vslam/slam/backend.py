@@ -4,6 +4,7 @@
 Nothing received over a network enters here.
 """
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +23,7 @@ from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, rows_to_remove
 from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
 from uav_vslam.slam.matches import Matches
+from uav_vslam.slam.recovery import reinitialised
 from uav_vslam.slam.track_window import Present, TrackWindow
 from uav_vslam.types import (
     NS_PER_S,
@@ -33,7 +35,6 @@ from uav_vslam.types import (
 )
 
 SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
-RECOVERY_INFLATION = 4.0  # covariance factor at re-initialisation
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
@@ -134,7 +135,7 @@ class SlamBackend:
         """
         self._check_joins(features.stamp_ns, increment)
         known = len(self._map)
-        matches, innovation, closures = Matches.none(), None, 0
+        matches, innovation, closures, evidence = Matches.none(), None, 0, 0.0
         sightings, smoothed = np.zeros((0, 2), np.intp), None
         try:
             if increment is not None:
@@ -148,14 +149,16 @@ class SlamBackend:
             sightings = np.vstack([self._sightings(matches), self._track_sightings(present, features)])
             smoothed = self._window.leaving(present.filter)
             self._remove_landmarks()
-            recovery = self._health.check(innovation, features=len(features), landmarks=known)
+            evidence = self._filter.rig_evidence()
+            known = max(known, self._window.followed)
+            recovery = self._health.check(innovation, features=len(features), known=known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
             if increment is not None and self._nav.state.stamp_ns != features.stamp_ns:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
             recovery = str(error)
         if recovery:
             matches, closures, sightings = Matches.none(), 0, sightings[:0]
-            self._reset(NavEstimate(self._nav.state, RECOVERY_INFLATION * self._nav.covariance))
+            self._recover()
         associated = len(sightings)
         added = self._add_landmarks(matches, features)
         self._postponed = None if self._filter.can_add_landmarks else features
@@ -169,7 +172,7 @@ class SlamBackend:
             innovation=innovation,
             landmarks=len(self._map),
             recovery=recovery,
-            rig_evidence=self._filter.rig_evidence(),
+            rig_evidence=evidence,
             closures=closures,
             tracked=self._continued(features),
             coasted=increment is not None and associated == 0,
@@ -202,13 +205,33 @@ class SlamBackend:
             descriptors=np.vstack(descriptors) if descriptors else np.zeros_like(self._map.descriptors),
         )
 
+    def recovered(self, report: FrameReport, features: StereoFeatures, reason: str) -> FrameReport:
+        """Re-initialise the filter after a frame that seemed good, and return what is left of its report."""
+        self._recover()
+        added = self._add_landmarks(Matches.none(), features)
+        return dataclasses.replace(
+            report,
+            pose=self._nav.pose,
+            nav=self._nav,
+            associated=0,
+            landmarks=len(self._map),
+            recovery=reason,
+            closures=0,
+            coasted=True,
+            sightings=np.column_stack([self._map.ids, added]),
+        )
+
+    def _recover(self) -> None:
+        since_s = (self._nav.state.stamp_ns - self._reset_ns) / NS_PER_S
+        self._reset(reinitialised(self._nav, since_s=since_s, imu=self._vehicle_config.imu))
+
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
         self._filter = make_filter(initial, rig=self._rig, config=self._vehicle_config)
         self._map.remove(np.arange(len(self._map)))
         self._window = TrackWindow(past_poses(self._vehicle_config), self._config)
         self._health = FilterHealth()
-        self._nav = initial
+        self._nav, self._reset_ns = initial, initial.state.stamp_ns
 
     def _continued(self, features: StereoFeatures) -> int:
         """Return how many points continue a track of the frame before."""

@@ -7,7 +7,7 @@ from uav_vslam.estimation.filter import Innovation
 
 WINDOW = 20  # frames
 MAX_NIS_PER_DOF = 4.0  # over a window a consistent filter is within a few percent of 1, a badly tuned one below 2
-MAX_LOST = 30  # consecutive frames with enough features but no associated landmark
+MAX_LOST = 30  # consecutive frames with enough features, none of which passes a gate
 MIN_FEATURES = 20  # fewer are too few to judge
 
 
@@ -18,24 +18,24 @@ class FilterHealth:
         self._recent: deque[Innovation] = deque(maxlen=WINDOW)
         self._lost = 0
 
-    def check(self, innovation: Innovation | None, *, features: int, landmarks: int) -> str:
+    def check(self, innovation: Innovation | None, *, features: int, known: int) -> str:
         """Add a frame and return why the filter must be re-initialised; empty if it need not.
 
         Args:
-            innovation: of the frame's update, None if it had none.
+            innovation: of the frame's update; None, or with no degree of freedom, if all was rejected.
             features: stereo points offered.
-            landmarks: in the state before the frame.
+            known: landmarks in the state before the frame, or tracks that it continues.
         """
-        if innovation is not None:
+        if innovation is not None and innovation.dof:
             self._recent.append(innovation)
             self._lost = 0
-        elif features >= MIN_FEATURES and landmarks >= MIN_FEATURES:
+        elif features >= MIN_FEATURES and known >= MIN_FEATURES:
             self._lost += 1
         nis_per_dof = self.nis_per_dof
         if len(self._recent) == WINDOW and nis_per_dof > MAX_NIS_PER_DOF:
             return f"innovations of {WINDOW} frames are {nis_per_dof:.1f} times as large as the filter expects"
         if self._lost >= MAX_LOST:
-            return f"no landmark recognised for {self._lost} frames"
+            return f"no landmark recognised and no track believed for {self._lost} frames"
         return ""
 
     @property

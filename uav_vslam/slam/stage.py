@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.errors import MapError
+from uav_vslam.errors import FilterDivergence, MapError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import LEAP_S, bridged
 from uav_vslam.ins.preintegrator import DeadReckoning
@@ -275,7 +275,13 @@ class SlamStage:
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
-        joint = self._joint_information(self._backend) if at_epoch or not self._is_announced else None
+        joint = None
+        if at_epoch or not self._is_announced:
+            try:
+                joint = self._joint_information(self._backend)
+            except FilterDivergence as error:
+                report = self._backend.recovered(report, features, str(error))
+                joint = self._joint_information(self._backend)
         self._is_announced = True
         self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate

@@ -57,7 +57,7 @@ def nan_in(array: np.ndarray) -> np.ndarray:
 DAMAGES: dict[str, tuple[str, Callable[[Path], object]]] = {
     "cut short": ("no map, or it is damaged", lambda p: p.write_bytes(p.read_bytes()[: p.stat().st_size // 2])),
     "empty file": ("no map, or it is damaged", lambda p: p.write_bytes(b"")),
-    "another file": ("no map, or it is damaged", lambda p: p.write_text("stamp,x,y,z\n")),
+    "another file": ("not a whole file as save_map writes it", lambda p: p.write_text("stamp,x,y,z\n")),
     "missing": ("can't be read", lambda p: p.unlink()),
     "a newer version": ("version 2; this program reads version 1", lambda p: rewritten(p, version=2)),
     "another format": ("format 'grid'", lambda p: rewritten(p, format="grid")),

@@ -60,10 +60,14 @@ def load_map(file: Path | str) -> SavedMap:
     """
     path = Path(file)
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as content:
-            header = json.loads(str(content["header"]))
-            _check_header(header)
-            arrays = {name: np.asarray(content[name]) for name in (*COLUMNS, *SECTION_COLUMNS)}
+        with path.open("rb") as raw:
+            if not zipfile.is_zipfile(raw):  # numpy would take it for pickled objects
+                raise ValueError("it is not a whole file as save_map writes it")
+            raw.seek(0)
+            with np.load(raw, allow_pickle=False) as content:
+                header = json.loads(str(content["header"]))
+                _check_header(header)
+                arrays = {name: np.asarray(content[name]) for name in (*COLUMNS, *SECTION_COLUMNS)}
         _check_arrays(arrays)
         saved = SavedMap(_origin(header), _sections(arrays))
     except OSError as error:

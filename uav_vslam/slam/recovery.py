@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimate that a filter goes on from after it has been lost, or has lost its positive definiteness.
+
+Its covariance is inflated, but not without bound: recoveries may follow each other, and a factor at each of them makes
+an estimate that no filter can work with, which fails again at once, for ever.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.ins.preintegration import MOST_ROTATION_SIGMA, UNKNOWN_SPEED_SIGMA
+from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, NAV_DIM, POSITION, ROTATION, VELOCITY
+from uav_vslam.numerics import cholesky, symmetrise
+from uav_vslam.types import NavEstimate
+
+Array = NDArray[np.float64]
+
+INFLATION = 4.0  # of the covariance
+# [m] per axis. Far below 10 km, where the information about a position is lost beside that of past poses about each
+# other (`past_poses.COPY_VARIANCE`) in the rounding of their sum.
+MOST_POSITION_SIGMA = 1000.0
+
+
+def reinitialised(estimate: NavEstimate, *, since_s: float, imu: ImuConfig) -> NavEstimate:
+    """Return an estimate with an inflated covariance.
+
+    No axis becomes more uncertain than if nothing had been known of velocity, attitude and biases; the position, than
+    if it had gone wrong at that velocity ever since the filter was initialised.
+
+    Args:
+        estimate: the last one, with a covariance that may have lost its positive definiteness.
+        since_s: time since the filter was initialised [s].
+        imu: its bias uncertainty.
+    """
+    P = INFLATION * symmetrise(estimate.covariance)
+    variance = np.where(np.isfinite(np.diagonal(P)), np.maximum(np.diagonal(P), 0.0), np.inf)
+    most = _most_variance(estimate, since_s, imu)
+    scale = np.sqrt(np.minimum(1.0, most / np.maximum(variance, np.finfo(float).tiny)))
+    bounded = P * scale[:, None] * scale
+    try:
+        cholesky(bounded, "covariance")
+    except FilterDivergence:  # its correlations mean nothing any more
+        bounded = np.diag(np.where(variance > 0.0, np.minimum(variance, most), most))
+    return NavEstimate(estimate.state, bounded)
+
+
+def _most_variance(estimate: NavEstimate, since_s: float, imu: ImuConfig) -> Array:
+    """Return (15,) the variance of an estimate of which nothing is known: its own mean may be as far off as it goes."""
+    state, most = estimate.state, np.zeros(NAV_DIM)
+    most[VELOCITY] = UNKNOWN_SPEED_SIGMA**2 + state.v_map @ state.v_map
+    most[ROTATION] = MOST_ROTATION_SIGMA**2
+    most[GYRO_BIAS] = imu.gyro_bias_sigma**2 + state.gyro_bias @ state.gyro_bias
+    most[ACCEL_BIAS] = imu.accel_bias_sigma**2 + state.accel_bias @ state.accel_bias
+    drifted = np.diagonal(estimate.covariance)[POSITION] + most[VELOCITY] * since_s**2
+    most[POSITION] = np.fmin(drifted, MOST_POSITION_SIGMA**2)
+    return most
