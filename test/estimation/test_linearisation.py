@@ -220,7 +220,7 @@ def uncertain(course, model, config: RigConfig, scale: float, count: int) -> Arr
         [
             np.repeat([0.5, 0.2, 0.02], 3),
             np.full(model.nav_dim - 9, 1e-3),
-            np.sqrt(vehicle.prior_variance),
+            np.sqrt(np.diag(vehicle.prior_covariance)),
             np.full(3 * count, 2.0),
         ]
     )

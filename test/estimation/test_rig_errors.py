@@ -29,7 +29,7 @@ NAV = NavState(
     ("config", "sizes", "sigma"),
     [
         (EXACT, [0, 0, 0, 0], []),
-        (RigConfig(rigid_sigma_deg=0.002), [3, 0, 0, 0], np.deg2rad([0.002] * 3)),
+        (RigConfig(rigid_sigma_deg=0.002, epipolar_sigma_deg=0.0), [3, 0, 0, 0], np.deg2rad([0.002] * 3)),
         (EVERYTHING, [3, 3, 1, 1], [*np.deg2rad([0.05] * 3 + [0.02] * 3), 0.2, 0.01]),
         (dataclasses.replace(FLEXING, vibration_sigma_deg=0.0), [3, 0, 0, 1], [*np.deg2rad([0.05] * 3), 0.01]),
         (dataclasses.replace(FLEXING, attitude_sigma_deg=0.0), [0, 3, 0, 1], [*np.deg2rad([0.02] * 3), 0.01]),
@@ -44,7 +44,20 @@ def test_states_are_the_errors_of_nonzero_configured_sigma(
     rows = [range(100)[part] for part in (errors.attitude, errors.vibration, errors.disparity, errors.time_offset)]
     assert [len(r) for r in rows] == sizes
     assert [k for r in rows for k in r] == list(range(15, 15 + errors.dim)) == list(range(100)[errors.rows])
-    np.testing.assert_allclose(np.sqrt(errors.prior_variance), sigma, rtol=1e-12)
+    np.testing.assert_allclose(np.sqrt(np.diag(errors.prior_covariance)), sigma, rtol=1e-12)
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 45.0, 90.0])
+def test_a_rigid_rig_is_uncertain_off_the_epipolar_lines_and_hardly_along_the_disparity(roll_deg: float) -> None:
+    """For cameras that are turned about their optical axes; an angle's shift of a far point tells which it is."""
+    turn = Pose(so3_exp([0.0, 0.0, np.deg2rad(roll_deg)]), np.zeros(3))
+    rig = dataclasses.replace(RIG, T_body_left=RIG.T_body_left @ turn, T_body_right=RIG.T_body_right @ turn)
+    errors = RigErrors(rig, RigConfig(rigid_sigma_deg=0.001, epipolar_sigma_deg=0.1), 15)
+    ahead = rig.T_right_left.inverse().apply(np.array([[0.0, 0.0, 1e6]]))
+    shift = errors.pixel_jacobian(rig, ahead)[0, 2:]
+    axes = rig.disparity_axis, np.array([-rig.disparity_axis[1], rig.disparity_axis[0]])
+    sigma_px = [np.sqrt(axis @ shift @ errors.prior_covariance @ shift.T @ axis) for axis in axes]
+    np.testing.assert_allclose(sigma_px, rig.right.fx * np.deg2rad([0.001, 0.1]), rtol=0.02)
 
 
 def test_only_the_attitude_of_a_flexing_rig_has_a_random_walk() -> None:

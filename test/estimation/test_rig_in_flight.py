@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 FRAMES = 60
 EXACT = RigConfig(rigid_sigma_deg=0.0)
-TRUSTED = RigConfig(rigid_sigma_deg=0.002)
+TRUSTED = RigConfig(rigid_sigma_deg=0.002, epipolar_sigma_deg=0.0)
 FLEXING = RigConfig(flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02)
 SHIFTED = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.2)
 LATE = RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=0.02)
@@ -108,6 +108,17 @@ def test_the_statistic_against_a_rigid_rig_grows_only_if_it_is_wrong(fly) -> Non
         for bias in ((0.02, 0.0, 0.0), (0.0, 0.02, 0.0)):
             assert fly(simulated(seed, extrinsic_bias_deg=bias), TRUSTED).filter.rig_evidence() > limit
     assert fly(simulated(1), EXACT).filter.rig_evidence() == 0.0
+
+
+@pytest.mark.parametrize("axis", [1, 2], ids=["across the disparity", "optical"])
+def test_a_rigid_rig_that_is_turned_off_the_epipolar_lines_is_estimated(fly, axis: int) -> None:
+    bias_deg = [0.0, 0.0, 0.0]
+    bias_deg[axis] = 0.02
+    turned = fly(simulated(3, extrinsic_bias_deg=tuple(bias_deg)), RigConfig())
+    found, sigma = turned.filter.rig_state.attitude[axis], np.sqrt(rig_covariance(turned.filter)[axis, axis])
+    assert sigma < np.deg2rad(0.01)
+    assert abs(found - np.deg2rad(0.02)) < 3.0 * sigma
+    assert turned.position_nees < 4.0
 
 
 def swaying(seed: int) -> SimulatedVehicle:

@@ -32,10 +32,13 @@ def test_a_correct_rig_raises_no_warning(seed: int) -> None:
     assert [monitor.add(r) for r in flight] == [""] * len(flight)
 
 
-@pytest.mark.parametrize("bias_deg", [(0.02, 0.0, 0.0), (0.0, 0.02, 0.0)])
-def test_a_rig_rotated_by_a_fiftieth_of_a_degree_is_detected_once(bias_deg: tuple[float, float, float]) -> None:
-    monitor = RigMonitor(RigConfig())
-    warnings = [text for r in reports(bias_deg, 1, RigConfig()) if (text := monitor.add(r))]
+@pytest.mark.parametrize(
+    ("bias_deg", "rig"),
+    [((0.02, 0.0, 0.0), RigConfig()), ((0.0, 0.02, 0.0), RigConfig(epipolar_sigma_deg=0.002))],
+)
+def test_a_rig_rotated_by_many_sigmas_is_detected_once(bias_deg: tuple[float, float, float], rig: RigConfig) -> None:
+    monitor = RigMonitor(rig)
+    warnings = [text for r in reports(bias_deg, 1, rig) if (text := monitor.add(r))]
     assert len(warnings) == 1
     assert "of 3" in warnings[0]
     assert "rig.disparity_sigma_px" in warnings[0]

@@ -55,7 +55,16 @@ class RigConfig(Settings):
         0.05, "flexing: part independent in each frame, rms per axis", unit="deg", at_least=0
     )
     rigid_sigma_deg: float = setting(
-        5.0e-4, "not flexing: residual after calibration; small, but data can contradict it", unit="deg", at_least=0
+        5.0e-4,
+        "not flexing: residual after calibration; small, but data can contradict it; 0: exact",
+        unit="deg",
+        at_least=0,
+    )
+    epipolar_sigma_deg: float = setting(
+        0.05,
+        "not flexing: the same about the axes that don't change the disparity; each stereo pair shows such errors",
+        unit="deg",
+        at_least=0,
     )
     disparity_sigma_px: float = setting(
         0.0,

@@ -375,10 +375,11 @@ class Filter:
         Under a correct prior the estimate has covariance P_0 - P. Zero if neither is a state.
         """
         rows = self._errors.calibrated
-        sigma = np.sqrt(self._errors.prior_variance[rows - self._errors.rows.start])
-        P = self.belief.covariance(NO_ROWS)[np.ix_(rows, rows)]
-        values, vectors = np.linalg.eigh(symmetrise(np.eye(len(rows)) - P / np.outer(sigma, sigma)))
-        along = vectors.T @ (self._errors.calibration(self.rig_state) / sigma)
+        prior = submatrix(self._errors.prior_covariance, rows - self._errors.rows.start)
+        whiten = np.linalg.inv(np.linalg.cholesky(prior))
+        P = whiten @ submatrix(self.belief.covariance(NO_ROWS), rows) @ whiten.T
+        values, vectors = np.linalg.eigh(symmetrise(np.eye(len(rows)) - P))
+        along = vectors.T @ whiten @ self._errors.calibration(self.rig_state)
         known = values > MIN_VARIANCE_REDUCTION
         return float(np.sum(along[known] ** 2 / values[known]))
 
@@ -429,7 +430,7 @@ class Filter:
         nav_dim = self._model.nav_dim
         P = np.zeros((self.vehicle, self.vehicle))
         P[:nav_dim, :nav_dim] = symmetrise(P_nav)
-        P[nav_dim:, nav_dim:] = np.diag(self._errors.prior_variance)
+        P[nav_dim:, nav_dim:] = self._errors.prior_covariance
         return P
 
     def _move_linearisation(self, T_map_body: Pose) -> Array:

@@ -10,6 +10,10 @@ A rotation about the axis that changes disparity acts like a scaling of all dept
 observable from the motion, so it is estimated. Unmodelled, 0.02 degrees already cost more than the cameras gain. A
 principal point that is off does the same; a rotation can't stand for it with a wide lens, where it bends the image too.
 
+Rotations about the other two axes move the right pixels off their epipolar lines. Each stereo pair shows that, and
+calibrations are commonly off by tenths of a pixel, far more than tracked points scatter: unmodelled, none would pass
+the gate. So these axes have a wide prior of their own.
+
 Errors of the baseline and of the focal length change the depths over ground as the disparity does, so they are no
 states. Nor is the attitude of the cameras to the IMU: in simulated flights where it was right its estimates were off
 by up to six of the claimed standard deviations.
@@ -65,7 +69,9 @@ class RigErrors:
         self.vibration_variance = float(np.deg2rad(vibration) ** 2)
         self._walk_variance = float(np.deg2rad(config.attitude_walk_deg) ** 2) if config.flexing else 0.0
         sigma = np.repeat([np.deg2rad(attitude), np.deg2rad(vibration), disparity, time_offset], sizes)
-        self.prior_variance: Array = sigma**2
+        self.prior_covariance: Array = np.diag(sigma**2)
+        if attitude > 0 and not config.flexing:
+            self.prior_covariance[:3, :3] = _attitude_covariance(rig, attitude, config.epipolar_sigma_deg)
 
     def noise_variance(self, dt_s: float) -> Array:
         """Return (dim,) variance that the random walk adds over a time."""
@@ -136,3 +142,11 @@ class RigErrors:
         if self.disparity.stop > self.disparity.start:
             H[:, 2:, self.disparity.start - self.rows.start] = rig.disparity_axis
         return H
+
+
+def _attitude_covariance(rig: StereoRig, sigma_deg: float, epipolar_sigma_deg: float) -> Array:
+    """Return (3, 3) the prior of a rigid rig's attitude: narrow about the axis that changes the disparity."""
+    along = np.append(rig.T_right_left.t[:2], 0.0)
+    axis = np.cross([0.0, 0.0, 1.0], along / np.linalg.norm(along))
+    narrow, wide = np.deg2rad([sigma_deg, max(sigma_deg, epipolar_sigma_deg)]) ** 2
+    return np.asarray(wide * np.eye(3) + (narrow - wide) * np.outer(axis, axis))

@@ -62,9 +62,9 @@ def add_motion(
 
 def add_rig(system: Arrowhead, layout: Layout, rig: RigEstimate) -> None:
     """Add the priors of the rig's errors: of the constant ones, and of the vibration of each state."""
-    rows, information = np.arange(layout.rig), 1.0 / rig.errors.prior_variance
-    system.border[rows, rows] += information
-    system.border_rhs[rows] -= information * rig.constant
+    rows, information = np.arange(layout.rig), np.linalg.inv(rig.errors.prior_covariance)
+    system.border[rows[:, None], rows] += information
+    system.border_rhs[rows] -= information @ rig.constant
     if not rig.vibrates:
         return
     for state, vibration in enumerate(rig.vibration):
