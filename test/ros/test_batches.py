@@ -17,30 +17,20 @@ PATIENCE_S = 0.5
 
 
 @pytest.fixture
-def node(domain_id):
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain_id)
-    made = rclpy.create_node("listener", context=context)
-    yield made
-    made.destroy_node()
-    rclpy.shutdown(context=context)
-
-
-@pytest.fixture
-def executor(node):
-    made = rclpy.executors.SingleThreadedExecutor(context=node.context)
-    made.add_node(node)
+def executor(listener):
+    made = rclpy.executors.SingleThreadedExecutor(context=listener.context)
+    made.add_node(listener)
     yield made
     made.shutdown()
 
 
 @pytest.fixture
-def topic(node):
+def topic(listener):
     """A subscription of which a test may take batches, its group, and what has been received."""
     received, group = [], Batches(at_once=False)
     on_message = lambda message, info: received.append(message.data)  # noqa: E731
-    subscription = node.create_subscription(String, "fast", on_message, SENSOR, callback_group=group)
-    publisher = node.create_publisher(String, "fast", SENSOR)
+    subscription = listener.create_subscription(String, "fast", on_message, SENSOR, callback_group=group)
+    publisher = listener.create_publisher(String, "fast", SENSOR)
     assert wait_for(lambda: publisher.get_subscription_count() == 1)
     for text in SENT:
         publisher.publish(String(data=text))

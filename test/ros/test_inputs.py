@@ -15,89 +15,79 @@ from waiting import wait_for  # noqa: E402
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture
-def node(domain_id):
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain_id)
-    made = rclpy.create_node("listener", context=context)
-    yield made
-    made.destroy_node()
-    rclpy.shutdown(context=context)
-
-
-def spin_until(node, condition, step=lambda: None):
-    executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
+def spin_until(listener, condition, step=lambda: None):
+    executor = rclpy.executors.SingleThreadedExecutor(context=listener.context)
+    executor.add_node(listener)
 
     def turn():
         step()
         executor.spin_once(timeout_sec=0.02)
 
     met = wait_for(condition, turn)
-    executor.remove_node(node)
+    executor.remove_node(listener)
     return met
 
 
-def make_input(node, topic, received):
+def make_input(listener, topic, received):
     made = Input(String, topic, received.append, STATE, topic)
-    made.subscribe(node)
+    made.subscribe(listener)
     return made
 
 
-def test_an_input_follows_a_driver_that_offers_best_effort_only(node):
+def test_an_input_follows_a_driver_that_offers_best_effort_only(listener):
     received = []
-    one = make_input(node, "driver", received)
-    driver = node.create_publisher(String, "driver", QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
-    assert spin_until(node, lambda: one.follow(node))
-    assert spin_until(node, lambda: bool(received), lambda: driver.publish(String(data="frame")))
+    one = make_input(listener, "driver", received)
+    driver = listener.create_publisher(String, "driver", QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
+    assert spin_until(listener, lambda: one.follow(listener))
+    assert spin_until(listener, lambda: bool(received), lambda: driver.publish(String(data="frame")))
     assert one.qos.reliability == ReliabilityPolicy.BEST_EFFORT
-    assert not one.follow(node)  # once is enough
+    assert not one.follow(listener)  # once is enough
 
 
 @pytest.mark.parametrize("qos", [LATCHED, RESUMABLE], ids=["latched", "resumable"])
-def test_an_input_that_wants_what_was_published_before_it_does_without_if_nobody_offers_it(node, qos):
+def test_an_input_that_wants_what_was_published_before_it_does_without_if_nobody_offers_it(listener, qos):
     received = []
     one = Input(String, "plain", received.append, qos, "plain")
-    one.subscribe(node)
-    plain = node.create_publisher(String, "plain", 10)
-    assert spin_until(node, lambda: one.follow(node))
+    one.subscribe(listener)
+    plain = listener.create_publisher(String, "plain", 10)
+    assert spin_until(listener, lambda: one.follow(listener))
     assert one.qos.reliability == ReliabilityPolicy.RELIABLE
-    assert spin_until(node, lambda: bool(received), lambda: plain.publish(String(data="start")))
+    assert spin_until(listener, lambda: bool(received), lambda: plain.publish(String(data="start")))
 
 
 @pytest.mark.parametrize("qos", [LATCHED, LATCHED_BY_MANY])
-def test_an_input_keeps_what_a_latched_publisher_offers(node, qos):
+def test_an_input_keeps_what_a_latched_publisher_offers(listener, qos):
     received = []
-    latched = node.create_publisher(String, "latched", LATCHED)
+    latched = listener.create_publisher(String, "latched", LATCHED)
     latched.publish(String(data="earlier"))
     one = Input(String, "latched", received.append, qos, "latched")
-    one.subscribe(node)
-    assert spin_until(node, lambda: bool(received))
-    assert not one.follow(node)
+    one.subscribe(listener)
+    assert spin_until(listener, lambda: bool(received))
+    assert not one.follow(listener)
 
 
-def test_of_many_latched_publishers_a_plain_one_does_not_stop_the_others(node):
+def test_of_many_latched_publishers_a_plain_one_does_not_stop_the_others(listener):
     one = Input(String, "many", [].append, LATCHED_BY_MANY, "many")
-    one.subscribe(node)
-    plain = node.create_publisher(String, "many", 10)
-    assert spin_until(node, lambda: node.count_publishers("many") == 1)
-    assert not one.follow(node)
-    node.destroy_publisher(plain)
+    one.subscribe(listener)
+    plain = listener.create_publisher(String, "many", 10)
+    assert spin_until(listener, lambda: listener.count_publishers("many") == 1)
+    assert not one.follow(listener)
+    listener.destroy_publisher(plain)
 
 
-def test_an_input_stays_reliable_where_that_is_offered(node):
+def test_an_input_stays_reliable_where_that_is_offered(listener):
     received = []
-    one = make_input(node, "good", received)
-    publisher = node.create_publisher(String, "good", STATE)
-    assert spin_until(node, lambda: one.subscription.get_publisher_count() > 0)
-    assert not one.follow(node)
-    assert spin_until(node, lambda: bool(received), lambda: publisher.publish(String(data="x")))
+    one = make_input(listener, "good", received)
+    publisher = listener.create_publisher(String, "good", STATE)
+    assert spin_until(listener, lambda: one.subscription.get_publisher_count() > 0)
+    assert not one.follow(listener)
+    assert spin_until(listener, lambda: bool(received), lambda: publisher.publish(String(data="x")))
 
 
-def test_a_stream_that_came_over_dds_and_ended_has_stopped(node):
-    one = make_input(node, "stream", [])
-    publisher = node.create_publisher(String, "stream", STATE)
-    assert spin_until(node, lambda: one.received >= STREAM, lambda: publisher.publish(String(data="x")))
+def test_a_stream_that_came_over_dds_and_ended_has_stopped(listener):
+    one = make_input(listener, "stream", [])
+    publisher = listener.create_publisher(String, "stream", STATE)
+    assert spin_until(listener, lambda: one.received >= STREAM, lambda: publisher.publish(String(data="x")))
     assert stopped([one], time.monotonic()) == {}
     assert list(stopped([one], time.monotonic() + 60.0)) == ["stream"]
 
@@ -130,13 +120,13 @@ def test_a_stream_continues_in_its_substitute():
     assert list(stopped([raw, compressed], now_s=26.0)) == ["image"]
 
 
-def test_a_missing_topic_is_reported_unless_a_substitute_is_received(node):
-    raw = make_input(node, "image", [])
+def test_a_missing_topic_is_reported_unless_a_substitute_is_received(listener):
+    raw = make_input(listener, "image", [])
     compressed = Input(String, "image/compressed", lambda _: None, STATE, "image")
-    compressed.subscribe(node)
+    compressed.subscribe(listener)
     assert silent([raw, compressed]) == ["image"]
     assert unmatched([raw, compressed]) == ["/image"]
-    publisher = node.create_publisher(String, "image/compressed", STATE)
-    assert spin_until(node, lambda: compressed.received, lambda: publisher.publish(String(data="x")))
+    publisher = listener.create_publisher(String, "image/compressed", STATE)
+    assert spin_until(listener, lambda: compressed.received, lambda: publisher.publish(String(data="x")))
     assert silent([raw, compressed]) == []
     assert unmatched([raw, compressed]) == []
