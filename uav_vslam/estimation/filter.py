@@ -17,6 +17,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 from scipy.special import chdtrc, chdtri
 
 from uav_vslam.config import ImuConfig, RigConfig
@@ -376,10 +377,9 @@ class Filter:
         """
         rows = self._errors.calibrated
         prior = submatrix(self._errors.prior_covariance, rows - self._errors.rows.start)
-        whiten = np.linalg.inv(np.linalg.cholesky(prior))
-        P = whiten @ submatrix(self.belief.covariance(NO_ROWS), rows) @ whiten.T
-        values, vectors = np.linalg.eigh(symmetrise(np.eye(len(rows)) - P))
-        along = vectors.T @ whiten @ self._errors.calibration(self.rig_state)
+        learnt = symmetrise(prior - submatrix(self.belief.covariance(NO_ROWS), rows))
+        values, vectors = eigh(learnt, prior)
+        along = vectors.T @ self._errors.calibration(self.rig_state)
         known = values > MIN_VARIANCE_REDUCTION
         return float(np.sum(along[known] ** 2 / values[known]))
 

@@ -35,14 +35,7 @@ Rows = NDArray[np.intp]
 
 VELOCITY, GRAVITY, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, 12, 3))
 BIASES, NOISE = slice(6, 12), slice(12, None)
-INCREMENT_POSE = [
-    0,
-    1,
-    2,
-    6,
-    7,
-    8,
-]  # of a frame's (rotation, velocity, position), what affects its pixels: POSE numbers
+INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # of (rotation, velocity, position), the POSE numbers that affect a frame's pixels
 SIGMA_GRAVITY = 0.03  # [m/s^2] uncertainty of the configured norm of gravity
 ROBUST_STEPS, FINAL_STEPS = 12, 4
 PIXELS = 4  # of one stereo observation
