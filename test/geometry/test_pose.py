@@ -42,3 +42,11 @@ def test_a_transform_built_from_a_matrix_does_not_share_its_memory() -> None:
 @pytest.mark.parametrize("shape", [(3,), (0, 3), (5, 3), (2, 4, 3)])
 def test_points_of_any_leading_shape_keep_it(shape: tuple[int, ...]) -> None:
     assert T_A_B.apply(np.ones(shape)).shape == shape
+
+
+def test_a_step_turns_and_shifts_along_the_outer_axes() -> None:
+    moved = T_A_B.moved([1.0, 0.0, -2.0, 0.0, 0.0, np.pi / 2])
+    np.testing.assert_allclose(moved.t, [2.0, 2.0, 1.0])
+    np.testing.assert_allclose(
+        moved.R, np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) @ T_A_B.R, atol=1e-15
+    )

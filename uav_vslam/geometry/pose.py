@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_from_quaternion_wxyz
+from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_from_quaternion_wxyz, so3_exp
 
 Array = NDArray[np.float64]
 
@@ -54,6 +54,11 @@ class Pose:
     def inverse(self) -> "Pose":
         """Return T_b_a."""
         return Pose(self.R.T.copy(), -self.R.T @ self.t)
+
+    def moved(self, step: ArrayLike) -> "Pose":
+        """Return the pose after a (6,) shift [m] and rotation vector [rad], both along the axes of frame a."""
+        by = np.asarray(step, dtype=float)
+        return Pose(so3_exp(by[3:]) @ self.R, self.t + by[:3])
 
     def __matmul__(self, other: "Pose") -> "Pose":
         """Compose: T_a_c = T_a_b @ T_b_c."""

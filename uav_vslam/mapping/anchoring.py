@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import skew, so3_exp, so3_log
+from uav_vslam.geometry.rotation import skew, so3_log
 from uav_vslam.numerics import symmetrise
 from uav_vslam.types import NS_PER_S, PoseEstimate
 
@@ -63,7 +63,7 @@ def anchored(
     chain = _chain_of(smoothed, fused, memory_s)
     corrections, covariances = _solve(chain, len(smoothed))
     return [
-        PoseEstimate(pose.stamp_ns, _moved(pose.T_map_body, c), P)
+        PoseEstimate(pose.stamp_ns, pose.T_map_body.moved(c), P)
         for pose, c, P in zip(smoothed, corrections, covariances, strict=True)
     ]
 
@@ -126,7 +126,3 @@ def _updated(x: Array, P: Array, d: Array, R: Array) -> tuple[Array, Array]:
 
 def _difference(smoothed: Pose, fused: Pose) -> Array:
     return np.concatenate([fused.t - smoothed.t, so3_log(fused.R @ smoothed.R.T)])
-
-
-def _moved(pose: Pose, correction: Array) -> Pose:
-    return Pose(so3_exp(correction[3:]) @ pose.R, pose.t + correction[:3])

@@ -13,8 +13,7 @@ from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import skew, so3_exp
+from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, NAV_DIM, POSITION, ROTATION, VELOCITY
@@ -109,7 +108,7 @@ def _levelled(stamp_ns: int, fit: MapAlignment, common: Array) -> NavEstimate:
 
 def _nav_estimate(stamp_ns: int, fit: MapAlignment, step: Array, P: Array) -> NavEstimate:
     """Return the state after a step (18,) with covariance P, both in the order of `MapAlignment`."""
-    T = Pose(so3_exp(step[POSE_ROTATION]) @ fit.T_map_body.R, fit.T_map_body.t + step[POSE_POSITION])
+    T = fit.T_map_body.moved(step[POSE_POSITION.start : POSE_ROTATION.stop])
     v_map = T.R @ (fit.velocity + step[of.VELOCITY])
     gyro_bias, accel_bias = fit.gyro_bias + step[of.GYRO_BIAS], fit.accel_bias + step[of.ACCEL_BIAS]
     to_nav = np.zeros((NAV_DIM, len(P)))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import skew, so3_exp
+from uav_vslam.geometry.rotation import skew
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,3 @@ class Survey:
         pairs = zip((residual, J_pose, J_point), in_map, strict=True)
         residual, J_pose, J_point = (np.concatenate(pair, axis=1) for pair in pairs)
         return residual, J_pose, J_point
-
-    def moved(self, T_map_body: Pose, step: Array) -> Pose:
-        """Return the pose after a step (6,)."""
-        return Pose(so3_exp(step[3:]) @ T_map_body.R, T_map_body.t + step[:3])

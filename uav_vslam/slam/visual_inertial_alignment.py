@@ -157,7 +157,7 @@ def _solve(
         dx = np.linalg.solve(H, b)
         points = points + system.points(by_x @ dx)
         x = x + dx[: len(x)]
-        T_map_body = T_map_body if survey is None else survey.moved(T_map_body, np.asarray(dx[len(x) :], float))
+        T_map_body = T_map_body if survey is None else T_map_body.moved(dx[len(x) :])
     return x, H, weight, T_map_body
 
 

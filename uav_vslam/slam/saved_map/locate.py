@@ -15,7 +15,7 @@ from scipy.special import chdtri
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import skew, so3_exp
+from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.numerics import inverse_spd, mahalanobis2, symmetrise
 from uav_vslam.slam.saved_map.record import MapSection, SavedMap
@@ -106,7 +106,7 @@ class MapLocator:
             HtW = np.swapaxes(H[inliers], 1, 2) @ np.linalg.inv(S[inliers])
             P = inverse_spd(symmetrise((HtW @ H[inliers]).sum(axis=0)), "pose in the map")
             step = P @ np.einsum("nij,nj->i", HtW, nu[inliers])
-            T = Pose(so3_exp(step[3:]) @ T.R, T.t + step[:3])
+            T = T.moved(step)
             inliers = mahalanobis2(nu, S) <= chdtri(STEREO_DOF, 1.0 - GATE_PROBABILITY)
             if inliers.sum() < MIN_INLIERS:
                 return None
