@@ -154,10 +154,11 @@ def counts_lines(flight: LongFlight) -> tuple[list[str], int]:
             sent = flight.statuses[link.peer].packets_sent
             drops = ", ".join(f"{r} {n}" for r, n in zip(link.drop_reasons, link.drop_counts, strict=True)) or "none"
             lines.append(
-                f"{link.peer} to {receiver}: sent {sent}, received {link.packets_received}, used {link.packets_used}; "
-                f"dropped: {drops}"
+                f"{link.peer} to {receiver}: sent {sent}, received {link.packets_received}, used {link.packets_used}, "
+                f"waiting {link.packets_waiting}; dropped: {drops}"
             )
             missing += max(sent - link.packets_received - IN_FLIGHT, 0)
+            missing += abs(link.packets_received - link.packets_used - link.packets_waiting - sum(link.drop_counts))
     return lines, missing
 
 

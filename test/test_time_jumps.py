@@ -74,6 +74,14 @@ def test_a_silence_of_three_seconds_is_an_unknown_motion(seed: int, silent: tupl
     assert not any("calibration" in text for text in track.warnings)
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nine_of_ten_readings_lost_at_random_cost_no_consistency(seed: int) -> None:
+    vehicle, events, at_ns = recorded(seed)
+    rng = np.random.default_rng(seed)
+    track = fly(vehicle, [e for e in events if not isinstance(e, ImuSample) or rng.random() >= 0.9])
+    assert np.mean(nees(vehicle, track, after_ns=at_ns)) <= 3.0
+
+
 @pytest.mark.parametrize("kind", [ImuSample, StereoFeatures])
 @pytest.mark.parametrize("offset_s", [-10.0, 10.0])
 def test_the_clock_of_one_sensor_alone_is_refused_while_it_is_wrong(kind: type, offset_s: float) -> None:

@@ -70,11 +70,12 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """Reception of one peer; the fields are those of uav_vslam_msgs/PeerLink."""
+    """Reception of one peer; the fields are those of uav_vslam_msgs/PeerLink, drops of all reasons together."""
 
     name: str
     packets_received: int
     packets_used: int
+    packets_dropped: int
     received_bytes_per_s: float
     common_landmarks: int
     age_s: float

@@ -18,6 +18,7 @@ from uav_vslam.numerics import inverse_spd
 Array = NDArray[np.float64]
 
 NS_PER_S = 1_000_000_000
+POSE_ROWS = np.array([0, 1, 2, 6, 7, 8])  # position and rotation in the covariance of a `NavEstimate`
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +159,7 @@ class NavEstimate:
     @property
     def pose(self) -> "PoseEstimate":
         """The pose part."""
-        rows = np.array([0, 1, 2, 6, 7, 8])
-        return PoseEstimate(self.state.stamp_ns, self.state.T_map_body, self.covariance[np.ix_(rows, rows)])
+        return PoseEstimate(self.state.stamp_ns, self.state.T_map_body, self.covariance[POSE_ROWS[:, None], POSE_ROWS])
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,17 +12,22 @@ from uav_vslam.evaluation.output import LATEST
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_the_cost_of_a_node_is_a_ratio_to_a_bare_one_in_the_same_run(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "--nodes", "3"]) == 0
-    node, bare = (
-        [float(figure) for figure in line.split("│")[2:-1]]
-        for line in capsys.readouterr().out.splitlines()
-        if "ins_propagator" in line or "bare_odometry" in line
-    )
-    assert node[0] > 0 < bare[0]
-    assert node[1] == pytest.approx(node[0] / bare[0], rel=0.02)
-    assert bare[1] == 1.0
-    assert node[2] < bare[2]  # 50 a second beside one per reading
+def test_the_cost_of_each_node_is_a_ratio_to_a_bare_one_in_the_same_run(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--nodes", "2"]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.count("│") == 8]
+    rows = {
+        (rate, node): texts for rate, node, *texts in ([part.strip() for part in x.split("│")[1:-1]] for x in lines)
+    }
+    assert {rate for rate, _ in rows} == {"at rest", "200", "400"}
+    for rate in ("200", "400"):
+        node, bare = (rows[rate, name] for name in ("ins_propagator", "bare_odometry"))
+        assert float(node[1]) == pytest.approx(float(node[0]) / float(bare[0]), rel=0.02)
+        assert float(bare[1]) == 1.0
+        assert float(node[2]) < float(bare[2])  # 50 a second beside one per reading
+        for name in ("stereo_frontend", "slam_backend", "fusion"):  # nobody reads odometry of theirs
+            assert rows[rate, name][2:] == ["–"] * 3
+    assert float(rows["200", "bare_odometry"][2]) < float(rows["400", "bare_odometry"][2])
+    assert rows["at rest", "ins_propagator"][1:] == ["–"] * 4
 
 
 @pytest.mark.slow

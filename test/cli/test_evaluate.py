@@ -36,7 +36,7 @@ def status(vehicle, k, mode, peers):
     links = [
         message(
             "uav_vslam_msgs/msg/PeerLink", peer=peer, session=1, last_sequence=k, packets_received=k,
-            packets_used=k - 1, received_bytes=1000 * k, received_bytes_per_s=1234.5,
+            packets_used=k - 1, packets_waiting=0, received_bytes=1000 * k, received_bytes_per_s=1234.5,
             drop_reasons=["stale"], drop_counts=np.array([1], np.uint64), common_landmarks=9, age_s=0.1, silent=False,
         )
         for peer in peers
@@ -93,6 +93,7 @@ def test_known_errors_come_out_as_figures(pair, tmp_path, capsys):
     assert vehicle["s_slam"]["nees_position"] == pytest.approx((1.0 / 0.5) ** 2 / 3)
     assert vehicle["link"] == {
         "sent_bytes_per_s": 1234.5, "packets_sent": 20, "packets_received": 20, "packets_used": 19,
+        "packets_waiting": 0,
         "dropped": {"budget": 2, "stale": 1},
     }  # fmt: skip
     assert (summary["name"], summary["mode"], summary["realtime_factor"]) == ("made up", "wideband", None)
@@ -156,6 +157,18 @@ def test_recorded_frames_are_judged_without_truth(tmp_path, capsys):
 def test_a_recording_without_estimates_says_what_it_holds(pair):
     with pytest.raises(BagError, match=r"/uav1/ground_truth/odometry.*give the bag of the estimates"):
         read_outputs([pair / "inputs"])
+
+
+def test_several_passes_of_a_recording_are_refused_and_a_few_repeated_stamps_are_not(tmp_path):
+    for name, repeated in (("passes", range(FRAMES)), ("restarted", range(5, 9))):
+        with RawRecorder(tmp_path / name) as bag:
+            for k in (*range(FRAMES), *repeated):
+                stamp_ns, built = odometry(k, 0.0, 0.5)
+                bag.write("/uav1/odometry", "nav_msgs/msg/Odometry", encode(built), stamp_ns)
+    with pytest.raises(BagError, match=r"/uav1/odometry holds most stamps 2 times: several passes .* one by one"):
+        read_outputs([tmp_path / "passes"])
+    outputs, _ = read_outputs([tmp_path / "restarted"])
+    assert len(outputs["uav1"].own_only) == FRAMES + 4
 
 
 def test_a_truncated_recording_is_evaluated_up_to_the_damage_and_reported(pair, tmp_path, capsys):

@@ -6,11 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fusion import Fusion
+from uav_vslam.cooperation.inbox import KEPT_PER_PEER
 from uav_vslam.fleet import Air, LinkTransport, Sent
+from uav_vslam.slam.packet import PacketPolicy, make_packet
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
 
 RELAY = FusionConfig(relay=True, feedback=True)
@@ -86,6 +90,38 @@ def test_a_relayed_duplicate_is_no_drop_but_a_damaged_packet_is(make_small_packe
     vehicle.comes("uav3", garbled(make_small_packet(2)))
     vehicle.comes("uav2", make_small_packet(1))
     assert vehicle.exchange.dropped == {"checksum": 1, "duplicate": 1}
+
+
+TRAFFIC = st.lists(
+    st.tuples(
+        st.sampled_from(VEHICLES), st.integers(1, 12), st.integers(1, 2), st.sampled_from(("sent", "empty", "bad"))
+    ),
+    min_size=5,
+    max_size=60,
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
+@given(TRAFFIC)
+def test_every_packet_received_is_used_dropped_or_waiting(
+    make_joint: Callable[..., JointInformation], make_small_packet: Maker, traffic: list[tuple[str, int, int, str]]
+) -> None:
+    """Whatever comes, from whom, how often and in what order, over restarts of senders and of the own fusion."""
+    vehicle = Exchanging(FusionConfig())
+    for second, (sender, sequence, session, kind) in enumerate(traffic, start=1):
+        packet = make_small_packet(sequence, vehicle=sender, session=session)
+        if kind == "empty":
+            joint = make_joint(np.zeros((0, 3)), np.eye(6), vehicle=sender, session=session, stamp_ns=packet.stamp_ns)
+            packet = make_packet(joint, sequence=sequence, policy=PacketPolicy())
+        vehicle.exchange.on_packet("uav2", garbled(packet) if kind == "bad" else packet, 100)
+        if second % 2:
+            vehicle.epoch(make_joint([[1.0 + 5 * (sequence % 2), 2, 0]], np.eye(9), stamp_ns=second * NS_PER_S))
+        if second % 20 == 0:
+            vehicle.fusion.restart()
+        records = vehicle.fusion.inbox.peers.values()
+        assert all(r.received == len(r.used) + r.dropped.total() + r.waiting for r in records)
+        assert all(r.waiting <= 2 * KEPT_PER_PEER for r in records)
+        assert sum(r.received for r in records) + vehicle.fusion.inbox.refused.total() == second
 
 
 def test_strangers_and_feedback_among_packets_are_refused_and_not_relayed(make_small_packet: Maker) -> None:

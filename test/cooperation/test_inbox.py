@@ -8,7 +8,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uav_vslam.cooperation.authentication import FleetKey
-from uav_vslam.cooperation.inbox import FUTURE_S, KEPT_PER_PEER, MAX_PEERS, Inbox
+from uav_vslam.cooperation.inbox import (
+    FUTURE_S,
+    KEPT_PER_PEER,
+    MAX_PEERS,
+    NOTHING_COMMON,
+    SESSION_ENDED,
+    SUPERSEDED,
+    Inbox,
+)
 from uav_vslam.cooperation.sessions import HANDOVER_S
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.slam.packet import PacketPolicy, checksum, make_packet
@@ -74,6 +82,23 @@ def test_each_refusal_is_counted_by_its_reason(make_small_packet) -> None:
     record = inbox.peers["uav2"]
     assert record.received == 8
     assert dict(record.dropped) == {"duplicate": 2, "checksum": 1, "late": 1}
+
+
+def test_each_packet_is_used_dropped_for_one_reason_or_waiting(make_small_packet) -> None:
+    inbox = Inbox("uav1")
+    for sequence in range(1, 4):
+        inbox.add(make_small_packet(sequence))
+    record = inbox.peers["uav2"]
+    record.try_use(record.packets[0], 3)
+    record.try_use(record.packets[0], 2)  # at the next epoch again
+    record.try_use(record.packets[1], 0)
+    assert (record.waiting, len(record.used), dict(record.dropped)) == (2, 1, {})
+    for sequence in range(4, 8):
+        inbox.add(make_small_packet(sequence))
+    assert dict(record.dropped) == {NOTHING_COMMON: 1, SUPERSEDED: 1}
+    record.withdraw()
+    assert (record.received, record.waiting, len(record.used)) == (7, 0, 1)
+    assert dict(record.dropped) == {NOTHING_COMMON: 1, SUPERSEDED: 1, SESSION_ENDED: 4}
 
 
 def test_own_packets_that_come_back_are_refused(make_small_packet) -> None:
@@ -255,11 +280,21 @@ def test_with_a_key_an_earlier_session_never_comes_back(make_small_packet) -> No
     assert rival_of(inbox) == 1  # a second vehicle of that name, with a key
 
 
-def test_a_restarted_peer_is_received_after_the_own_time_has_stepped_back(make_small_packet) -> None:
+def test_a_restarted_peer_is_received_as_soon_as_the_own_time_has_stepped_back(make_small_packet) -> None:
     inbox = Inbox("uav1")
     assert hear(inbox, make_small_packet(1, stamp_ns=1000 * S_NS), 1000 * S_NS) == ""
-    reasons = [hear(inbox, make_small_packet(k, session=2), k * S_NS) for k in range(1, 8)]
-    assert reasons == ["other_session"] * 5 + [""] * 2
+    assert hear(inbox, make_small_packet(1, session=2), 1001 * S_NS) == "other_session"  # its time steps back first
+    reasons = [hear(inbox, make_small_packet(k, session=2), k * S_NS) for k in range(2, 8)]
+    assert reasons == [""] * 6
+    assert rival_of(inbox) is None
+
+
+def test_with_a_key_a_stepped_time_brings_no_earlier_session_back(make_small_packet) -> None:
+    key = FleetKey(b"k" * 32)
+    inbox = Inbox("uav1", authentication=key)
+    assert hear(inbox, key.sign(make_small_packet(1, session=2, stamp_ns=1000 * S_NS)), 1000 * S_NS) == ""
+    assert hear(inbox, key.sign(make_small_packet(9)), S_NS) == "stale_session"
+    assert hear(inbox, key.sign(make_small_packet(1, session=3)), 2 * S_NS) == ""
 
 
 def test_a_stamp_far_ahead_is_refused(make_small_packet) -> None:

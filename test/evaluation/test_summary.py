@@ -17,7 +17,7 @@ def test_the_summary_has_exactly_the_documented_keys(flight):
         vehicle
     )
     assert set(vehicle["link"]) == {
-        "sent_bytes_per_s", "packets_sent", "packets_received", "packets_used", "dropped"
+        "sent_bytes_per_s", "packets_sent", "packets_received", "packets_used", "packets_waiting", "dropped"
     }  # fmt: skip
     assert {"ate_m", "end_m"} <= set(vehicle["ins"])
     assert {"ate_m", "end_m", "nees_position"} <= set(vehicle["s_slam"])

@@ -8,7 +8,8 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.body_twist import body_twist
-from uav_vslam.ins.preintegration import UNKNOWN_RATE_SIGMA, preintegrate
+from uav_vslam.ins.gaps import UNKNOWN_RATE_SIGMA
+from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.types import ImuSample, NavEstimate, NavState
 
 IMU = ImuConfig(gyro_noise=1e-3)

@@ -33,7 +33,8 @@ def main(messages: Path, start_s: float, result: Path) -> None:
 
     def on_fused(message: Odometry) -> None:
         at = message.pose.pose.position
-        received["fused"].append((stamp_ns_of(message), at.x, at.y, at.z))
+        of_position = message.pose.covariance.reshape(6, 6)[:3, :3].ravel().tolist()
+        received["fused"].append((stamp_ns_of(message), at.x, at.y, at.z, *of_position))
 
     def on_status(message: FusionStatus) -> None:
         own = {

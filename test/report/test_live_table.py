@@ -22,7 +22,7 @@ def flying(*, silent: bool = False) -> Fleet:
                 stream.arrived(end_s - step / rate_hz)
         vehicle.own, vehicle.fused = Claim(1.25, 0.1), Claim(0.75, 0.01)
         vehicle.on_frame(landmarks=88, coasted=True)
-        peer = Peer(f"uav{2 - k}", 9, 8, 1300.0, 11, 1.5, silent=not k and silent)
+        peer = Peer(f"uav{2 - k}", 9, 6, 2, 1300.0, 11, 1.5, silent=not k and silent)
         vehicle.link = Link("narrowband", 4321.0, 6000.0, (peer,))
         vehicle.nodes["slam_backend"] = NodeReport(OK, "running", {"dropped/late": "3"}, end_s)
     return fleet
@@ -46,7 +46,7 @@ def test_each_figure_is_in_its_row(width: int) -> None:
     assert estimates == ["uav1", "200.0", "50.0", "7.0", "6.5", "6.0", "1.250", "0.750", "0.573", "88"]
     assert radio[:3] == ["uav1", "narrowband", "4.32"]
     if width == 120:
-        assert radio[3:] == ["(6.00", "with", "headers)", "uav2", "1.30", "9", "8", "11", "1.5"]
+        assert radio[3:] == ["(6.00", "with", "headers)", "uav2", "1.30", "9", "6", "2", "11", "1.5"]
 
 
 def test_nodes_that_are_well_are_counted_and_drops_named() -> None:

@@ -28,7 +28,7 @@ from rclpy.serialization import serialize_message  # noqa: E402
 
 from uav_vslam.config import FleetConfig, ReplayConfig, load_vehicle  # noqa: E402
 from uav_vslam.cooperation.authentication import FleetKey  # noqa: E402
-from uav_vslam.cooperation.inbox import Inbox  # noqa: E402
+from uav_vslam.cooperation.inbox import NOTHING_COMMON, SUPERSEDED, Inbox  # noqa: E402
 from uav_vslam.datasets.flight_writer import ImageCoding  # noqa: E402
 from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw  # noqa: E402
 from uav_vslam.ros.domain import claimed_domain  # noqa: E402
@@ -82,11 +82,17 @@ class Outcome:
     @property
     def accepted(self) -> dict[str, int]:
         """Packets taken in of each peer by the last epoch."""
-        return {peer.peer: int(peer.packets_received - sum(peer.drop_counts)) for peer in self.status.peers}
+        return {peer.peer: int(peer.packets_received) - refused(peer) for peer in self.status.peers}
 
     def link(self, peer: str) -> Any:
         """The status of one peer."""
         return next(link for link in self.status.peers if link.peer == peer)
+
+
+def refused(peer: Any) -> int:
+    """Return how many packets of a peer were refused on arrival."""
+    drops = zip(peer.drop_reasons, peer.drop_counts, strict=True)
+    return sum(int(count) for reason, count in drops if reason not in (SUPERSEDED, NOTHING_COMMON))
 
 
 class Attacker:

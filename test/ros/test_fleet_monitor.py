@@ -41,6 +41,8 @@ def status() -> FusionStatus:
         peer="uav9",
         packets_received=9,
         packets_used=8,
+        drop_reasons=["late"],
+        drop_counts=[1],
         received_bytes_per_s=120.0,
         common_landmarks=7,
         age_s=1.5,
@@ -120,7 +122,7 @@ def test_everything_published_reaches_the_state(offer: str, domain_id: int) -> N
     )
     (peer,) = vehicle.link.peers
     assert (peer.name, peer.packets_received, peer.packets_used, peer.received_bytes_per_s) == ("uav9", 9, 8, 120.0)
-    assert (peer.common_landmarks, peer.age_s, peer.silent) == (7, 1.5, True)
+    assert (peer.packets_dropped, peer.common_landmarks, peer.age_s, peer.silent) == (1, 7, 1.5, True)
     report = vehicle.nodes["slam_backend"]
     assert (report.level, report.text, vehicle.dropped) == (WARN, "slow", {"late": 4})
 

@@ -24,6 +24,7 @@ from rclpy.qos import (  # noqa: E402
 
 from uav_vslam.ros.fusion_node import FusionNode  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
+from uav_vslam.ros.mapper_node import MapperNode  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.ros.stereo_frontend_node import StereoFrontendNode  # noqa: E402
 
@@ -33,7 +34,7 @@ ROOT = Path(__file__).parents[2]
 RVIZ = ROOT / "config" / "rviz" / "uav_vslam.rviz"
 FOXGLOVE = ROOT / "config" / "foxglove" / "uav_vslam.json"
 VEHICLES = ("uav1", "uav2")
-NODES = (StereoFrontendNode, InsPropagatorNode, SlamBackendNode, FusionNode)
+NODES = (StereoFrontendNode, InsPropagatorNode, SlamBackendNode, FusionNode, MapperNode)
 RVIZ_TYPES = {
     "Odometry": {"nav_msgs/msg/Odometry"},
     "Path": {"nav_msgs/msg/Path"},

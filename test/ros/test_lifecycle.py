@@ -2,6 +2,7 @@
 """Nodes start by themselves, pause and reset by services, and obey the lifecycle of managed nodes."""
 
 import dataclasses
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -14,12 +15,14 @@ from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from lone_node import lone_node  # noqa: E402
 from node_flight import NodeFlight  # noqa: E402
+from rclpy.client import Client  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle  # noqa: E402
 
 pytestmark = pytest.mark.ros
 FRAMES = 20
+CLIENTS, CLIENT_S = 6, 20.0  # how many are tried, each for so long
 NODES = ("ins_propagator", "slam_backend", "fusion")
 Make = Callable[..., NodeFlight]
 
@@ -37,12 +40,21 @@ def make(vehicle: SimulatedVehicle, domain_id: int) -> Iterator[Make]:
 
 
 def call(flight: NodeFlight, kind: Any, service: str, request: Any) -> Any:
-    client = flight.player.create_client(kind, f"/uav1/{service}")
-    assert flight.spin(client.service_is_ready)
+    client = ready_client(flight, kind, f"/uav1/{service}")
     future = client.call_async(request)
     assert flight.spin(future.done)
     flight.player.destroy_client(client)
     return future.result()
+
+
+def ready_client(flight: NodeFlight, kind: Any, service: str) -> Client:
+    """Return a client that has found its service; rarely one never does (ros2/rmw_fastrtps, issue 792)."""
+    for _ in range(CLIENTS):
+        client, give_up_s = flight.player.create_client(kind, service), time.monotonic() + CLIENT_S
+        if flight.spin(client.service_is_ready, alive=lambda end_s=give_up_s: time.monotonic() < end_s):
+            return client
+        flight.player.destroy_client(client)
+    raise AssertionError(f"{service} was found by none of {CLIENTS} clients")
 
 
 def state_of(flight: NodeFlight, node: str) -> int:

@@ -56,7 +56,8 @@ def graph(
     launched: Callable[..., AbstractContextManager[Any]], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Any]:
     """Two vehicles that fly over an emulated radio; the last test ends them."""
-    arguments = ["--link", "clean", "--log-dir", str(tmp_path_factory.mktemp("log"))]
+    slow = ["--rate", "0.2"]  # the flight outlasts the tests, whatever the machine's speed
+    arguments = [*slow, "--link", "clean", "--log-dir", str(tmp_path_factory.mktemp("log"))]
     with launched(str(ROOT / "config" / "fleet_demo.yaml"), *arguments) as started:
         yield started
 

@@ -16,6 +16,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from uav_vslam.geometry.pose import Pose  # noqa: E402
+from uav_vslam.mapping.flown_map import UNSEEN_GREY  # noqa: E402
 from uav_vslam.mapping.surface.grid import HeightGrid  # noqa: E402
 from uav_vslam.mapping.surface.mapper import SurfaceMapper  # noqa: E402
 from uav_vslam.ros.convert import flat, header, pose_with_covariance_to_msg, transform_to_msg  # noqa: E402
@@ -27,6 +28,7 @@ from waiting import wait_for  # noqa: E402
 pytestmark = pytest.mark.ros
 
 VIEWS = 10
+LONGER = 14  # until the first key frame has settled
 LATE = 4  # frames by which a pose comes after its image
 T_BODY_LEFT = Pose(np.eye(3), np.array([0.1, 0.0, -0.05]))
 Make = Callable[..., MapperNode]
@@ -102,10 +104,11 @@ def test_in_flight_only_tiles_are_saved_and_the_rest_at_the_end(make: Make, tmp_
     calibrate(node)
     fly(node, range(VIEWS))
     node._publish()
-    assert [path.name for path in folder.iterdir()] == ["tiles"]
-    assert HeightGrid.open(folder / "tiles").extent == node._grid.extent
+    assert {path.name.partition("_")[0] for path in folder.iterdir()} == {"tiles", "mosaic"}
+    assert HeightGrid.open(folder / "tiles").extent == node._map.grid.extent
     node.destroy_node()
-    assert {path.name for path in folder.iterdir()} == {"tiles", "map.json", "height.tif"}
+    picture = {f"orthomosaic.{suffix}" for suffix in ("png", "pgw", "jpg")}
+    assert {path.name for path in folder.iterdir()} == {"tiles", "map.json", "height.tif"} | picture
 
 
 def test_a_map_without_a_folder_is_published_only(make: Make) -> None:
@@ -125,13 +128,17 @@ def test_a_map_without_a_folder_is_published_only(make: Make) -> None:
     try:
         assert spin(lambda: node._surface.get_subscription_count() and node._mesh.get_subscription_count())
         calibrate(node)
-        fly(node, range(VIEWS))
+        fly(node, range(LONGER))
         assert spin(lambda: clouds and meshes)
     finally:
         executor.shutdown()
         other.destroy_node()
-    points = np.frombuffer(clouds[-1].data, np.float32).reshape(-1, 3)
+    points = np.frombuffer(clouds[-1].data, np.float32).reshape(-1, 4)
     assert len(points) > 1000
+    blue = points[:, 3].copy().view(np.uint8)[::4]
+    coloured = blue != UNSEEN_GREY
+    assert coloured.mean() > 0.2  # the others wait for their surroundings
+    assert np.corrcoef(blue[coloured], ground().grey(points[coloured, 0], points[coloured, 1]))[0, 1] > 0.8
     assert np.median(np.abs(points[:, 2] - ground().relief.height(points[:, 0], points[:, 1]))) < 0.1
     corners = np.array([[point.x, point.y, point.z] for point in meshes[-1].points])
     assert len(corners) % 3 == 0

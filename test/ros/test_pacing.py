@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from uav_vslam.ros.pacing import IMU_AHEAD, Answers, Kind, LockStep, Readings, RealTime, Recorded
+from uav_vslam.ros.pacing import EARLY_PERIOD_S, IMU_AHEAD, Answers, Kind, LockStep, Readings, RealTime, Recorded
 
 MS = 1_000_000
 TOPICS = ("odometry", "fused/odometry")
@@ -36,7 +36,8 @@ class Graph:
         self.starts = starts = {vehicle: start_ms * MS for vehicle, start_ms in given.items()}
         self.answers, self.readings = Answers(vehicles, starts, TOPICS), Readings(vehicles, starts)
         self._ins = ins
-        self._order = LockStep(self.answers, self.readings).order(iter(recorded))
+        self.time_s = 1.0
+        self._order = LockStep(self.answers, self.readings, lambda: self.time_s).order(iter(recorded))
         self.published: list[Recorded] = []
         self.ended = False
 
@@ -123,6 +124,9 @@ def test_until_the_start_state_is_known_the_front_end_paces() -> None:
     graph.advance()
     assert graph.answers.missing() == [("/uav1/stereo_features", 0)]
     graph.answer("uav1", 0, ("stereo_features",))
+    assert graph.frames("uav1") == [0]  # its INS has real time to find the start
+    graph.time_s += EARLY_PERIOD_S
+    graph.advance()
     assert graph.answers.missing() == [("/uav1/stereo_features", 100 * MS)]
     graph.starts["uav1"] = 50 * MS
     graph.answer("uav1", 100, ("stereo_features",))

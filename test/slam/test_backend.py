@@ -69,9 +69,12 @@ def test_an_unsynchronised_rig_adds_the_first_landmarks_as_soon_as_the_rate_is_k
     backend = SlamBackend(flight.vehicle.initial, rig=flight.vehicle.rig, config=config, vehicle="uav1")
     first = backend.process(flight.features[0], flight.increments[0])
     assert first.landmarks == 0
-    assert (
-        backend.process(flight.features[1], flight.increments[1]).associated >= 10
-    )  # by then the first frame's are in
+    second = backend.process(flight.features[1], flight.increments[1])
+    assert second.associated >= 10  # by then the first frame's are in
+    plain = flight.backend().process(flight.features[0], flight.increments[0])
+    np.testing.assert_array_equal(second.late_sightings[:, 1], plain.sightings[:, 1])
+    assert np.isin(second.sightings[: second.associated, 0], second.late_sightings[:, 0]).all()
+    assert len(plain.late_sightings) == 0
 
 
 def test_postponed_landmarks_are_where_the_known_rate_puts_them(flight: Flight) -> None:

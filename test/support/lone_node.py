@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
 import rclpy
+from rclpy.serialization import serialize_message
 
 from uav_vslam.ros.runtime import VehicleNode
 
@@ -40,4 +41,4 @@ def lone_node(kind: Callable[[], Node], domain_id: int) -> Iterator[Callable[...
 def deliver(node: VehicleNode, topic: str, message: object) -> None:
     """Call back with a message, as if it came on the topic."""
     (one,) = (one for one in node._inputs if one.topic == topic and isinstance(message, one.message_type))
-    one.callback(message)
+    one.callback(serialize_message(message) if one.raw else message)

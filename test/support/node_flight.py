@@ -91,9 +91,9 @@ class NodeFlight:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.statuses |= {status.name.split(": ")[1]: status for status in message.status}
 
-    def spin(self, until: Callable[[], Any]) -> bool:
-        """Run all nodes until a condition holds; return whether it does."""
-        return wait_for(until, lambda: self.executor.spin_once(timeout_sec=0.02))
+    def spin(self, until: Callable[[], Any], *, alive: Callable[[], bool] | None = None) -> bool:
+        """Run all nodes until a condition holds; return whether it does. `alive` as for `wait_for`."""
+        return wait_for(until, lambda: self.executor.spin_once(timeout_sec=0.02), alive=alive)
 
     def send(self, name: str, message: Any) -> None:
         """Publish an input."""

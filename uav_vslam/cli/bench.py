@@ -12,7 +12,8 @@ HELP = "measure the speed of each stage"
 EXAMPLES = """examples:
   uav-vslam bench
   uav-vslam bench --quick          a few repeats only, for a quick check
-  uav-vslam bench --nodes 30       instead, for 30 s: ins_propagator beside a node that does nothing, both as processes
+  uav-vslam bench --nodes 30       instead: a vehicle's nodes beside one that does nothing, as processes; 30 s at rest,
+                                   30 s at 200 and 30 s at 400 IMU readings a second
 
 Each time comes with a reference measured alternately in the same run: compare ratios, not milliseconds, between
 machines and revisions. All in one process and one thread; times are processor time.
@@ -22,7 +23,9 @@ machines and revisions. All in one process and one thread; times are processor t
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("--quick", action="store_true", help="a few repeats only")
-    parser.add_argument("--nodes", type=positive, metavar="S", help="measure the cost of a node for S seconds instead")
+    parser.add_argument(
+        "--nodes", type=positive, metavar="S", help="measure what nodes cost instead, for S seconds each time"
+    )
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
 
 
@@ -50,17 +53,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_nodes(seconds: int) -> None:
-    """Print what the node costs, and the ratio of its processor time to the bare node's in the same run."""
+    """Print what each node costs, and the ratio of its processor time to the bare node's in the same run."""
     from rich.console import Console
+    from rich.progress import Progress
     from rich.table import Table
 
-    from uav_vslam.ros.node_cost import node_costs
+    from uav_vslam.ros.node_cost import IMU_RATES_HZ, NODES, node_costs
 
-    node, bare = node_costs(seconds)
-    table = Table("Node", "Cores", "Ratio", "Odometry [Hz]", "Latency p50 [ms]", "p99 [ms]")
-    for one in (node, bare):
-        figures = (one.cores, one.cores / bare.cores, one.rate_hz, *one.latency_ms)
-        table.add_row(one.node, *(f"{figure:.3g}" for figure in figures))
+    table = Table("IMU [Hz]")
+    table.add_column("Node", no_wrap=True)
+    for heading in ("Cores", "Ratio", "Odometry [Hz]", "p50 [ms]", "p99 [ms]"):
+        table.add_column(heading, justify="right")
+    with Progress(transient=True) as progress:
+        costs = node_costs(seconds)
+        for one in progress.track(costs, total=len(IMU_RATES_HZ) * len(NODES), description="measuring"):
+            figures = (one.cores, one.ratio, one.rate_hz, *(one.latency_ms or (None, None)))
+            texts = ("–" if figure is None else f"{figure:.3g}" for figure in figures)
+            table.add_row(f"{one.imu_rate_hz or 'at rest'}", one.node, *texts)
     Console().print(table)
 
 

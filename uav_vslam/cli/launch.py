@@ -151,7 +151,7 @@ def launch(
     from uav_vslam.errors import ConfigError
     from uav_vslam.ros.domain import MAX_DOMAIN_ID
     from uav_vslam.ros.fleet_commands import node_specs, without_parameter_services
-    from uav_vslam.ros.supervisor import Supervisor, node_command
+    from uav_vslam.ros.supervisor import ESCALATION, SAVING, Supervisor, node_command
 
     if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
@@ -166,7 +166,9 @@ def launch(
     commands = [node_command(spec, log_level) for spec in specs]
     _remove_leftovers()
     _warn_without_key(fleet)
-    return Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line).run(commands)
+    escalation = SAVING if maps else ESCALATION
+    supervisor = Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line, escalation=escalation)
+    return supervisor.run(commands)
 
 
 def discovery_environment(given: Mapping[str, str], *, own_radio: bool) -> dict[str, str]:

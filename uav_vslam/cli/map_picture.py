@@ -35,6 +35,8 @@ def write_picture_and_model(
     Raises:
         UavVslamError: no view shows the surface.
     """
+    from tempfile import TemporaryDirectory
+
     from uav_vslam.mapping.model import write_model
     from uav_vslam.mapping.orthomosaic import blended_mosaic
     from uav_vslam.mapping.orthomosaic.heights import GridHeights
@@ -44,11 +46,14 @@ def write_picture_and_model(
 
     stamps = _key_frames(flights, grid)
     surface = GridHeights(grid)
-    with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
-        mosaic = blended_mosaic(lambda: _chosen(flights, stamps), surface, m_per_px, on_view=advance)
-        found = seams(mosaic, counted(_chosen(flights, stamps), advance)).figures()
-    written = write_orthomosaic(mosaic, folder, datum)
-    model = write_model(surface, mosaic, folder, views=lambda: _chosen(flights, stamps), cell_m=grid.cell_m)
+    with TemporaryDirectory(dir=folder, prefix="tiles_") as tiles:
+        with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
+            mosaic = blended_mosaic(
+                lambda: _chosen(flights, stamps), surface, m_per_px, folder=Path(tiles), on_view=advance
+            )
+            found = seams(mosaic, counted(_chosen(flights, stamps), advance)).figures()
+        written = write_orthomosaic(mosaic, folder, datum)
+        model = write_model(surface, mosaic, folder, views=lambda: _chosen(flights, stamps), cell_m=grid.cell_m)
     shares = {name: vehicle["share"] for name, vehicle in written.pop("vehicles").items()}
     finite = {name: value for name, value in found.items() if np.isfinite(value)}
     picture = written | {"seam_px": finite.get("median_px"), "seam_p90_px": finite.get("p90_px")}

@@ -5,14 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from uav_vslam.cooperation.unknown_frame import FrameEstimate
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
+from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian, so3_log
 from uav_vslam.numerics import symmetrise
 from uav_vslam.types import PoseEstimate
 
 Array = NDArray[np.float64]
+
+ROUNDING = 1e-10  # of a covariance, relative
+SAME = 1e-8  # relative difference of two covariances that are taken as equal
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +59,45 @@ def move(T_map_body: Pose, landmarks: Array, delta: Array) -> tuple[Pose, Array]
 
 
 def propagated(own: PoseEstimate, fused: PoseEstimate, now: PoseEstimate) -> PoseEstimate:
-    """Propagate a fused pose by the own-only motion since its epoch.
+    """Propagate a fused pose by the own-only motion since, which includes the own filter's corrections.
 
-    The covariance moves with it and grows by as much as the own covariance grew over the same motion.
+    The own error becomes e_now = A e + n. The same corrections, applied to the fused pose, x_fused = x_now +
+    A (fused - own), leave the error A e_fused + n: P_fused,now = P_now - A (P - P_fused) A^T, whatever the correlation
+    of e and e_fused. A is not known here; it is taken as 1 where the own covariance has grown, as process noise does,
+    and as the ratio of both covariances where it has shrunk, as a correction without process noise does. Where both
+    balance, as in a hover, that claims too much until the next epoch.
 
     Args:
-        own, fused: both poses at the epoch.
+        own, fused: both poses at the same stamp.
         now: the own pose later.
     """
     turn = fused.T_map_body.R @ own.T_map_body.R.T
     moved = now.T_map_body.t - own.T_map_body.t
     pose = Pose(turn @ now.T_map_body.R, fused.T_map_body.t + turn @ moved)
-    growth = now.covariance - _transported(own.covariance, moved)
-    values, vectors = np.linalg.eigh(symmetrise(growth))
-    growth = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    covariance = _transported(fused.covariance, turn @ moved) + growth
-    return PoseEstimate(now.stamp_ns, pose, symmetrise(covariance))
+    before, carried = _transported(own.covariance, moved), _transported(fused.covariance, turn @ moved)
+    difference, A = carried - before, _kept(before, now.covariance)
+    if A is not None:
+        difference, pose = A @ difference @ A.T, _between(now.T_map_body, pose, A)
+    return PoseEstimate(now.stamp_ns, pose, symmetrise(now.covariance + difference))
+
+
+def _kept(before: Array, after: Array) -> Array | None:
+    """Return A (6, 6), by which an error of one covariance enters a later one of another; None if it does as it is."""
+    floor = np.diag(ROUNDING * np.diagonal(before + after) + np.finfo(float).tiny)  # a start may have no error
+    L = np.linalg.cholesky(before + floor)
+    half = solve_triangular(L, after + floor, lower=True)
+    ratios, V = np.linalg.eigh(symmetrise(solve_triangular(L, half.T, lower=True)))
+    shares = np.where(ratios > 1.0 - SAME, 1.0, np.maximum(ratios, 0.0))
+    if (shares == 1.0).all():
+        return None
+    return np.asarray(L @ (V * shares) @ V.T @ solve_triangular(L, np.eye(len(L)), lower=True))
+
+
+def _between(own: Pose, fused: Pose, A: Array) -> Pose:
+    """Return the pose whose error relative to the own one is A times that of the fused pose."""
+    xi = so3_log(fused.R @ own.R.T)
+    offset = np.concatenate([np.linalg.solve(so3_left_jacobian(xi), fused.t - own.t), xi])
+    return move(own, np.zeros((0, 3)), A @ offset)[0]
 
 
 def _transported(covariance: Array, moved: Array) -> Array:

@@ -18,7 +18,7 @@ from uav_vslam.cooperation.authentication import authentication_for
 from uav_vslam.cooperation.common_landmarks import comparable
 from uav_vslam.cooperation.epoch_fusion import EpochFusion
 from uav_vslam.cooperation.fused_pose import FusedEpoch, propagated
-from uav_vslam.cooperation.inbox import Inbox
+from uav_vslam.cooperation.inbox import DESCRIPTOR_SIZE, FEWER_COMMON, Inbox
 from uav_vslam.cooperation.loaded_map import LoadedMap
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
 from uav_vslam.estimation.belief import state_rows
@@ -133,18 +133,21 @@ class Fusion:
         self._fuse_map(fusing)
         for peer, newest in self._newest(self.inbox):
             if not comparable(joint.descriptors, newest):
-                self.inbox.peers[peer].dropped["descriptor_size"] += 1
+                self.inbox.peers[peer].mark(newest, DESCRIPTOR_SIZE)
                 continue
             packet, pairs = self._select(fusing, newest)
-            self._record_use(peer, packet, len(pairs))
+            self.inbox.peers[peer].try_use(packet, len(pairs))
             fusing.common[peer] = len(pairs)
             fusing.add(packet, pairs, self.frame(peer))
             if len(pairs):
                 self._used_rows[peer] = packet.source, pairs[:, 0], packet.ids[pairs[:, 1]]
         for peer, packet in self._newest(self.returned):
-            fusing.add(packet, self._matched_by_id(fusing, packet), self.frame(peer))
+            pairs = self._matched_by_id(fusing, packet)
+            self.returned.peers[peer].try_use(packet, len(pairs))
+            fusing.add(packet, pairs, self.frame(peer))
         self._shared = self._shared & set(self.belief.ids.tolist()) | fusing.matched
         self.epoch = fusing.epoch()
+        self._carried = self.epoch.own, self.epoch.pose
         return self.epoch
 
     def _fuse_map(self, fusing: EpochFusion) -> None:
@@ -162,10 +165,11 @@ class Fusion:
         return self._frames[peer]
 
     def propagate(self, own: PoseEstimate) -> PoseEstimate:
-        """Return the last fused pose, propagated by the own-only motion since its epoch."""
+        """Return the last fused pose, propagated by the own-only motion since; call it for each own pose, in order."""
         if self.epoch is None:
             return own
-        return propagated(self.epoch.own, self.epoch.pose, own)
+        self._carried = own, propagated(*self._carried, own)
+        return self._carried[1]
 
     def _newest(self, inbox: Inbox) -> Iterator[tuple[str, LandmarkPacket]]:
         """Yield each peer's newest packet that this epoch may use."""
@@ -182,13 +186,18 @@ class Fusion:
         Without a common origin always the newest: frame estimation uses every packet once, in order.
         """
         pairs, last = self._common(fusing, newest), self._used.get(newest.vehicle)
-        another = last is not None and last is not newest and last.session == newest.session
-        if last is not None and another and len(pairs) < ENOUGH_SHARED and self._config.common_origin:
+        if last is not None and len(pairs) < ENOUGH_SHARED and self._may_replace(newest, last):
             before = self._common(fusing, last)
             if len(before) > len(pairs):
+                self.inbox.peers[newest.vehicle].mark(newest, FEWER_COMMON)
                 return last, before
         self._used[newest.vehicle] = newest
         return newest, pairs
+
+    def _may_replace(self, newest: LandmarkPacket, last: LandmarkPacket) -> bool:
+        """Return whether the last packet used of a peer may be fused once more in place of the newest."""
+        another = last is not newest and last.session == newest.session
+        return another and self._config.common_origin and self.inbox.peers[newest.vehicle].can_use(last)
 
     def _common(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
         """Return (K, 2) rows of common landmarks: own, and the packet's."""
@@ -208,9 +217,3 @@ class Fusion:
         _, own, theirs = np.intersect1d(fusing.joint.ids, packet.ids, return_indices=True)
         pairs = np.column_stack([own, theirs])
         return self.frame(packet.vehicle).agreeing(fusing.positions, fusing.landmark_covariance, packet, pairs)
-
-    def _record_use(self, peer: str, packet: LandmarkPacket, common: int) -> None:
-        record = self.inbox.peers[peer]
-        record.common_landmarks = common
-        if common:
-            record.used.add((packet.session, packet.sequence))

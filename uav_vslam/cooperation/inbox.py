@@ -6,6 +6,9 @@ are harmless, and nothing is counted twice. Which session of a peer counts is in
 replayed packets are harmless too: an older session, or a packet received or superseded before, is refused, as far back
 as this vehicle has listened. (A replay before the peer's first new packet is accepted as new; that packet then replaces
 it.)
+
+Each received packet of a peer is used, dropped for one reason, or waiting: `received == len(used) + dropped + waiting`.
+One that was kept and then put out unused is dropped for the reason that it would have had at its last epoch.
 """
 
 from collections import Counter
@@ -22,6 +25,14 @@ MAX_PEERS = 64  # forged names must not fill the memory
 FUTURE_S = 10.0  # a packet whose stamp is further ahead of the own epochs is refused: no clock errs by so much
 NAMESAKE_S = 10.0  # one that is not heard for so long has gone
 
+# Why a packet that was kept is dropped in the end.
+SUPERSEDED = "superseded"  # an epoch took a newer one
+FEWER_COMMON = "fewer_common"  # one before it shared more landmarks
+NOTHING_COMMON = "nothing_common"  # none of its landmarks was an own one
+DESCRIPTOR_SIZE = "descriptor_size"  # its descriptors can't be compared with the own ones
+EMPTY = "empty"
+SESSION_ENDED = "session_ended"
+
 _NO_KEY_HERE = "signs its packets, but this vehicle has no key (fusion.fleet_key_file): they are used unverified"
 _KEY_FAULTS = {  # by reason of the refusal
     "unsigned": "does not sign its packets, and this vehicle has a key: they are refused",
@@ -31,15 +42,72 @@ _KEY_FAULTS = {  # by reason of the refusal
 
 @dataclass(slots=True)
 class PeerRecord:
-    """The packets and counts of one peer."""
+    """The packets and counts of one peer.
 
-    packets: list[LandmarkPacket] = field(default_factory=list)  # of the session that counts, with landmarks, by order
-    arrived: list[LandmarkPacket] = field(default_factory=list)  # the same and those without
+    Attributes:
+        packets: kept ones of the session that counts, with landmarks, by order.
+        arrived: the same and those without.
+        received: all that arrived in its name.
+        used: session and sequence of those that shared a landmark at some epoch.
+        last_used: order of the last one of them.
+        unused: kept ones that were not used so far, by order: why they will have been dropped if they never are.
+        dropped: those that will never be used, by reason.
+        common_landmarks: shared at the last epoch.
+        sessions: which of its sessions counts.
+    """
+
+    packets: list[LandmarkPacket] = field(default_factory=list)
+    arrived: list[LandmarkPacket] = field(default_factory=list)
     received: int = 0
-    used: set[tuple[int, int]] = field(default_factory=set)
+    used: list[tuple[int, int]] = field(default_factory=list)
+    last_used: tuple[int, int] | None = None
+    unused: dict[tuple[int, int], str] = field(default_factory=dict)
     dropped: Counter[str] = field(default_factory=Counter)
     common_landmarks: int = 0
     sessions: Sessions | None = None
+
+    @property
+    def waiting(self) -> int:
+        """Number of packets that may still be used."""
+        return len(self.unused)
+
+    def keep(self, packet: LandmarkPacket) -> None:
+        """Keep a packet for the next epochs; the oldest make room."""
+        self.unused[packet.order] = SUPERSEDED if len(packet) else EMPTY
+        _keep(packet, self.arrived)
+        if len(packet):  # an empty one, from a full link or an empty view, does not replace the one before
+            _keep(packet, self.packets)
+        self._settle()
+
+    def withdraw(self) -> None:
+        """Drop what is kept: the session has ended."""
+        self.arrived.clear()
+        self.packets.clear()
+        self.unused = dict.fromkeys(self.unused, SESSION_ENDED)
+        self._settle()
+
+    def try_use(self, packet: LandmarkPacket, common: int) -> None:
+        """Record how many landmarks a packet shared at an epoch."""
+        self.common_landmarks = common
+        if common and packet.order in self.unused:
+            del self.unused[packet.order]
+            self.used.append((packet.session, packet.sequence))
+            self.last_used = packet.order
+        self.mark(packet, NOTHING_COMMON)
+
+    def mark(self, packet: LandmarkPacket, reason: str) -> None:
+        """Record why an epoch did not use a packet; a later one may."""
+        if packet.order in self.unused:
+            self.unused[packet.order] = reason
+
+    def can_use(self, packet: LandmarkPacket) -> bool:
+        """Return whether a packet of the current session has not been dropped."""
+        return packet.order in self.unused or packet.order == self.last_used
+
+    def _settle(self) -> None:
+        kept = {p.order for p in (*self.arrived, *self.packets)}
+        for order in self.unused.keys() - kept:
+            self.dropped[self.unused.pop(order)] += 1
 
 
 class Inbox:
@@ -90,9 +158,7 @@ class Inbox:
                 record.dropped[error.reason] += 1
             raise
         record.received += 1
-        _keep(packet, record.arrived)
-        if len(packet):  # an empty one, from a full link or an empty view, does not replace the one before
-            _keep(packet, record.packets)
+        record.keep(packet)
 
     def newest(self, peer: str, not_after_ns: int) -> LandmarkPacket | None:
         """Return the peer's newest packet made at or before a stamp."""
@@ -139,8 +205,7 @@ class Inbox:
         if record.sessions is None:
             record.sessions = Sessions(packet.session, packet.stamp_ns, self.now_ns)
         if record.sessions.hear(packet, self.now_ns, proven=self._authentication.tag_bytes > 0):
-            record.arrived.clear()
-            record.packets.clear()  # a restart withdraws the packets of the earlier session
+            record.withdraw()
         _check_order(packet, record.arrived)
 
     def _new_record(self, vehicle: str) -> PeerRecord:

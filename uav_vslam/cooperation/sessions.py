@@ -3,7 +3,8 @@
 
 A vehicle that starts again has a larger session number, and is silent for seconds in between, so it waits little. A
 forged number, or a second vehicle of the same name, finds the first one still talking, and is not fused. Time is that
-of the own epochs, which nobody else can set.
+of the own epochs, which nobody else can set. When it has been set back, as that of a whole fleet is by a recording that
+begins again, who talked before tells nothing: as at the start, the session heard first counts at once.
 
 Of two sessions of one vehicle, all stamps of the earlier are before all of the later. Stamps that contradict this show
 two senders; the fusion node names them.
@@ -64,9 +65,9 @@ class Sessions:
         if packet.session == self.current:
             self._hear_current(packet, now_ns)
             return False
-        self.heard_ns = min(self.heard_ns, now_ns)  # the own clock may have been set back
         later = packet.session > self.current
-        if (later or not proven) and now_ns - self.heard_ns >= HANDOVER_S * NS_PER_S:
+        silent = not 0 <= now_ns - self.heard_ns < HANDOVER_S * NS_PER_S  # or the own time has been set back
+        if (later or not proven) and silent:
             self.current, self.began_ns, self.heard_ns, self.rival = packet.session, packet.stamp_ns, now_ns, None
             return True
         self._hear_rival(packet, now_ns)

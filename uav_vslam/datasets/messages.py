@@ -43,6 +43,11 @@ ENCODINGS: dict[str, tuple[Any, int, int | None]] = {
 # What other tools call the models of `PinholeCamera`.
 LENS_MODELS = {"": "plumb_bob", "fisheye": "equidistant", "kannala_brandt4": "equidistant"}
 
+# A serialised message (CDR) begins with its encoding, the stamp and the length of the frame_id with its final zero.
+PLAIN_CDR = (b"\0\0", b"\0\1")  # big and little endian
+CDR_HEADER, FRAME_ID = 4, 16  # bytes before the content, and before the frame_id's characters
+IMU_NUMBERS, GYRO, ACCEL = 37, slice(13, 16), slice(25, 28)  # after the frame_id: orientation, rate, force, covariances
+
 
 @dataclass(frozen=True, slots=True)
 class TruthSample:
@@ -79,8 +84,30 @@ def header_stamp_ns(data: bytes) -> int:
     """
     if len(data) < 12:
         raise BagError(f"a message of {len(data)} bytes has no header; record the topic again")
-    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
-    return _nanoseconds(sec, nanosec)
+    return _nanoseconds(*struct.unpack_from(f"{_byte_order(data)}iI", data, CDR_HEADER))
+
+
+def imu_of_data(data: bytes) -> tuple[ImuSample, str]:
+    """Return the reading of a serialised Imu message and its frame_id, without the message in between.
+
+    Raises:
+        BagError: the bytes are too few, or not plain CDR (a foreign one may have the other byte order).
+    """
+    if data[:2] not in PLAIN_CDR or len(data) < FRAME_ID:
+        raise BagError(f"{len(data)} bytes of encoding {data[:2].hex()!r} are no message in plain CDR")
+    order = _byte_order(data)
+    (length,) = struct.unpack_from(f"{order}I", data, FRAME_ID - 4)
+    begin = CDR_HEADER + -(-(FRAME_ID + length - CDR_HEADER) // 8) * 8  # numbers of 8 bytes are aligned
+    if len(data) < begin + 8 * IMU_NUMBERS:
+        raise BagError(f"{len(data)} bytes are too few for a sensor_msgs/Imu whose frame_id has {length}")
+    numbers = np.frombuffer(data, f"{order}f8", IMU_NUMBERS, begin).astype(float)
+    frame = data[FRAME_ID : FRAME_ID + length - 1].decode()
+    return ImuSample(header_stamp_ns(data), numbers[GYRO], numbers[ACCEL]), frame
+
+
+def _byte_order(data: bytes) -> str:
+    """Return the order of the bytes of a serialised message as `struct` writes it."""
+    return "<" if data[1] & 1 else ">"
 
 
 def _nanoseconds(sec: int, nanosec: int) -> int:

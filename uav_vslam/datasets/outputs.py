@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads a fleet's recorded estimates, and the ground truth from the replayed bags."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,7 +34,7 @@ class LinkRecord:
         mode: communication mode.
         packets_sent: since the start.
         sent_bytes_per_s: mean rate since the first packet [B/s].
-        packets_received, packets_used: over all peers.
+        packets_received, packets_used, packets_waiting: over all peers.
         dropped: packets dropped, by reason, over all peers; "budget" counts own ones that were not sent.
         peers: names of the peers that packets came from.
     """
@@ -43,6 +44,7 @@ class LinkRecord:
     sent_bytes_per_s: float
     packets_received: int
     packets_used: int
+    packets_waiting: int
     dropped: dict[str, int]
     peers: tuple[str, ...]
 
@@ -81,7 +83,8 @@ def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], Bag
         damage.
 
     Raises:
-        BagError: a path is missing or not a bag, a message can't be decoded, or no bag has an own-only track.
+        BagError: a path is missing or not a bag, a message can't be decoded, no bag has an own-only track, or they hold
+            several passes of one recording.
     """
     topics = topics_of(paths)
     names = sorted({topic.split("/")[1] for topic in topics if topic.count("/") == 2 and topic.endswith("/odometry")})
@@ -99,7 +102,19 @@ def read_outputs(paths: Sequence[Path]) -> tuple[dict[str, RecordedOutputs], Bag
     for raw in messages:
         _, name, ending = raw.topic.split("/", 2)
         _store(outputs[name], ending, raw)
+    for name, recorded in outputs.items():
+        _check_passes(name, recorded)
     return outputs, messages.error
+
+
+def _check_passes(name: str, recorded: RecordedOutputs) -> None:
+    """Refuse several passes of one recording: their estimates of a stamp are not those of one flight."""
+    times = Counter(estimate.stamp_ns for estimate in recorded.own_only)
+    if sum(count > 1 for count in times.values()) > len(times) / 2:  # a node that was restarted repeats a few
+        raise BagError(
+            f"/{name}/odometry holds most stamps {max(times.values())} times: several passes of a recording, as with "
+            "a looped bag, or several runs; record each into a bag of its own, and evaluate them one by one"
+        )
 
 
 class _Readable:
@@ -168,6 +183,7 @@ def _link(built: Any) -> LinkRecord:
         sent_bytes_per_s=float(built.sent_bytes_per_s),
         packets_received=sum(int(peer.packets_received) for peer in built.peers),
         packets_used=sum(int(peer.packets_used) for peer in built.peers),
+        packets_waiting=sum(int(getattr(peer, "packets_waiting", 0)) for peer in built.peers),  # older bags lack it
         dropped=dropped,
         peers=tuple(peer.peer for peer in built.peers),
     )

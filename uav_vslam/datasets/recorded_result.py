@@ -60,5 +60,6 @@ def _counters(recorded: RecordedOutputs) -> LinkCounters:
         packets_sent=link.packets_sent,
         packets_received=link.packets_received,
         packets_used=link.packets_used,
+        packets_waiting=link.packets_waiting,
         dropped=link.dropped,
     )

@@ -15,8 +15,8 @@ calibrations are commonly off by tenths of a pixel, far more than tracked points
 the gate. So these axes have a wide prior of their own.
 
 Errors of the baseline and of the focal length change the depths over ground as the disparity does, so they are no
-states. Nor is the attitude of the cameras to the IMU: in simulated flights where it was right its estimates were off
-by up to six of the claimed standard deviations.
+states. Nor is the attitude of the cameras to the IMU: in simulated flights with pixels of 1 px and a disparity of 18 px
+its estimates were off by up to six of the claimed standard deviations, with 0.1 px they were consistent.
 """
 
 import dataclasses

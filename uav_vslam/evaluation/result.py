@@ -17,6 +17,7 @@ class LinkCounters:
         packets_sent: by this vehicle.
         packets_received, packets_used: from all peers.
         dropped: packets dropped, by reason.
+        packets_waiting: received, and neither used nor dropped at the end.
     """
 
     sent_bytes_per_s: float = 0.0
@@ -24,6 +25,7 @@ class LinkCounters:
     packets_received: int = 0
     packets_used: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
+    packets_waiting: int = 0
 
 
 @dataclass(frozen=True, slots=True)

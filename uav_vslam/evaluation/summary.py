@@ -96,6 +96,7 @@ def _link(link: LinkCounters) -> Figures:
         "packets_sent": link.packets_sent,
         "packets_received": link.packets_received,
         "packets_used": link.packets_used,
+        "packets_waiting": link.packets_waiting,
         "dropped": dict(sorted(link.dropped.items())),
     }
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.rotation import skew
-from uav_vslam.ins.preintegration import UNKNOWN_RATE_SIGMA
+from uav_vslam.ins.gaps import UNKNOWN_RATE_SIGMA
 from uav_vslam.ins.propagation import GYRO_BIAS, NAV_DIM, ROTATION, VELOCITY
 from uav_vslam.types import ImuIncrement, NavEstimate, Twist
 

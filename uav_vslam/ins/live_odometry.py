@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.ins.gaps import UsualSpacing
 from uav_vslam.ins.preintegration import bridged, preintegrate
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
@@ -21,6 +22,7 @@ class _Step:
 
     increment: ImuIncrement
     readings: list[ImuSample]
+    period_s: float  # their usual spacing as of the last
 
 
 class LiveOdometry:
@@ -40,6 +42,7 @@ class LiveOdometry:
         self._imu, self._period_ns = imu, round(period_s * NS_PER_S)
         self._biases = initial.state.gyro_bias, initial.state.accel_bias
         self._steps: deque[_Step] = deque(maxlen=MAX_STEPS)
+        self._spacing = UsualSpacing()
         self._readings: list[ImuSample] = []  # from the newest output on, and the last one before it
         self._pending: NavEstimate | None = None
         self._corrected_ns = -1  # stamp of the newest correction
@@ -56,12 +59,15 @@ class LiveOdometry:
         """Add a reading; return whether it made a new output."""
         start_ns = self.estimate.state.stamp_ns
         self._readings.append(sample)
+        self._spacing.add(sample.stamp_ns)
         if sample.stamp_ns <= start_ns:
             self._readings = self._readings[-1:]
             return False
         if not self._is_due(sample.stamp_ns - start_ns):
             return False
-        step = _Step(self._preintegrated(self._readings, start_ns, sample.stamp_ns), self._readings)
+        period_s = self._spacing.period_s
+        increment = self._preintegrated(self._readings, period_s, start_ns, sample.stamp_ns)
+        step = _Step(increment, self._readings, period_s)
         self._steps.append(step)
         self._readings = [sample]
         before = self.estimate.state.T_map_body
@@ -110,9 +116,17 @@ class LiveOdometry:
         """Return the part of a step's motion after a stamp, or all from an earlier one on, as far as it is known."""
         increment = step.increment
         if increment.start_ns < stamp_ns:
-            return self._preintegrated(step.readings, stamp_ns, increment.stamp_ns)
+            return self._preintegrated(step.readings, step.period_s, stamp_ns, increment.stamp_ns)
         return bridged(increment, stamp_ns, self._imu)
 
-    def _preintegrated(self, readings: list[ImuSample], start_ns: int, stamp_ns: int) -> ImuIncrement:
+    def _preintegrated(self, readings: list[ImuSample], period_s: float, start_ns: int, stamp_ns: int) -> ImuIncrement:
         gyro_bias, accel_bias = self._biases
-        return preintegrate(readings, start_ns, stamp_ns, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=self._imu)
+        return preintegrate(
+            readings,
+            start_ns,
+            stamp_ns,
+            gyro_bias=gyro_bias,
+            accel_bias=accel_bias,
+            imu=self._imu,
+            period_s=period_s,
+        )

@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
-from uav_vslam.geometry.rotation import skew, so3_exp, so3_left_jacobian
+from uav_vslam.geometry.rotation import skew, so3_exp_and_right_jacobian
+from uav_vslam.ins.gaps import LEAP_S, UNKNOWN_ACCEL_SIGMA, UNKNOWN_RATE_SIGMA, UsualSpacing, halved, hidden_variance
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
 
 Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 
-MAX_GAP_S = 0.05  # after longer without a reading the motion is unknown
-LEAP_S = 1.0  # after longer without a reading or an image it is unknown, too, how much time has passed
+MAX_GAP_S = 0.05  # longer gaps are reported
 MAX_HELD_S = 120.0  # readings buffered while no image arrives: 12 MB at 200 Hz
-UNKNOWN_RATE_SIGMA = 0.5  # [rad/s] of the rotation rate in a gap
-UNKNOWN_ACCEL_SIGMA = 5.0  # [m/s^2] of the acceleration in a gap
 UNKNOWN_SPEED_SIGMA = 15.0  # [m/s] per axis, over a leap: a clock that was set took the vehicle nowhere
 MOST_ROTATION_SIGMA = np.pi / np.sqrt(3.0)  # [rad] of an angle of which nothing is known
 
@@ -38,17 +37,19 @@ def preintegrate(
     gyro_bias: Array,
     accel_bias: Array,
     imu: ImuConfig,
+    period_s: float = 0.0,
 ) -> ImuIncrement:
     """Integrate readings over [start_ns, stamp_ns] by the midpoint rule.
 
-    Readings at both ends are interpolated linearly, or held from the nearest one at the ends of the recording. Between
-    readings more than MAX_GAP_S apart the motion is nearly unknown, also in a short interval within such a gap.
+    Readings at both ends are interpolated linearly, or held from the nearest one at the ends of the recording. Where
+    readings are missing the motion is less certain (`ins.gaps`), also in a short interval within a gap.
 
     Args:
         samples: readings in stamp order; those outside the interval are used to interpolate at its ends.
         start_ns, stamp_ns: the interval [ns].
         gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
         imu: noise densities.
+        period_s: usual spacing of the readings, 0 if unknown [s].
 
     Raises:
         ValueError: the interval is empty or runs backwards.
@@ -58,35 +59,43 @@ def preintegrate(
     if not samples:
         return unknown_motion(start_ns, stamp_ns, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
     if (leap := _leap(samples, start_ns, stamp_ns)) is not None:
-        part = partial(preintegrate, samples, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
+        part = partial(preintegrate, samples, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu, period_s=period_s)
         whole = unknown_motion(*leap, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
         whole = whole if leap[0] == start_ns else compose(part(start_ns, leap[0]), whole)
         return whole if leap[1] == stamp_ns else compose(whole, part(leap[1], stamp_ns))
-    t_s, gyro, accel = _readings_within(samples, start_ns, stamp_ns)
+    stamps_ns = _stamps(samples)
+    t_s, gyro, accel = _readings_within(samples, stamps_ns, start_ns, stamp_ns)
+    apart_s = _apart_s(stamps_ns, start_ns, stamp_ns)
+    hidden = hidden_variance(samples, apart_s, period_s=period_s, imu=imu)
+    if hidden is not None:
+        # One constant per gap: its parts in several increments are given the variance that adds up to the same.
+        hidden *= (apart_s / np.diff(t_s))[:, None]
+        t_s, gyro, accel, hidden = halved(t_s, gyro, accel, hidden, apart_s)
     dt = np.diff(t_s)
     omega = 0.5 * (gyro[1:] + gyro[:-1]) - gyro_bias
-    dR = _chain(so3_exp(omega * dt[:, None]))
-    accel_start = np.einsum("kij,kj->ki", dR, accel - accel_bias)
+    step_s = dt[:, None]
+    turns, jacobians = so3_exp_and_right_jacobian(omega * step_s)
+    dR = _chain(turns)
+    accel_start = (dR @ (accel - accel_bias)[:, :, None])[:, :, 0]
     accel_mid = 0.5 * (accel_start[1:] + accel_start[:-1])
-    dv = np.vstack([np.zeros(3), np.cumsum(accel_mid * dt[:, None], axis=0)])
-    dp_steps = dv[:-1] * dt[:, None] + 0.5 * accel_mid * dt[:, None] ** 2
-    dp = np.vstack([np.zeros(3), np.cumsum(dp_steps, axis=0)])
+    dv = _sums(accel_mid * step_s)
+    dp = _sums(dv[:-1] * step_s + 0.5 * accel_mid * step_s**2)
 
-    left = t_s[-1] - t_s[1:]  # time left after each interval
-    M = dR[1:] @ so3_left_jacobian(-omega * dt[:, None]) * dt[:, None, None]
-    turned = 0.5 * dt[:, None] * accel_start[1:]  # velocity gained within interval j after its own rotation
+    left = (t_s[-1] - t_s[1:])[:, None]  # time left after each interval
+    M = dR[1:] @ jacobians * step_s[:, None]
+    turned = 0.5 * step_s * accel_start[1:]  # velocity gained within interval j after its own rotation
     G = np.zeros((len(dt), 9, 6))
     G[:, 0:3, 0:3] = dR[-1].T @ M
     G[:, 3:6, 0:3] = -skew(dv[-1] - dv[1:] + turned) @ M
-    G[:, 6:9, 0:3] = -skew(dp[-1] - dp[1:] - dv[1:] * left[:, None] + turned * (left + 0.5 * dt)[:, None]) @ M
+    G[:, 6:9, 0:3] = -skew(dp[-1] - dp[1:] - dv[1:] * left + turned * (left + 0.5 * step_s)) @ M
     R_mid_dt = 0.5 * (dR[1:] + dR[:-1]) * dt[:, None, None]
     G[:, 3:6, 3:6] = R_mid_dt
-    G[:, 6:9, 3:6] = R_mid_dt * (left + 0.5 * dt)[:, None, None]
+    G[:, 6:9, 3:6] = R_mid_dt * (left + 0.5 * step_s)[:, None]
     variance = np.repeat([imu.gyro_noise**2, imu.accel_noise**2], 3)[None, :] / dt[:, None]
-    # Unknown is one constant per gap: its parts in several increments are given the variance that adds up to the same.
-    share = _gap_s(samples, start_ns, stamp_ns) / dt
-    variance += share[:, None] * np.repeat([UNKNOWN_RATE_SIGMA**2, UNKNOWN_ACCEL_SIGMA**2], 3)
-    covariance = np.einsum("jab,jb,jcb->ac", G, variance, G)
+    if hidden is not None:
+        variance += hidden
+    by_all = G.transpose(1, 0, 2).reshape(9, -1)  # Jacobian by the errors of all intervals
+    covariance = (by_all * variance.ravel()) @ by_all.T
     return ImuIncrement(
         start_ns=start_ns,
         stamp_ns=stamp_ns,
@@ -169,37 +178,59 @@ def _chain(steps: Array) -> Array:
     return out
 
 
-def _readings_within(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> tuple[Array, Array, Array]:
+def _sums(steps: Array) -> Array:
+    """Return (K+1, 3) sums 0, s0, s0 + s1, ..."""
+    out = np.zeros((len(steps) + 1, 3))
+    np.cumsum(steps, axis=0, out=out[1:])
+    return out
+
+
+def _readings_within(
+    samples: list[ImuSample], stamps_ns: Stamps, start_ns: int, stamp_ns: int
+) -> tuple[Array, Array, Array]:
     """Return times [s] from the start, gyro and accel (K, 3), with interpolated readings at both ends."""
-    stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
-    inside = (stamps > start_ns) & (stamps < stamp_ns)
-    t_all = (stamps - start_ns) / NS_PER_S
-    t_s = np.concatenate([[0.0], t_all[inside], [(stamp_ns - start_ns) / NS_PER_S]])
-    readings = np.array([np.concatenate([s.gyro, s.accel]) for s in samples])
-    columns = np.column_stack([np.interp(t_s, t_all, readings[:, k]) for k in range(6)])
-    return t_s, columns[:, :3], columns[:, 3:]
+    readings = np.array([[*s.gyro.tolist(), *s.accel.tolist()] for s in samples])
+    first, end = np.searchsorted(stamps_ns, start_ns, "right"), np.searchsorted(stamps_ns, stamp_ns)
+    inside = slice(int(first), int(end))
+    stamps = np.concatenate([[start_ns], stamps_ns[inside], [stamp_ns]])
+    ends = [_interpolated(readings, stamps_ns, at_ns)[None] for at_ns in (start_ns, stamp_ns)]
+    columns = np.concatenate([ends[0], readings[inside], ends[1]])
+    return (stamps - start_ns) / NS_PER_S, columns[:, :3], columns[:, 3:]
+
+
+def _interpolated(readings: Array, stamps_ns: Stamps, at_ns: int) -> Array:
+    """Return the reading (6,) at a stamp, held from the nearest one at the ends of the recording."""
+    after = int(np.searchsorted(stamps_ns, at_ns))
+    if after == 0 or after == len(stamps_ns) or stamps_ns[after] == at_ns:
+        return np.asarray(readings[min(after, len(stamps_ns) - 1)])
+    share = (at_ns - stamps_ns[after - 1]) / (stamps_ns[after] - stamps_ns[after - 1])
+    return np.asarray(readings[after - 1] + share * (readings[after] - readings[after - 1]))
 
 
 def has_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> bool:
     """Return whether an interval has a gap in the readings; arguments as for `preintegrate`."""
-    return not samples or bool(_gap_s(samples, start_ns, stamp_ns).any())
+    return not samples or bool((_apart_s(_stamps(samples), start_ns, stamp_ns) > MAX_GAP_S).any())
 
 
-def _gap_s(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> Array:
-    """Return for each of the K-1 intervals of `_readings_within` the length of the gap that it is in [s]; 0 for none.
+def _stamps(samples: list[ImuSample]) -> Stamps:
+    return np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
 
-    Gaps are between actual readings, inside the interval or not: an image within a gap does not shorten it.
+
+def _apart_s(stamps_ns: Stamps, start_ns: int, stamp_ns: int) -> Array:
+    """Return for each of the K-1 intervals of `_readings_within` how far the readings around it are apart [s].
+
+    They are actual readings, inside the interval or not: an image within a gap does not shorten it.
     """
-    stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
-    before, after = stamps[stamps <= start_ns][-1:], stamps[stamps >= stamp_ns][:1]
-    inside = stamps[(stamps > start_ns) & (stamps < stamp_ns)]
-    ends = (before if len(before) else [start_ns], after if len(after) else [stamp_ns])
-    apart_s = np.diff(np.concatenate([ends[0], inside, ends[1]])) / NS_PER_S
-    return np.where(apart_s > MAX_GAP_S, apart_s, 0.0)
+    first, end = np.searchsorted(stamps_ns, start_ns, "right"), np.searchsorted(stamps_ns, stamp_ns)
+    before = stamps_ns[first - 1] if first else start_ns
+    after = stamps_ns[end] if end < len(stamps_ns) else stamp_ns
+    return np.asarray(np.diff(np.concatenate([[before], stamps_ns[first:end], [after]])) / NS_PER_S)
 
 
 def _leap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> tuple[int, int] | None:
     """Return the longest part of an interval without a reading, if it is longer than LEAP_S."""
+    if stamp_ns - start_ns <= LEAP_S * NS_PER_S:
+        return None
     inside = [s.stamp_ns for s in samples if start_ns < s.stamp_ns < stamp_ns]
     parts = itertools.pairwise([start_ns, *inside, stamp_ns])
     longest = max(parts, key=lambda part: part[1] - part[0])
@@ -244,10 +275,16 @@ class ImuBuffer:
     """Buffer of the readings of the last MAX_HELD_S in arrival order; dropped readings are a gap.
 
     An interval is complete once a reading at or after its end has arrived: see `covers`.
+
+    Attributes:
+        period_s: usual spacing as of the newest reading of the last cut, so that it does not depend on when it is made.
     """
 
     def __init__(self) -> None:
         self._samples: deque[ImuSample] = deque()
+        self._periods_s: deque[float] = deque()  # usual spacing as of each
+        self._spacing = UsualSpacing()
+        self.period_s = 0.0
 
     def append(self, sample: ImuSample) -> None:
         """Add a reading.
@@ -260,9 +297,11 @@ class ImuBuffer:
         if self._samples and sample.stamp_ns <= self._samples[-1].stamp_ns:
             newest = self._samples[-1].stamp_ns
             raise InvalidMessage("stamp", f"IMU stamp {sample.stamp_ns} ns is not after {newest} ns")
+        self._spacing.add(sample.stamp_ns)
         self._samples.append(sample)
+        self._periods_s.append(self._spacing.period_s)
         while self._samples[0].stamp_ns < sample.stamp_ns - MAX_HELD_S * NS_PER_S:
-            self._samples.popleft()
+            self._drop_oldest()
 
     def covers(self, stamp_ns: int) -> bool:
         """Return whether a reading at or after the stamp has arrived."""
@@ -271,11 +310,16 @@ class ImuBuffer:
     def cut(self, start_ns: int, stamp_ns: int) -> list[ImuSample]:
         """Return the readings of an interval and one beyond each end if available; drop older ones."""
         while len(self._samples) > 1 and self._samples[1].stamp_ns <= start_ns:
-            self._samples.popleft()
+            self._drop_oldest()
         chosen = []
-        for sample in self._samples:
+        for sample, period_s in zip(self._samples, self._periods_s, strict=True):
             chosen.append(sample)
+            self.period_s = period_s
             if sample.stamp_ns >= stamp_ns:
                 break
         useful = chosen and chosen[-1].stamp_ns > start_ns and chosen[0].stamp_ns < stamp_ns
         return chosen if useful else []
+
+    def _drop_oldest(self) -> None:
+        self._samples.popleft()
+        self._periods_s.popleft()

@@ -8,7 +8,7 @@ import numpy as np
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.preintegration import ImuBuffer, bridged, has_gap, preintegrate
-from uav_vslam.ins.propagation import propagate, transition
+from uav_vslam.ins.propagation import corrected, propagate, transition
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, NavState
 
 MAX_BUFFERED = 1000  # increments buffered until the start state is known
@@ -73,6 +73,7 @@ class ImuPreintegrator:
                 gyro_bias=self._gyro_bias,
                 accel_bias=self._accel_bias,
                 imu=self._imu,
+                period_s=self._buffer.period_s,
             )
             self._last_ns = stamp_ns
             ready.append(increment)
@@ -116,6 +117,7 @@ class DeadReckoning:
 
 def advance(estimate: NavEstimate, increment: ImuIncrement, imu: ImuConfig) -> NavEstimate:
     """Dead-reckon a navigation estimate, covariance included."""
-    F, Q = transition(estimate.state, increment, imu)
-    state = propagate(estimate.state, increment, gravity=imu.gravity)
+    deltas = corrected(increment, estimate.state.gyro_bias, estimate.state.accel_bias)
+    F, Q = transition(estimate.state, increment, imu, deltas=deltas)
+    state = propagate(estimate.state, increment, gravity=imu.gravity, deltas=deltas)
     return NavEstimate(state, F @ estimate.covariance @ F.T + Q)

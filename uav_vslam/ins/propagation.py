@@ -17,14 +17,16 @@ from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.types import ImuIncrement, NavState
 
 Array = NDArray[np.float64]
+Deltas = tuple[Array, Array, Array]  # of rotation, velocity and position
 
 NAV_DIM = 15
 POSITION, VELOCITY, ROTATION, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, NAV_DIM, 3))
 # Power of the remaining time with which a change of gyro and accel bias grows in position, velocity, rotation, biases.
 GROWTH = np.repeat([[3, 2], [2, 1], [1, 1], [0, 0], [0, 0]], 3, axis=0)
+_POWERS = [n[:, None] + n + 1 for n in GROWTH.T]  # n_i + n_j + 1 of both kinds
 
 
-def corrected(increment: ImuIncrement, gyro_bias: Array, accel_bias: Array) -> tuple[Array, Array, Array]:
+def corrected(increment: ImuIncrement, gyro_bias: Array, accel_bias: Array) -> Deltas:
     """Return delta_R, delta_v, delta_p corrected to another bias, to first order.
 
     Args:
@@ -37,9 +39,16 @@ def corrected(increment: ImuIncrement, gyro_bias: Array, accel_bias: Array) -> t
     return increment.delta_R @ so3_exp(shift[:3]), increment.delta_v + shift[3:6], increment.delta_p + shift[6:9]
 
 
-def propagate(state: NavState, increment: ImuIncrement, *, gravity: float) -> NavState:
-    """Return the state at the end of an increment; Eq. (4.6.4) of [thesis] integrated in the map frame."""
-    delta_R, delta_v, delta_p = corrected(increment, state.gyro_bias, state.accel_bias)
+def propagate(state: NavState, increment: ImuIncrement, *, gravity: float, deltas: Deltas | None = None) -> NavState:
+    """Return the state at the end of an increment; Eq. (4.6.4) of [thesis] integrated in the map frame.
+
+    Args:
+        state: at its start.
+        increment: the motion.
+        gravity: [m/s^2].
+        deltas: what `corrected` returns for the state's biases, if it is known.
+    """
+    delta_R, delta_v, delta_p = deltas or corrected(increment, state.gyro_bias, state.accel_bias)
     dt = increment.dt_s
     g_map = np.array([0.0, 0.0, -gravity])
     R, p = state.T_map_body.R, state.T_map_body.t
@@ -51,9 +60,11 @@ def propagate(state: NavState, increment: ImuIncrement, *, gravity: float) -> Na
     )
 
 
-def transition(state: NavState, increment: ImuIncrement, imu: ImuConfig) -> tuple[Array, Array]:
-    """Return F (15, 15) and Q (15, 15) of the error over an increment that starts at `state`."""
-    delta_R, delta_v, delta_p = corrected(increment, state.gyro_bias, state.accel_bias)
+def transition(
+    state: NavState, increment: ImuIncrement, imu: ImuConfig, *, deltas: Deltas | None = None
+) -> tuple[Array, Array]:
+    """Return F (15, 15) and Q (15, 15) of the error over an increment that starts at `state`; `deltas` as above."""
+    delta_R, delta_v, delta_p = deltas or corrected(increment, state.gyro_bias, state.accel_bias)
     dt = increment.dt_s
     R = state.T_map_body.R
     to_map = np.zeros((NAV_DIM, 9))  # increment errors (rotation, velocity, position) into the map frame
@@ -82,6 +93,6 @@ def _bias_walk(effect: Array, dt_s: float, imu: ImuConfig) -> Array:
     """
     Q = np.zeros((NAV_DIM, NAV_DIM))
     for kind, density in enumerate((imu.gyro_bias_walk, imu.accel_bias_walk)):
-        J, n = effect[:, 3 * kind : 3 * kind + 3], GROWTH[:, kind]
-        Q += density**2 * dt_s * (J @ J.T) / (n[:, None] + n + 1)
+        J = effect[:, 3 * kind : 3 * kind + 3]
+        Q += density**2 * dt_s * (J @ J.T) / _POWERS[kind]
     return Q

@@ -7,7 +7,7 @@ has to be resampled. A map that is turned against north gets a turned grid. With
 the map frame. Files have north first; arrays here have south first, as `Raster` has it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -61,17 +61,17 @@ def write_picture(
     Raises:
         UavVslamError: the picture can't be written.
     """
-    opaque = np.full(raster.shape, 255, np.uint8) if seen is None else np.where(seen, 255, 0).astype(np.uint8)
     channels = [image] if image.ndim == 2 else [image[..., k] for k in range(3)]
+    opaque: NDArray[np.uint8] | int = 255 if seen is None else seen.view(np.uint8) * np.uint8(255)
     if datum is not None:
-        stack = np.stack([*channels[::-1], opaque], axis=-1)
         path = path.with_suffix(".tif")
         kind = "minisblack" if image.ndim == 2 else "rgb"
+        stack = _north_first([*channels[::-1], opaque], raster.shape)
         _write_tiff(path, stack, _tags(raster, datum), photometric=kind, planarconfig="contig")
         return path
     path = path.with_suffix(".png")
     bgr = channels * 3 if image.ndim == 2 else channels
-    if not cv2.imwrite(str(path), np.stack([*bgr, opaque], axis=-1)[::-1]):
+    if not cv2.imwrite(str(path), _north_first([*bgr, opaque], raster.shape)):
         raise UavVslamError(f"picture {path} can't be written; is the folder there, and the disk not full?")
     path.with_suffix(".pgw").write_text(world_file(raster), encoding="ascii")
     return path
@@ -91,14 +91,14 @@ def write_bands(
     Raises:
         UavVslamError: the file can't be written.
     """
-    stack = np.stack([np.asarray(band, np.float32) for band in bands.values()])
+    stack = np.stack([np.asarray(band, np.float32)[::-1] for band in bands.values()])
     items = [
         f'<Item name="DESCRIPTION" sample="{k}" role="description">{escape(name)}</Item>'
         for k, name in enumerate(bands)
     ]
     metadata = f"<GDALMetadata>{''.join(items)}</GDALMetadata>"
     tags = [*_tags(raster, datum), _text(METADATA, metadata), _text(NO_DATA, "nan")]
-    _write_tiff(path, np.moveaxis(stack, 0, -1), tags, photometric="minisblack", planarconfig="separate")
+    _write_tiff(path, stack, tags, photometric="minisblack", planarconfig="separate")
 
 
 def world_file(raster: Raster) -> str:
@@ -115,16 +115,23 @@ def scale_at(datum: Datum) -> float:
     return float(1.0 + datum.altitude_m / radius_m)
 
 
+def _north_first(channels: Sequence[NDArray[np.uint8] | int], shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return (rows, columns, channels) of arrays with south first, or of one value each, without a further copy."""
+    stack = np.empty((*shape, len(channels)), np.uint8)
+    for k, channel in enumerate(channels):
+        stack[::-1, :, k] = channel
+    return stack
+
+
 def _write_tiff(path: Path, stack: NDArray[Any], tags: list[Any], *, photometric: str, planarconfig: str) -> None:
-    """Write (rows, columns, bands) with south first as a tiled, deflated TIFF."""
-    north_first = np.ascontiguousarray(stack[::-1])
-    bands = stack.shape[-1]
+    """Write (rows, columns, bands), or (bands, rows, columns) if separate, with north first as a deflated TIFF."""
     separate = planarconfig == "separate"
+    bands = stack.shape[0 if separate else -1]
     colours = 3 if photometric == "rgb" else 1
     try:
         tifffile.imwrite(
             path,
-            np.moveaxis(north_first, -1, 0) if separate else north_first,
+            stack,
             photometric=photometric,
             planarconfig=planarconfig,
             extrasamples=["unspecified"] * (bands - 1) if separate else ["unassalpha"] * (bands - colours),

@@ -21,7 +21,7 @@ TITLES = (
     "Land-\nmarks",
 )
 RADIO_LABELS = ("Vehicle", "Mode", "Sent\n[kB/s]", "Peer")
-RADIO_TITLES = ("Received\n[kB/s]", "Packets", "Used", "Common\nlandmarks", "Age\n[s]")
+RADIO_TITLES = ("Rcvd.\n[kB/s]", "Pack-\nets", "Used", "Drop-\nped", "Common\nland-\nmarks", "Age\n[s]")
 
 
 def live_view(fleet: Fleet, now_s: float) -> RenderableType:
@@ -93,6 +93,7 @@ def _peer_cells(peer: Peer) -> tuple[str, ...]:
         f"{peer.received_bytes_per_s / 1e3:.2f}",
         str(peer.packets_received),
         str(peer.packets_used),
+        str(peer.packets_dropped),
         str(peer.common_landmarks),
         f"{peer.age_s:.1f}",
     )

@@ -77,9 +77,10 @@ def link_line(name: str, vehicle: Figures) -> str:
     if vehicle["c_slam"] is None and link["packets_sent"] == 0:
         return f"{flown}; no peer"
     dropped = ", ".join(f"{count} {reason}" for reason, count in link["dropped"].items()) or "none"
+    waiting = f", waiting {link['packets_waiting']}" if link.get("packets_waiting") else ""
     return (
         f"{flown}; sent {link['packets_sent']} packets, {link['sent_bytes_per_s'] / 1000:.2f} kB/s; "
-        f"received {link['packets_received']}, used {link['packets_used']}; dropped: {dropped}"
+        f"received {link['packets_received']}, used {link['packets_used']}{waiting}; dropped: {dropped}"
     )
 
 

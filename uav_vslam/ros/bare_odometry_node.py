@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""bare_odometry: the least that a node in Python can do, as the yardstick of `uav-vslam bench --nodes`.
+"""bare_odometry: the least that an ordinary node in Python can do, as the yardstick of `uav-vslam bench --nodes`.
 
 in   imu/data_raw     sensor_msgs/Imu
 out  bare/odometry    nav_msgs/Odometry, the same message for each reading
@@ -7,6 +7,7 @@ out  bare/odometry    nav_msgs/Odometry, the same message for each reading
 
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
@@ -32,7 +33,7 @@ class BareOdometryNode(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point."""
-    return run_node(BareOdometryNode, args)
+    return run_node(BareOdometryNode, args, executor_type=SingleThreadedExecutor)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of fast topics, taken in batches.
+"""Messages, taken from their subscriptions by whoever wants them.
 
-rclpy's executor builds its wait set anew at each turn, and each callback costs it two turns: for a topic of 200 Hz far
-more than the callback itself. Taking the messages that wait costs a fraction of that.
+A turn of an executor costs more than a short callback: for a topic of 200 Hz, taking the messages that wait, now and
+then, costs a fraction of a turn for each.
 """
 
+from contextlib import suppress
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.exceptions import InvalidHandle
+from rclpy.subscription import Subscription
 
 
 class Batches(CallbackGroup):
@@ -33,11 +36,26 @@ class Batches(CallbackGroup):
         """Nothing to do."""
 
 
-def take_waiting(subscription: Any) -> None:
-    """Call back with each message that waits, a queue at most; the callback takes the message and its info."""
-    with subscription.handle:
-        for _ in range(subscription.qos_profile.depth):
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+def waiting(subscription: Any, most: int | None = None) -> list[tuple[Any, Any]]:
+    """Take the messages that wait, each with its info; none if the subscription has been destroyed.
+
+    Args:
+        subscription: of rclpy.
+        most: no more than these; None for its queue.
+    """
+    messages: list[tuple[Any, Any]] = []
+    with suppress(InvalidHandle), subscription.handle:
+        take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
+        for _ in range(most or subscription.qos_profile.depth):
+            taken = take(kind, raw)
             if taken is None:
-                return
-            subscription.callback(*taken)
+                break
+            messages.append(taken)
+    return messages
+
+
+def take_waiting(subscription: Any, most: int | None = None) -> None:
+    """Call back with the messages that `waiting` returns."""
+    with_info = subscription._callback_type is Subscription.CallbackType.WithMessageInfo
+    for taken in waiting(subscription, most):
+        subscription.callback(*taken if with_info else taken[:1])

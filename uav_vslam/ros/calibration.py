@@ -14,8 +14,7 @@ from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
 from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
-from uav_vslam.ros.batches import take_waiting
-from uav_vslam.ros.convert import imu_from_msg
+from uav_vslam.ros.convert import imu_from_data
 from uav_vslam.ros.qos import LATCHED_BY_MANY, SENSOR, STATE
 from uav_vslam.ros.runtime import VehicleNode
 from uav_vslam.types import ImuSample
@@ -97,7 +96,7 @@ class ImuListener:
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
         self._mounting: ImuMounting | None = None
         self._waiting: deque[ImuSample] = deque()
-        self._readings = node.listen(Imu, node.config.input.topics.imu, self._on_imu, SENSOR, group=group)
+        self._readings = node.listen(Imu, node.config.input.topics.imu, self._on_imu, SENSOR, raw=True, group=group)
         if self._setup.needs_imu_frame:
             node.listen(TFMessage, "/tf_static", self._on_transforms, LATCHED_BY_MANY)
 
@@ -113,18 +112,18 @@ class ImuListener:
 
     def take_readings(self) -> None:
         """Take the readings that wait."""
-        take_waiting(self._readings.subscription)
+        self._readings.take_waiting(self._node)
 
     def conflict(self, frame: str) -> str:
         """Return why a start state of a frame is not one of the body, as `SensorSetup.conflict`."""
         return self._setup.conflict(frame)
 
-    def _on_imu(self, message: Imu) -> None:
-        reading = imu_from_msg(message)
+    def _on_imu(self, data: bytes) -> None:
+        reading, frame = imu_from_data(data)
         if self._mounting is not None:
             self._on_reading(self._mounting.to_body(reading))
             return
-        self._setup.imu_frame = message.header.frame_id
+        self._setup.imu_frame = frame
         self._waiting.append(reading)
         self._locate()
 

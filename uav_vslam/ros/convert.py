@@ -21,10 +21,10 @@ from geometry_msgs.msg import (
 from geometry_msgs.msg import Pose as PoseMsg
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from sensor_msgs.msg import CompressedImage, Image, Imu, PointCloud2, PointField
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from uav_vslam.datasets.messages import image_of, imu_of, navigation_state_of, stamp_ns_of, time_ns_of
+from uav_vslam.datasets.messages import image_of, imu_of_data, navigation_state_of, stamp_ns_of, time_ns_of
 from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import (
@@ -92,12 +92,15 @@ def pose_from_msg(message: PoseMsg) -> Pose:
         raise InvalidMessage("orientation", str(error)) from None
 
 
-def imu_from_msg(message: Imu) -> ImuSample:
-    """Return an IMU sample."""
-    sample = imu_of(message)
+def imu_from_data(data: bytes) -> tuple[ImuSample, str]:
+    """Return the reading of a serialised Imu message, and its frame."""
+    try:
+        sample, frame = imu_of_data(data)
+    except (BagError, UnicodeDecodeError) as error:
+        raise InvalidMessage("encoding", str(error)) from None
     _finite(sample.gyro, "angular_velocity")
     _finite(sample.accel, "linear_acceleration")
-    return sample
+    return sample, frame
 
 
 def image_from_msg(message: Image | CompressedImage) -> NDArray[Any]:
@@ -274,17 +277,21 @@ def joint_from_msg(message: JointInformationMsg) -> JointInformation:
     )
 
 
-def cloud_to_msg(points: Array, *, stamp_ns: int, frame_id: str) -> PointCloud2:
-    """Return (N, 3) points as an x, y, z float32 cloud."""
-    data = np.ascontiguousarray(points, dtype=np.float32)
+def cloud_to_msg(points: Array, *, stamp_ns: int, frame_id: str, bgr: NDArray[np.uint8] | None = None) -> PointCloud2:
+    """Return (N, 3) points as an x, y, z float32 cloud; with (N, 3) colours, also rgb as RViz and Foxglove read it."""
+    data = np.ascontiguousarray(points, dtype=np.float32).view(np.uint8).reshape(-1, 12)
+    names = ["x", "y", "z"]
+    if bgr is not None:
+        names.append("rgb")  # a float32 whose bytes are b, g, r, 0
+        data = np.hstack([data, bgr, np.zeros((len(bgr), 1), np.uint8)])
     return PointCloud2(
         header=header(stamp_ns, frame_id),
         height=1,
         width=len(data),
-        fields=[PointField(name=n, offset=4 * k, datatype=PointField.FLOAT32, count=1) for k, n in enumerate("xyz")],
-        point_step=12,
-        row_step=12 * len(data),
-        data=flat(data.view(np.uint8).ravel()),
+        fields=[PointField(name=n, offset=4 * k, datatype=PointField.FLOAT32, count=1) for k, n in enumerate(names)],
+        point_step=4 * len(names),
+        row_step=4 * len(names) * len(data),
+        data=flat(data.ravel()),
         is_dense=True,
     )
 

@@ -129,6 +129,7 @@ def _on_status(vehicle: Vehicle, message: FusionStatus) -> None:
             name=link.peer,
             packets_received=link.packets_received,
             packets_used=link.packets_used,
+            packets_dropped=sum(link.drop_counts),
             received_bytes_per_s=link.received_bytes_per_s,
             common_landmarks=link.common_landmarks,
             age_s=link.age_s,

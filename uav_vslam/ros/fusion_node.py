@@ -37,7 +37,7 @@ from uav_vslam.ros.convert import (
     pose_to_msg,
     transform_to_msg,
 )
-from uav_vslam.ros.fusion_status import StatusReporter
+from uav_vslam.ros.fusion_status import StatusReporter, account
 from uav_vslam.ros.qos import NEWEST, STATE
 from uav_vslam.ros.radio import Radio
 from uav_vslam.ros.radio_participant import open_participant
@@ -213,6 +213,7 @@ class FusionNode(VehicleNode):
         if status.radio_interface:
             self.notes["wire_sent_bytes_per_s"] = f"{status.wire_sent_bytes_per_s:.0f}"
         self.notes |= {f"received_bytes_per_s/{link.peer}": f"{link.received_bytes_per_s:.0f}" for link in status.peers}
+        self.notes |= {f"packets/{link.peer}": account(link) for link in status.peers}
 
     def _report_faults(self) -> None:
         """Report a radio that is down, silent peers, keys that differ and names of two vehicles; log the onset."""

@@ -12,6 +12,12 @@ from uav_vslam.types import NS_PER_S
 from uav_vslam_msgs.msg import FusionStatus, PeerLink
 
 
+def account(link: PeerLink) -> str:
+    """Return what became of a peer's packets."""
+    drops = "".join(f", {n} {reason}" for reason, n in zip(link.drop_reasons, link.drop_counts, strict=True))
+    return f"{link.packets_received} received: {link.packets_used} used, {link.packets_waiting} waiting{drops}"
+
+
 class StatusReporter:
     """Makes fusion/status.
 
@@ -66,6 +72,7 @@ class StatusReporter:
             last_sequence=newest.sequence,
             packets_received=record.received,
             packets_used=len(record.used),
+            packets_waiting=record.waiting,
             received_bytes=self._exchange.received_bytes[name],
             received_bytes_per_s=self._received_rates[name].update(stamp_ns, self._exchange.received_bytes[name]),
             drop_reasons=list(record.dropped),

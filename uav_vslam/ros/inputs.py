@@ -20,6 +20,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image
 
 from uav_vslam.config.input import COMPRESSED, image_names
+from uav_vslam.ros.batches import waiting
 from uav_vslam.ros.publishers import Publishers
 from uav_vslam.ros.qos import LATCHED_BY_MANY
 
@@ -104,13 +105,25 @@ class Input:
 
         def on_message(message: Any, info: Mapping[str, Any]) -> None:
             self.publishers.notice(node, self.subscription)
-            self.publishers.received(info["publication_sequence_number"])
-            if self.publishers.accused:
-                self.refused += 1
-            else:
-                self._on_message(message)
+            self._on_own_message(message, info)
 
         return self._on_message if self.shared else on_message
+
+    def take_waiting(self, node: Node) -> None:
+        """Take the messages that wait, a queue at most; of an input that is not shared."""
+        messages = waiting(self.subscription)
+        if messages:
+            self.publishers.notice(node, self.subscription)  # after all of them: none is of a publisher unknown to it
+        for message, info in messages:
+            self._on_own_message(message, info)
+
+    def _on_own_message(self, message: Any, info: Mapping[str, Any]) -> None:
+        """Pass on a message of an input that one node publishes."""
+        self.publishers.received(info["publication_sequence_number"])
+        if self.publishers.accused:
+            self.refused += 1
+        else:
+            self._on_message(message)
 
     def _on_message(self, message: Any) -> None:
         self.last_s = time.monotonic()

@@ -20,6 +20,7 @@ from collections import deque
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
@@ -31,18 +32,17 @@ from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.ins.sensor_clock import EARLY_STARTS, IMAGES, IMU, bridges, carried_over, sensor_time_line
 from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
-from uav_vslam.ros.batches import Batches, take_waiting
+from uav_vslam.ros.batches import Batches
 from uav_vslam.ros.calibration import ImuListener
 from uav_vslam.ros.convert import (
     increment_to_msg,
     navigation_from_msg,
     navigation_to_msg,
-    odometry_to_msg,
     transform_to_msg,
-    twist_to_msg,
 )
 from uav_vslam.ros.health import RECENT_S, RecentEvents
 from uav_vslam.ros.inputs import Input, image_topics
+from uav_vslam.ros.odometry_data import OdometryData
 from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STAMPS, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.stamps import Admitted, TimeJump
@@ -71,6 +71,7 @@ class InsPropagatorNode(VehicleNode):
         self._increments = self.advertise(InsIncrement, "ins/increment", MOTION)
         self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
         self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
+        self._odometry_of = OdometryData(frame_id=self.map_frame, child_frame_id=self.base_frame)
         self._tf = self.advertise(TFMessage, "/tf", STATE)
         if self._aligns:
             self._initial_state = self.advertise(NavigationState, topics.initial_state, LATCHED)
@@ -81,16 +82,18 @@ class InsPropagatorNode(VehicleNode):
         if self._period_s:
             wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = self.create_timer(self._period_s, self._take_waiting, clock=wall_clock)
-        if self._sensors.has_infos:
-            on_info = lambda message: self._on_image(stamp_ns_of(message))  # noqa: E731
-            self._images = [self.listen(CameraInfo, topics.left_info, on_info, STAMPS)]
-        else:  # serialised: only the stamps are read
-            on_data = lambda data: self._on_image(header_stamp_ns(data))  # noqa: E731
-            self._images = [
-                self.listen(kind, name, on_data, IMAGE, instead_of=topics.left, raw=True)
-                for kind, name in image_topics(topics.left).items()
-            ]
+        self._images = [
+            self.listen(kind, name, self._on_stamped, qos, instead_of=stands_for, raw=True)
+            for kind, name, qos, stands_for in self._stamped_topics()
+        ]
         self.listen(NavigationState, "slam/correction", self._on_correction, NEWEST)
+
+    def _stamped_topics(self) -> list[tuple[type, str, QoSProfile, str]]:
+        """Return type, name, QoS and the topic it stands for, of what has the images' stamps."""
+        topics = self.config.input.topics
+        if self._sensors.has_infos:
+            return [(CameraInfo, topics.left_info, STAMPS, topics.left_info)]
+        return [(kind, name, IMAGE, topics.left) for kind, name in image_topics(topics.left).items()]
 
     def _forget_flight(self) -> None:
         """Be as before the first message; where the start is searched for, increments are needed before it."""
@@ -126,7 +129,7 @@ class InsPropagatorNode(VehicleNode):
         """Take what waits of some inputs, then of the readings; no more than their queues, so that all else goes on."""
         self._in_batch = True
         for one in first:
-            take_waiting(one.subscription)
+            one.take_waiting(self)
         self._sensors.take_readings()
         self._in_batch = False
         self._publish_transforms()
@@ -136,8 +139,8 @@ class InsPropagatorNode(VehicleNode):
         self._feed(IMU, reading.stamp_ns, reading)
         self._batches.at_once = not self._period_s or self._live is None or reading.stamp_ns < self._image_ns
 
-    def _on_image(self, stamp_ns: int) -> None:
-        stamp_ns += self._sensors.time_offset_ns
+    def _on_stamped(self, data: bytes) -> None:
+        stamp_ns = header_stamp_ns(data) + self._sensors.time_offset_ns
         if stamp_ns != self._image_ns:  # the same image raw and compressed
             if not self._in_batch:
                 self._take()
@@ -278,7 +281,7 @@ class InsPropagatorNode(VehicleNode):
         if not isinstance(item, ImuSample) or not live.add_imu(item):
             return
         if self._odometry.get_subscription_count():
-            self._odometry.publish(self._odometry_msg(live.estimate, live.increment))
+            self._odometry.publish(self._odometry_data(live.estimate, live.increment))
         if self._tf.get_subscription_count():
             stamp_ns, odom = live.estimate.state.stamp_ns, self.odom_frame
             jumps = transform_to_msg(live.T_map_odom, stamp_ns=stamp_ns, parent=self.map_frame, child=odom)
@@ -308,11 +311,10 @@ class InsPropagatorNode(VehicleNode):
             self._publish_dead_reckoning(estimate, increment)
 
     def _publish_dead_reckoning(self, nav: NavEstimate, increment: ImuIncrement | None) -> None:
-        self._dead_reckoning.publish(self._odometry_msg(nav, increment))
+        self._dead_reckoning.publish(self._odometry_data(nav, increment))
 
-    def _odometry_msg(self, nav: NavEstimate, increment: ImuIncrement | None) -> Odometry:
-        twist = twist_to_msg(body_twist(nav, increment, self.config.imu))
-        return odometry_to_msg(nav.pose, twist, frame_id=self.map_frame, child_frame_id=self.base_frame)
+    def _odometry_data(self, nav: NavEstimate, increment: ImuIncrement | None) -> bytes:
+        return self._odometry_of.of(nav.pose, body_twist(nav, increment, self.config.imu))
 
     def _on_correction(self, message: NavigationState) -> None:
         corrected = navigation_from_msg(message)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""mapper: the surface that a vehicle flies over, while it flies.
+"""mapper: the surface and orthomosaic of what a vehicle flies over, while it flies.
 
 in   left/image_raw, or left/image_raw/compressed    sensor_msgs/Image, CompressedImage
      left/camera_info, right/camera_info, /tf_static the rig
      slam/smoothed                                   geometry_msgs/PoseWithCovarianceStamped, a second or two late
-out  map/surface                                     sensor_msgs/PointCloud2, latched, map frame: centres of the cells
+out  map/surface                                     sensor_msgs/PointCloud2, latched, map frame: cells' centres, rgb
      map/mesh                                        visualization_msgs/Marker, latched, map frame: triangles
  srv ~/save_map                                      std_srvs/Trigger: the map so far, into the folder map.folder
 """
@@ -12,7 +12,6 @@ out  map/surface                                     sensor_msgs/PointCloud2, la
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
@@ -22,11 +21,8 @@ from visualization_msgs.msg import Marker
 
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.errors import UavVslamError
+from uav_vslam.mapping.flown_map import FlownMap
 from uav_vslam.mapping.late_poses import LatePoses
-from uav_vslam.mapping.overlap import Overlap
-from uav_vslam.mapping.surface.grid import HeightGrid
-from uav_vslam.mapping.surface.mapper import SurfaceMapper
-from uav_vslam.mapping.surface_files import write_surface
 from uav_vslam.mapping.triangles import surface_triangles
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import cloud_to_msg, header, image_from_msg, pose_from_msg
@@ -39,7 +35,7 @@ COLOUR = ColorRGBA(r=0.55, g=0.6, b=0.45, a=1.0)
 
 
 class MapperNode(VehicleNode):
-    """Feeds `SurfaceMapper` with images whose smoothed poses have arrived."""
+    """Feeds a `FlownMap` with images whose smoothed poses have arrived."""
 
     def __init__(self) -> None:
         super().__init__("mapper")
@@ -62,24 +58,24 @@ class MapperNode(VehicleNode):
         """Begin an empty map; each after the first has a folder of its own beside it."""
         self._maps += 1
         name = self.own.map.folder + (f"_{self._maps}" if self._maps > 1 else "")
-        self._folder = Path(name) if self.own.map.folder else None
-        self._grid = HeightGrid(self.own.map.cell_m, self._folder / "tiles" if self._folder else None)
-        self._mapper, self._overlap = SurfaceMapper(self._grid), Overlap()
-        self._published_pairs = self._saved_pairs = 0
+        folder = Path(name) if self.own.map.folder else None
+        self._map = FlownMap(folder, cell_m=self.own.map.cell_m, pixel_m=self.own.map.pixel_m)
+        self._published_pairs = 0
 
     def reset(self) -> None:
         """Save the map and begin another one."""
-        self._save_rest()
+        self._end_map()
         self._begin_map()
 
     def destroy_node(self) -> None:
         """Save the whole map, then destroy the node."""
-        self._save_rest()
+        self._end_map()
         super().destroy_node()
 
-    def _save_rest(self) -> None:
-        if self._folder is not None and self._mapper.pairs > self._saved_pairs:
-            self._note_save(self._save)
+    def _end_map(self) -> None:
+        if self._map.folder is not None and self._map.mapper.pairs:
+            self._note_save(self._finish)
+        self._map.close()
 
     def _on_rig(self) -> None:
         if self._rig.rig is not None and self._late is None:
@@ -100,27 +96,24 @@ class MapperNode(VehicleNode):
         if view is None:
             self.counts["dropped/pose_without_image"] += 1
             return
-        self._mapper.add_view(view)
-        self._overlap.add(view)
+        self._map.add(view)
         self.counts["views"] += 1
-        self.counts["pairs"] = self._mapper.pairs
-        self.counts |= {f"refused/{reason}": count for reason, count in self._mapper.refused.items()}
+        self.counts["pairs"] = self._map.mapper.pairs
+        self.counts |= {f"refused/{reason}": count for reason, count in self._map.mapper.refused.items()}
 
     def _publish(self) -> None:
         """Save the changed tiles and publish the map, if it has grown."""
-        if self._mapper.pairs == self._published_pairs:
+        pairs = self._map.mapper.pairs
+        if pairs == self._published_pairs:
             return
-        self._published_pairs = self._mapper.pairs
-        if self._folder is not None:
+        self._published_pairs = pairs
+        if self._map.folder is not None:
             self._note_save(self._flush)
         if self._surface.get_subscription_count():
-            window = self._grid.window(self._grid.extent)
-            x, y = np.meshgrid(window.raster.x, window.raster.y)
-            known = np.isfinite(window.height)
-            points = np.column_stack([x[known], y[known], window.height[known]])
-            self._surface.publish(cloud_to_msg(points, stamp_ns=self._stamp_ns, frame_id=self.map_frame))
+            points, bgr = self._map.coloured()
+            self._surface.publish(cloud_to_msg(points, bgr=bgr, stamp_ns=self._stamp_ns, frame_id=self.map_frame))
         if self._mesh.get_subscription_count():
-            corners = surface_triangles(self._grid, MESH_STEP_M).reshape(-1, 3).tolist()
+            corners = surface_triangles(self._map.grid, MESH_STEP_M).reshape(-1, 3).tolist()
             mesh = Marker(header=header(self._stamp_ns, self.map_frame), ns=self.vehicle, type=Marker.TRIANGLE_LIST)
             mesh.pose.orientation.w = mesh.scale.x = mesh.scale.y = mesh.scale.z = 1.0
             mesh.color, mesh.points = COLOUR, [Point(x=x, y=y, z=z) for x, y, z in corners]
@@ -142,16 +135,21 @@ class MapperNode(VehicleNode):
 
     def _flush(self) -> str:
         """Save what can change within a period: its cost does not grow with the flight."""
-        self._grid.flush()
-        return f"{self._folder}: tiles from {self._mapper.pairs} pairs"
+        self._map.grid.flush()
+        return f"{self._map.folder}: tiles from {self._map.mapper.pairs} pairs"
+
+    def _finish(self) -> str:
+        """Save the whole map, without its last views if they can't be mapped."""
+        try:
+            self._map.finish()
+        finally:
+            saved = self._save()
+        return saved
 
     def _save(self) -> str:
-        if self._folder is None:
-            raise UavVslamError("the parameter map.folder is empty; start the mapper with a folder to write to")
-        tree = write_surface(self._grid, self._overlap, self._mapper, self._folder)
-        self._saved_pairs = self._mapper.pairs
-        cells, cell_m = tree["surface"]["cells"], self._grid.cell_m
-        return f"{self._folder}: {cells} cells of {cell_m:g} m from {self._mapper.pairs} pairs"
+        tree = self._map.save()
+        cells, cell_m = tree["surface"]["cells"], self._map.grid.cell_m
+        return f"{self._map.folder}: {cells} cells of {cell_m:g} m from {self._map.mapper.pairs} pairs"
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node costs: processor time of `ins_propagator` beside that of a bare node, in one run on the same readings.
+"""What a vehicle's nodes cost: their processor time beside that of a bare node, in one run on the same readings.
 
-Both are processes of their own, on a ROS domain of their own. This process stands for the IMU and the camera, and
-reads the odometry of both.
+All are processes of their own, on a ROS domain of their own. This process stands for the IMU and the camera's stamps,
+and reads the odometry of `ins_propagator` and of the bare node. There are no images; `uav-vslam study live` has.
 """
 
 import os
@@ -31,13 +31,16 @@ from uav_vslam.ros.domain import claimed_domain
 from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, SENSOR, STATE
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
-IMU_RATE_HZ, IMAGE_EVERY = 200, 28  # 7.14 images a second
+IMU_RATES_HZ = (0, 200, 400)  # 0: at rest, before the first message
+IMAGE_RATE_HZ = 50 / 7
 GRAVITY = 9.81
 WARM_UP_S = 3.0
 START_S = 60.0  # limit for the nodes to come up
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 UTIME, STIME = 11, 12  # places in /proc/PID/stat after the program's name
-NODES = {"ins_propagator": "ins/odometry", "bare_odometry": "bare/odometry"}
+BARE = "bare_odometry"
+ODOMETRY = {"ins_propagator": "ins/odometry", BARE: "bare/odometry"}
+NODES = (*ODOMETRY, "stereo_frontend", "slam_backend", "fusion")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,40 +49,53 @@ class NodeCost:
 
     Attributes:
         node: its name.
+        imu_rate_hz: of the readings; 0 at rest.
         cores: processor time over wall time.
-        rate_hz: of its odometry.
+        ratio: of that to the bare node's; None at rest.
+        rate_hz: of its odometry; None if nobody reads any.
         latency_ms: 50th and 99th percentile of the time from a reading's publication to its odometry's arrival [ms].
     """
 
     node: str
+    imu_rate_hz: int
     cores: float
-    rate_hz: float
-    latency_ms: tuple[float, float]
+    ratio: float | None
+    rate_hz: float | None = None
+    latency_ms: tuple[float, float] | None = None
 
 
-def node_costs(seconds: float) -> list[NodeCost]:
-    """Measure for so long, after a warm-up.
+def node_costs(seconds: float) -> Iterator[NodeCost]:
+    """Measure for so long at each rate, after a warm-up.
 
     Raises:
-        UavVslamError: a node did not come up.
+        UavVslamError: a node did not come up, or published nothing.
     """
     with claimed_domain() as domain_id, _started(domain_id) as processes, _source(domain_id) as source:
         source.wait_for_nodes()
-        source.play(WARM_UP_S)
-        before = {name: _processor_s(process.pid) for name, process in processes.items()}
-        begin_s = time.monotonic()
-        source.latencies_s = {name: [] for name in NODES}
-        source.play(seconds)
-        elapsed_s = time.monotonic() - begin_s
-        spent = {name: _processor_s(process.pid) - before[name] for name, process in processes.items()}
-    return [_cost(name, spent[name] / elapsed_s, source.latencies_s[name], elapsed_s) for name in NODES]
+        for rate_hz in IMU_RATES_HZ:
+            source.play(WARM_UP_S, rate_hz)
+            before = {name: _processor_s(process.pid) for name, process in processes.items()}
+            begin_s = time.monotonic()
+            source.latencies_s = {name: [] for name in ODOMETRY}
+            source.play(seconds, rate_hz)
+            elapsed_s = time.monotonic() - begin_s
+            cores = {name: (_processor_s(p.pid) - before[name]) / elapsed_s for name, p in processes.items()}
+            for name in NODES:
+                ratio = cores[name] / cores[BARE] if rate_hz else None
+                heard = source.latencies_s.get(name) if rate_hz else None
+                yield NodeCost(name, rate_hz, cores[name], ratio, *_odometry_figures(name, heard, elapsed_s))
 
 
-def _cost(name: str, cores: float, latencies_s: list[float], elapsed_s: float) -> NodeCost:
+def _odometry_figures(
+    name: str, latencies_s: list[float] | None, elapsed_s: float
+) -> tuple[float | None, tuple[float, float] | None]:
+    """Return rate and latencies of a node's odometry; None where nobody reads any."""
+    if latencies_s is None:
+        return None, None
     if not latencies_s:
         raise UavVslamError(f"{name} published nothing")
     middle, late = (1000.0 * float(np.percentile(latencies_s, share)) for share in (50, 99))
-    return NodeCost(name, cores, len(latencies_s) / elapsed_s, (middle, late))
+    return len(latencies_s) / elapsed_s, (middle, late)
 
 
 class _Source:
@@ -88,27 +104,28 @@ class _Source:
     def __init__(self, node: Node, executor: SingleThreadedExecutor) -> None:
         self._node, self._executor = node, executor
         self._sent_s: dict[int, float] = {}  # wall time of each reading, by its stamp
-        self.latencies_s: dict[str, list[float]] = {name: [] for name in NODES}
+        self.latencies_s: dict[str, list[float]] = {name: [] for name in ODOMETRY}
         self._imu = node.create_publisher(Imu, "imu/data_raw", SENSOR)
         self._info = node.create_publisher(CameraInfo, "left/camera_info", STATE)
         self._latched: list[Any] = []
-        for name, topic in NODES.items():
+        for name, topic in ODOMETRY.items():
             node.create_subscription(
                 Odometry, topic, lambda data, name=name: self._on_odometry(name, data), SENSOR, raw=True
             )
-        self._count = 0
-        self._begin_ns = time.time_ns()
-        self._start()
+        self._stamp_ns = time.time_ns()
+        self._image_ns = 0  # stamp of the newest image
 
     def _start(self) -> None:
-        """Publish the frames and the start state of a vehicle at rest."""
+        """Publish the frames and the start state of a vehicle at rest, once."""
+        if self._latched:
+            return
         from uav_vslam_msgs.msg import NavigationState
 
-        state = NavState(self._begin_ns, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+        state = NavState(self._stamp_ns, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
         start = navigation_to_msg(
             NavEstimate(state, 1e-4 * np.eye(15)), frame_id="uav1/map", child_frame_id="uav1/base_link"
         )
-        edge = transform_to_msg(Pose.identity(), stamp_ns=self._begin_ns, parent="uav1/base_link", child="uav1/imu")
+        edge = transform_to_msg(Pose.identity(), stamp_ns=self._stamp_ns, parent="uav1/base_link", child="uav1/imu")
         states = self._node.create_publisher(NavigationState, "initial_state", LATCHED)
         frames = self._node.create_publisher(TFMessage, "/tf_static", LATCHED_BY_MANY)
         states.publish(start)
@@ -116,32 +133,40 @@ class _Source:
         self._latched += [states, frames]
 
     def wait_for_nodes(self) -> None:
-        """Wait until both nodes take the readings and their odometry has been found."""
+        """Wait until all nodes are up and take what they need, and the odometry has been found."""
         end_s = time.monotonic() + START_S
-        topics = [f"/uav1/{topic}" for topic in NODES.values()]
-        while self._imu.get_subscription_count() < len(NODES) or not all(map(self._node.count_publishers, topics)):
+        topics = [f"/uav1/{topic}" for topic in ODOMETRY.values()]
+        while self._missing_nodes() or not all(map(self._node.count_publishers, topics)):
             if time.monotonic() > end_s:
                 raise UavVslamError(f"the nodes {', '.join(NODES)} did not come up within {START_S:g} s")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def play(self, seconds: float) -> None:
-        """Publish readings in real time."""
-        begin_s, first = time.monotonic(), self._count
-        for k in range(round(seconds * IMU_RATE_HZ)):
-            due_s = begin_s + k / IMU_RATE_HZ
-            while (left_s := due_s - time.monotonic()) > 0:
-                self._executor.spin_once(timeout_sec=left_s)
-            self._publish(first + k)
-        self._count = first + round(seconds * IMU_RATE_HZ)
+    def _missing_nodes(self) -> bool:
+        return self._imu.get_subscription_count() < len(ODOMETRY) or not {*NODES} <= {*self._node.get_node_names()}
 
-    def _publish(self, index: int) -> None:
-        stamp_ns = self._begin_ns + index * (NS_PER_S // IMU_RATE_HZ)
-        reading = Imu(header=header(stamp_ns, "uav1/imu"))
+    def play(self, seconds: float, rate_hz: int) -> None:
+        """Publish readings in real time; none at a rate of 0."""
+        if rate_hz:
+            self._start()
+        begin_s = time.monotonic()
+        for k in range(round(seconds * rate_hz)):
+            self._spin_until(begin_s + k / rate_hz)
+            self._stamp_ns += NS_PER_S // rate_hz
+            self._publish()
+        self._spin_until(begin_s + seconds)
+
+    def _spin_until(self, due_s: float) -> None:
+        while (left_s := due_s - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left_s)
+
+    def _publish(self) -> None:
+        reading = Imu(header=header(self._stamp_ns, "uav1/imu"))
         reading.linear_acceleration.z = GRAVITY
-        self._sent_s[stamp_ns] = time.monotonic()
+        self._sent_s[self._stamp_ns] = time.monotonic()
         self._imu.publish(reading)
-        if index % IMAGE_EVERY == 0:
-            self._info.publish(CameraInfo(header=header(stamp_ns, "uav1/left")))
+        if self._stamp_ns - self._image_ns >= NS_PER_S / IMAGE_RATE_HZ:
+            self._image_ns = self._stamp_ns
+            self._info.publish(CameraInfo(header=header(self._stamp_ns, "uav1/left")))
 
     def _on_odometry(self, name: str, data: bytes) -> None:
         sent_s = self._sent_s.get(header_stamp_ns(data))

@@ -5,7 +5,8 @@ A pacer's `order` yields the messages that may be published now; None means: ask
 Lock-step allows each vehicle one unanswered frame, so that the vehicles compute in parallel, and no vehicle runs ahead
 of another's unanswered frame by `OVERLAP_NS` or more, so that the packets available at an epoch do not depend on the
 machine's speed. IMU samples continue while an unanswered frame needs them.
-Start states come from `starts_ns`, which may grow: while a vehicle's is unknown, its front end's answer suffices.
+Start states come from `starts_ns`, which may grow: while a vehicle's is unknown, its front end's answer suffices, and
+its INS, which can't answer yet, has `EARLY_PERIOD_S` of real time for each frame.
 Messages whose stamps leave the time line are not waited for: the graph holds them until the jump is confirmed.
 """
 
@@ -23,6 +24,7 @@ from uav_vslam.types import NS_PER_S
 
 OVERLAP_NS = NS_PER_S // 10
 EARLY_ANSWER = "stereo_features"
+EARLY_PERIOD_S = 0.15  # about as recorded
 IMU_AHEAD = 250  # unanswered IMU samples: half of the subscription's queue
 STEP_AHEAD_NS, STEP_BACK_NS = 10 * NS_PER_S, 2 * NS_PER_S  # real time: farther from one message to the next is a jump
 IMU_GAP_NS = 3 * NS_PER_S  # limit of the look-ahead for an IMU sample, during which images are buffered
@@ -121,6 +123,10 @@ class Answers:
             shape = self._shapes[message.vehicle]
             if parts.keys() >= shape.parts:
                 self._complete(message.vehicle, parts[Kind.LEFT] + shape.offset_ns)
+
+    def awaits_start(self, vehicle: str) -> bool:
+        """Return whether a vehicle answers, but its start state is unknown yet."""
+        return bool(self._topics) and vehicle not in self._starts_ns
 
     def begins_frame(self, message: Recorded) -> bool:
         """Return whether this is the first part of a frame."""
@@ -221,9 +227,10 @@ class Pacer(Protocol):
 class LockStep:
     """Back-pressure by the graph's answers, so that nothing is lost on a slow machine."""
 
-    def __init__(self, answers: Answers, readings: Readings) -> None:
+    def __init__(self, answers: Answers, readings: Readings, clock: Callable[[], float] = time.monotonic) -> None:
         """Pace by `answers` to frames and by the capacity of the INS's queue of `readings`."""
-        self._answers, self._readings = answers, readings
+        self._answers, self._readings, self._clock = answers, readings, clock
+        self._next_early_s: dict[str, float] = {}  # when a vehicle without a start state may have its next frame
         self._held: deque[Recorded] = deque()
         self._lines: dict[str, TimeLine[int]] = defaultdict(lambda: sensor_time_line("bridge"))
         answers.is_admitted = lambda vehicle, stamp_ns: self._admits(vehicle, IMAGES, stamp_ns)
@@ -262,6 +269,9 @@ class LockStep:
             return self._readings.has_capacity(message.vehicle)
         if message.kind not in FRAME_PARTS or not self._answers.begins_frame(message):
             return True
+        early_s = self._next_early_s.get(message.vehicle, 0.0)
+        if self._answers.awaits_start(message.vehicle) and self._clock() < early_s:
+            return False
         return not any(
             vehicle == message.vehicle or stamp_ns <= message.stamp_ns - OVERLAP_NS
             for vehicle, stamp_ns in self._answers.open()
@@ -293,6 +303,8 @@ class LockStep:
 
     def _register(self, message: Recorded) -> None:
         if message.kind in FRAME_PARTS:
+            if self._answers.begins_frame(message):
+                self._next_early_s[message.vehicle] = self._clock() + EARLY_PERIOD_S
             self._answers.published(message)
         elif message.kind is not Kind.IMU:
             return

@@ -32,6 +32,7 @@ from uav_vslam.config.nodes import ReplayNodeConfig
 from uav_vslam.config.settings import build
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.errors import BagError, ConfigError
+from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.convert import stamp_from_ns
 from uav_vslam.ros.pacing import (
     EARLY_ANSWER,
@@ -53,7 +54,8 @@ from uav_vslam_msgs.msg import NavigationState, StereoFeatures
 
 INS_ANSWER = "ins/odometry"
 QOS = {Kind.LEFT: IMAGE, Kind.RIGHT: IMAGE, Kind.IMU: SENSOR}
-STEP_S = 0.004
+STEP_S = 0.005
+ANSWERS_S = 0.1  # real time: period of taking the answers, which nothing waits for
 BURST = 50  # messages published before callbacks run again
 DISCOVERY_S = 15.0  # timeout of the discovery among the nodes
 LAST_ANSWERS_S = 3.0  # real time: timeout of the last answers
@@ -63,7 +65,7 @@ CLOCK_NS = 20_000_000
 
 
 class ReplayNode(Node):
-    """Publishes what a `Pacer` releases. The replay is one generator, which a timer and every answer resume."""
+    """Publishes what a `Pacer` releases. The replay is one generator; a timer and, in lock-step, answers resume it."""
 
     def __init__(self) -> None:
         super().__init__("replay")
@@ -84,11 +86,15 @@ class ReplayNode(Node):
         self._clock_ns = -CLOCK_NS
         self._publishers_by_topic = {topic: self._advertise(topic) for topic in self._recording.topics}
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", STATE)
+        self._answer_inputs: list[Any] = []
         for vehicle in self._vehicles:
             self._subscribe_to(vehicle)
         self._readiness = Readiness(self, self._vehicles)
         self._steps = self._replay()
-        self.create_timer(STEP_S, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(STEP_S, self._step, clock=wall_clock)
+        if not self._lockstep:
+            self.create_timer(ANSWERS_S, self._take_answers, clock=wall_clock)
 
     @property
     def _lockstep(self) -> bool:
@@ -115,10 +121,17 @@ class ReplayNode(Node):
                 LATCHED,
                 raw=True,
             )
+        group = Batches(at_once=self._lockstep)
         for topic, kind in topics.items():
             answer = partial(self._on_answer, vehicle, topic)
             qos = RESUMABLE if topic in self._wait_for else SENSOR  # a restarted node may answer before it is found
-            self.create_subscription(kind, f"/{vehicle}/{topic}", answer, qos, raw=True)
+            self._answer_inputs.append(
+                self.create_subscription(kind, f"/{vehicle}/{topic}", answer, qos, raw=True, callback_group=group)
+            )
+
+    def _take_answers(self) -> None:
+        for one in self._answer_inputs:
+            take_waiting(one)
 
     def _on_start(self, vehicle: str, data: bytes) -> None:
         self._starts_ns.setdefault(vehicle, header_stamp_ns(data))
@@ -129,7 +142,8 @@ class ReplayNode(Node):
             self._readings.answered(vehicle, stamp_ns)
         self._answers.answered(vehicle, topic, stamp_ns)
         self._progress_s = time.monotonic()
-        self._step()
+        if self._lockstep:
+            self._step()
 
     def _publish_latched(self) -> None:
         """Publish latched messages; /tf_static of all bags as one, since late joiners get the last message only."""

@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter_service import ParameterService
@@ -28,6 +28,7 @@ from uav_vslam.config import VehicleConfig, idle_settings
 from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.memory import keep_freed_memory
+from uav_vslam.ros.executor import LeanExecutor
 from uav_vslam.ros.health import DROPPED, RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
@@ -264,7 +265,9 @@ def _pauses_text(pauses: dict[str, float]) -> str:
     return "no more messages from " + ", ".join(f"{topic} for {pause_s:.0f} s" for topic, pause_s in pauses.items())
 
 
-def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
+def run_node(
+    factory: Callable[[], Node], args: list[str] | None = None, *, executor_type: type[Executor] = LeanExecutor
+) -> int:
     """Initialise ROS, spin one node until SIGINT or SIGTERM, and shut down; return the exit code.
 
     A node may end itself by raising SystemExit in a callback. An error of ours is one line and exit code 2.
@@ -283,7 +286,7 @@ def run_node(factory: Callable[[], Node], args: list[str] | None = None) -> int:
     try:
         _initialise(args)
         node = factory()
-        executor = SingleThreadedExecutor()
+        executor = executor_type()
         executor.add_node(node)
         while not stopping:  # each node has a timer on wall time, which ends the wait
             executor.spin_once()

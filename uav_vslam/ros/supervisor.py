@@ -24,6 +24,7 @@ from uav_vslam.ros.fleet_commands import NodeSpec
 PACKAGE = "uav_vslam"
 DRAIN_S = 1.0  # after the replay's end, for messages in flight
 ESCALATION = ((0.0, signal.SIGINT), (2.0, signal.SIGTERM), (4.0, signal.SIGKILL))  # seconds after the shutdown starts
+SAVING = (*ESCALATION[:2], (60.0, signal.SIGKILL))  # where a process has a map to save
 POLL_S = 0.05
 BACKOFF_S = (0.2, 1.0, 2.0, 5.0, 10.0)  # before each restart of a process; the last one for all further ones
 STABLE_S = 60.0  # a process that ran for so long is restarted without waiting again

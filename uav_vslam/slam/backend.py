@@ -58,6 +58,7 @@ class FrameReport:
         coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
         gate_probability: of the gate on observations.
         sightings: (K, 2) identifier and feature row of each point that corrected the state, and of each new landmark.
+        late_sightings: (K, 2) the same of the frame before, if its landmarks had to wait for the angular rate.
         smoothed: the oldest past pose as it leaves the window; None until that is full, and without one.
     """
 
@@ -75,6 +76,7 @@ class FrameReport:
     coasted: bool = False
     gate_probability: float = 1.0
     sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    late_sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     smoothed: PoseEstimate | None = None
 
 
@@ -136,10 +138,10 @@ class SlamBackend:
         self._check_joins(features.stamp_ns, increment)
         known = len(self._map)
         matches, innovation, closures, evidence = Matches.none(), None, 0, 0.0
-        sightings, smoothed = np.zeros((0, 2), np.intp), None
+        sightings, late, smoothed = np.zeros((0, 2), np.intp), np.zeros((0, 2), np.intp), None
         try:
             if increment is not None:
-                self._add_postponed(increment)
+                late = self._new_sightings(self._add_postponed(increment))
                 self._filter.predict(increment)
             self._window.add_frame(self._filter, features)
             self._window.finish(self._filter, self._map, self._frame, self._new_landmarks)
@@ -178,7 +180,8 @@ class SlamBackend:
             coasted=increment is not None and associated == 0,
             gate_probability=self._config.gate_probability,
             smoothed=smoothed,
-            sightings=np.vstack([sightings, np.column_stack([self._map.ids[len(self._map) - len(added) :], added])]),
+            sightings=np.vstack([sightings, self._new_sightings(added)]),
+            late_sightings=late,
         )
 
     def configure(self, config: VehicleConfig) -> None:
@@ -218,7 +221,7 @@ class SlamBackend:
             recovery=reason,
             closures=0,
             coasted=True,
-            sightings=np.column_stack([self._map.ids, added]),
+            sightings=self._new_sightings(added),
         )
 
     def _recover(self) -> None:
@@ -319,11 +322,19 @@ class SlamBackend:
         marginals = self._filter.belief.marginals(np.arange(len(self._map)))
         return np.asarray(np.trace(marginals.landmarks, axis1=1, axis2=2))
 
-    def _add_postponed(self, increment: ImuIncrement) -> None:
-        """Add the landmarks of the frame at the increment's start, if they had to wait for the angular rate there."""
-        if self._postponed is not None:
-            self._filter.starts(increment)
-            self._add_landmarks(Matches.none(), self._postponed)
+    def _new_sightings(self, added: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return (K, 2) identifier and feature row of the landmarks just added from the features' rows `added`."""
+        return np.column_stack([self._map.ids[len(self._map) - len(added) :], added])
+
+    def _add_postponed(self, increment: ImuIncrement) -> NDArray[np.intp]:
+        """Add the landmarks of the frame at the increment's start, if they had to wait for the angular rate there.
+
+        Return the rows of its features.
+        """
+        if self._postponed is None:
+            return np.zeros(0, np.intp)
+        self._filter.starts(increment)
+        return self._add_landmarks(Matches.none(), self._postponed)
 
     def _add_landmarks(self, matches: Matches, features: StereoFeatures) -> NDArray[np.intp]:
         """Initialise landmarks from unmatched features, up to the capacity; return the features' rows."""

@@ -304,7 +304,8 @@ class SlamStage:
     def _archive_landmarks(self, report: FrameReport, joint: JointInformation | None) -> None:
         if self._archive is None:
             return
-        self._archive.count(report.sightings)
+        for sightings in (report.late_sightings, report.sightings):
+            self._archive.count(sightings)
         if joint is not None:
             self._archive.add(joint)
 

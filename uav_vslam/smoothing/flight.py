@@ -62,6 +62,8 @@ class FilteredFlight:
         start: NavEstimate, outputs: Iterable[FrameOutput], features: Mapping[int, StereoFeatures]
     ) -> "FilteredFlight":
         """Collect a flight from what the back end returned and the features of each stamp [ns]."""
+        known = list(outputs)
+        late = [output.report.late_sightings for output in known[1:]] + [np.zeros((0, 2), np.intp)]
         return FilteredFlight.of(
             start,
             (
@@ -69,9 +71,9 @@ class FilteredFlight:
                     output.report.nav.state,
                     output.increment,
                     features[output.report.pose.stamp_ns],
-                    output.report.sightings,
+                    np.vstack([output.report.sightings, afterwards]),
                 )
-                for output in outputs
+                for output, afterwards in zip(known, late, strict=True)
             ),
         )
 

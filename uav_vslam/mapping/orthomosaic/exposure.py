@@ -28,6 +28,7 @@ SIGMA_CELL_LOG = 0.05
 DARK, BRIGHT = 8.0, 247.0  # grey levels between which a camera is taken for linear
 FALLOFF_SIGMA = 1.0  # prior of a and b
 SOLVE_ROUNDS = 3
+STRIP_ROWS = 256  # of an image that are corrected at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +46,13 @@ class Correction:
     def applied(self, image: Real, radius2: Real) -> Real:
         """Return the (rows, columns, channels) image corrected, given (rows, columns) r^2."""
         a, b = self.falloff.astype(np.float32)
-        fall = np.clip(a * radius2 + b * radius2 * radius2, -1.0, 1.0)
-        return np.asarray(image * np.exp(self.log_gain.astype(np.float32) - fall[..., None]))
+        corrected = np.empty_like(image)
+        for start in range(0, len(image), STRIP_ROWS):  # views are large
+            rows = slice(start, start + STRIP_ROWS)
+            fall = np.clip(a * radius2[rows] + b * radius2[rows] * radius2[rows], -1.0, 1.0)
+            gain = np.exp(self.log_gain.astype(np.float32) - fall[..., None])
+            np.multiply(image[rows], gain, out=corrected[rows])
+        return corrected
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ At any time the picture of any window can be put together. The result does not d
 their gains; solve these first (`two_passes`) and it does not depend on it at all, but for ties of the score.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -131,7 +131,8 @@ class Orthomosaic:
             return None
         self._prepare(drawn.image.shape[-1])
         correction = self._correction(considered, thumb, view.vehicle)
-        touched = self._merge(drawn, correction)
+        drawn = replace(drawn, image=correction.applied(drawn.image, drawn.radius2))
+        touched = self._merge(drawn)
         added = AddedView(view.vehicle, view.stamp_ns, view.T_map_cam.t, correction, touched)
         self.views.append(added)
         return added
@@ -187,9 +188,9 @@ class Orthomosaic:
             return self._known_exposure.correction(considered)
         return self._exposure.add(thumb, camera)
 
-    def _merge(self, drawn: Rectified, correction: Correction) -> int:
-        """Merge a drawn view into the tiles under it; return how many there are."""
-        bands = take_apart(correction.applied(drawn.image, drawn.radius2), drawn.score)
+    def _merge(self, drawn: Rectified) -> int:
+        """Merge a drawn and corrected view into the tiles under it; return how many there are."""
+        bands = take_apart(drawn.image, drawn.score)
         touched = 0
         for raster in drawn.raster.tiles(SIDE):
             common = raster.intersection(drawn.raster)

@@ -40,17 +40,18 @@ def take_apart(image: Real, score: Real) -> Bands:
         image: (rows, columns, channels) float32; both sides are multiples of ALIGN.
         score: (rows, columns) float32; 0 where the image is not known.
     """
+    continued = fill(score[..., None], score > 0)[..., 0]
     filled = fill(image, score > 0)
     coefficients, weights = [], []
     seen = (score > 0).astype(np.float32)
-    continued = fill(score[..., None], score > 0)[..., 0]
     for level in range(LEVELS + 1):
         weights.append(np.maximum(score * seen**MIXED_POWER, np.float32(FILLED_WEIGHT) * continued))
         if level == LEVELS:
             coefficients.append(filled)
             break
         smaller = _down(filled)
-        coefficients.append(filled - _up(smaller))
+        enlarged = _up(smaller)
+        coefficients.append(np.subtract(filled, enlarged, out=enlarged))  # views are large: no more copies than needed
         filled = smaller
         score, seen, continued = (cv2.pyrDown(a) for a in (score, seen, continued))
     return Bands(coefficients, weights)
@@ -74,8 +75,10 @@ def fill(image: Real, known: NDArray[np.bool_]) -> Real:
     """Continue an image smoothly where it is not known, from averages over ever larger surroundings."""
     if known.all():
         return image
-    weight = known.astype(np.float32)
-    return _filled(np.where(known[..., None], image, np.float32(0.0)), weight)
+    weight, filled = known.astype(np.float32), np.empty_like(image)
+    for k in range(image.shape[-1]):  # one by one: views are large
+        filled[..., k] = _filled(np.where(known, image[..., k], np.float32(0.0))[..., None], weight)[..., 0]
+    return filled
 
 
 def _filled(weighted: Real, weight: Real) -> Real:
@@ -87,10 +90,14 @@ def _filled(weighted: Real, weight: Real) -> Real:
     coarse = _down(weighted)
     normal = np.where(coarse_weight > 1e-3, 1.0 / np.maximum(coarse_weight, 1e-3), 0.0)
     known = (coarse_weight > 1e-3).astype(np.float32)
-    behind = _filled(coarse * normal[..., None], known)
+    coarse *= normal[..., None]
+    behind = _filled(coarse, known)
+    del coarse
     size = weight.shape[1], weight.shape[0]
-    enlarged = cv2.pyrUp(behind, dstsize=size).reshape(weighted.shape)
-    return np.asarray(weighted + (1.0 - weight[..., None]) * enlarged, dtype=np.float32)
+    enlarged = np.asarray(cv2.pyrUp(behind, dstsize=size), np.float32).reshape(weighted.shape)
+    enlarged *= 1.0 - weight[..., None]
+    enlarged += weighted
+    return enlarged
 
 
 def _down(image: Real) -> Real:

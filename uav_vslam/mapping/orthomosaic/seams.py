@@ -87,8 +87,8 @@ def _places(mosaic: Orthomosaic) -> list[_Place]:
     """Return places along the seams between each two views, evenly."""
     picture = mosaic.picture()
     found: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for axis in range(2):
-        one, other = (np.take(picture.labels, range(k, picture.labels.shape[axis] - 1 + k), axis) for k in range(2))
+    labels = picture.labels
+    for one, other in ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:])):
         rows, columns = np.nonzero((one != other) & (one >= 0) & (other >= 0))
         pairs = np.sort(np.stack([one[rows, columns], other[rows, columns]], axis=1), axis=1)
         for pair, row, column in zip(map(tuple, pairs.tolist()), rows.tolist(), columns.tolist(), strict=True):

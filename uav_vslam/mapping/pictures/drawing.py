@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from uav_vslam.evaluation.output import write_json
@@ -30,11 +31,12 @@ def draw(found: Reconstruction, pixel_m: float, folder: Path, *, on_view: Callab
         on_view: called `PASSES` times for each picture used.
     """
     views = PictureViews(found.pictures, found.adjusted)
-    mosaic = blended_mosaic(lambda: iter(views), found.surface, pixel_m, on_view=on_view)
     datum = found.placement.datum
-    drawn = write_orthomosaic(mosaic, folder, datum)
+    with TemporaryDirectory(dir=folder, prefix="tiles_") as tiles:
+        mosaic = blended_mosaic(lambda: iter(views), found.surface, pixel_m, folder=Path(tiles), on_view=on_view)
+        drawn = write_orthomosaic(mosaic, folder, datum)
+        seam = seam_figures(seams(mosaic, counted(views, on_view)))
     write_bands(folder / "height.tif", {"height": found.surface.grid}, found.surface.raster, datum)
-    seam = seam_figures(seams(mosaic, counted(views, on_view)))
     size = {key: drawn[key] for key in ("m_per_px", "width", "height")}
     tree = map_figures(found) | {"orthomosaic": size | {"seam_px": seam["median_px"]}}
     write_json(folder / "map.json", tree)

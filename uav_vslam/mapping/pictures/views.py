@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -15,6 +16,7 @@ from uav_vslam.mapping.view import Image, View
 
 NAME = "pictures"
 FADE_PX = 0.5  # how far beyond the outermost pixels' centres an image goes
+STRIP_ROWS = 256
 
 
 class PictureViews:
@@ -58,12 +60,21 @@ class PictureViews:
 
 def undistortion(camera: PinholeCamera) -> tuple[PinholeCamera, tuple[Image, Image]]:
     """Return a camera without distortion, whose image is all within the distorted one, and OpenCV's maps to it."""
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    grid = np.stack([u, v], axis=-1).astype(float)
     centre = np.array([camera.cx, camera.cy])
-    beyond = np.abs(camera.distort(grid) - centre) / (centre + FADE_PX)
-    zoom = max(1.0, float(beyond.max()))
+    zoom = 1.0
+    for pixels in _strips(camera):
+        beyond = np.abs(camera.distort(pixels) - centre) / (centre + FADE_PX)
+        zoom = max(zoom, float(beyond.max()))
     ideal = PinholeCamera(camera.width, camera.height, zoom * camera.fx, zoom * camera.fy, camera.cx, camera.cy)
-    raw = camera.distort(camera.project(ideal.bearings(grid))).astype(np.float32)
+    raw = np.concatenate(
+        [camera.distort(camera.project(ideal.bearings(pixels))).astype(np.float32) for pixels in _strips(camera)]
+    )
     maps = cv2.convertMaps(raw[..., 0], raw[..., 1], cv2.CV_16SC2)
     return ideal, (np.asarray(maps[0]), np.asarray(maps[1]))
+
+
+def _strips(camera: PinholeCamera) -> Iterator[NDArray[np.float64]]:
+    """Yield the (rows, W, 2) pixels of an image from above: all together would take a gigabyte."""
+    for top in range(0, camera.height, STRIP_ROWS):
+        u, v = np.meshgrid(np.arange(camera.width), np.arange(top, min(top + STRIP_ROWS, camera.height)))
+        yield np.stack([u, v], axis=-1).astype(float)

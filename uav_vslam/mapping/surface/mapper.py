@@ -74,6 +74,11 @@ class SurfaceMapper:
         if lane.ground is not None:
             self._pair_up(lane, prepared, lane.ground)
 
+    def ground_m(self, vehicle: str) -> float | None:
+        """Return the median height of the ground that a vehicle saw last [m]; None while it is not found."""
+        ground = self._lanes[vehicle].ground if vehicle in self._lanes else None
+        return None if ground is None else ground.middle_m
+
     def finish(self) -> None:
         """End all flights: map what only their last views show."""
         for lane in self._lanes.values():

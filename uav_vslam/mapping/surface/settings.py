@@ -28,7 +28,7 @@ class SurfaceSettings:
     longest_ratio: float = 0.4
     step_ratio: float = 0.1
     short_ratios: tuple[float, ...] = (0.12, 0.06, 0.03)
-    missing_share: float = 0.03
+    missing_share: float = 0.01
     largest_turn_deg: float = 25.0
     least_overlap: float = 0.3
     above_m: float = 8.0
