@@ -181,7 +181,10 @@ def _launched(*arguments: str) -> Iterator[Graph]:
             try:
                 yield Graph(process, domain_id, mark)
             finally:
+                ended_itself = process.poll()
                 process.kill()  # takes the nodes with it
+                if ended_itself and process.stdout is not None and not process.stdout.closed:
+                    print(process.stdout.read())  # why it did, below a failed test
 
 
 @pytest.fixture(scope="session")

@@ -84,6 +84,13 @@ class LeanExecutor(SingleThreadedExecutor):
                 self._make_handler(entity, None, take)
         self._go_on_with_tasks()
 
+    def _take_waitable(self, waitable: Any) -> Any:
+        """Take what a waitable has, unless an earlier callback of the same turn has destroyed it."""
+        try:
+            return super()._take_waitable(waitable)
+        except InvalidHandle:
+            return None
+
     def _found_entities(self) -> "_Entities":
         if self._entities is None:
             if not self._context.ok():
