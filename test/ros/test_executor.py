@@ -122,6 +122,21 @@ def test_qos_events_are_heard(listener, turn):
     assert wait_for(lambda: len(events) == 1, turn)
 
 
+def test_the_qos_event_of_what_a_callback_destroys_is_not_called_in_the_same_turn(listener, executor, turn):
+    events = []
+    callbacks = SubscriptionEventCallbacks(incompatible_qos=events.append)
+    picky = listener.create_subscription(String, "picky", lambda _: None, SENSOR, event_callbacks=callbacks)
+    guard = listener.create_guard_condition(lambda: listener.destroy_subscription(picky))
+    turn()
+    listener.create_publisher(String, "picky", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    time.sleep(0.3)  # the event waits
+    guard.trigger()
+    executor._looked_s = 0.0  # and is looked at in the turn of the guard condition
+    for _ in range(3):
+        turn()
+    assert events == []
+
+
 def test_simulated_time_wakes_nobody_and_is_there_at_the_next_turn(listener, executor):
     stamps, called = [], []
     listener.create_subscription(ClockMsg, "/clock", lambda message: stamps.append(message.clock.sec), 1)
