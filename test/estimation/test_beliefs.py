@@ -74,6 +74,12 @@ class Dense:
         P[rows, rows] = variance
         return Dense(P, self.vehicle)
 
+    def information_changed(self, row: int, change: float) -> tuple["Dense", Array]:
+        Y = np.linalg.inv(self.P)
+        Y[row, row] += change
+        P = np.linalg.inv(Y)
+        return Dense(P, self.vehicle), P[:, row]
+
     def information_removed(self, B: Array) -> "Dense":
         Y = np.linalg.inv(self.P)
         Y[: self.vehicle, : self.vehicle] -= B.T @ B
@@ -307,6 +313,21 @@ def test_information_is_removed(form: type[Belief], seed: int, m: int, n: int) -
 
 
 @FEW
+@given(SEEDS, VEHICLE, LANDMARKS, st.floats(-0.9, 10.0))
+def test_information_is_added_to_a_row_or_taken_away(
+    form: type[Belief], seed: int, m: int, n: int, share: float
+) -> None:
+    draw = Draw(seed)
+    belief, dense = draw.belief(form, m, n)
+    row = seed % m
+    change = share / dense.P[row, row]
+    (after, column), (expected, expected_column) = (b.information_changed(row, change) for b in (belief, dense))
+    assert_holds(after, expected)
+    scale = np.sqrt(np.diag(expected.P) * expected.P[row, row])
+    np.testing.assert_allclose((column - expected_column) / scale, 0.0, rtol=0, atol=SCALED)
+
+
+@FEW
 @given(SEEDS, VEHICLE, LANDMARKS)
 def test_update_is_the_kalman_update_in_every_output(form: type[Belief], seed: int, m: int, n: int) -> None:
     draw = Draw(seed)
@@ -436,6 +457,7 @@ def test_operations_modify_neither_the_belief_nor_their_arguments(
         lambda b: b.updated(seen).belief,
         lambda b: b.coordinates_changed(B, columns),
         lambda b: b.information_removed(bound),
+        lambda b: b.information_changed(0, 1.0 / dense.P[0, 0])[0],
         lambda b: b.reset_rows(np.arange(2), 1.0),
         lambda b: b.appended(*fresh),
         lambda b: b.marginalised(gone),
@@ -486,6 +508,8 @@ def test_an_indefinite_matrix_is_rejected(form: type[Belief]) -> None:
     too_much = np.array([[0.0, 1.01, 0.0, 0.0]])  # more information than the belief has
     with pytest.raises(FilterDivergence, match="not positive definite"):
         belief.information_removed(too_much).covariance(NONE)
+    with pytest.raises(FilterDivergence):
+        belief.information_changed(0, -1.01 / belief.covariance(NONE)[0, 0])
 
 
 def test_normal_equations_are_those_of_the_dense_jacobian() -> None:

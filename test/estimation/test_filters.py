@@ -19,7 +19,7 @@ def test_the_configuration_has_the_same_names() -> None:
 
 
 def made(course, name: str, **backend):
-    rig = RigConfig(rigid_sigma_deg=0.0)  # the default of `Filter`
+    rig = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)  # the default of `Filter`
     settings = VehicleConfig(imu=course.imu, rig=rig, backend=BackendConfig(filter=name, **backend))
     return make_filter(course.initial, rig=course.rig, config=settings)
 
@@ -40,13 +40,21 @@ def test_a_configured_filter_is_the_one_of_that_name(course, name: str, model: s
     assert found.feasibility == expected.feasibility
 
 
+@pytest.mark.parametrize(("name", "model"), [("thesis_ukf", "ri15"), ("thesis_uhf", "ri15"), ("eif", "euler9")])
+def test_the_thesis_knows_no_error_of_the_disparity(course, name: str, model: str) -> None:
+    backend = BackendConfig(filter=name, model=model)
+    f = make_filter(course.initial, rig=course.rig, config=VehicleConfig(imu=course.imu, backend=backend))
+    assert f.disparity is None
+    f.judge_disparity()  # nothing to do
+
+
 @pytest.mark.parametrize("name", OWN)
 def test_robust_kernel_and_rig_uncertainty_are_passed_on(course, name: str) -> None:
     settings = VehicleConfig(imu=course.imu, rig=RigConfig(flexing=True, time_offset_sigma_s=0.01))
     for robust in (True, False):
         backend = BackendConfig(filter=name, robust=robust)
         f = make_filter(course.initial, rig=course.rig, config=dataclasses.replace(settings, backend=backend))
-        assert f.vehicle == 15 + 7
+        assert f.vehicle == 15 + 8
         f.add_landmarks(course.pixels(0, np.arange(12)))
         f.predict(course.increments[0])
         wrong = course.pixels(1, np.arange(12))

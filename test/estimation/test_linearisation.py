@@ -34,7 +34,7 @@ DIFFERENCE = 2e-5  # relative to the largest entry: rounding of pixels of order 
 SCALED = 1e-9
 NONE = np.zeros(0, np.int64)
 
-RIGID = RigConfig(rigid_sigma_deg=0.0)
+RIGID = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)
 FLEXING = RigConfig(flexing=True, disparity_sigma_px=0.2, time_offset_sigma_s=0.01)
 CALIBRATED = RigState()
 BENT = RigState(np.array([3e-4, -5e-4, 2e-4]), np.array([1e-4, 2e-4, -3e-4]), disparity_px=0.3, time_offset_s=0.01)

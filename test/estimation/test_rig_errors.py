@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uav_vslam.config import RigConfig
+from uav_vslam.config import EXACT_RIG, RigConfig
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
@@ -17,8 +17,10 @@ from uav_vslam.types import NavState
 Array = NDArray[np.float64]
 
 RIG = kagaru_rig()
-EXACT = RigConfig(rigid_sigma_deg=0.0)
-FLEXING = RigConfig(flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02, time_offset_sigma_s=0.01)
+EXACT = EXACT_RIG
+FLEXING = RigConfig(
+    flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02, disparity_sigma_px=0.0, time_offset_sigma_s=0.01
+)
 EVERYTHING = dataclasses.replace(FLEXING, disparity_sigma_px=0.2)
 NAV = NavState(
     7, Pose(so3_exp([0.3, -0.2, 1.1]), np.array([40.0, -15.0, 70.0])), np.array([19.0, 4.0, -1.0]), *np.zeros((2, 3))
@@ -29,7 +31,11 @@ NAV = NavState(
     ("config", "sizes", "sigma"),
     [
         (EXACT, [0, 0, 0, 0], []),
-        (RigConfig(rigid_sigma_deg=0.002, epipolar_sigma_deg=0.0), [3, 0, 0, 0], np.deg2rad([0.002] * 3)),
+        (
+            dataclasses.replace(EXACT, rigid_sigma_deg=0.002, epipolar_sigma_deg=0.0),
+            [3, 0, 0, 0],
+            np.deg2rad([0.002] * 3),
+        ),
         (EVERYTHING, [3, 3, 1, 1], [*np.deg2rad([0.05] * 3 + [0.02] * 3), 0.2, 0.01]),
         (dataclasses.replace(FLEXING, vibration_sigma_deg=0.0), [3, 0, 0, 1], [*np.deg2rad([0.05] * 3), 0.01]),
         (dataclasses.replace(FLEXING, attitude_sigma_deg=0.0), [0, 3, 0, 1], [*np.deg2rad([0.02] * 3), 0.01]),
@@ -52,7 +58,7 @@ def test_a_rigid_rig_is_uncertain_off_the_epipolar_lines_and_hardly_along_the_di
     """For cameras that are turned about their optical axes; an angle's shift of a far point tells which it is."""
     turn = Pose(so3_exp([0.0, 0.0, np.deg2rad(roll_deg)]), np.zeros(3))
     rig = dataclasses.replace(RIG, T_body_left=RIG.T_body_left @ turn, T_body_right=RIG.T_body_right @ turn)
-    errors = RigErrors(rig, RigConfig(rigid_sigma_deg=0.001, epipolar_sigma_deg=0.1), 15)
+    errors = RigErrors(rig, dataclasses.replace(EXACT, rigid_sigma_deg=0.001, epipolar_sigma_deg=0.1), 15)
     ahead = rig.T_right_left.inverse().apply(np.array([[0.0, 0.0, 1e6]]))
     shift = errors.pixel_jacobian(rig, ahead)[0, 2:]
     axes = rig.disparity_axis, np.array([-rig.disparity_axis[1], rig.disparity_axis[0]])
@@ -64,7 +70,7 @@ def test_only_the_attitude_of_a_flexing_rig_has_a_random_walk() -> None:
     errors = RigErrors(RIG, dataclasses.replace(EVERYTHING, attitude_walk_deg=0.001), 15)
     expected = [np.deg2rad(0.001) ** 2 * 4.0] * 3 + [0.0] * 5
     np.testing.assert_allclose(errors.noise_variance(4.0), expected, rtol=1e-12)
-    np.testing.assert_array_equal(RigErrors(RIG, RigConfig(rigid_sigma_deg=0.01), 15).noise_variance(4.0), np.zeros(3))
+    np.testing.assert_array_equal(RigErrors(RIG, RigConfig(rigid_sigma_deg=0.01), 15).noise_variance(4.0), np.zeros(4))
     assert RigErrors(RIG, EXACT, 15).noise_variance(4.0).shape == (0,)
 
 

@@ -17,11 +17,11 @@ from uav_vslam.simulation.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 FRAMES = 60
-EXACT = RigConfig(rigid_sigma_deg=0.0)
-TRUSTED = RigConfig(rigid_sigma_deg=0.002, epipolar_sigma_deg=0.0)
+EXACT = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)
+TRUSTED = RigConfig(rigid_sigma_deg=0.002, disparity_sigma_px=0.0, epipolar_sigma_deg=0.0)
 FLEXING = RigConfig(flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02)
-SHIFTED = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.2)
-LATE = RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=0.02)
+SHIFTED = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.2, miscalibrated_probability=0.0)
+LATE = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, time_offset_sigma_s=0.02)
 
 
 def simulated(seed: int, **truth) -> SimulatedVehicle:

@@ -81,7 +81,7 @@ def test_postponed_landmarks_are_where_the_known_rate_puts_them(flight: Flight) 
     """With an offset that is known to a microsecond, the flight is the one with synchronous clocks."""
     backends = []
     for sigma_s in (0.0, 1e-6):
-        rig = RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=sigma_s)
+        rig = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, time_offset_sigma_s=sigma_s)
         config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, rig=rig)
         backends.append(SlamBackend(flight.vehicle.initial, rig=flight.vehicle.rig, config=config, vehicle="uav1"))
     for features, increment in zip(flight.features[:4], flight.increments[:4], strict=True):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rig declared rigid: wrong calibrations are detected, correct ones raise no warning."""
 
+from typing import Any
+
 import pytest
 from scipy.special import chdtri
 
@@ -9,14 +11,19 @@ from uav_vslam.pipeline import VehiclePipeline
 from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.slam.backend import FrameReport
-from uav_vslam.slam.rig_monitor import FALSE_ALARM, RigMonitor
+from uav_vslam.slam.backend import JUDGED_AFTER_S, FrameReport
+from uav_vslam.slam.rig_monitor import FALSE_ALARM, MISCALIBRATED, RigMonitor
 
 NOISE_PX = 0.5
+JUDGED_FRAMES = int(JUDGED_AFTER_S * Scenario().frame_rate_hz) + 1
 
 
-def reports(bias_deg: tuple[float, float, float], seed: int, rig: RigConfig) -> list[FrameReport]:
-    scenario = Scenario(seed=seed, vehicles=1, frames=80, extrinsic_bias_deg=bias_deg)
+TURNED = {"extrinsic_bias_deg": (0.02, 0.0, 0.0)}  # about the disparity axis: 0.6 px
+TRUSTED = RigConfig(disparity_sigma_px=0.0)  # a disparity without errors
+
+
+def reports(seed: int, rig: RigConfig, *, frames: int = 80, **truth: Any) -> list[FrameReport]:
+    scenario = Scenario(seed=seed, vehicles=1, frames=frames, **truth)
     vehicle = simulate_vehicle(scenario, 0)
     config = VehicleConfig(imu=scenario.imu_config, rig=rig, backend=BackendConfig(sigma_px=NOISE_PX))
     pipeline = VehiclePipeline(vehicle.initial, rig=vehicle.rig, config=config, vehicle="uav1")
@@ -24,44 +31,61 @@ def reports(bias_deg: tuple[float, float, float], seed: int, rig: RigConfig) -> 
     return [output.report for output in pipeline.run(source.iter_events())]
 
 
+def warnings_of(flight: list[FrameReport], rig: RigConfig) -> list[str]:
+    monitor = RigMonitor(rig)
+    return [text for report in flight if (text := monitor.add(report))]
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_correct_rig_raises_no_warning(seed: int) -> None:
-    flight = reports((0.0, 0.0, 0.0), seed, RigConfig())
+    flight = reports(seed, RigConfig())
     assert max(r.rig_evidence for r in flight) > 0.0  # it was monitored
-    monitor = RigMonitor(RigConfig())
-    assert [monitor.add(r) for r in flight] == [""] * len(flight)
+    assert warnings_of(flight, RigConfig()) == []
 
 
 @pytest.mark.parametrize(
     ("bias_deg", "rig"),
-    [((0.02, 0.0, 0.0), RigConfig()), ((0.0, 0.02, 0.0), RigConfig(epipolar_sigma_deg=0.002))],
+    [((0.02, 0.0, 0.0), TRUSTED), ((0.0, 0.02, 0.0), RigConfig(disparity_sigma_px=0.0, epipolar_sigma_deg=0.002))],
 )
 def test_a_rig_rotated_by_many_sigmas_is_detected_once(bias_deg: tuple[float, float, float], rig: RigConfig) -> None:
-    monitor = RigMonitor(rig)
-    warnings = [text for r in reports(bias_deg, 1, rig) if (text := monitor.add(r))]
-    assert len(warnings) == 1
-    assert "of 3" in warnings[0]
-    assert "rig.disparity_sigma_px" in warnings[0]
-    assert "rig.flexing" in warnings[0]
+    (warning,) = warnings_of(reports(1, rig, extrinsic_bias_deg=bias_deg), rig)
+    assert "of 3" in warning
+    assert "rig.flexing" in warning
 
 
-def test_a_constant_disparity_error_is_estimated_without_a_warning() -> None:
-    """Turned about the disparity axis by 0.02 degrees, 0.6 px, two sigma; with the rig exact, that is a warning."""
-    rig = RigConfig(disparity_sigma_px=0.3)
-    monitor = RigMonitor(rig)
-    assert [text for r in reports((0.02, 0.0, 0.0), 1, rig) if (text := monitor.add(r))] == []
+@pytest.mark.parametrize("truth", [TURNED, {"disparity_bias_px": 0.3}, {"disparity_bias_px": -0.3}])
+def test_a_wrong_disparity_is_detected_estimated_and_told_once(truth: dict[str, Any]) -> None:
+    flight = reports(3, RigConfig(), frames=160, **truth)
+    (warning,) = warnings_of(flight[JUDGED_FRAMES:], RigConfig())
+    assert "disparity is off by" in warning
+    last = flight[-1].disparity
+    assert last is not None
+    assert last.miscalibrated > MISCALIBRATED
+    if truth != TURNED:
+        assert abs(last.mean_px - truth["disparity_bias_px"]) < 3.0 * last.sigma_px
+        assert last.sigma_px < 0.1
 
 
-def test_a_disparity_error_beyond_its_sigma_is_detected() -> None:
-    rig = RigConfig(disparity_sigma_px=0.05)
-    monitor = RigMonitor(rig)
-    warnings = [text for r in reports((0.02, 0.0, 0.0), 1, rig) if (text := monitor.add(r))]
-    assert len(warnings) == 1
-    assert "of 4" in warnings[0]
+def test_a_calibration_is_not_judged_in_the_first_seconds() -> None:
+    flight = reports(3, RigConfig(), **TURNED)
+    sigma = [r.disparity.sigma_px for r in flight if r.disparity]
+    assert max(sigma[: JUDGED_FRAMES - 1]) <= 1.001 * RigConfig().disparity_sigma_px < 0.5 * sigma[-1]
+
+
+def test_a_doubted_calibration_is_uncertain_from_the_start() -> None:
+    flight = reports(1, RigConfig(miscalibrated_probability=0.5), frames=3)
+    assert flight[0].disparity is not None
+    assert flight[0].disparity.sigma_px > 0.2
+
+
+def test_a_disparity_error_of_known_size_is_detected_beyond_it() -> None:
+    rig = RigConfig(disparity_sigma_px=0.05, miscalibrated_probability=0.0)
+    (warning,) = warnings_of(reports(1, rig, **TURNED), rig)
+    assert "of 4" in warning
 
 
 def test_a_flexing_rig_needs_no_warning() -> None:
     monitor = RigMonitor(RigConfig(flexing=True))
-    flight = reports((0.02, 0.0, 0.0), 1, RigConfig())
+    flight = reports(1, TRUSTED, **TURNED)
     assert max(r.rig_evidence for r in flight) > chdtri(3, FALSE_ALARM)
     assert [monitor.add(r) for r in flight] == [""] * len(flight)

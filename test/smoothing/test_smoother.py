@@ -39,7 +39,7 @@ def simulated(seed: int) -> tuple[SimulatedVehicle, Seen]:
 
 def config_of(vehicle: SimulatedVehicle) -> VehicleConfig:
     """Return settings with the true noise and a rig that is known exactly, as GTSAM takes it."""
-    known = RigConfig(rigid_sigma_deg=0.0)
+    known = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)
     return dataclasses.replace(load_vehicle(None), imu=vehicle.scenario.imu_config, rig=known)
 
 
@@ -92,7 +92,7 @@ def test_the_first_frame_counts_although_its_landmarks_had_to_wait_for_the_clock
     source = SimulatedSource(vehicle, features=tuple(features for features, _ in seen[:6]))
     flights = []
     for sigma_s in (0.0, 1e-6):
-        rig = RigConfig(rigid_sigma_deg=0.0, time_offset_sigma_s=sigma_s)
+        rig = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, time_offset_sigma_s=sigma_s)
         track = track_vehicle(source, dataclasses.replace(config_of(vehicle), rig=rig))
         by_stamp = {features.stamp_ns: features for features, _ in seen}
         flights.append(FilteredFlight.of_outputs(vehicle.initial, track.outputs, by_stamp))
@@ -176,6 +176,7 @@ def abs_end(found: Trajectory, truth: Trajectory) -> float:
     ("wrong", "known"),
     [
         ({"extrinsic_bias_deg": (0.05, 0.0, 0.0)}, RigConfig(rigid_sigma_deg=0.05)),
+        ({"disparity_bias_px": 0.3}, RigConfig()),
         ({"extrinsic_bias_deg": (0.02, 0.0, 0.0), "vibration_deg": 0.05}, RigConfig(flexing=True)),
     ],
 )

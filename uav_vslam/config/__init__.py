@@ -25,6 +25,7 @@ from uav_vslam.config.input import InputConfig
 from uav_vslam.config.settings import differences, replaced
 from uav_vslam.config.vehicle import (
     ASSOCIATIONS,
+    EXACT_RIG,
     EXTRACTORS,
     FILTERS,
     FRONTEND_MATCHERS,
@@ -45,6 +46,7 @@ from uav_vslam.config.vehicle import (
 
 __all__ = [
     "ASSOCIATIONS",
+    "EXACT_RIG",
     "EXTRACTORS",
     "FILTERS",
     "FRONTEND_MATCHERS",

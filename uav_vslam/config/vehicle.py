@@ -67,15 +67,28 @@ class RigConfig(Settings):
         at_least=0,
     )
     disparity_sigma_px: float = setting(
-        0.0,
-        "constant error of the disparity, estimated; 0: none; 0.2 if the calibration is doubtful",
-        unit="px",
-        at_least=0,
+        0.01, "constant error of the disparity, estimated, if the calibration is right; 0: none", unit="px", at_least=0
+    )
+    miscalibrated_sigma_px: float = setting(
+        0.3, "not flexing: the same if the calibration is wrong, which the motion shows", unit="px", above=0
+    )
+    miscalibrated_probability: float = setting(
+        0.2, "not flexing: probability before the flight that the calibration is wrong; 0: never", at_least=0, below=1
     )
     time_offset_sigma_s: float = setting(
         0.0, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
     )
 
+    def _check_together(self) -> None:
+        if self.disparity_sigma_px > self.miscalibrated_sigma_px:
+            refuse(
+                "miscalibrated_sigma_px",
+                self.miscalibrated_sigma_px,
+                f"at least disparity_sigma_px, which is {self.disparity_sigma_px:g}",
+            )
+
+
+EXACT_RIG = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)  # no error of the calibration is a state
 
 # The names in vision.features.EXTRACTORS.
 EXTRACTORS = ("sift", "asift", "surf", "dsift", "phow_rgb", "phow_hsv", "phow_opponent", "orb")

@@ -15,6 +15,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.errors import FilterDivergence
 from uav_vslam.numerics import submatrix, symmetrise
 
 Array = NDArray[np.float64]
@@ -202,6 +203,9 @@ class Belief(Protocol):
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         """Reset some rows of the vehicle: they become independent of all others, with the given variance."""
 
+    def information_changed(self, row: int, change: float) -> tuple[Self, Array]:
+        """Add information to a row of the vehicle, or take it away; return also this row's covariances (size,)."""
+
     def information_removed(self, B: Array) -> Self:
         """Subtract information from the vehicle: P <- (P^-1 - B^T B)^-1 with B (k, vehicle)."""
 
@@ -244,6 +248,18 @@ def with_copies(P: Array, at: int, rows: Indices, variance: Array) -> Array:
     own = at + np.arange(len(rows))
     P[own, own] += variance
     return P
+
+
+def share_left(change: float, variance: float) -> float:
+    """Return by what a variance is divided if information is added; see `Belief.information_changed`.
+
+    Raises:
+        FilterDivergence: more is taken away than there is.
+    """
+    left = 1.0 + change * variance
+    if not left > 0.0:
+        raise FilterDivergence(f"{-change:.3e} of information can't be taken from a variance of {variance:.3e}")
+    return left
 
 
 def add_normal_equations(Y: Array, observation: Observation, places: Indices) -> Array:

@@ -15,6 +15,7 @@ from uav_vslam.estimation.belief import (
     Update,
     landmark_rows,
     propagated,
+    share_left,
     state_rows,
     with_copies,
 )
@@ -61,6 +62,12 @@ class CovarianceBelief:
         P[:, rows] = 0.0
         P[rows, rows] = variance
         return type(self)(P, self.vehicle)
+
+    def information_changed(self, row: int, change: float) -> tuple[Self, Array]:
+        """P <- P - p p^T change / (1 + change p_row) for the column p of P."""
+        p = self.P[:, row]
+        left = share_left(change, float(p[row]))
+        return type(self)(self.P - np.outer(p, p) * (change / left), self.vehicle), p / left
 
     def information_removed(self, B: Array) -> Self:
         """P <- P + W^T W, W = L^-1 B P with I - B P B^T = L L^T."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.special import chdtrc, chdtri
 
-from uav_vslam.config import ImuConfig, RigConfig
+from uav_vslam.config import EXACT_RIG, ImuConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, Update, VehicleObservation
 from uav_vslam.estimation.h_infinity import bounded
@@ -50,6 +50,7 @@ Mask = NDArray[np.bool_]
 STEREO_DOF = 4
 MIN_VARIANCE_REDUCTION = 1e-6  # share of the prior variance: below it, a direction of the rig is unobserved
 HUBER_PROBABILITY = 0.999  # of a correct observation to keep full weight
+PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,20 @@ class Innovation:
     log_likelihood: float = 0.0
     accepted: bool = True
     downweighted: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DisparityEstimate:
+    """What is known of the disparity's constant error.
+
+    Attributes:
+        mean_px, sigma_px: estimate and standard deviation [px].
+        miscalibrated: probability that the calibration is wrong.
+    """
+
+    mean_px: float
+    sigma_px: float
+    miscalibrated: float
 
 
 class Filter:
@@ -113,7 +128,7 @@ class Filter:
         self._imu, self._gamma = imu, gamma
         self._linear: Linearisation = linearisation or Jacobians()
         self._model: StateModel = MODELS[model]()
-        self._errors = RigErrors(rig, rig_config or RigConfig(rigid_sigma_deg=0.0), self._model.nav_dim)
+        self._errors = RigErrors(rig, rig_config or EXACT_RIG, self._model.nav_dim)
         self.sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
         self._rate_map: Array | None = None  # [rad/s] at the end of the last increment
         self.track_sigma_px = track_sigma_px
@@ -123,6 +138,7 @@ class Filter:
         self.rig_state = RigState()
         self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
         self.landmarks: Array = np.zeros((0, 3))
+        self.miscalibrated = self._errors.disparity_prior.probability
         C = self._model.from_map(initial.state)
         self.belief: Belief = form.from_covariance(self._with_rig_prior(C @ initial.covariance @ C.T))
         self.feasibility = np.inf  # ratio of gamma^2 to the least feasible one of the H-infinity bound
@@ -382,6 +398,30 @@ class Filter:
         along = vectors.T @ self._errors.calibration(self.rig_state)
         known = values > MIN_VARIANCE_REDUCTION
         return float(np.sum(along[known] ** 2 / values[known]))
+
+    def judge_disparity(self) -> None:
+        """Exchange the prior of the disparity's error for what the measurements make of it, see `DisparityPrior`."""
+        if not self._errors.has_disparity:
+            return
+        row, prior, mean = self._errors.disparity.start, self._errors.disparity_variance, self.rig_state.disparity_px
+        variance = float(self.belief.covariance(NO_ROWS)[row, row])
+        self.miscalibrated, now = self._errors.disparity_prior.given(mean, variance, prior=prior)
+        if abs(np.log(now / prior)) < PRIOR_TOLERANCE:
+            return
+        change = 1.0 / now - 1.0 / prior
+        with _stamped(self.nav.stamp_ns):
+            belief, column = self.belief.information_changed(row, change)
+            self._errors = self._errors.with_disparity_variance(now)
+            self.correct(belief, -change * mean * column)
+
+    @property
+    def disparity(self) -> DisparityEstimate | None:
+        """What is known of the disparity's error; None if it is no state."""
+        if not self._errors.has_disparity:
+            return None
+        row = self._errors.disparity.start
+        sigma_px = float(self.belief.covariance(NO_ROWS)[row, row]) ** 0.5
+        return DisparityEstimate(self.rig_state.disparity_px, sigma_px, self.miscalibrated)
 
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
         return self._linear.observation(

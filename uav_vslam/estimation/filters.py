@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filters by name, as `backend.filter` selects them; each works with every state model."""
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 
@@ -28,7 +29,9 @@ BOUNDED = ("uhf", "thesis_uhf")  # filters that use `backend.gamma`
 
 def make_filter(initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig) -> Filter:
     """Return the configured filter."""
-    backend = config.backend
+    backend, rig_config = config.backend, config.rig
+    if is_of_thesis(config):
+        rig_config = dataclasses.replace(rig_config, disparity_sigma_px=0.0)
     return FILTERS[backend.filter](
         initial,
         rig=rig,
@@ -38,7 +41,7 @@ def make_filter(initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig) 
         sigma_px=backend.sigma_px,
         depth_sigma_ratio=backend.depth_sigma_ratio,
         robust=backend.robust,
-        rig_config=config.rig,
+        rig_config=rig_config,
         track_sigma_px=backend.track_sigma_px,
     )
 
@@ -48,6 +51,9 @@ def past_poses(config: VehicleConfig) -> int:
 
     None with the thesis's own filters and states, nor for a flexing rig: a vibration is estimated in its frame only.
     """
-    backend = config.backend
-    without = backend.filter in THESIS or backend.model == "euler9" or config.rig.flexing
-    return 0 if without else backend.window
+    return 0 if is_of_thesis(config) or config.rig.flexing else config.backend.window
+
+
+def is_of_thesis(config: VehicleConfig) -> bool:
+    """Return whether filter or states are those of the thesis, which knows neither disparity errors nor past poses."""
+    return config.backend.filter in THESIS or config.backend.model == "euler9"

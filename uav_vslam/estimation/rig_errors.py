@@ -19,14 +19,17 @@ states. Nor is the attitude of the cameras to the IMU: in simulated flights with
 its estimates were off by up to six of the claimed standard deviations, with 0.1 px they were consistent.
 """
 
+import copy
 import dataclasses
 import itertools
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import RigConfig
+from uav_vslam.estimation.disparity_prior import DisparityPrior
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
@@ -58,6 +61,8 @@ class RigErrors:
         self._rig = rig
         attitude = config.attitude_sigma_deg if config.flexing else config.rigid_sigma_deg
         vibration = config.vibration_sigma_deg if config.flexing else 0.0
+        probability = 0.0 if config.flexing else config.miscalibrated_probability
+        self.disparity_prior = DisparityPrior(config.disparity_sigma_px, config.miscalibrated_sigma_px, probability)
         disparity, time_offset = config.disparity_sigma_px, config.time_offset_sigma_s
         sizes = [3 * (attitude > 0), 3 * (vibration > 0), int(disparity > 0), int(time_offset > 0)]
         ends = first + np.cumsum([0, *sizes])
@@ -68,10 +73,29 @@ class RigErrors:
         self.dim = int(ends[-1]) - first
         self.vibration_variance = float(np.deg2rad(vibration) ** 2)
         self._walk_variance = float(np.deg2rad(config.attitude_walk_deg) ** 2) if config.flexing else 0.0
-        sigma = np.repeat([np.deg2rad(attitude), np.deg2rad(vibration), disparity, time_offset], sizes)
-        self.prior_covariance: Array = np.diag(sigma**2)
+        sigma = np.array([np.deg2rad(attitude), np.deg2rad(vibration), self.disparity_prior.variance**0.5, time_offset])
+        self.prior_covariance: Array = np.diag(np.repeat(sigma, sizes) ** 2)
         if attitude > 0 and not config.flexing:
             self.prior_covariance[:3, :3] = _attitude_covariance(rig, attitude, config.epipolar_sigma_deg)
+
+    @property
+    def has_disparity(self) -> bool:
+        """Whether the disparity's error is a state."""
+        return self.disparity.stop > self.disparity.start
+
+    @property
+    def disparity_variance(self) -> float:
+        """Of the prior in use [px^2]."""
+        row = self.disparity.start - self.rows.start
+        return float(self.prior_covariance[row, row])
+
+    def with_disparity_variance(self, variance: float) -> Self:
+        """Return the same errors with another prior of the disparity [px^2]."""
+        other = copy.copy(self)
+        other.prior_covariance = self.prior_covariance.copy()
+        row = self.disparity.start - self.rows.start
+        other.prior_covariance[row, row] = variance
+        return other
 
     def noise_variance(self, dt_s: float) -> Array:
         """Return (dim,) variance that the random walk adds over a time."""
@@ -97,7 +121,7 @@ class RigErrors:
     def calibration(self, state: RigState) -> Array:
         """Return (K,) the mean in the rows `calibrated`."""
         whole = np.append(state.attitude, state.disparity_px)
-        present = [self.attitude.stop > self.attitude.start] * 3 + [self.disparity.stop > self.disparity.start]
+        present = [self.attitude.stop > self.attitude.start] * 3 + [self.has_disparity]
         return np.asarray(whole[present])
 
     def reset_vibration(self, state: RigState) -> RigState:
@@ -139,7 +163,7 @@ class RigErrors:
             for rows in (self.attitude, self.vibration):
                 if rows.stop > rows.start:
                     H[:, 2:, rows.start - self.rows.start : rows.stop - self.rows.start] = turning
-        if self.disparity.stop > self.disparity.start:
+        if self.has_disparity:
             H[:, 2:, self.disparity.start - self.rows.start] = rig.disparity_axis
         return H
 

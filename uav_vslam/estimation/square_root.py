@@ -7,7 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from uav_vslam.estimation.belief import NO_ROWS, Indices, Marginals, Observation, Update, landmark_rows, state_rows
+from uav_vslam.estimation.belief import (
+    NO_ROWS,
+    Indices,
+    Marginals,
+    Observation,
+    Update,
+    landmark_rows,
+    share_left,
+    state_rows,
+)
 from uav_vslam.numerics import cholesky, inverse_spd, square_root
 
 Array = NDArray[np.float64]
@@ -58,6 +67,13 @@ class SquareRootBelief:
         G = self.G.copy()
         G[rows] = 0.0
         return type(self)(np.hstack([G, fresh]), self.vehicle)
+
+    def information_changed(self, row: int, change: float) -> tuple[Self, Array]:
+        """G <- G (I - a u u^T) with u the row of G: (I - a u u^T)^2 = I - u u^T change / (1 + change u^T u)."""
+        u = self.G[row]
+        length2 = float(u @ u)
+        left, p = share_left(change, length2), self.G @ u
+        return type(self)(self.G - np.outer(p, u) * ((1.0 - left**-0.5) / length2), self.vehicle), p / left
 
     def information_removed(self, B: Array) -> Self:
         BG = B @ self.G[: self.vehicle]

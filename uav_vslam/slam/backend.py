@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.filter import Innovation
+from uav_vslam.estimation.filter import DisparityEstimate, Innovation
 from uav_vslam.estimation.filters import make_filter, past_poses
 from uav_vslam.estimation.observation import projectable
 from uav_vslam.geometry.image_grid import spread
@@ -36,6 +36,7 @@ from uav_vslam.types import (
 
 SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
+JUDGED_AFTER_S = 3.0  # since the start: before, a wrong start velocity looks like a wrong calibration
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
 
@@ -53,6 +54,7 @@ class FrameReport:
         landmarks: landmarks in the state afterwards.
         recovery: why the filter was re-initialised at this frame; empty if it was not.
         rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
+        disparity: its constant error as the filter estimates it; None if it does not.
         closures: associated landmarks that had not been seen for long.
         tracked: stereo points whose track was in the frame before.
         coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
@@ -71,6 +73,7 @@ class FrameReport:
     landmarks: int
     recovery: str = ""
     rig_evidence: float = 0.0
+    disparity: DisparityEstimate | None = None
     closures: int = 0
     tracked: int = 0
     coasted: bool = False
@@ -137,7 +140,7 @@ class SlamBackend:
         """
         self._check_joins(features.stamp_ns, increment)
         known = len(self._map)
-        matches, innovation, closures, evidence = Matches.none(), None, 0, 0.0
+        matches, innovation, closures, evidence, disparity = Matches.none(), None, 0, 0.0, None
         sightings, late, smoothed = np.zeros((0, 2), np.intp), np.zeros((0, 2), np.intp), None
         try:
             if increment is not None:
@@ -146,12 +149,14 @@ class SlamBackend:
             self._window.add_frame(self._filter, features)
             self._window.finish(self._filter, self._map, self._frame, self._new_landmarks)
             matches, innovation, closures = self._correct(features)
+            if self._since_start_s > JUDGED_AFTER_S:
+                self._filter.judge_disparity()
             present = self._window.present(self._filter, self._map)
             self._nav, innovation = present.filter.nav_estimate(), present.innovation or innovation
             sightings = np.vstack([self._sightings(matches), self._track_sightings(present, features)])
             smoothed = self._window.leaving(present.filter)
             self._remove_landmarks()
-            evidence = self._filter.rig_evidence()
+            evidence, disparity = self._filter.rig_evidence(), self._filter.disparity
             known = max(known, self._window.followed)
             recovery = self._health.check(innovation, features=len(features), known=known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
@@ -175,6 +180,7 @@ class SlamBackend:
             landmarks=len(self._map),
             recovery=recovery,
             rig_evidence=evidence,
+            disparity=disparity,
             closures=closures,
             tracked=self._continued(features),
             coasted=increment is not None and associated == 0,
@@ -225,8 +231,12 @@ class SlamBackend:
         )
 
     def _recover(self) -> None:
-        since_s = (self._nav.state.stamp_ns - self._reset_ns) / NS_PER_S
-        self._reset(reinitialised(self._nav, since_s=since_s, imu=self._vehicle_config.imu))
+        self._reset(reinitialised(self._nav, since_s=self._since_start_s, imu=self._vehicle_config.imu))
+
+    @property
+    def _since_start_s(self) -> float:
+        """Time of the newest estimate since the filter was initialised [s]."""
+        return (self._nav.state.stamp_ns - self._reset_ns) / NS_PER_S
 
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""

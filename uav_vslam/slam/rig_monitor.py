@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detects a wrong calibration of a rig that was declared rigid.
 
-A right camera rotated about the disparity axis does not show in the residuals, but a filter with even a small
-calibration uncertainty can test it against the motion, see `Filter.rig_evidence`.
+Neither a right camera that is turned about the disparity axis nor a principal point that is off shows in the residuals,
+but a filter that estimates such errors can test the calibration against the motion: by its estimate of the disparity's
+error, see `DisparityPrior`, and for the rest by `Filter.rig_evidence`.
 """
 
 from scipy.special import chdtri
@@ -11,6 +12,7 @@ from uav_vslam.config import RigConfig
 from uav_vslam.slam.backend import FrameReport
 
 FALSE_ALARM = 1e-8  # probability that a correct rig is said to be contradicted, per frame
+MISCALIBRATED = 0.99  # probability of a wrong calibration
 
 
 class RigMonitor:
@@ -23,11 +25,23 @@ class RigMonitor:
 
     def add(self, report: FrameReport) -> str:
         """Add a frame and return a warning, normally empty, and empty after the first."""
-        if not self._watching or report.rig_evidence < self._contradicted:
+        finding = self._finding(report) if self._watching else ""
+        if not finding:
             return ""
         self._watching = False
-        return (
-            "the motion contradicts the calibration of the cameras "
-            f"(chi-square {report.rig_evidence:.0f} of {self._dof}): recalibrate, or have the error estimated; "
-            "set rig.disparity_sigma_px to 0.2 or more if it is constant, rig.flexing if the rig bends"
-        )
+        return f"the motion contradicts the calibration of the cameras: {finding}"
+
+    def _finding(self, report: FrameReport) -> str:
+        error = report.disparity
+        if error is not None and error.miscalibrated > MISCALIBRATED:
+            return (
+                f"the disparity is off by {error.mean_px:+.2f} px (1 sigma {error.sigma_px:.2f} px), which is now "
+                "estimated: recalibrate, and set rig.miscalibrated_probability to 0.5 until then, or rig.flexing if it "
+                "bends"
+            )
+        if report.rig_evidence > self._contradicted:
+            return (
+                f"chi-square {report.rig_evidence:.0f} of {self._dof}: recalibrate, or have the error estimated; "
+                "set rig.miscalibrated_sigma_px higher if it is constant, rig.flexing if the rig bends"
+            )
+        return ""

@@ -119,6 +119,15 @@ class RigEstimate:
             vibration=self.vibration + vibration if self.vibrates else self.vibration,
         )
 
+    def judged(self, covariance: Array) -> "RigEstimate":
+        """Exchange the prior of the disparity's error, as the filter does, given the (dim, dim) covariance."""
+        if not self.errors.has_disparity:
+            return self
+        row, prior = self.errors.disparity.start - NAV_DIM, self.errors.disparity_variance
+        mean, variance = float(self.constant[row]), float(covariance[row, row])
+        now = self.errors.disparity_prior.given(mean, variance, prior=prior)[1]
+        return dataclasses.replace(self, errors=self.errors.with_disparity_variance(now))
+
     def state(self, row: int) -> RigState:
         """Return the rig's state in one state of the flight."""
         delta = np.concatenate([np.zeros(NAV_DIM), self.lasting * self.constant])

@@ -109,7 +109,7 @@ class _Problem:
         for own, eliminated in batches:
             self.points[own] += eliminated.corrections(steps[:, layout.seen], rig_step, of_points[own])
         self.states = moved(self.states, steps[:, :NAV_DIM])
-        self.rig = self.rig.moved(rig_step, steps[:, NAV_DIM:])
+        self.rig = self.rig.moved(rig_step, steps[:, NAV_DIM:]).judged(factor.border_covariance)
         self.landmarks = self.landmarks + landmark_steps
         decrement = float(np.sum(factor.solution * system.rhs) + factor.border_solution @ system.border_rhs)
         return factor, max(decrement, 0.0) ** 0.5

@@ -28,10 +28,9 @@ from uav_vslam.vision.frontends import make_frontend
 LANDMARKS, RENDERED = "landmark level", "rendered images"
 S_SLAM = "s_slam"
 VARIANTS: dict[str, dict[str, Any]] = {
-    "calibration fixed": {"rig.flexing": False},
+    "calibration judged": {"rig.flexing": False},
     "attitude estimated": {"rig.flexing": True},
-    # what the drawn principal points and attitudes do to the disparity, together, and the drawn clock offset
-    "disparity, clock estimated": {"rig.disparity_sigma_px": 0.4, "rig.time_offset_sigma_s": TIME_OFFSET_S},
+    "doubted, clock estimated": {"rig.miscalibrated_probability": 0.5, "rig.time_offset_sigma_s": TIME_OFFSET_S},
 }
 
 NOTES = {

@@ -18,9 +18,9 @@ from uav_vslam.studies.engine.score_columns import pooled_scores
 INS, S_SLAM = "ins", "s_slam"  # the tracks of interest
 RIGID = "rigid"
 VARIANTS: dict[str, dict[str, object]] = {
-    "calibration fixed": {"rig.flexing": False},
+    "calibration judged": {"rig.flexing": False},
     "attitude estimated": {"rig.flexing": True},
-    "disparity estimated": {"rig.disparity_sigma_px": 0.2},
+    "calibration doubted": {"rig.miscalibrated_probability": 0.5},
 }
 VIBRATIONS_DEG = (0.02, 0.05)  # rms about each axis, new in each frame
 BIASES_DEG = (0.02, 0.05)  # constant, about one axis
