@@ -75,7 +75,7 @@ def track_vehicle(
         config: of the vehicle.
         on_frame: called after each frame.
         keep_features: in the track, for pictures.
-        smoothing: smooth the whole flight afterwards.
+        smoothing: smooth the whole flight afterwards, and the map.
         keep_map: in the track.
 
     Raises:
@@ -121,12 +121,13 @@ def keep_saved_map(pipeline: VehiclePipeline) -> None:
 
 
 def smooth_track(track: VehicleTrack, rig: StereoRig, config: VehicleConfig) -> None:
-    """Add the smoothed poses to a track that keeps its features; without them, why there are none."""
+    """Smooth the poses, and the map if there is one, of a track that keeps its features, or add why it failed."""
     if track.start is None or not track.outputs:
         return
     try:
         flight = FilteredFlight.of_outputs(track.start, track.outputs, track.features)
-        track.smoothed = [estimate.pose for estimate in smooth(flight, rig, config).estimates]
+        found = smooth(flight, rig, config, track.saved_map)
+        track.smoothed, track.saved_map = [estimate.pose for estimate in found.estimates], found.saved_map
     except (FilterDivergence, np.linalg.LinAlgError) as error:
         track.warnings.append(f"the flight could not be smoothed: {error}")
 

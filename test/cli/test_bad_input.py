@@ -308,14 +308,17 @@ def test_a_wrong_override_is_told(setting: str, said: str, good: Path, capsys: p
         (["launch", "FOLDER"], "Is a directory"),
         (["launch", "NEW"], "No such file"),
         (["check", "FOLDER"], "is not a bag"),
+        (["map", "PICTURES"], "it holds pictures, which are joined by: uav-vslam mosaic"),
         (["run", "FOLDER", "--config", "NEW"], "neither a file nor one of ours"),
     ],
 )
 def test_wrong_paths_and_numbers_are_told(
     arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "folder").mkdir()
-    paths = {"FOLDER": str(tmp_path / "folder"), "NEW": str(tmp_path / "new")}
+    for name in ("folder", "pictures"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "pictures" / "DJI_0001.JPG").touch()
+    paths = {name.upper(): str(tmp_path / name) for name in ("folder", "pictures", "new")}
     assert said in refused(capsys, *(paths.get(argument, argument) for argument in arguments))
 
 

@@ -59,6 +59,10 @@ def test_real_pictures_become_a_mosaic(data_root: Path, tmp_path: Path, capsys: 
 def test_a_folder_without_pictures_is_one_line_and_exit_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    (tmp_path / "DJI_0001.MP4").write_bytes(b"video")
     assert main(["mosaic", str(tmp_path), "--results", str(tmp_path / "results")]) == 2
-    assert "holds 0 different pictures" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "holds 0 different pictures" in said
+    assert "not read: DJI_0001.MP4; convert" in said
+    assert len(said.splitlines()) == 1
     assert not (tmp_path / "results").exists()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.smoothing.arrowhead import Arrowhead, factorise, marginal_covariances
+from uav_vslam.smoothing.arrowhead import Arrowhead, covariance_of, factorise, marginal_covariances
 
 TOLERANCE = 1e-10  # rounding, at a condition number of some thousand
 
@@ -39,9 +39,24 @@ def test_solution_and_marginals_equal_those_of_the_dense_system(blocks: int, bor
     assert np.allclose(factor.solution.ravel(), x[:chain], rtol=0, atol=TOLERANCE * np.abs(x).max())
     assert np.allclose(factor.border_solution, x[chain:], rtol=0, atol=TOLERANCE * np.abs(x).max())
     assert np.allclose(factor.border_covariance, P[chain:, chain:], rtol=0, atol=TOLERANCE * P.max())
-    for k, marginal in enumerate(marginal_covariances(factor)):
+    for k, marginal in enumerate(marginal_covariances(factor).blocks):
         here = slice(k * size, (k + 1) * size)
         assert np.allclose(marginal, P[here, here], rtol=0, atol=TOLERANCE * P.max())
+
+
+@pytest.mark.parametrize(("first", "count"), [(0, 5), (1, 3), (4, 1)])
+@pytest.mark.parametrize("border", [0, 4])
+def test_covariance_of_functions_of_some_blocks_equals_the_dense_one(first: int, count: int, border: int) -> None:
+    blocks, size, rows, rng = 5, 6, 7, np.random.default_rng(first + 10 * border)
+    system, H, _ = filled(blocks, size, border, rng)
+    of_blocks, of_border = rng.normal(size=(count, rows, size)), rng.normal(size=(rows, border))
+    A = np.zeros((rows, blocks * size + border))
+    A[:, first * size : (first + count) * size] = np.hstack(list(of_blocks))
+    A[:, blocks * size :] = of_border
+    factor = factorise(system)
+    found = covariance_of(factor, marginal_covariances(factor), first, of_blocks, of_border)
+    dense = A @ np.linalg.inv(H) @ A.T
+    assert np.allclose(found, dense, rtol=0, atol=TOLERANCE * dense.max())
 
 
 def test_the_system_is_not_modified() -> None:

@@ -86,3 +86,9 @@ def test_a_flight_without_features_has_no_points() -> None:
     assert len(found.points) == len(found.landmarks) == 0
     assert found.longest == 1
     assert list(found.by_block(8)) == []
+
+
+def test_a_point_shows_the_landmark_that_it_was_associated_with_most_often() -> None:
+    found = gather(flight([[(7, 4), (8, 0)], [(7, 3), (8, 0)], [(7, 3), (8, 0)]]))
+    assert found.ids.tolist() == [3, 0]
+    assert found.chosen(np.array([False, True])).ids.tolist() == [0]

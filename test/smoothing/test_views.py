@@ -45,7 +45,7 @@ def flight() -> tuple[list[NavState], RigEstimate, Sightings, np.ndarray]:
     rows = np.array([0, 1, 2, 0, 1, 3, 1, 2, 3, 4, 2, 4])
     own = np.array([0, 0, 0, 1, 1, 1, 2, 2, 2, 2, 3, 3])
     pixels = rig.project(cameras(states, perfect).points_left(rows, ground[own])) + rng.normal(0, 0.5, (len(rows), 4))
-    sightings = Sightings(rows, own, pixels, np.array([-1, -1, 0, 0]), True)
+    sightings = Sightings(rows, own, pixels, np.array([-1, -1, 0, 0]), np.zeros(4, int), True)
     points = triangulated(sightings, cameras(states, perfect))
     points[:, 3:] = rng.normal(size=(4, 4)) * [0.2, 0.2, 1e-3, 1e-3]
     wrong = perfect.moved(1e-4 * rng.normal(size=perfect.errors.dim), 1e-4 * rng.normal(size=(STATES, 3)))

@@ -126,10 +126,14 @@ def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, re
     from uav_vslam.evaluation.output import write_json
     from uav_vslam.mapping.pictures import output
     from uav_vslam.mapping.pictures.drawing import PASSES, draw
+    from uav_vslam.report.mosaic_plots import draw_ground, frame_of
 
     folder = results / "map"
     folder.mkdir()
-    overlap = output.overlap_figures(found, folder / "overlap.png")
+    counts = output.overlap_counts(found)
+    overlap = output.overlap_figures(counts, found.surface.raster.cell_m)
+    frame = frame_of(found.placement.scale, north=found.placement.datum is not None)
+    draw_ground(found.surface.grid, counts, found.surface.raster.bounds_m, frame, folder)
     pixel_m = pixel_m or output.pixel_size_m(found.gsd_m, overlap["area_m2"], MOST_PIXELS)
     with progress_bar("drawing", PASSES * len(found.adjusted.used)) as advance:
         drawn = draw(found, pixel_m, folder, on_view=advance)

@@ -42,6 +42,7 @@ from uav_vslam.errors import BagError, one_line
 MESSAGE_PACKAGE = "uav_vslam_msgs"
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 STORAGE_FILES = (".mcap", ".db3", ros1_bag.SUFFIX)
+PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 DATA_SETS = ("mav0", "cam0", "image_0")  # folders inside of EuRoC's and KITTI's
 UNLIMITED = QosTime(9223372036, 854775807)  # how ROS writes "no deadline"
 
@@ -306,6 +307,15 @@ def _require_type(msgtype: str) -> None:
         raise BagError(f"message type {msgtype} is not known; {hint} (searched {_message_folder()})")
 
 
+def _hint(path: Path) -> str:
+    """Return what to do with a path that is no bag, if that is plain."""
+    if any((path / name).is_dir() for name in DATA_SETS):
+        return "; import it: uav-vslam import --help"
+    if path.is_dir() and any(file.suffix.lower() in PICTURES for file in path.iterdir()):
+        return f"; it holds pictures, which are joined by: uav-vslam mosaic {path}"
+    return ""
+
+
 def _files(paths: Sequence[Path]) -> list[Path]:
     """Return the paths to open: bag folders with metadata, or the storage files of those without; all unpacked."""
     files: list[Path] = []
@@ -316,8 +326,9 @@ def _files(paths: Sequence[Path]) -> list[Path]:
             path = unpacked(path)
         files_inside = sorted(p for p in path.iterdir() if p.suffix in STORAGE_FILES) if path.is_dir() else [path]
         if not files_inside or (path.is_file() and path.suffix not in STORAGE_FILES):
-            hint = "; import it: uav-vslam import --help" if any((path / name).is_dir() for name in DATA_SETS) else ""
-            raise BagError(f"{path} is not a bag: no .mcap, .db3 or .bag file; give a bag folder or such a file{hint}")
+            raise BagError(
+                f"{path} is not a bag: no .mcap, .db3 or .bag file; give a bag folder or such a file{_hint(path)}"
+            )
         whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(is_truncated, files_inside))
         files += [path] if whole else files_inside
     return files

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of a map for people: the height as shaded relief, and how many views show each place."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 Bounds = tuple[float, float, float, float]  # west, south, east, north [m]
@@ -18,10 +22,23 @@ STEEPENED = 2.0  # factor of the slopes in the shading
 CONTRAST = 0.8  # of the shading
 DARKEST = 0.35  # part of the colour that is left in the shade
 WIDTH_IN, LEAST_IN, MOST_IN = 10.0, 3.0, 14.0  # of the figure; the height follows the map
+TEXT_PT = 16  # legible where the page is as narrow as a telephone
 SCALE_BAR_SHARE = 0.25  # of the width, at most
 
 
-def height_picture(height: NDArray[np.floating], bounds_m: Bounds) -> Figure | None:
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Names of the axes, and their unit."""
+
+    x: str = "East"
+    y: str = "North"
+    unit: str = "m"
+
+
+MAP = Frame()
+
+
+def height_picture(height: NDArray[np.floating], bounds_m: Bounds, frame: Frame = MAP) -> Figure | None:
     """Return the shaded relief of (rows, columns) heights [m], south first; None if none is known."""
     known = np.isfinite(height)
     if not known.any():
@@ -33,34 +50,47 @@ def height_picture(height: NDArray[np.floating], bounds_m: Bounds) -> Figure | N
     shade = LIGHT.hillshade(np.flipud(level), vert_exag=STEEPENED, dx=cell_m, dy=cell_m, fraction=CONTRAST)
     picture = colours(scale(np.flipud(level)))[..., :3] * (DARKEST + (1.0 - DARKEST) * shade[..., None])
     picture = np.dstack([np.clip(picture, 0.0, 1.0), np.flipud(known)])
-    figure, axes = _figure(bounds_m)
+    figure, axes = _figure(bounds_m, frame)
     axes.imshow(picture, extent=_extent(bounds_m), interpolation="nearest")
-    figure.colorbar(ScalarMappable(scale, colours), ax=axes, label="Height [m]", shrink=0.8, extend="both")
+    _add_colours(figure, axes, ScalarMappable(scale, colours), f"Height [{frame.unit}]", extend="both")
     return figure
 
 
-def overlap_picture(count: NDArray[np.integer], bounds_m: Bounds) -> Figure | None:
+def overlap_picture(
+    count: NDArray[np.integer], bounds_m: Bounds, frame: Frame = MAP, *, label: str = "Views"
+) -> Figure | None:
     """Return the number of views of each cell, (rows, columns), south first; None if there are no views."""
     if count.size == 0 or not count.any():
         return None
-    figure, axes = _figure(bounds_m)
+    figure, axes = _figure(bounds_m, frame)
     shown = np.ma.masked_equal(np.flipud(count), 0)
     drawn = axes.imshow(shown, extent=_extent(bounds_m), interpolation="nearest", cmap=COUNT_COLOURS)
-    figure.colorbar(drawn, ax=axes, label="Views", shrink=0.8)
+    _add_colours(figure, axes, drawn, label, ticks=MaxNLocator(integer=True))
     return figure
 
 
-def _figure(bounds_m: Bounds) -> tuple[Figure, Axes]:
+def _add_colours(figure: Figure, axes: Axes, drawn: ScalarMappable, label: str, **options: Any) -> None:
+    """Add the scale of the colours."""
+    bar = figure.colorbar(drawn, ax=axes, shrink=0.8, **options)
+    bar.set_label(label, size=TEXT_PT)
+    bar.ax.tick_params(labelsize=TEXT_PT)
+
+
+def _figure(bounds_m: Bounds, frame: Frame) -> tuple[Figure, Axes]:
     """Return a figure of the map's shape, with axes of equal scale and a scale bar."""
     west, south, east, north = bounds_m
     height_in = float(np.clip(0.8 * WIDTH_IN * (north - south) / max(east - west, 1e-9) + 1.0, LEAST_IN, MOST_IN))
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     axes = figure.add_subplot()
-    axes.set(xlabel="East [m]", ylabel="North [m]", aspect="equal", xlim=(west, east), ylim=(south, north))
+    axes.set(aspect="equal", xlim=(west, east), ylim=(south, north))
+    axes.set_xlabel(f"{frame.x} [{frame.unit}]", size=TEXT_PT)
+    axes.set_ylabel(f"{frame.y} [{frame.unit}]", size=TEXT_PT)
+    axes.tick_params(labelsize=TEXT_PT)
     length = _round_length(SCALE_BAR_SHARE * (east - west))
     left, bottom = west + 0.03 * (east - west), south + 0.05 * (north - south)
     axes.plot([left, left + length], [bottom, bottom], color="black", linewidth=3, solid_capstyle="butt", zorder=3)
-    axes.annotate(f"{length:g} m", (left + 0.5 * length, bottom), (0, 4), textcoords="offset points", ha="center")
+    text, middle = f"{length:g} {frame.unit}", (left + 0.5 * length, bottom)
+    axes.annotate(text, middle, (0, 4), textcoords="offset points", ha="center", size=TEXT_PT)
     return figure, axes
 
 

@@ -22,7 +22,7 @@ def print_mosaic(figures: Figures, console: Console | None = None) -> None:
 
 def rows(figures: Figures) -> list[tuple[str, str]]:
     """Return the lines of the table."""
-    unit = "m" if figures["scale"] != "none" else "units"
+    unit = unit_of(figures["scale"])
     error, overlap, seam = figures["reprojection_px"], figures["overlap"], figures["seam"]
     lines = [
         ("Pictures used", f"{figures['used']} of {figures['pictures']}"),
@@ -40,6 +40,11 @@ def rows(figures: Figures) -> list[tuple[str, str]]:
     if "gps" in figures:
         lines.insert(5, ("Distance to GPS, median", f"{figures['gps']['median_m']:.1f} m"))
     return lines
+
+
+def unit_of(scale: str) -> str:
+    """Return the unit of lengths of a mosaic, whose scale comes from GPS, the height, or nothing."""
+    return "units" if scale == "none" else "m"
 
 
 def _focal(camera: Figures) -> str:

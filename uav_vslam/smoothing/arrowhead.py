@@ -106,23 +106,60 @@ def factorise(system: Arrowhead) -> Factor:
     return Factor(own, on_next, on_border, solution, border_solution, border_covariance)
 
 
-def marginal_covariances(factor: Factor) -> Array:
-    """Return (N, n, n) covariances of the blocks, each including what all others contribute."""
+@dataclass(frozen=True, slots=True)
+class Marginals:
+    """Covariances, each including what all other variables contribute.
+
+    Attributes:
+        blocks: (N, n, n) of each block.
+        with_border: (N, n, m) of each block with the border.
+    """
+
+    blocks: Array
+    with_border: Array
+
+
+def marginal_covariances(factor: Factor) -> Marginals:
+    """Return the covariances of the blocks."""
     blocks, size, border = factor.on_border.shape
-    P = np.empty((blocks, size, size))
-    with_border = np.zeros((size, border))  # covariance of the block after with the border
+    P, with_border = np.empty((blocks, size, size)), np.empty((blocks, size, border))
     for k in reversed(range(blocks)):
         # W = L^-T [on_next, on_border] maps the variables eliminated later onto this block, with a minus
         later, P_later = factor.on_border[k], factor.border_covariance
         if k + 1 < blocks:
             later = np.hstack([factor.on_next[k], later])
-            P_later = np.block([[P[k + 1], with_border], [with_border.T, P_later]])
+            P_later = np.block([[P[k + 1], with_border[k + 1]], [with_border[k + 1].T, P_later]])
         W = _backward(factor.own[k], later)
         L_inverse = _forward(factor.own[k], np.eye(size))
         moved = W @ P_later
         P[k] = symmetrise(L_inverse.T @ L_inverse + moved @ W.T)
-        with_border = -moved[:, moved.shape[1] - border :]
-    return P
+        with_border[k] = -moved[:, moved.shape[1] - border :]
+    return Marginals(P, with_border)
+
+
+def covariance_of(factor: Factor, marginals: Marginals, first: int, of_blocks: Array, of_border: Array) -> Array:
+    """Return the (r, r) covariance of linear functions of successive blocks and the border.
+
+    Block after block is replaced by the ones after it, x_k = -L^-T (on_next x_k+1 + on_border y) + L^-T n with n white,
+    until the last one and the border are left, whose covariance is known.
+
+    Args:
+        factor, marginals: of the system.
+        first: block that `of_blocks` begins with.
+        of_blocks: (K, r, n) rows of the functions by each of K > 0 blocks.
+        of_border: (r, m) the same by the border.
+    """
+    last = first + len(of_blocks) - 1
+    A, of_border = of_blocks[0], of_border.copy()
+    P = np.zeros((len(A), len(A)))
+    for k in range(first, last):
+        white = _forward(factor.own[k], A.T).T
+        P += white @ white.T
+        A = of_blocks[k + 1 - first] - white @ factor.on_next[k]
+        of_border -= white @ factor.on_border[k]
+    cross = A @ marginals.with_border[last] @ of_border.T
+    P += A @ marginals.blocks[last] @ A.T + cross + cross.T + of_border @ factor.border_covariance @ of_border.T
+    return symmetrise(P)
 
 
 def _back_substituted(own: Array, on_next: Array, on_border: Array, forward: Array, border: Array) -> Array:

@@ -33,6 +33,7 @@ class Sightings:
         points: (M,) row of the point, ascending.
         pixels: (M, 4) stereo pixels.
         landmarks: (P,) row of the revisited landmark that a point shows; -1 for nearly all.
+        ids: (P,) the filter's identifier of the landmark that a point shows; 0 for none.
         tracked: the points are tracked from frame to frame, not detected afresh in each.
     """
 
@@ -40,6 +41,7 @@ class Sightings:
     points: Rows
     pixels: Array
     landmarks: Rows
+    ids: Rows
     tracked: bool
 
     @property
@@ -64,7 +66,12 @@ class Sightings:
             first, last = np.searchsorted(blocks, [block, block + 1]).tolist()
             seen, own = slice(ends[first], ends[last]), slice(first, last)
             part = Sightings(
-                self.states[seen], self.points[seen] - first, self.pixels[seen], self.landmarks[own], self.tracked
+                self.states[seen],
+                self.points[seen] - first,
+                self.pixels[seen],
+                self.landmarks[own],
+                self.ids[own],
+                self.tracked,
             )
             yield block, own, part
 
@@ -73,7 +80,8 @@ class Sightings:
         rows = keep[self.points]
         number = np.cumsum(keep) - 1
         landmarks = _renumbered(self.landmarks[keep])
-        return Sightings(self.states[rows], number[self.points[rows]], self.pixels[rows], landmarks, self.tracked)
+        points = number[self.points[rows]]
+        return Sightings(self.states[rows], points, self.pixels[rows], landmarks, self.ids[keep], self.tracked)
 
     def untied(self, landmarks: Rows) -> "Sightings":
         """Return the same points, of which none shows these landmarks."""
@@ -103,9 +111,10 @@ def gather(flight: FilteredFlight) -> Sightings:
     number = np.empty(count, np.intp)
     number[np.argsort(first, kind="stable")] = np.arange(count)
     order = np.argsort(number[points], kind="stable")
-    ordered = np.empty(count, np.intp)
-    ordered[number] = landmarks
-    sightings = Sightings(states[order], number[points][order], pixels[order], ordered, bool((labels > 0).any()))
+    ordered, shown = np.empty(count, np.intp), np.empty(count, np.intp)
+    ordered[number], shown[number] = landmarks, _shown(points, ids, count)
+    tracked = bool((labels > 0).any())
+    sightings = Sightings(states[order], number[points][order], pixels[order], ordered, shown, tracked)
     repeated = np.bincount(sightings.points, minlength=count) > 1
     return sightings.chosen(repeated | (ordered >= 0))
 
@@ -138,6 +147,16 @@ def _segments(labels: Rows, states: Rows) -> Rows:
     stretch = np.cumsum(np.append(False, apart))
     part = (states - states[starts][stretch]) // MAX_SPAN
     return np.cumsum(np.append(False, apart | (np.diff(part) != 0)))
+
+
+def _shown(points: Rows, ids: Rows, count: int) -> Rows:
+    """Return (P,) the landmark that each point was associated with most often; 0 for none."""
+    seen = ids > 0
+    pairs, times = np.unique(np.column_stack([points[seen], ids[seen]]), axis=0, return_counts=True)
+    shown = np.zeros(count, np.intp)
+    rising = np.argsort(times, kind="stable")
+    shown[pairs[rising, 0]] = pairs[rising, 1]  # of several, the last one counts
+    return shown
 
 
 def _revisited(points: Rows, states: Rows, ids: Rows, count: int) -> Rows:

@@ -14,10 +14,12 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.propagation import NAV_DIM
-from uav_vslam.smoothing.arrowhead import Arrowhead, Factor, factorise, marginal_covariances
+from uav_vslam.slam.saved_map import SavedMap
+from uav_vslam.smoothing.arrowhead import Arrowhead, Factor, Marginals, factorise, marginal_covariances
 from uav_vslam.smoothing.cameras import Cameras, PixelNoise, RigEstimate
 from uav_vslam.smoothing.chain import add_motion, add_rig, add_start, fill_up, moved
 from uav_vslam.smoothing.flight import FilteredFlight
+from uav_vslam.smoothing.landmarks import PointErrors, smoothed_map
 from uav_vslam.smoothing.layout import Layout
 from uav_vslam.smoothing.points import fitting, residual_px, revisited, tie_sigma_m, ties, triangulated, wrongly_tied
 from uav_vslam.smoothing.sightings import Sightings, gather
@@ -45,6 +47,7 @@ class Smoothed:
         points, dropped: used, and refused by the gate.
         landmarks: seen again after long, that close loops.
         noise: of the pixels, as measured.
+        saved_map: the filter's map with its landmarks smoothed; None if none was given.
     """
 
     estimates: tuple[NavEstimate, ...]
@@ -53,6 +56,28 @@ class Smoothed:
     dropped: int
     landmarks: int
     noise: PixelNoise
+    saved_map: SavedMap | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A step of Gauss-Newton that was taken, with the normal equations before it.
+
+    Attributes:
+        decrement: Newton decrement.
+        layout, factor: of the normal equations.
+        sightings, batches: of the points, and these eliminated.
+    """
+
+    decrement: float
+    layout: Layout
+    factor: Factor
+    sightings: Sightings
+    batches: list[tuple[slice, Eliminated]]
+
+    def point_errors(self, marginals: Marginals) -> PointErrors:
+        """Return the errors of the points."""
+        return PointErrors(self.sightings, self.batches, self.layout, self.factor, marginals)
 
 
 class _Problem:
@@ -92,8 +117,8 @@ class _Problem:
         self.noise = dataclasses.replace(self.noise, cut=CUT)
         self.keep(fitting(self.sightings, cameras, self.points, self.noise, probability=GATE_PROBABILITY))
 
-    def step(self) -> tuple[Factor, float]:
-        """Take a step; return the factors of the normal equations before it, and its Newton decrement."""
+    def step(self) -> _Step:
+        """Take a step."""
         layout = self.layout
         system = Arrowhead.zeros(layout.blocks, layout.size * layout.stride, layout.border)
         add_start(system, self._flight.start, self.states[0])
@@ -112,7 +137,7 @@ class _Problem:
         self.rig = self.rig.moved(rig_step, steps[:, NAV_DIM:]).judged(factor.border_covariance)
         self.landmarks = self.landmarks + landmark_steps
         decrement = float(np.sum(factor.solution * system.rhs) + factor.border_solution @ system.border_rhs)
-        return factor, max(decrement, 0.0) ** 0.5
+        return _Step(max(decrement, 0.0) ** 0.5, layout, factor, self.sightings, batches)
 
     @property
     def layout(self) -> Layout:
@@ -152,13 +177,16 @@ class _Problem:
         return Cameras(self.states, np.einsum("nij,nj->ni", R, rates), self.rig)
 
 
-def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> Smoothed:
+def smooth(
+    flight: FilteredFlight, rig: StereoRig, config: VehicleConfig, saved_map: SavedMap | None = None
+) -> Smoothed:
     """Smooth a flight.
 
     Args:
         flight: measurements, and estimates to start from.
         rig: calibration; its errors are estimated with the filter's priors.
         config: of the vehicle; `backend.sigma_px` counts only where points are too few to measure it.
+        saved_map: the filter's map, to be smoothed too.
 
     Raises:
         FilterDivergence: the normal equations are not positive definite, or the steps did not settle.
@@ -168,16 +196,25 @@ def smooth(flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> Smo
     for step in range(1, MAX_STEPS + 1):
         if step == GATED_AFTER + 1:
             problem.gate()
-        factor, decrement = problem.step()
-        if decrement < SETTLED and step > GATED_AFTER and not problem.untie():
+        last = problem.step()
+        if last.decrement < SETTLED and step > GATED_AFTER and not problem.untie():
             break
-    if not decrement < LOST:
-        raise FilterDivergence(f"after {step} steps the smoothed states still moved by {decrement:.1f} sigma")
-    P, layout = marginal_covariances(factor), problem.layout
+    if not last.decrement < LOST:
+        raise FilterDivergence(f"after {step} steps the smoothed states still moved by {last.decrement:.1f} sigma")
+    marginals = marginal_covariances(last.factor)
     estimates = []
     for row in flight.state_rows.tolist():
-        block, own = layout.place(row)
-        estimates.append(NavEstimate(problem.states[row], P[block, own, own].copy()))
+        block, own = last.layout.place(row)
+        estimates.append(NavEstimate(problem.states[row], marginals.blocks[block, own, own].copy()))
+    if saved_map is not None:
+        end_ns, positions = estimates[-1].state.stamp_ns, problem.points[:, :3]
+        saved_map = smoothed_map(saved_map, positions, last.point_errors(marginals), stamp_ns=end_ns)
     return Smoothed(
-        tuple(estimates), step, len(problem.points), found - len(problem.points), len(problem.landmarks), problem.noise
+        tuple(estimates),
+        step,
+        points=len(problem.points),
+        dropped=found - len(problem.points),
+        landmarks=len(problem.landmarks),
+        noise=problem.noise,
+        saved_map=saved_map,
     )

@@ -48,6 +48,7 @@ def mosaic(tmp_path: Path) -> Path:
     image = Image.fromarray(np.full((40, 60, 3), 90, np.uint8))
     image.save(folder / "map" / "orthomosaic.jpg")
     image.save(folder / "map" / "overlap.png")
+    image.save(folder / "map" / "height.png")
     return folder
 
 
@@ -55,13 +56,26 @@ def test_the_page_shows_picture_quality_and_what_was_left_out(mosaic: Path) -> N
     page = write_page([mosaic])
     content = page.read_text(encoding="utf-8")
     assert page == mosaic / "report.html"
-    assert content.count("data:image/jpeg;base64,") == 2
+    assert content.count("data:image/jpeg;base64,") == 3
     assert "<h1>field_mosaic</h1>" in content
     assert "2 of 3 pictures, 60x40 px" in content
     for told in ("0.14 px (0.29 px)", "573.2 ± 8.3 px", "0.1740 units", "scale is arbitrary", "<td>a.jpg</td>"):
         assert told in content, told
+    assert "x [units]" in content
     assert "copies of other files: &lt;c&gt;.jpg" in content
     assert "<td>&lt;lost&gt;.jpg</td><td>left out</td>" in content
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"scale": "gps", "gps": {"median_m": 1.0}}, "North up."),
+        ({"scale": "height", "gps": {"median_m": 1.0}}, "North up."),
+        ({"scale": "height"}, "the direction of north is not known"),
+    ],
+)
+def test_north_is_up_wherever_there_is_gps(changes: dict[str, object], said: str, tmp_path: Path) -> None:
+    assert said in write_page([write_mosaic(tmp_path / "field", **changes)]).read_text(encoding="utf-8")
 
 
 def test_a_missing_picture_is_told(tmp_path: Path) -> None:

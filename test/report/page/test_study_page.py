@@ -13,7 +13,7 @@ from uav_vslam.report.page import study_page
 from uav_vslam.report.page.page import write_page
 
 ROWS = [
-    {"method": "a & b", "condition": "still", "end_rms_m": 1.2345, "runs": 3, "nees": None, "table": "First"},
+    {"method": "a & b", "condition": "still", "end_rms_m": 1.2345, "runs": 3, "nees": None, "table": "first of two"},
     {"method": "c", "condition": "wind", "end_rms_m": 1234.5, "runs": 4, "nees": 1e-9, "table": "Second"},
     {"method": "d", "condition": "wind", "other": True, "table": "Second"},
 ]
@@ -31,7 +31,7 @@ def test_the_page_of_a_study_has_its_tables_notes_and_pictures(tmp_path: Path) -
     page = write_page([folder])
     text = page.read_text()
     for expected in (
-        "First",
+        "First of two</h2>",
         "Second",
         "a &amp; b",
         "1.23",

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.mapping.raster import Raster
-from uav_vslam.studies.orthomosaic.displacement import displacements
+from uav_vslam.studies.orthomosaic.displacement import Displacements, displacements
 
 RASTER = Raster(0.1, -300, 50, 800, 300)
 SEEN = np.ones(RASTER.shape, bool)
@@ -31,6 +31,18 @@ def test_a_shifted_picture_has_its_shift_as_error_and_none_after_a_rigid_fit() -
     assert found.rms_m() == pytest.approx(np.hypot(0.33, 0.21), abs=0.01)
     assert found.rigid_rms_m() < 0.01
     assert found.brightness == pytest.approx(0.8, abs=0.01)
+
+
+def test_the_heading_is_removed_about_the_start_and_a_shift_is_not() -> None:
+    start, yaw = np.array([200.0, -50.0]), 0.004
+    points = np.random.default_rng(1).uniform(0.0, 100.0, (20, 2))
+    R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    turned = (points - start) @ R.T + start - points
+    for shift_m in (0.0, 1.0):
+        outward = shift_m * (points - start) / np.linalg.norm(points - start, axis=1)[:, None]
+        found = Displacements(points, turned + outward @ R.T, np.ones(20), 20, start)
+        assert found.start_yaw_rms_m() == pytest.approx(shift_m, abs=1e-9)
+        assert found.rms_m() > 0.5
 
 
 @pytest.mark.slow

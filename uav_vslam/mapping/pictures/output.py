@@ -5,12 +5,12 @@ import csv
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.geodetic import to_geodetic
 from uav_vslam.mapping.orthomosaic.seams import Seams
-from uav_vslam.mapping.pictures.overlap import overlap_picture, view_counts
+from uav_vslam.mapping.pictures.overlap import view_counts
 from uav_vslam.mapping.pictures.procedure import cameras_of
 from uav_vslam.mapping.pictures.reconstruction import Reconstruction
 from uav_vslam.mapping.pictures.views import PictureViews
@@ -62,17 +62,17 @@ def camera_figures(found: Reconstruction) -> Figures:
     return cameras
 
 
-def overlap_figures(found: Reconstruction, path: Path | None = None) -> Figures:
-    """Return how often the ground is seen, and draw it into a file."""
+def overlap_counts(found: Reconstruction) -> NDArray[np.uint16]:
+    """Return (rows, columns) numbers of pictures that show each cell of the surface, south first."""
     views = PictureViews(found.pictures, found.adjusted)
-    numbers = found.adjusted.used.tolist()
-    counts = view_counts(found.surface, ((views.camera(k), views.pose(k)) for k in numbers))
-    if path is not None:
-        cv2.imwrite(str(path), overlap_picture(counts))
+    return view_counts(found.surface, ((views.camera(k), views.pose(k)) for k in found.adjusted.used.tolist()))
+
+
+def overlap_figures(counts: NDArray[np.uint16], cell_m: float) -> Figures:
+    """Return how often the ground is seen."""
     seen = counts[counts > 0]
-    area = float(len(seen)) * found.surface.raster.cell_m**2
     return {
-        "area_m2": area,
+        "area_m2": float(len(seen)) * cell_m**2,
         "mean_views": float(seen.mean()) if len(seen) else 0.0,
         "share_twice": float((seen >= 2).mean()) if len(seen) else 0.0,
     }

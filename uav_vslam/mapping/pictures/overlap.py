@@ -3,7 +3,6 @@
 
 from collections.abc import Iterable
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,11 +22,3 @@ def view_counts(surface: PointSurface, cameras: Iterable[tuple[PinholeCamera, Po
         pixels = camera.project(inside)
         counts += ((pixels >= 0.0) & (pixels <= [camera.width - 1, camera.height - 1])).all(axis=-1)
     return counts
-
-
-def overlap_picture(counts: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Return the (rows, columns, 3) BGR picture of counts, north up: one view dark, ten or more bright, none white."""
-    level = np.clip(counts.astype(float) / 10.0, 0.0, 1.0)
-    picture = cv2.applyColorMap(np.rint(255 * level).astype(np.uint8), cv2.COLORMAP_CIVIDIS)
-    picture[counts == 0] = 255
-    return np.asarray(picture[::-1])

@@ -53,7 +53,8 @@ def read_folder(folder: Path, *, focal_px: float | None = None) -> Folder:
     if len(pictures) < FEWEST:
         raise PictureError(
             f"{folder} holds {len(pictures)} different pictures ({', '.join(sorted(SUFFIXES))}) that can be read; "
-            f"a mosaic needs {FEWEST} or more" + "".join(f"; {text}" for text in _left_out(unreadable, copies, below))
+            f"a mosaic needs {FEWEST} or more"
+            + "".join(f"; {text}" for text in [*_left_out(unreadable, copies, below), *_of_other_kinds(folder)])
         )
     table = folder / TABLE
     positions = read_positions(table) if table.is_file() else {}
@@ -171,6 +172,14 @@ def _left_out(unreadable: Sequence[Path], copies: Sequence[Path], below: Sequenc
         yield f"left out, copies of other files: {listed([path.name for path in copies])}"
     if below:
         yield f"not taken, pictures in the folders {listed([path.name for path in below])}; name one of these to use it"
+
+
+def _of_other_kinds(folder: Path) -> Iterator[str]:
+    """Name what is neither picture nor table, such as raw images and videos, where pictures are missing."""
+    others = [path.name for path in sorted(folder.iterdir()) if path.is_file() and path.suffix.lower() not in SUFFIXES]
+    others = [name for name in others if name != TABLE and not name.startswith(".")]
+    if others:
+        yield f"not read: {listed(others)}; convert raw images or the frames of a video to JPEG first"
 
 
 def _unnamed(rows: dict[str, Row], pictures: Sequence[Picture]) -> Iterator[str]:

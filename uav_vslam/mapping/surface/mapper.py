@@ -154,7 +154,7 @@ class SurfaceMapper:
         if pair is None:
             self.refused["geometry"] += 1
             return
-        points = match(pair, settings)
+        points = match(pair, settings).above(searched.low_m)  # whole steps of disparities reach further
         started = self._count("match", started)
         if points.share < LEAST_SHARE:
             self.refused["few matches"] += 1

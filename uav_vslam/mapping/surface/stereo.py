@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dense matching of a rectified pair: semi-global matching [hirschmuller08] by OpenCV."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import cv2
@@ -47,6 +48,12 @@ class PairPoints:
     noise_m: float
     pose_m: float
     share: float
+
+    def above(self, low_m: float) -> "PairPoints":
+        """Return the points that are not below a height [m]: a disparity near that of infinity is far away."""
+        kept = self.points_map[:, 2] >= low_m
+        share = self.share * float(kept.mean()) if len(kept) else 0.0
+        return dataclasses.replace(self, points_map=self.points_map.T[:, kept].T, share=share)
 
 
 def match(pair: RectifiedPair, settings: SurfaceSettings) -> PairPoints:

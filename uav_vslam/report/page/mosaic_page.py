@@ -7,15 +7,22 @@ from pathlib import Path
 from typing import Any
 
 from uav_vslam.errors import UavVslamError
-from uav_vslam.report.mosaic_table import rows
+from uav_vslam.report.mosaic_table import rows, unit_of
 from uav_vslam.report.page.flight import read_json
 from uav_vslam.report.page.html import Markup, section, table, tag
 from uav_vslam.report.page.map_folder import MAP, ORTHOMOSAICS
 from uav_vslam.report.page.pictures import figure, photograph
 
 MOSAIC, POSES = "mosaic.json", "poses.csv"
-PICTURE_BYTES = {"orthomosaic": 3_000_000, "overlap": 400_000}
-COLUMNS = ("picture", "x_m", "y_m", "z_m", "points", "reprojection_px")  # of the table of poses that are shown
+PICTURE_BYTES = {"orthomosaic": 3_000_000, "height": 400_000, "overlap": 400_000}
+COLUMNS = {  # of the table of poses, with their titles
+    "picture": "Picture",
+    "x_m": "x [{unit}]",
+    "y_m": "y [{unit}]",
+    "z_m": "z [{unit}]",
+    "points": "Points",
+    "reprojection_px": "Reprojection error [px]",
+}
 
 
 def is_mosaic(folder: Path) -> bool:
@@ -33,9 +40,10 @@ def mosaic_sections(folder: Path) -> tuple[dict[str, Any], list[Markup]]:
     quality = _quality(tree, folder)
     mosaic = _picture(folder / MAP, ORTHOMOSAICS, "The mosaic", PICTURE_BYTES["orthomosaic"])
     overlap = _picture(folder / MAP, ("overlap.png",), "Pictures that show each place", PICTURE_BYTES["overlap"])
+    height = _picture(folder / MAP, ("height.png",), "Height of the surface", PICTURE_BYTES["height"])
     sections = [
         section("orthomosaic", "Orthomosaic", mosaic, text=_frame(tree)),
-        section("quality", "Quality", _warnings(tree), tag("div", quality, overlap, class_="cells")),
+        section("quality", "Quality", _warnings(tree), quality, tag("div", overlap, height, class_="cells")),
         section("pictures", "Pictures", _pictures(folder / POSES, tree)),
     ]
     return tree, sections
@@ -44,7 +52,7 @@ def mosaic_sections(folder: Path) -> tuple[dict[str, Any], list[Markup]]:
 def _frame(tree: dict[str, Any]) -> str:
     if tree["scale"] == "none":
         return "The scale is arbitrary: one unit is a hundredth of the flight's height."
-    return "North up." if tree["scale"] == "gps" else "Lengths in metres; the direction of north is not known."
+    return "North up." if "gps" in tree else "Lengths in metres; the direction of north is not known."
 
 
 def _picture(folder: Path, names: Sequence[str], text: str, most_bytes: int) -> Markup:
@@ -75,4 +83,5 @@ def _pictures(path: Path, tree: dict[str, Any]) -> Markup:
     except (OSError, ValueError, KeyError, csv.Error) as error:
         raise UavVslamError(f"{path} can't be read ({error}); make the mosaic again") from None
     left_out = [[name, "left out", *[""] * (len(COLUMNS) - 2)] for name in tree["left_out"]]
-    return table(COLUMNS, [*poses, *left_out], caption="Positions and errors of the pictures")
+    titles = [title.format(unit=unit_of(tree["scale"])) for title in COLUMNS.values()]
+    return table(titles, [*poses, *left_out], caption="Positions and errors of the pictures")

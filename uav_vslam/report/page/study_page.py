@@ -27,7 +27,7 @@ def study_sections(folder: Path) -> tuple[dict[str, Any], list[Markup]]:
     """
     tree = read_json(folder / STUDY)
     sections = [
-        section(f"table-{k}", heading or "Results", _table(rows, heading or tree["study"]))
+        section(f"table-{k}", heading[:1].upper() + heading[1:] or "Results", _table(rows, heading or tree["study"]))
         for k, (heading, rows) in enumerate(tables_of(tree).items(), 1)
         if rows
     ]

@@ -198,7 +198,8 @@ COLUMNS: dict[str, str] = {
     # pictures of the ground
     "place_rms_m": "distance between where the picture shows ground and where it is",
     "place_worst_m": "the same, worst run",
-    "place_rigid_rms_m": "the same after the best rigid motion in the plane",
+    "place_start_yaw_rms_m": "that distance after the best rotation about the flight's start",
+    "place_rigid_rms_m": "that distance after the best rigid motion in the plane",
     "place_rigid_worst_m": "the same, worst run",
     "found_share": "of the patches, found in the true picture",
     "brightness_spread": "standard deviation of the patches' brightness over the truth's",

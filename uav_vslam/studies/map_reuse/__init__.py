@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="also over rendered ground (default 3; 0: none)",
     )
+    parser.add_argument("--no-smoothing", action="store_true", help="the map is the filter's, not smoothed afterwards")
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
@@ -28,7 +29,15 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
     rendered = [seeds[0] + k for k in range(args.rendered_seeds)] if seeds else []
     advance = progress(len(seeds) + len(rendered))
-    rows = study_rows(seeds, rendered, frames=args.frames, workers=args.workers, imu=args.imu, on_job=advance)
+    rows = study_rows(
+        seeds,
+        rendered,
+        frames=args.frames,
+        workers=args.workers,
+        imu=args.imu,
+        smoothing=not args.no_smoothing,
+        on_job=advance,
+    )
     return Findings(rows, NOTES)
 
 

@@ -94,12 +94,13 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One seed, at landmark level or over rendered ground, with an inertial unit of a grade."""
+    """One seed: at landmark level or over rendered ground, grade of the inertial unit, whether the map is smoothed."""
 
     seed: int
     frames: int
     imu: str = DEFAULT_IMU
     rendered: bool = False
+    smoothing: bool = True
 
 
 def study_rows(
@@ -109,13 +110,17 @@ def study_rows(
     frames: int,
     workers: int,
     imu: str = DEFAULT_IMU,
+    smoothing: bool = True,
     on_job: Callable[[], None] = lambda: None,
 ) -> list[Row]:
     """Fly all seeds and return the table."""
     rows: list[Row] = []
     for condition, jobs in (
-        (f"landmark level, 1 px, {imu}", [Job(seed, frames, imu) for seed in seeds]),
-        (f"rendered images, 480x360, {imu}", [Job(seed, frames, imu, rendered=True) for seed in rendered]),
+        (f"landmark level, 1 px, {imu}", [Job(seed, frames, imu, smoothing=smoothing) for seed in seeds]),
+        (
+            f"rendered images, 480x360, {imu}",
+            [Job(seed, frames, imu, rendered=True, smoothing=smoothing) for seed in rendered],
+        ),
     ):
         runs = list(in_pool(run_seed, jobs, workers, on_job))
         rows += _rows(condition, runs) if runs else []
@@ -132,8 +137,9 @@ def run_seed(job: Job) -> list[Flight]:
     config = dataclasses.replace(config, imu=scenario.imu_config)
     vehicles = simulate_fleet(scenario)
     sources = _sources(vehicles, rendered=job.rendered)
-    mapping = track_vehicle(sources[0], config, keep_map=True)
+    mapping = track_vehicle(sources[0], config, keep_map=True, smoothing=job.smoothing)
     assert mapping.saved_map is not None
+    assert bool(mapping.smoothed) == job.smoothing, mapping.warnings
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "map.npz"
         save_map(mapping.saved_map, path)
@@ -191,7 +197,7 @@ class MapErrors:
     @staticmethod
     def of(vehicle: SimulatedVehicle, track: VehicleTrack) -> "MapErrors":
         """Return those of a track."""
-        poses = [output.report.pose for output in track.outputs]
+        poses = track.smoothed or [output.report.pose for output in track.outputs]
         return MapErrors(
             [pose.T_map_body for pose in poses], [vehicle.true_state(pose.stamp_ns).T_map_body for pose in poses]
         )

@@ -166,6 +166,7 @@ def _row(method: str, condition: str, runs: Sequence[Measured]) -> Row:
     row |= {
         "place_rms_m": rms([e.rms_m() for e in errors]),
         "place_worst_m": max((e.rms_m() for e in errors), default=None),
+        "place_start_yaw_rms_m": rms([e.start_yaw_rms_m() for e in errors]),
         "place_rigid_rms_m": rms([e.rigid_rms_m() for e in errors]),
         "place_rigid_worst_m": max((e.rigid_rms_m() for e in errors), default=None),
         "found_share": mean([len(e.points) / max(e.patches, 1) for e in errors]),

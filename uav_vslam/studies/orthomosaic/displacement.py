@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.alignment import align_yaw
+from uav_vslam.evaluation.alignment import align_start_yaw, align_yaw
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.vision.patch_shift import patch_shift
 
@@ -36,12 +37,14 @@ class Displacements:
         errors: (N, 2) of the picture's x, y [m].
         brightness: (N,) mean of the patch over the truth's.
         patches: number of all patches.
+        start: (2,) x, y of the flight's start, as the picture has it [m].
     """
 
     points: Array
     errors: Array
     brightness: Array
     patches: int
+    start: Array
 
     @property
     def any_found(self) -> bool:
@@ -54,10 +57,21 @@ class Displacements:
 
     def rigid_rms_m(self) -> float:
         """Return the same after the best rigid motion in the plane [m]."""
-        truth = np.pad(self.points, ((0, 0), (0, 1)))
-        drawn = np.pad(self.points + self.errors, ((0, 0), (0, 1)))
-        rest = align_yaw(drawn, truth).apply(drawn) - truth
+        return self._rms_m(align_yaw(_in_space(self.points + self.errors), _in_space(self.points)))
+
+    def start_yaw_rms_m(self) -> float:
+        """Return the same after the best rotation about the start [m]."""
+        with_start = [np.vstack([self.start, points]) for points in (self.points + self.errors, self.points)]
+        return self._rms_m(align_start_yaw(*map(_in_space, with_start)))
+
+    def _rms_m(self, T_truth_drawn: Pose) -> float:
+        rest = T_truth_drawn.apply(_in_space(self.points + self.errors)) - _in_space(self.points)
         return float(np.sqrt(np.mean(np.sum(rest**2, axis=1))))
+
+
+def _in_space(points: Array) -> Array:
+    """Return (N, 3) points of height zero."""
+    return np.pad(points, ((0, 0), (0, 1)))
 
 
 def displacements(
@@ -96,7 +110,8 @@ def displacements(
             errors.append(found[0])
             brightness.append(found[1])
     moved = np.array(errors).reshape(-1, 2)
-    return Displacements(np.array(points).reshape(-1, 2) - moved, moved, np.array(brightness), len(corners))
+    points_true = np.array(points).reshape(-1, 2) - moved
+    return Displacements(points_true, moved, np.array(brightness), len(corners), np.array(start))
 
 
 def _displacement(

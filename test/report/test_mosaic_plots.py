@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plots of a mosaic name directions and units only as far as they are known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_vslam.report.height_picture import height_picture, overlap_picture
+from uav_vslam.report.mosaic_plots import draw_ground, frame_of
+
+BOUNDS = (-10.0, -5.0, 10.0, 5.0)
+HEIGHT = np.add.outer(np.arange(10.0), np.arange(20.0))
+
+
+@pytest.mark.parametrize(
+    ("scale", "north", "x", "unit"),
+    [
+        ("none", False, "x", "units"),
+        ("height", False, "x", "m"),
+        ("height", True, "East", "m"),
+        ("gps", True, "East", "m"),
+    ],
+)
+def test_axes_are_named_as_far_as_they_are_known(scale: str, north: bool, x: str, unit: str) -> None:
+    figure = height_picture(HEIGHT, BOUNDS, frame_of(scale, north=north))
+    assert figure is not None
+    ground, colours = figure.axes
+    assert (ground.get_xlabel(), colours.get_ylabel()) == (f"{x} [{unit}]", f"Height [{unit}]")
+    assert [text.get_text().split()[1] for text in ground.texts] == [unit]  # of the scale bar
+
+
+def test_numbers_of_pictures_have_a_scale_of_colours() -> None:
+    figure = overlap_picture(
+        np.arange(200).reshape(10, 20) // 100 + 1, BOUNDS, frame_of("none", north=False), label="Pictures"
+    )
+    assert figure is not None
+    colours = figure.axes[1]
+    assert colours.get_ylabel() == "Pictures"
+    assert all(float(value).is_integer() for value in colours.get_yticks())
+
+
+def test_both_are_drawn_into_the_folder(tmp_path: Path) -> None:
+    draw_ground(HEIGHT, np.ones(HEIGHT.shape, np.uint16), BOUNDS, frame_of("gps", north=True), tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"height.png", "overlap.png"}
