@@ -94,6 +94,49 @@ def test_the_clock_of_one_sensor_alone_is_refused_while_it_is_wrong(kind: type, 
     assert track.outputs[-1].report.pose.stamp_ns == vehicle.frame_stamps_ns[-1]
 
 
+NAMES = {ImuSample: "IMU", StereoFeatures: "image"}
+
+
+@pytest.mark.parametrize("kind", [ImuSample, StereoFeatures])
+@pytest.mark.parametrize("offset_s", [-3.0, -1.0, -0.3, -0.05, 0.05, 0.3, 1.0, 3.0])
+def test_the_clock_of_one_sensor_alone_that_is_set_by_a_little_is_named_and_costs_no_consistency(
+    kind: type, offset_s: float
+) -> None:
+    """Images are paired with the motion of another time otherwise: NEES of 60 to 10000."""
+    vehicle, events, at_ns = recorded(1)
+    track = fly(vehicle, [moved(e, offset_s) if isinstance(e, kind) and e.stamp_ns > at_ns else e for e in events])
+    assert max(nees(vehicle, track, after_ns=at_ns)) <= 3.0
+    (warning,) = track.warnings
+    assert warning.startswith(f"{NAMES[kind]} stamps jump by {offset_s:+.2f} s")
+    assert track.dropped["stamp_jump"] >= sum(isinstance(e, kind) and e.stamp_ns > at_ns for e in events) - 1
+
+
+@pytest.mark.parametrize("kind", [ImuSample, StereoFeatures])
+@pytest.mark.parametrize("offset_s", [-1.0, -0.05, 0.05, 1.0])
+def test_it_is_used_again_when_its_clock_is_right_again(kind: type, offset_s: float) -> None:
+    vehicle, events, at_ns = recorded(1)
+    wrong = range(at_ns, at_ns + 2 * NS_PER_S)
+    changed = [moved(e, offset_s) if isinstance(e, kind) and e.stamp_ns in wrong else e for e in events]
+    track = fly(vehicle, changed)
+    refused = sum(a is not b for a, b in zip(changed, events, strict=True))
+    assert refused - 1 <= track.dropped["stamp_jump"] <= refused + 1
+    assert np.mean(nees(vehicle, track, after_ns=at_ns)) <= 3.0
+    assert track.outputs[-1].report.pose.stamp_ns == vehicle.frame_stamps_ns[-1]
+
+
+@pytest.mark.parametrize("kind", [ImuSample, StereoFeatures])
+@pytest.mark.parametrize("lost_s", [0.05, 0.3, 1.0])
+def test_readings_and_images_that_are_merely_lost_are_no_clock(kind: type, lost_s: float) -> None:
+    vehicle, events, at_ns = recorded(1)
+    lost = range(at_ns, at_ns + round(lost_s * NS_PER_S))
+    track = fly(vehicle, [e for e in events if not (isinstance(e, kind) and e.stamp_ns in lost)])
+    assert not track.dropped
+    assert not track.warnings
+    assert len(track.outputs) == FRAMES - (kind is StereoFeatures) * sum(
+        s in lost for s in vehicle.frame_stamps_ns.tolist()
+    )
+
+
 @pytest.mark.parametrize(("policy", "jump_s"), [("bridge", -10.0), ("bridge", 60.0), ("reset", 10.0)])
 def test_a_recording_of_another_flight_ends_with_the_reason(policy: str, jump_s: float) -> None:
     vehicle, events, at_ns = recorded(1)

@@ -122,6 +122,7 @@ class VehiclePipeline:
                     "recording there, or replay it to the nodes"
                 )
             self.track.warnings.append(f"{admitted.jump}: the motion in between is unknown")
+        self.track.warnings += [text for text in self._stamps.faults.values() if text not in self.track.warnings]
         for _, item in admitted.items:
             try:
                 if isinstance(item, ImuSample):
