@@ -142,15 +142,22 @@ def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_eve
     )  # it hovers, and knows it
 
 
+@pytest.mark.parametrize("away_s", [0, 6])
 @pytest.mark.parametrize("take_off_first", [True, False])
-def test_a_node_restarted_in_flight_starts_at_the_correction(make: Make, take_off_first: bool) -> None:
-    """The latched start state is the take-off's, and comes before or after the back end's correction."""
+def test_a_node_restarted_in_flight_starts_at_the_correction(make: Make, take_off_first: bool, away_s: int) -> None:
+    """The latched start state is the take-off's, and comes before or after the back end's correction.
+
+    Without increments the back end makes no newer correction, however long the node was away.
+    """
     node = make()
     messages = [("initial_state", start_at(NOW_NS - 60 * NS_PER_S)), ("slam/correction", start_at(NOW_NS))]
     for topic, message in messages if take_off_first else reversed(messages):
         deliver(node, topic, message)
-    rest(node, NOW_NS, 0.1)
+    rest(node, NOW_NS + away_s * NS_PER_S, 0.1)
     assert node.counts["increments"] > 0
+    assert node._live is not None
+    sigma_m = np.sqrt(node._live.estimate.covariance[0, 0])
+    assert (sigma_m > 10.0) == (away_s > 0)  # the motion meanwhile is unknown
 
 
 def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_covariances(make: Make) -> None:

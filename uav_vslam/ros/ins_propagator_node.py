@@ -188,7 +188,7 @@ class InsPropagatorNode(VehicleNode):
                 "of validity"
             )
         uncovered_s = self._startup_buffer.uncovered_s(stamp_ns)
-        if uncovered_s > MAX_UNCOVERED_S:
+        if uncovered_s > MAX_UNCOVERED_S and stamp_ns != self._corrected_ns:  # no newer correction comes without us
             return (
                 f"{uncovered_s:.1f} s before the first IMU sample received, more than {MAX_UNCOVERED_S:g} s: the "
                 "motion since is unknown; publish a newer one, or start with the vehicle at rest (start.method: static)"
