@@ -298,6 +298,16 @@ def test_a_saved_map_names_the_frame_that_the_setting_names(keep_map: bool, fram
     assert SlamStage(config, vehicle="uav1", keep_map=keep_map).saved_map().origin.frame == expected
 
 
+@pytest.mark.parametrize(("seed", "first", "lost"), [(1, 3, 20), (3, 8, 20), (4, 3, 10)])
+def test_a_start_is_not_blamed_for_an_unknown_motion(flown, seed: int, first: int, lost: int) -> None:
+    """What follows it is far from what the start predicts."""
+    flight = flown(seed, frames=60)
+    stage = make(flight)
+    stage.start(flight.vehicle.initial)
+    outputs = feed(stage, [*flight.frames[:first], *flight.frames[first + lost :]])
+    assert [text for output in outputs for text in output.warnings] == []
+
+
 @pytest.mark.parametrize("unknown", [False, True])
 def test_a_rig_is_not_blamed_for_an_unknown_motion(flown, unknown: bool) -> None:
     flight = flown(1, frames=60)

@@ -313,8 +313,9 @@ class SlamStage:
         if report.recovery:
             self._start_monitor.stop(report.pose.stamp_ns)
             return (f"the filter was re-initialised: {report.recovery}",)
+        if self._was_motion_unknown:  # what follows it contradicts a correct start and a correct rig
+            return ()
         found = [self._start_monitor.add(report, dead_reckoned)]
-        # A wrong start would contradict a correct rig, and so does what follows an unknown motion.
-        if self._start_monitor.trusts(report.pose.stamp_ns) and not self._was_motion_unknown:
+        if self._start_monitor.trusts(report.pose.stamp_ns):  # a wrong start would contradict a correct rig
             found.append(self._rig_monitor.add(report))
         return tuple(text for text in found if text)
