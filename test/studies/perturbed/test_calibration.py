@@ -13,6 +13,7 @@ from uav_vslam.studies.perturbed.calibration import (
     ATTITUDE_DEG,
     BASELINE,
     BOARD,
+    DISPARITIES,
     EXACT,
     FIELDS,
     FOCAL,
@@ -39,13 +40,22 @@ def wrong_fields(error):
 
 def test_each_condition_has_its_own_error_and_the_last_has_all():
     errors = errors_of(7)
-    assert {name: wrong_fields(error) for name, error in errors.items() if name != BOARD} == {
+    assert {name: wrong_fields(error) for name, error in errors.items() if name in FIELDS} == {
         name: set(fields) for name, fields in FIELDS.items()
     }
     assert wrong_fields(errors[ALL]) == set(SIGMAS)
     for condition, (field, *others) in {name: fields for name, fields in FIELDS.items() if fields}.items():
         if not others:
             np.testing.assert_array_equal(getattr(errors[condition], field), getattr(errors[ALL], field))
+
+
+def test_constant_errors_shift_the_disparity_alone():
+    point = np.array([[3.0, -2.0, 70.0]])
+    for condition, error_px in DISPARITIES.items():
+        error = errors_of(7)[condition]
+        assert wrong_fields(error) == set()
+        shift = (error.told(RIG).project(point) - RIG.project(point))[0]
+        np.testing.assert_allclose(np.abs(shift), [0.0, 0.0, 0.0, error_px], atol=0.01)  # of Kagaru's rig: in v
 
 
 def test_errors_have_the_stated_size_and_no_mean_and_belong_to_the_seed():

@@ -60,7 +60,7 @@ def test_both_levels_have_a_row_and_a_curve_for_each_condition():
     rows, series = run_study(CONFIGS, {LANDMARKS: [1, 2], RENDERED: [1]}, frames=3, workers=1)
     labels = [(row["table"], row["condition"]) for row in rows]
     assert labels == [(level, condition) for level in (LANDMARKS, RENDERED) for condition in CONDITIONS]
-    assert [row["runs"] for row in rows] == [2] * 8 + [1] * 8
+    assert [row["runs"] for row in rows] == [2] * len(CONDITIONS) + [1] * len(CONDITIONS)
     assert {row["ratio_to_exact"] for row in rows if row["condition"] == EXACT} == {1.0}
     assert [(curve["table"], curve["condition"]) for curve in series] == labels
 

@@ -2,7 +2,7 @@
 """Errors of a stereo rig's calibration, each drawn independently of the others.
 
 So are the errors that come after a calibration, from temperature, handling and mounting. Those of the calibration
-itself are correlated and cancel in part; `board` has them.
+itself are correlated and cancel in part; `board` has them. Constant errors of the disparity are drawn for no seed.
 """
 
 import dataclasses
@@ -40,6 +40,7 @@ class CalibrationError:
         attitude_rad: (3,) of the right camera, about its own axes [rad].
         baseline: relative.
         time_offset_s: told stamps of the images less the true ones, on the IMU's clock [s].
+        disparity_px: of the right principal point along the disparity [px].
     """
 
     focal: Array = dataclasses.field(default_factory=lambda: np.zeros(2))
@@ -47,6 +48,7 @@ class CalibrationError:
     attitude_rad: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
     baseline: float = 0.0
     time_offset_s: float = 0.0
+    disparity_px: float = 0.0
 
     def told(self, rig: StereoRig) -> StereoRig:
         """Return the rig as the calibration has it."""
@@ -57,7 +59,7 @@ class CalibrationError:
         turned = rotated_right(rig, self.attitude_rad)
         start, end = rig.T_body_left.t, rig.T_body_right.t
         T_body_right = Pose(turned.T_body_right.R, start + (1.0 + self.baseline) * (end - start))
-        return StereoRig(left, right, rig.T_body_left, T_body_right)
+        return StereoRig(left, right, rig.T_body_left, T_body_right).disparity_shifted(self.disparity_px)
 
 
 EXACT = "exact"
@@ -73,7 +75,8 @@ FIELDS = {  # that are wrong, by condition
     ALL: ("focal", "principal_point_px", "attitude_rad", "baseline", "time_offset_s"),
 }
 
-CONDITIONS = (*FIELDS, BOARD)
+DISPARITIES = {f"disparity, {error_px:g} px": error_px for error_px in (0.2, 0.3)}  # the same for all seeds
+CONDITIONS = (*FIELDS, *DISPARITIES, BOARD)
 
 
 def errors_of(seed: int) -> dict[str, CalibrationError | BoardCalibration]:
@@ -90,7 +93,8 @@ def errors_of(seed: int) -> dict[str, CalibrationError | BoardCalibration]:
         condition: CalibrationError(**{name: getattr(whole, name) for name in names})
         for condition, names in FIELDS.items()
     }
-    return errors | {BOARD: BoardCalibration(seed)}
+    constant = {condition: CalibrationError(disparity_px=error_px) for condition, error_px in DISPARITIES.items()}
+    return errors | constant | {BOARD: BoardCalibration(seed)}
 
 
 def _told_camera(camera: PinholeCamera, focal: float, shift_px: Array) -> PinholeCamera:

@@ -38,7 +38,8 @@ NOTES = {
     "backend.sigma_px. All conditions of a seed share flight, landmarks, images and noise",
     "Conditions": "what the vehicle is told differs from the truth, drawn for each seed with the standard deviation "
     "named: focal length of each camera, principal point of each camera and coordinate, attitude about each axis, "
-    "baseline, clock of the cameras; then all of these, independent of each other. The last is the rig as "
+    "baseline, clock of the cameras; then all of these, independent of each other. Errors of the disparity are "
+    "the same for all seeds. The last is the rig as "
     "`uav-vslam calibrate` finds it from simulated corners of a board with 0.15 px of noise: correlated errors",
     "Ratio": "ratio_to_exact is the ATE over that of the same method and seeds with the exact calibration, with the "
     "bootstrap's interval over seeds",
