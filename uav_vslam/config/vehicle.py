@@ -73,7 +73,7 @@ class RigConfig(Settings):
         0.3, "not flexing: the same if the calibration is wrong, which the motion shows", unit="px", above=0
     )
     miscalibrated_probability: float = setting(
-        0.25, "not flexing: probability before the flight that the calibration is wrong; 0: never", at_least=0, below=1
+        0.2, "not flexing: probability before the flight that the calibration is wrong; 0: never", at_least=0, below=1
     )
     time_offset_sigma_s: float = setting(
         0.0, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 MAX_GAP_S = 0.05  # longer gaps are reported
+LACKING = 10.0  # standard deviations of complete readings: one reading in ten is missing at 4, half of them at 15
 MAX_HELD_S = 120.0  # readings buffered while no image arrives: 12 MB at 200 Hz
 UNKNOWN_SPEED_SIGMA = 15.0  # [m/s] per axis, over a leap: a clock that was set took the vehicle nowhere
 MOST_ROTATION_SIGMA = np.pi / np.sqrt(3.0)  # [rad] of an angle of which nothing is known
@@ -140,6 +141,11 @@ def compose(first: ImuIncrement, second: ImuIncrement) -> ImuIncrement:
         bias_jacobian=A @ first.bias_jacobian + B @ second.bias_jacobian,
         covariance=A @ first.covariance @ A.T + B @ second.covariance @ B.T,
     )
+
+
+def lacks_readings(increment: ImuIncrement, imu: ImuConfig) -> bool:
+    """Return whether so many readings are missing that the rotation is known far worse than the gyroscope's noise."""
+    return bool(np.trace(increment.covariance[:3, :3]) > LACKING**2 * 3.0 * imu.gyro_noise**2 * increment.dt_s)
 
 
 def bridged(increment: ImuIncrement, start_ns: int, imu: ImuConfig) -> ImuIncrement:

@@ -17,6 +17,7 @@ from uav_vslam.estimation.filters import make_filter, past_poses
 from uav_vslam.estimation.observation import projectable
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.preintegration import lacks_readings
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.health import FilterHealth
 from uav_vslam.slam.landmark_map import LandmarkMap
@@ -149,7 +150,9 @@ class SlamBackend:
             self._window.add_frame(self._filter, features)
             self._window.finish(self._filter, self._map, self._frame, self._new_landmarks)
             matches, innovation, closures = self._correct(features)
-            if self._since_start_s > JUDGED_AFTER_S:
+            if increment is not None and lacks_readings(increment, self._vehicle_config.imu):
+                self._judges_disparity = False
+            if self._judges_disparity and self._since_start_s > JUDGED_AFTER_S:
                 self._filter.judge_disparity()
             present = self._window.present(self._filter, self._map)
             self._nav, innovation = present.filter.nav_estimate(), present.innovation or innovation
@@ -245,6 +248,7 @@ class SlamBackend:
         self._window = TrackWindow(past_poses(self._vehicle_config), self._config)
         self._health = FilterHealth()
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
+        self._judges_disparity = True  # until readings are missing: then the motion is no measure of it
 
     def _continued(self, features: StereoFeatures) -> int:
         """Return how many points continue a track of the frame before."""

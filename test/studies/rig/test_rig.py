@@ -59,7 +59,7 @@ def test_x_is_the_axis_that_changes_disparity():
 
 def test_the_methods_differ_in_what_is_estimated():
     assert [config.rig.flexing for config in CONFIGS.values()] == [False, True, False]
-    assert [config.rig.miscalibrated_probability for config in CONFIGS.values()] == [0.25, 0.25, 0.5]
+    assert [config.rig.miscalibrated_probability for config in CONFIGS.values()] == [0.2, 0.2, 0.5]
 
 
 def test_a_disparity_error_shifts_only_the_right_points_along_the_disparity():
