@@ -26,7 +26,6 @@ def test_the_cost_of_each_node_is_a_ratio_to_a_bare_one_in_the_same_run(capsys: 
         assert float(node[2]) < float(bare[2])  # 50 a second beside one per reading
         for name in ("stereo_frontend", "slam_backend", "fusion"):  # nobody reads odometry of theirs
             assert rows[rate, name][2:] == ["–"] * 3
-    assert float(rows["200", "bare_odometry"][2]) < float(rows["400", "bare_odometry"][2])
     assert rows["at rest", "ins_propagator"][1:] == ["–"] * 4
 
 
