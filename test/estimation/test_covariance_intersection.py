@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -149,6 +149,7 @@ COSTS: dict[str, Callable[[Array], float]] = {
 @pytest.mark.parametrize("criterion", COSTS)
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
+@example(seed=320)  # the best weight is just above the one from which on a fusion is skipped
 def test_the_weight_minimises_its_cost_within_its_bounds(criterion: str, seed: int) -> None:
     rng, cost = np.random.default_rng(seed), COSTS[criterion]
     own, peer = Split(spd(rng, OWN), spd(rng, OWN)), Split(spd(rng, PEER), spd(rng, PEER))
@@ -159,8 +160,8 @@ def test_the_weight_minimises_its_cost_within_its_bounds(criterion: str, seed: i
     fused = split_covariance_intersection(own, E, np.zeros(PEER), peer, weigh=WEIGHTS[criterion])
     assert fused.weight == 1.0 or WEIGHT_BOUNDS[0] <= fused.weight <= WEIGHT_SKIP
     best = min(cost_at(w) for w in np.linspace(WEIGHT_BOUNDS[0], WEIGHT_SKIP - 1e-4, 40))
-    # The search tolerance is 1e-3, and fusions of negligible gain are skipped.
-    assert cost(fused.P.total) <= min(best, cost(own.total)) * 1.01
+    lost = 1.03 if fused.weight == 1.0 else 1.01  # by skipping what gains little, and by the search's tolerance of 1e-3
+    assert cost(fused.P.total) <= min(best, cost(own.total)) * lost
 
 
 @pytest.mark.parametrize("name", WEIGHTS)
