@@ -14,6 +14,7 @@ from uav_vslam.types import NS_PER_S
 IMU, IMAGES = "IMU", "image"  # streams of the time line
 LEAST_NS = NS_PER_S * 3 // 100  # smaller steps are not looked at,
 MOST_NS = 5 * NS_PER_S  # larger ones are off the time line anyway
+FOLLOWED = 1.0 / 3.0  # of a step, by which the lag may miss it
 KEPT, ENOUGH = 20, 5  # lags and steps that the usual ones are taken from
 
 
@@ -69,14 +70,14 @@ class SensorLag:
             self.steps_ns[name] = self.steps_ns.get(name, 0) + step_ns
 
     def _look_at_lag(self, lag_ns: int) -> None:
-        """Forget the steps if the lag is nearer to the usual one than to one that has followed them."""
+        """Forget the steps unless the lag has followed them; one that follows by a part is that of a machine behind."""
         if len(self._lags_ns) < ENOUGH:
             self._latest_ns.append(lag_ns)
             return
         change_ns = lag_ns - statistics.median(self._lags_ns)
         expected_ns = self.steps_ns.get(IMU, 0) - self.steps_ns.get(IMAGES, 0)
         scatter_ns = max(self._lags_ns) - min(self._lags_ns)
-        if abs(expected_ns) > max(LEAST_NS, scatter_ns) and abs(change_ns - expected_ns) < abs(change_ns):
+        if abs(expected_ns) > max(LEAST_NS, scatter_ns) and abs(change_ns - expected_ns) < FOLLOWED * abs(expected_ns):
             self.followed += 1
             return
         self.trust()
