@@ -158,6 +158,10 @@ def test_a_node_restarted_in_flight_starts_at_the_correction(make: Make, take_of
     assert node._live is not None
     sigma_m = np.sqrt(node._live.estimate.covariance[0, 0])
     assert (sigma_m > 10.0) == (away_s > 0)  # the motion meanwhile is unknown
+    assert node._preintegrator is not None
+    first_ns = node._preintegrator.start_ns
+    assert first_ns is not None
+    assert (first_ns - NOW_NS) // NS_PER_S == away_s  # what nothing was measured of is left to the images
 
 
 def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_covariances(make: Make) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.ins.preintegration import preintegrate
-from uav_vslam.simulation.landmarks import observe, scatter_landmarks
+from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
@@ -24,8 +24,20 @@ class Flown:
     frames: tuple[tuple[StereoFeatures, ImuIncrement | None], ...]
 
 
+def _tracked(vehicle: SimulatedVehicle, sigma_px: float) -> list[StereoFeatures]:
+    """Return features whose tracks follow the landmarks that they show; a landmark missed in a frame gets a new one."""
+    frames, numbers, lost = [], {}, 0
+    for features, ids in observe(vehicle, scatter_landmarks([vehicle]), noise=LandmarkNoise(sigma_px=sigma_px)):
+        old, numbers = numbers, {}
+        for identity in ids.tolist():
+            lost += identity not in old
+            numbers[identity] = old.get(identity, lost)
+        frames.append(dataclasses.replace(features, tracks=np.array([numbers[i] for i in ids.tolist()], np.uint32)))
+    return frames
+
+
 @functools.cache
-def _flown(seed: int, *, frames: int = 24, imu: str = "adis16480") -> Flown:
+def _flown(seed: int, *, frames: int = 24, imu: str = "adis16480", tracked_px: float | None = None) -> Flown:
     scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, vehicles=1, imu=imu)
     vehicle = simulate_vehicle(scenario, 0)
     samples, zero = vehicle.imu.samples(), np.zeros(3)
@@ -33,11 +45,17 @@ def _flown(seed: int, *, frames: int = 24, imu: str = "adis16480") -> Flown:
         preintegrate(samples, int(a), int(b), gyro_bias=zero, accel_bias=zero, imu=scenario.imu_config)
         for a, b in itertools.pairwise(vehicle.frame_stamps_ns)
     ]
-    features = [seen for seen, _ in observe(vehicle, scatter_landmarks([vehicle]))]
+    if tracked_px is None:
+        features = [seen for seen, _ in observe(vehicle, scatter_landmarks([vehicle]))]
+    else:
+        features = _tracked(vehicle, tracked_px)
     return Flown(vehicle, tuple(zip(features, [None, *steps], strict=True)))
 
 
 @pytest.fixture(scope="session")
 def flown() -> Callable[..., Flown]:
-    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480")`."""
+    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480", tracked_px=None)`.
+
+    With `tracked_px`, the standard deviation of each pixel coordinate, the points have tracks.
+    """
     return _flown

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracks through the back end: each view is used once, and the present has them all."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import BackendConfig, VehicleConfig
 from uav_vslam.geometry.rotation import so3_log
-from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.slam.backend import FrameReport, SlamBackend
 from uav_vslam.slam.track_views import TrackViews
 from uav_vslam.slam.track_window import TrackWindow
@@ -18,18 +15,6 @@ from uav_vslam.types import PoseEstimate, StereoFeatures
 FRAMES = 24
 SIGMA_PX = 0.1
 WINDOW = 6
-
-
-def tracked(vehicle) -> list[StereoFeatures]:
-    """Return features whose tracks follow the landmarks that they show; a landmark missed in a frame gets a new one."""
-    frames, numbers, lost = [], {}, 0
-    for features, ids in observe(vehicle, scatter_landmarks([vehicle]), noise=LandmarkNoise(sigma_px=SIGMA_PX / 2)):
-        old, numbers = numbers, {}
-        for identity in ids.tolist():
-            lost += identity not in old
-            numbers[identity] = old.get(identity, lost)
-        frames.append(dataclasses.replace(features, tracks=np.array([numbers[i] for i in ids.tolist()], np.uint32)))
-    return frames
 
 
 def settings(**changes) -> BackendConfig:
@@ -41,9 +26,8 @@ def backend_of(flight, **changes) -> SlamBackend:
     return SlamBackend(flight.vehicle.initial, rig=flight.vehicle.rig, config=config, vehicle="uav1")
 
 
-def fly(flight, backend: SlamBackend, features: list[StereoFeatures]) -> list[FrameReport]:
-    increments = [increment for _, increment in flight.frames]
-    return [backend.process(*frame) for frame in zip(features, increments, strict=True)]
+def fly(flight, backend: SlamBackend) -> list[FrameReport]:
+    return [backend.process(*frame) for frame in flight.frames]
 
 
 def position_errors(flight, reports: list[FrameReport]) -> NDArray[np.float64]:
@@ -94,29 +78,29 @@ def test_a_view_that_was_used_as_a_landmark_is_no_tracks_any_more() -> None:
 
 def test_every_view_of_a_track_is_used_once(flown, monkeypatch) -> None:
     """Count the views that the filter takes for good, and those that are left at the end."""
-    flight = flown(3, frames=FRAMES)
-    features, used = tracked(flight.vehicle), []
+    flight = flown(3, frames=FRAMES, tracked_px=SIGMA_PX / 2)
+    used = []
     finish = TrackWindow.finish
 
-    def counted(self, slam_filter, *rest) -> None:
+    def counted(self, slam_filter, *rest, **how) -> None:
         before = self.views.seen.sum()
-        finish(self, slam_filter, *rest)
+        finish(self, slam_filter, *rest, **how)
         used.append(before - self.views.seen.sum())
 
     monkeypatch.setattr(TrackWindow, "finish", counted)
     backend = backend_of(flight, max_new_landmarks=0)
-    fly(flight, backend, features)
+    fly(flight, backend)
     assert len(backend.landmarks[0]) == 0
     dropped = sum(used) + backend._window.views.seen.sum()
-    assert dropped == sum(len(frame) for frame in features)
+    assert dropped == sum(len(features) for features, _ in flight.frames)
     assert len(backend._filter.past) <= WINDOW
 
 
 def test_tracks_alone_locate_the_vehicle_and_the_covariance_is_honest(flown) -> None:
     errors, nees = [], []
     for seed in range(20):
-        flight = flown(100 + seed, frames=FRAMES)
-        reports = fly(flight, backend_of(flight), tracked(flight.vehicle))
+        flight = flown(100 + seed, frames=FRAMES, tracked_px=SIGMA_PX / 2)
+        reports = fly(flight, backend_of(flight))
         assert not any(report.coasted for report in reports[2:])
         error = position_errors(flight, reports)
         errors.append(np.linalg.norm(error[-1]))
@@ -126,11 +110,11 @@ def test_tracks_alone_locate_the_vehicle_and_the_covariance_is_honest(flown) -> 
 
 
 def test_the_state_and_the_window_stay_bounded(flown) -> None:
-    flight = flown(4, frames=FRAMES)
+    flight = flown(4, frames=FRAMES, tracked_px=SIGMA_PX / 2)
     backend = backend_of(flight)
     sizes = []
-    for features, (_, increment) in zip(tracked(flight.vehicle), flight.frames, strict=True):
-        backend.process(features, increment)
+    for frame in flight.frames:
+        backend.process(*frame)
         sizes.append(len(backend._filter.past))
     assert max(sizes) == WINDOW
     assert sizes[-5:] == [WINDOW] * 5
@@ -139,8 +123,8 @@ def test_the_state_and_the_window_stay_bounded(flown) -> None:
 def test_motion_between_poses_that_leave_the_window_is_better_than_between_present_ones(flown) -> None:
     causal, smoothed, nees = [], [], []
     for seed in range(12):
-        flight = flown(200 + seed, frames=FRAMES)
-        reports = fly(flight, backend_of(flight), tracked(flight.vehicle))
+        flight = flown(200 + seed, frames=FRAMES, tracked_px=SIGMA_PX / 2)
+        reports = fly(flight, backend_of(flight))
         leaving = [report.smoothed for report in reports if report.smoothed is not None]
         assert [pose.stamp_ns for pose in leaving] == [r.pose.stamp_ns for r in reports][: FRAMES - WINDOW]
         truth = flight.vehicle.truth.position(flight.vehicle.frame_times_s)
@@ -153,21 +137,20 @@ def test_motion_between_poses_that_leave_the_window_is_better_than_between_prese
 
 
 def test_poses_closer_than_the_spacing_are_not_kept(flown) -> None:
-    flight = flown(5, frames=FRAMES)
+    flight = flown(5, frames=FRAMES, tracked_px=SIGMA_PX / 2)
     backend = backend_of(flight, window_spacing_s=0.25)  # frames are 0.14 s apart
-    reports = fly(flight, backend, tracked(flight.vehicle))
+    reports = fly(flight, backend)
     stamps = np.array([pose.nav.stamp_ns for pose in backend._filter.past])
     assert np.diff(stamps[:-1]).min() > 0.25e9
     assert np.linalg.norm(position_errors(flight, reports)[-1]) < 1.5
 
 
 def test_points_still_tracked_are_in_the_joint_estimate_under_lasting_identifiers(flown) -> None:
-    flight = flown(6, frames=FRAMES)
-    backend, features = backend_of(flight), tracked(flight.vehicle)
-    increments = [increment for _, increment in flight.frames]
+    flight = flown(6, frames=FRAMES, tracked_px=SIGMA_PX / 2)
+    backend = backend_of(flight)
     known: dict[int, int] = {}
-    for k in range(FRAMES):
-        backend.process(features[k], increments[k])
+    for frame in flight.frames:
+        backend.process(*frame)
         joint = backend.joint_information()
         assert len(set(joint.ids.tolist())) == len(joint.ids) == len(joint.positions) == len(joint.descriptors)
         for track, identifier in backend._window._ids.items():
@@ -180,8 +163,8 @@ def test_points_still_tracked_are_in_the_joint_estimate_under_lasting_identifier
 
 @pytest.mark.parametrize("changes", [{"filter": "thesis_ukf", "model": "euler9"}, {"model": "euler9"}])
 def test_the_thesiss_filters_and_states_have_no_past_poses(flown, changes) -> None:
-    flight = flown(7, frames=6)
+    flight = flown(7, frames=6, tracked_px=SIGMA_PX / 2)
     backend = backend_of(flight, **changes, max_new_landmarks=10)
-    fly(dataclasses.replace(flight, frames=flight.frames[:6]), backend, tracked(flight.vehicle)[:6])
+    fly(flight, backend)
     assert not backend._filter.past
     assert len(backend.landmarks[0]) > 0

@@ -26,14 +26,17 @@ class ImuPreintegrator:
         gaps: number of increments with a gap in the readings.
     """
 
-    def __init__(self, imu: ImuConfig, start: NavState | None = None) -> None:
-        """Start at the start state with its bias; without one at the first image with zero bias."""
+    def __init__(self, imu: ImuConfig, start: NavState | None = None, *, at_next_image: bool = False) -> None:
+        """Start at the start state with its bias; without one at the first image with zero bias.
+
+        With `at_next_image` only the bias is the start state's.
+        """
         self._imu = imu
         self._gyro_bias = np.zeros(3) if start is None else start.gyro_bias
         self._accel_bias = np.zeros(3) if start is None else start.accel_bias
         self._buffer = ImuBuffer()
         self._pending: deque[int] = deque()
-        self.start_ns = None if start is None else start.stamp_ns
+        self.start_ns = None if start is None or at_next_image else start.stamp_ns
         self._last_ns = self.start_ns
         self.gaps = 0
 

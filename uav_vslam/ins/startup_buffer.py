@@ -30,11 +30,14 @@ class StartupBuffer:
         if isinstance(item, ImuSample):
             self._newest_ns = max(item.stamp_ns, self._newest_ns or item.stamp_ns)
 
-    def take(self) -> list[ImuSample | int]:
-        """Return and remove all items, in order of arrival."""
+    def take(self, *, from_first_reading: bool = False) -> list[ImuSample | int]:
+        """Return and remove all items, in order of arrival; images from before the first reading may be left out."""
         taken = list(self._items)
         self._items.clear()
-        return taken
+        if not from_first_reading:
+            return taken
+        first_ns = next((item.stamp_ns for item in taken if isinstance(item, ImuSample)), 0)
+        return [item for item in taken if _stamp_ns(item) >= first_ns]
 
     def readings(self) -> list[ImuSample]:
         """Return the buffered readings."""

@@ -29,6 +29,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ins.live_odometry import LiveOdometry
+from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.ins.sensor_clock import EARLY_STARTS, IMAGES, IMU, bridges, carried_over, sensor_time_line
 from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
@@ -196,13 +197,16 @@ class InsPropagatorNode(VehicleNode):
         return ""
 
     def _start(self, initial: NavEstimate) -> None:
-        early = self._startup_buffer.take()
+        unmeasured = self._startup_buffer.uncovered_s(initial.state.stamp_ns) > MAX_GAP_S
+        in_flight = unmeasured and initial.state.stamp_ns == self._corrected_ns
+        early = self._startup_buffer.take(from_first_reading=in_flight)
         for estimate in self._reckoner.start(initial):
             self._publish_dead_reckoning(estimate, None)
         self._live = LiveOdometry(initial, self.config.imu, period_s=self._period_s)
         already_running = self._preintegrator is not None  # in flight, increments are needed before the start state
         if self._preintegrator is None:
-            self._preintegrator = ImuPreintegrator(self.config.imu, initial.state)
+            # restarted in flight: the images show the back end the motion up to the next one
+            self._preintegrator = ImuPreintegrator(self.config.imu, initial.state, at_next_image=in_flight)
         for item in early:
             try:
                 if not already_running:

@@ -25,6 +25,7 @@ from uav_vslam.slam.map_manager import MapView, rows_to_remove
 from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
 from uav_vslam.slam.matches import Matches
 from uav_vslam.slam.recovery import reinitialised
+from uav_vslam.slam.seen_motion import MotionFinder, Step
 from uav_vslam.slam.track_window import Present, TrackWindow
 from uav_vslam.types import (
     NS_PER_S,
@@ -104,6 +105,7 @@ class SlamBackend:
         self._map = LandmarkMap()
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
+        self._motion = MotionFinder()
         self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
         self._reset(initial)
 
@@ -140,6 +142,8 @@ class SlamBackend:
             ValueError: the increment does not span estimate to frame.
         """
         self._check_joins(features.stamp_ns, increment)
+        step = self._step(increment, features)
+        increment, features, is_seen = step.increment, step.features, step.tracks > 0
         known = len(self._map)
         matches, innovation, closures, evidence, disparity = Matches.none(), None, 0, 0.0, None
         sightings, late, smoothed = np.zeros((0, 2), np.intp), np.zeros((0, 2), np.intp), None
@@ -148,8 +152,8 @@ class SlamBackend:
                 late = self._new_sightings(self._add_postponed(increment))
                 self._filter.predict(increment)
             self._window.add_frame(self._filter, features)
-            self._window.finish(self._filter, self._map, self._frame, self._new_landmarks)
-            matches, innovation, closures = self._correct(features)
+            self._window.finish(self._filter, self._map, self._frame, self._new_landmarks, everything=is_seen)
+            matches, innovation, closures = self._correct(features, by_landmarks=not is_seen)
             if increment is not None and lacks_readings(increment, self._vehicle_config.imu):
                 self._judges_disparity = False
             if self._judges_disparity and self._since_start_s > JUDGED_AFTER_S:
@@ -169,7 +173,7 @@ class SlamBackend:
         if recovery:
             matches, closures, sightings = Matches.none(), 0, sightings[:0]
             self._recover()
-        associated = len(sightings)
+        associated = 0 if recovery else len(sightings) + step.tracks
         added = self._add_landmarks(matches, features)
         self._postponed = None if self._filter.can_add_landmarks else features
         self._frame += len(features) > 0  # a frame without features says nothing about landmarks
@@ -267,15 +271,28 @@ class SlamBackend:
                 f"{self.stamp_ns} ns to the frame at {stamp_ns} ns"
             )
 
-    def _correct(self, features: StereoFeatures) -> tuple[Matches, Innovation | None, int]:
+    def _step(self, increment: ImuIncrement | None, features: StereoFeatures) -> Step:
+        return self._motion.step(
+            increment,
+            features,
+            self._filter.nav,
+            rig=self._filter.rig,
+            imu=self._vehicle_config.imu,
+            threshold_px=self._config.pnp_px,
+        )
+
+    def _correct(self, features: StereoFeatures, *, by_landmarks: bool) -> tuple[Matches, Innovation | None, int]:
         """Update with the first set of matches that passes the joint gate; without one, dead-reckon.
 
+        Landmarks are left out where tracks show a motion that the IMU does not know: their gates would be too wide.
         Return the matches, the innovation, and how many of their landmarks had not been seen for long.
         A relocalisation is not gated by the prediction: it is tried when gating has failed.
         """
         none, innovation = Matches.none(), None
         if self._filter.has_tracks:  # first, so that landmarks are gated on their own, with the better prediction
             innovation = self._filter.update(none.landmarks, none.pixels)
+            if not by_landmarks:
+                return none, innovation, 0
         left_behind = self._map.long_unseen(self._frame)
         candidates = self._matcher.candidates(
             self._filter, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS

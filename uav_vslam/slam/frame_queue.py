@@ -16,7 +16,7 @@ class FrameQueue:
         start_ns: stamp of the start state; None until it is known, and nothing is ready before.
         before_start: frames dropped because they are older than the start state.
         lost: images whose features did not arrive in time; replaced by an empty frame.
-        without_motion: frames dropped because no increment ends at them, or because they are repeated.
+        without_motion: frames dropped because they are inside an increment, or because they are repeated.
         motion_refused: increments dropped because they begin before the stamp reached.
     """
 
@@ -46,8 +46,8 @@ class FrameQueue:
     def pop(self) -> tuple[StereoFeatures, ImuIncrement | None] | None:
         """Return the next frame with the increment up to it; None while none is complete.
 
-        The frame at the start state itself needs no motion. Without features, motion continues with empty frames.
-        An increment may begin after the stamp reached, if the one before it was lost, but always ends at its frame.
+        A frame has none at the start state itself, and where increments were lost. Without features, motion continues
+        with empty frames. An increment may begin after the stamp reached, but always ends at its frame.
         """
         if self.start_ns is None:
             return None
@@ -65,6 +65,9 @@ class FrameQueue:
                 return self._features.popleft(), None
             elif not self._increments:
                 return None
+            elif self._reached_ns is not None and stamp_ns <= self._increments[0].start_ns:  # its motion was lost
+                self._reached_ns = stamp_ns
+                return self._features.popleft(), None
             elif self._increments[0].stamp_ns > stamp_ns:  # increments are in order: none will end at this frame
                 self._features.popleft()
                 self.without_motion += 1

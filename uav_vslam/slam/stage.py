@@ -12,7 +12,7 @@ from typing import Any
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence, MapError
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import LEAP_S, bridged
+from uav_vslam.ins.preintegration import bridged, unknown_motion
 from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
@@ -23,9 +23,16 @@ from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.saved_map import MapOrigin, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
 from uav_vslam.slam.start_monitor import StartMonitor
-from uav_vslam.types import NS_PER_S, FrameQuality, ImuIncrement, JointInformation, NavEstimate, StereoFeatures
+from uav_vslam.types import (
+    NS_PER_S,
+    FrameQuality,
+    ImuIncrement,
+    JointInformation,
+    NavEstimate,
+    NavState,
+    StereoFeatures,
+)
 
-COAST_BEYOND_RAD = 0.15  # 1 sigma of an increment's rotation about an axis: 0.3 s without readings
 UNKNOWN_ROTATION_RAD = 0.25  # 1 sigma about an axis: half a second without readings
 
 
@@ -264,14 +271,14 @@ class SlamStage:
             self._backend = SlamBackend(
                 self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
             )
+        if increment is None and features.stamp_ns != self._backend.stamp_ns:
+            increment = self._lost_motion(self._backend.nav.state, features.stamp_ns)
         if increment is not None:
             # before the filter, which may fail: the baseline must not miss a step
             self._dead_reckoning.add(increment)
             self._motion_lost += increment.start_ns != self._backend.stamp_ns
             increment = bridged(increment, self._backend.stamp_ns, self._config.imu)
             self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
-            if self._is_coasting(increment):
-                features = StereoFeatures.empty(features.stamp_ns)
         report = self._backend.process(features, increment)
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
@@ -288,12 +295,10 @@ class SlamStage:
         assert dead_reckoned is not None  # started with the back end
         return FrameOutput(report, dead_reckoned, joint, increment, self._warnings(report, dead_reckoned))
 
-    def _is_coasting(self, increment: ImuIncrement) -> bool:
-        """Return whether the IMU is silent for so long that the frame's images can't be used either.
-
-        Without a rotation to linearise at, updates of frame after frame claim more than they know.
-        """
-        return bool(increment.covariance[0, 0] > COAST_BEYOND_RAD**2) and increment.dt_s < LEAP_S
+    def _lost_motion(self, before: NavState, stamp_ns: int) -> ImuIncrement:
+        self._motion_lost += 1
+        bias = {"gyro_bias": before.gyro_bias, "accel_bias": before.accel_bias}
+        return unknown_motion(before.stamp_ns, stamp_ns, **bias, imu=self._config.imu)
 
     def _joint_information(self, backend: SlamBackend) -> JointInformation:
         joint, start_map = backend.joint_information(), self._start_map

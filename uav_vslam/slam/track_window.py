@@ -66,7 +66,9 @@ class TrackWindow:
             slam_filter.keep_pose()
             self.views.add_frame(features)
 
-    def finish(self, slam_filter: Filter, landmark_map: LandmarkMap, frame: int, choose: Choice) -> None:
+    def finish(
+        self, slam_filter: Filter, landmark_map: LandmarkMap, frame: int, choose: Choice, *, everything: bool = False
+    ) -> None:
         """Use the tracks that have ended or fill the window, in the filter's next update; some become landmarks.
 
         Args:
@@ -74,11 +76,12 @@ class TrackWindow:
             landmark_map: gets the new landmarks.
             frame: number of the newest one.
             choose: by where points were seen last.
+            everything: use all tracks, because the newest pose is known by them alone.
         """
         views = self.views
         if len(views) == 0:
             return
-        finished = ~views.seen[:, -1]
+        finished = ~views.seen[:, -1] | everything
         if len(slam_filter.past) > self._size:
             finished |= views.seen[:, 0]
         used = np.flatnonzero(finished & (views.counts >= MIN_VIEWS))
