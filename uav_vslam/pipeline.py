@@ -10,7 +10,8 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegrator import ImuPreintegrator
-from uav_vslam.ins.sensor_clock import IMAGES, IMU, bridges, sensor_time_line
+from uav_vslam.ins.sensor_clock import bridges, sensor_time_line
+from uav_vslam.ins.sensor_lag import IMAGES, IMU
 from uav_vslam.slam.saved_map import SavedMap
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.stamps import Admitted

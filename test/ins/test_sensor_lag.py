@@ -6,7 +6,8 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from uav_vslam.ins.sensor_clock import IMAGES, IMU, SensorTimeLine, sensor_time_line
+from uav_vslam.ins.sensor_clock import SensorTimeLine, sensor_time_line
+from uav_vslam.ins.sensor_lag import IMAGES, IMU
 from uav_vslam.types import NS_PER_S
 
 MS = NS_PER_S // 1000

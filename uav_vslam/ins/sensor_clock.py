@@ -21,8 +21,6 @@ from uav_vslam.stamps import (
 )
 from uav_vslam.types import NS_PER_S, NavEstimate
 
-__all__ = ["IMAGES", "IMU", "SensorTimeLine", "bridges", "carried_over", "sensor_time_line"]
-
 SURE = 2  # images whose lag has followed a step, before it counts as that of a clock
 MOST_BRIDGED_S = 30.0  # of a jump ahead; beyond it an estimate is worth no more than a new start
 EARLY_STARTS = 4  # start states remembered that belong to no known time line

@@ -31,7 +31,8 @@ from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
-from uav_vslam.ins.sensor_clock import EARLY_STARTS, IMAGES, IMU, bridges, carried_over, sensor_time_line
+from uav_vslam.ins.sensor_clock import EARLY_STARTS, bridges, carried_over, sensor_time_line
+from uav_vslam.ins.sensor_lag import IMAGES, IMU
 from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
 from uav_vslam.ros.batches import Batches
 from uav_vslam.ros.calibration import ImuListener

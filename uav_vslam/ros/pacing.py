@@ -18,7 +18,8 @@ from enum import Enum
 from typing import Protocol
 
 from uav_vslam.datasets.stereo_sync import PairTolerance
-from uav_vslam.ins.sensor_clock import IMAGES, IMU, sensor_time_line
+from uav_vslam.ins.sensor_clock import sensor_time_line
+from uav_vslam.ins.sensor_lag import IMAGES, IMU
 from uav_vslam.stamps import TimeLine
 from uav_vslam.types import NS_PER_S
 

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A forked node is a process of its own in every way but its memory."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from uav_vslam.ros.forked_node import ForkedNode
+
+EXAMPLE = "forked_example"
+
+
+def ended(node: ForkedNode) -> tuple[int | None, str]:
+    """Return its exit code and all output."""
+    output = b"".join(iter(lambda: node.stdout.read(4096), b"")).decode()
+    node.stdout.close()
+    while node.poll() is None:
+        pass
+    return node.poll(), output
+
+
+def test_it_has_a_group_title_environment_and_files_of_its_own() -> None:
+    before = signal.signal(signal.SIGTERM, lambda *_: None)
+    try:
+        code, output = ended(ForkedNode(EXAMPLE, ["--ros-args", "-r", "__ns:=/uav1", "3"], {"EXAMPLE": "given"}))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert code == 3
+    title = f"{EXAMPLE} --ros-args -r __ns:=/uav1 3"
+    assert output.splitlines() == [f"{EXAMPLE} True {title} given [0, 1, 2] 4 False", "to stderr"]  # 4: the listing's
+
+
+def test_a_signal_that_kills_it_is_its_exit_code() -> None:
+    assert ended(ForkedNode(EXAMPLE, ["kill"], {}))[0] == -signal.SIGKILL
+
+
+def test_an_error_is_told_and_never_reaches_the_supervisors_code() -> None:
+    code, output = ended(ForkedNode(EXAMPLE, ["no number"], {}))
+    assert code == 1
+    assert "ValueError: invalid literal for int()" in output
+
+
+SUPERVISED = """
+import sys, threading
+from uav_vslam.errors import ConfigError
+from uav_vslam.ros.supervisor import Command, Supervisor
+going = threading.Event()
+if {threads}:
+    threading.Thread(target=going.wait).start()
+program = [sys.executable, "-c", "print('the program')"]
+try:
+    code = Supervisor().run([Command("uav1/x", program, leads=True, node=({module!r}, "0"))])
+except ConfigError as error:
+    code = str(error)
+going.set()
+sys.exit(code)
+"""
+
+
+def supervised(module: str, *, threads: bool) -> subprocess.CompletedProcess[str]:
+    """Supervise a node in another process, as this one has threads of the test runner."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    code = SUPERVISED.format(module=module, threads=threads)
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize(("threads", "runs"), [(False, EXAMPLE), (True, "the program")])
+def test_the_supervisor_forks_nodes_unless_it_has_threads(threads: bool, runs: str) -> None:
+    done = supervised(EXAMPLE, threads=threads)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"[uav1/x] {runs}")
+
+
+def test_a_node_whose_libraries_are_missing_is_refused_in_one_line() -> None:
+    done = supervised("missing", threads=False)
+    assert done.stderr == "uav1/x can't be started: No module named 'missing'; is the ROS environment set?\n"
