@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A forked node is a process of its own in every way but its memory."""
 
-import os
 import signal
-import subprocess
 import sys
 
 import pytest
 
+from uav_vslam.errors import ConfigError
 from uav_vslam.ros.forked_node import ForkedNode
+from uav_vslam.ros.supervisor import Command, Supervisor
 
 EXAMPLE = "forked_example"
 
@@ -43,37 +43,13 @@ def test_an_error_is_told_and_never_reaches_the_supervisors_code() -> None:
     assert "ValueError: invalid literal for int()" in output
 
 
-SUPERVISED = """
-import sys, threading
-from uav_vslam.errors import ConfigError
-from uav_vslam.ros.supervisor import Command, Supervisor
-going = threading.Event()
-if {threads}:
-    threading.Thread(target=going.wait).start()
-program = [sys.executable, "-c", "print('the program')"]
-try:
-    code = Supervisor().run([Command("uav1/x", program, leads=True, node=({module!r}, "0"))])
-except ConfigError as error:
-    code = str(error)
-going.set()
-sys.exit(code)
-"""
-
-
-def supervised(module: str, *, threads: bool) -> subprocess.CompletedProcess[str]:
-    """Supervise a node in another process, as this one has threads of the test runner."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    code = SUPERVISED.format(module=module, threads=threads)
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
-
-
-@pytest.mark.parametrize(("threads", "runs"), [(False, EXAMPLE), (True, "the program")])
-def test_the_supervisor_forks_nodes_unless_it_has_threads(threads: bool, runs: str) -> None:
-    done = supervised(EXAMPLE, threads=threads)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith(f"[uav1/x] {runs}")
+@pytest.mark.parametrize(("forks", "runs"), [(True, EXAMPLE), (False, "the program")])
+def test_the_supervisor_forks_nodes_if_it_may(forks: bool, runs: str, capfd: pytest.CaptureFixture[str]) -> None:
+    program = [sys.executable, "-c", "print('the program')"]
+    assert Supervisor(forks=forks).run([Command("uav1/x", program, leads=True, node=(EXAMPLE, "0"))]) == 0
+    assert capfd.readouterr().out.startswith(f"[uav1/x] {runs}")
 
 
 def test_a_node_whose_libraries_are_missing_is_refused_in_one_line() -> None:
-    done = supervised("missing", threads=False)
-    assert done.stderr == "uav1/x can't be started: No module named 'missing'; is the ROS environment set?\n"
+    with pytest.raises(ConfigError, match="uav1/x can't be started: No module named 'missing'; is the ROS env"):
+        Supervisor(forks=True).run([Command("uav1/x", [], node=("missing",))])

@@ -337,17 +337,22 @@ class Filter:
             self.nav, self.belief = before
         return innovation
 
-    def add_landmarks(self, pixels: Array) -> None:
+    def add_landmarks(self, pixels: Array) -> Mask:
         """Append landmarks at their triangulated positions; see `can_add_landmarks`.
 
         The four pixel coordinates are projected to the three that determine the point; the fourth, the epipolar error,
         is unused.
 
         Args:
-            pixels: (M, 4) undistorted stereo pixels that triangulate to finite points.
+            pixels: (M, 4) undistorted stereo pixels.
+
+        Returns:
+            (M,) which of them triangulate; the others make no landmark.
         """
         camera = self._camera()
         points_left = camera.rig.triangulate(pixels)
+        triangulated = np.asarray(np.isfinite(points_left).all(axis=1))
+        points_left = points_left[triangulated]
         T_map_left = camera.nav.T_map_body @ camera.rig.T_body_left
         landmarks = T_map_left.apply(points_left)
         _, J_vehicle, J_landmark = camera_points(camera, landmarks)
@@ -357,6 +362,7 @@ class Filter:
         kept = np.linalg.qr(H_landmark).Q.transpose(0, 2, 1) / self.sigma_px
         self.belief = self.belief.appended(kept @ H_vehicle, kept @ H_landmark)
         self.landmarks = np.vstack([self.landmarks, landmarks])
+        return triangulated
 
     def marginalise(self, landmarks: Indices, past: Indices = NO_ROWS) -> None:
         """Marginalise landmarks and past poses out of the state."""

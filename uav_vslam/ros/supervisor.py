@@ -11,7 +11,6 @@ import selectors
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -40,7 +39,7 @@ class Command:
     Attributes:
         name: prefix of its output.
         argv: program and arguments.
-        node: module of a node and its arguments, which a fork runs instead of the program if it can.
+        node: module of a node and its arguments, which a fork runs instead of the program.
         leads: its exit shuts down the fleet; otherwise only a signal or a failure does.
         optional: the fleet goes on without it if it fails, unless its input is wrong.
         environment: variables in addition to the supervisor's.
@@ -74,6 +73,7 @@ class Supervisor:
 
     Attributes:
         restarts: a process that fails is started again, after a pause that grows, and the others go on.
+        forks: nodes are forks of this process; only for one that has no threads, of libraries either.
         environment: variables in addition to ours.
         log_dir: folder for a log file of each process.
         escalation: what is sent to those that still run, and how many seconds after the order to end.
@@ -82,6 +82,7 @@ class Supervisor:
 
     environment: dict[str, str] = field(default_factory=dict)
     restarts: bool = False
+    forks: bool = False
     log_dir: Path | None = None
     on_line: Callable[[str, str], None] | None = None
     escalation: tuple[tuple[float, signal.Signals], ...] = ESCALATION
@@ -122,7 +123,7 @@ class Supervisor:
 
     def _spawn(self, command: Command, more: Sequence[str] = ()) -> subprocess.Popen[bytes] | ForkedNode:
         environment = {"PYTHONUNBUFFERED": "1"} | self.environment | command.environment
-        if command.node and threading.active_count() == 1:  # a fork would have none of the other threads
+        if command.node and self.forks:
             return self._fork(command, more, environment)
         try:
             return subprocess.Popen(

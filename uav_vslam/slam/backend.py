@@ -374,10 +374,9 @@ class SlamBackend:
             free = free[features.tracks[free] == 0]
         if len(free) == 0 or not self._filter.can_add_landmarks:
             return np.zeros(0, np.intp)
-        free = free[np.isfinite(self._filter.rig.triangulate(features.pixels[free])).all(axis=1)]
         chosen = free[self._new_landmarks(features.pixels[free, :2])]
         if len(chosen):
-            self._filter.add_landmarks(features.pixels[chosen].astype(float))
+            chosen = chosen[self._filter.add_landmarks(features.pixels[chosen].astype(float))]
             self._map.append(features.descriptors[chosen], self._frame, features.tracks[chosen])
         return chosen
 

@@ -53,7 +53,8 @@ class PairPoints:
         """Return the points that are not below a height [m]: a disparity near that of infinity is far away."""
         kept = self.points_map[:, 2] >= low_m
         share = self.share * float(kept.mean()) if len(kept) else 0.0
-        return dataclasses.replace(self, points_map=self.points_map.T[:, kept].T, share=share)
+        points = self.points_map.T[:, kept].T  # each axis stays contiguous
+        return dataclasses.replace(self, points_map=points, share=share)
 
 
 def match(pair: RectifiedPair, settings: SurfaceSettings) -> PairPoints:
