@@ -81,8 +81,11 @@ def test_the_increment_leads_to_the_pose_that_is_seen_and_says_nothing_itself(fl
     wrong = features.pixels.copy()
     wrong[:5, :2] += 30.0
     found = step(flight, finder, k, dataclasses.replace(features, pixels=wrong), unknown(flight, k))
-    assert MIN_INLIERS <= found.tracks <= len(found.features) < len(features)
-    assert not np.isin(features.tracks[:5], found.features.tracks).all()
+    known = np.isin(features.tracks, flight.frames[k - 1][0].tracks)
+    assert MIN_INLIERS <= found.tracks == (known & (found.features.tracks != 0)).sum()
+    assert (found.features.tracks[:5] == np.where(known[:5], 0, features.tracks[:5])).all()
+    assert known[:5].any()
+    assert len(found.features) == len(features)
     start, end = (flight.vehicle.true_state(int(flight.vehicle.frame_stamps_ns[n])) for n in (k - 1, k))
     P = np.eye(15) * 1e-6
     reached = advance(NavEstimate(start, P), found.increment, flight.vehicle.scenario.imu_config)

@@ -72,16 +72,18 @@ class MotionFinder:
             threshold_px: largest reprojection error of a track.
 
         Returns:
-            Without tracks that contradict the motion seen; without any point if the motion remains unknown.
+            Tracks that contradict the motion seen have ended; if it remains unknown, there are no points at all.
         """
         before, self._before = self._before, features.without_descriptors
         if increment is None or before is None or (unknown := _unknown_share(increment)) <= SEEN_BEYOND:
             return Step(increment, features)
         found = _motion_seen(before, features, rig, threshold_px)
         if found is not None:
-            T_start_end, contradicting, tracks = found
-            kept = np.setdiff1d(np.arange(len(features)), contradicting)
-            return Step(_moved(increment, start, T_start_end, imu), features.chosen(kept), tracks)
+            T_start_end, contradicting, count = found
+            tracks = features.tracks.copy()
+            tracks[contradicting] = 0
+            moved = _moved(increment, start, T_start_end, imu)
+            return Step(moved, dataclasses.replace(features, tracks=tracks), count)
         return Step(increment, features if unknown <= COAST_BEYOND else StereoFeatures.empty(features.stamp_ns))
 
 
