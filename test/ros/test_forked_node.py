@@ -22,7 +22,7 @@ def ended(node: ForkedNode) -> tuple[int | None, str]:
     return node.poll(), output
 
 
-def test_it_has_a_group_title_environment_and_files_of_its_own() -> None:
+def test_it_has_a_group_title_environment_and_files_of_its_own_and_leaves_nothing() -> None:
     before = signal.signal(signal.SIGTERM, lambda *_: None)
     try:
         code, output = ended(ForkedNode(EXAMPLE, ["--ros-args", "-r", "__ns:=/uav1", "3"], {"EXAMPLE": "given"}))
@@ -30,7 +30,8 @@ def test_it_has_a_group_title_environment_and_files_of_its_own() -> None:
         signal.signal(signal.SIGTERM, before)
     assert code == 3
     title = f"{EXAMPLE} --ros-args -r __ns:=/uav1 3"
-    assert output.splitlines() == [f"{EXAMPLE} True {title} given [0, 1, 2] 4 False", "to stderr"]  # 4: the listing's
+    told = f"{EXAMPLE} True {title} given [0, 1, 2] 4 False"  # 4: with the listing's
+    assert output.splitlines() == [told, "to stderr", "destroyed"]
 
 
 def test_a_signal_that_kills_it_is_its_exit_code() -> None:

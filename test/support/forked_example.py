@@ -7,6 +7,17 @@ import sys
 from pathlib import Path
 
 
+class Participant:
+    """What only the garbage collector destroys."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+    def __del__(self) -> None:
+        """Tell of it."""
+        print("destroyed")
+
+
 def main() -> int:
     """Print name, group, title, variable, open files and the handling of SIGTERM; then end."""
     title = Path("/proc/self/cmdline").read_text().rstrip("\0")
@@ -16,4 +27,5 @@ def main() -> int:
     print("to stderr", file=sys.stderr)
     if sys.argv[-1] == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
+    Participant()
     return int(sys.argv[-1])
