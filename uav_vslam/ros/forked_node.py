@@ -88,7 +88,7 @@ def _run(main: Callable[[], int]) -> NoReturn:
         code = int(main())
     except BaseException:
         traceback.print_exc()
-    gc.collect()  # a DDS participant that is not destroyed leaves shared memory, and may leave a lock that others wait for
+    gc.collect()  # a DDS participant that is not destroyed leaves shared memory, and maybe a lock in it, to the others
     with contextlib.suppress(OSError):
         sys.stdout.flush()
     os._exit(code)
