@@ -135,7 +135,7 @@ def memory_mb(launcher: int) -> dict[str, float]:
     """Return the resident memory of each node that a launcher has started [MB]."""
     found = {}
     for child in (PROC / str(launcher) / "task" / str(launcher) / "children").read_text().split():
-        words = (PROC / child / "cmdline").read_bytes().decode(errors="replace").replace("\0", " ").split()
+        words = (PROC / child / "cmdline").read_bytes().decode(errors="replace").split("\0")
         pages = int((PROC / child / "statm").read_text().split()[1])
         found[node_name(words) or words[-1]] = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
     return found

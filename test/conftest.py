@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import uuid
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
@@ -124,6 +125,9 @@ def domain_id(make_domain_id: Callable[[], int]) -> int:
     return make_domain_id()
 
 
+MARK = "UAV_VSLAM_TEST_RUN"  # in the environment of a launcher and so of all that it starts
+
+
 @dataclass(frozen=True)
 class Graph:
     """A fleet's node graph, started by `uav-vslam launch` on a ROS domain of its own.
@@ -131,10 +135,12 @@ class Graph:
     Attributes:
         process: the launcher; its output and that of the nodes are in one pipe.
         domain_id: its ROS domain.
+        mark: value of `MARK` by which its processes are found.
     """
 
     process: subprocess.Popen[str]
     domain_id: int
+    mark: str
 
     def alive(self) -> bool:
         """Whether the launcher runs."""
@@ -151,11 +157,10 @@ class Graph:
         return next(pid for pid, command in self._processes().items() if wanted in command)
 
     def _processes(self) -> dict[int, str]:
-        """Return the command line of each process of the launcher's session."""
-        found = {}
+        needle, found = f"{MARK}={self.mark}".encode(), {}
         for process in Path("/proc").iterdir():
             try:
-                if process.name.isdigit() and os.getsid(int(process.name)) == self.process.pid:
+                if process.name.isdigit() and needle in (process / "environ").read_bytes():
                     found[int(process.name)] = (process / "cmdline").read_text().replace("\0", " ")
             except OSError:  # gone, or not ours
                 continue
@@ -168,12 +173,13 @@ def _launched(*arguments: str) -> Iterator[Graph]:
     from uav_vslam.ros.domain import claimed_domain
 
     with claimed_domain() as domain_id:
+        mark = uuid.uuid4().hex
         command = [sys.executable, "-m", "uav_vslam.cli.main", "launch", *arguments, "--domain", str(domain_id)]
         with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+            command, env=os.environ | {MARK: mark}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         ) as process:
             try:
-                yield Graph(process, domain_id)
+                yield Graph(process, domain_id, mark)
             finally:
                 ended_itself = process.poll()
                 process.kill()  # takes the nodes with it

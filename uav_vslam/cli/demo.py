@@ -59,7 +59,7 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
     started = time.monotonic()
     with claimed_domain() as domain_id:
         print(f"starting {', '.join(fleet.vehicles)} and their replay on ROS domain {domain_id}", flush=True)
-        code = launch(fleet, record=estimates, log_dir=folder / "log", domain_id=domain_id, forks=True, on_line=on_line)
+        code = launch(fleet, record=estimates, log_dir=folder / "log", domain_id=domain_id, on_line=on_line)
     if code != 0:
         hint = "; see --verbose" if args.keep is None else f"; each process's output is in {folder / 'log'}"
         print(f"uav-vslam: the node graph failed (exit code {code}){hint}", file=sys.stderr)

@@ -78,7 +78,6 @@ def run(args: argparse.Namespace) -> int:
         log_level=args.log_level or "",
         restarts=args.on_failure == "restart" or not (args.on_failure or fleet.replay.bags),
         parameter_services=not args.no_parameter_services,
-        forks=True,
     )
 
 
@@ -130,7 +129,6 @@ def launch(
     log_level: str = "",
     restarts: bool = False,
     parameter_services: bool = True,
-    forks: bool = False,
     on_line: Callable[[str, str], None] | None = None,
 ) -> int:
     """Run a fleet's processes to their end.
@@ -145,7 +143,6 @@ def launch(
         log_level: of all nodes; empty for their default.
         restarts: nodes that fail are started again; otherwise the first failure ends all.
         parameter_services: vehicles' parameters can be read and changed in flight.
-        forks: see `Supervisor`.
         on_line: called with (process, line) for each line of output; the default prints it.
 
     Returns:
@@ -170,9 +167,7 @@ def launch(
     _remove_leftovers()
     _warn_without_key(fleet)
     escalation = SAVING if maps else ESCALATION
-    supervisor = Supervisor(
-        environment, restarts=restarts, forks=forks, log_dir=log_dir, on_line=on_line, escalation=escalation
-    )
+    supervisor = Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line, escalation=escalation)
     return supervisor.run(commands)
 
 

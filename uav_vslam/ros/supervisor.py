@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts, monitors and shuts down the processes of a fleet; imports no ROS but with the nodes that it forks.
+"""Starts, monitors and shuts down the processes of a fleet; imports no ROS.
 
 Every process has its own process group, so that a terminal's Ctrl-C reaches the supervisor only; the kernel kills it if
 the supervisor dies. One thread does everything: fork and signals stay simple.
@@ -20,7 +20,6 @@ from typing import IO
 from uav_vslam.errors import ConfigError
 from uav_vslam.processes import exit_with_parent
 from uav_vslam.ros.fleet_commands import NodeSpec
-from uav_vslam.ros.forked_node import ForkedNode
 
 PACKAGE = "uav_vslam"
 DRAIN_S = 1.0  # after the replay's end, for messages in flight
@@ -39,7 +38,6 @@ class Command:
     Attributes:
         name: prefix of its output.
         argv: program and arguments.
-        node: module of a node and its arguments, which a fork runs instead of the program.
         leads: its exit shuts down the fleet; otherwise only a signal or a failure does.
         optional: the fleet goes on without it if it fails, unless its input is wrong.
         environment: variables in addition to the supervisor's.
@@ -52,13 +50,12 @@ class Command:
     environment: dict[str, str] = field(default_factory=dict)
     resume: tuple[str, ...] = ()
     optional: bool = False
-    node: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
 class _Child:
     command: Command
-    process: subprocess.Popen[bytes] | ForkedNode
+    process: subprocess.Popen[bytes]
     log: IO[bytes] | None
     unfinished: bytes = b""
     started_s: float = field(default_factory=time.monotonic)
@@ -73,7 +70,6 @@ class Supervisor:
 
     Attributes:
         restarts: a process that fails is started again, after a pause that grows, and the others go on.
-        forks: nodes are forks of this process; only for one that has no threads, of libraries either.
         environment: variables in addition to ours.
         log_dir: folder for a log file of each process.
         escalation: what is sent to those that still run, and how many seconds after the order to end.
@@ -82,7 +78,6 @@ class Supervisor:
 
     environment: dict[str, str] = field(default_factory=dict)
     restarts: bool = False
-    forks: bool = False
     log_dir: Path | None = None
     on_line: Callable[[str, str], None] | None = None
     escalation: tuple[tuple[float, signal.Signals], ...] = ESCALATION
@@ -121,14 +116,12 @@ class Supervisor:
         self._follow(child)
         return child
 
-    def _spawn(self, command: Command, more: Sequence[str] = ()) -> subprocess.Popen[bytes] | ForkedNode:
-        environment = {"PYTHONUNBUFFERED": "1"} | self.environment | command.environment
-        if command.node and self.forks:
-            return self._fork(command, more, environment)
+    def _spawn(self, command: Command, more: Sequence[str] = ()) -> subprocess.Popen[bytes]:
+        environment = os.environ | {"PYTHONUNBUFFERED": "1"} | self.environment | command.environment
         try:
             return subprocess.Popen(
                 [*command.argv, *more],
-                env=os.environ | environment,
+                env=environment,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -137,13 +130,6 @@ class Supervisor:
             )
         except OSError as error:
             raise ConfigError(f"{command.name} can't be started: {command.argv[0]}: {error.strerror}") from None
-
-    def _fork(self, command: Command, more: Sequence[str], environment: dict[str, str]) -> ForkedNode:
-        module, *arguments = command.node
-        try:
-            return ForkedNode(module, [*arguments, *more], environment)
-        except ImportError as error:
-            raise ConfigError(f"{command.name} can't be started: {error}; is the ROS environment set?") from None
 
     def _follow(self, child: _Child) -> None:
         """Relay the output of a child's process."""
@@ -263,7 +249,7 @@ class Supervisor:
 
     def _check_exit_codes(self) -> None:
         for child in self._children:
-            code = child.process.returncode or 0
+            code = child.process.returncode
             if self._code == 0 and not child.missed and code not in {0, -signal.SIGINT, -signal.SIGTERM}:
                 _log(f"{child.command.name} {describe_exit(code)} during shutdown")
                 self._code = _shell_code(code)
@@ -289,12 +275,11 @@ def _close_log(child: _Child) -> None:
 def node_command(spec: NodeSpec, log_level: str = "") -> Command:
     """Return the command that runs a node; its name is "uav1/slam_backend", or "replay" for the whole fleet."""
     name = f"{spec.namespace}/{spec.name}".strip("/")
-    arguments = spec.ros_arguments() + (["--log-level", log_level] if log_level else [])
-    argv = [*find_executable(spec.executable), *arguments]
+    argv = [*find_executable(spec.executable), *spec.ros_arguments()]
+    argv += ["--log-level", log_level] if log_level else []
     resume = ("-p", "resume:=true") if spec.executable == "slam_backend" else ()
     leads, optional = spec.executable == "replay", spec.executable == "recorder"
-    node = (f"{PACKAGE}.ros.{spec.executable}_node", *arguments)
-    return Command(name, argv, leads, spec.environment, resume, optional, node)
+    return Command(name, argv, leads, spec.environment, resume, optional)
 
 
 def find_executable(name: str) -> list[str]:

@@ -36,7 +36,7 @@ def sample_children(parent: int, time_s: float) -> Sample:
     tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
     for entry in (PROC / str(parent) / "task" / str(parent) / "children").read_text(encoding="ascii").split():
         try:
-            words = (PROC / entry / "cmdline").read_bytes().decode(errors="replace").replace("\0", " ").split()
+            words = (PROC / entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
             fields = (PROC / entry / "stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
         except OSError:
             continue
