@@ -18,7 +18,7 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.rotation import skew, so3_exp_and_right_jacobian
 from uav_vslam.ins.gaps import LEAP_S, UNKNOWN_ACCEL_SIGMA, UNKNOWN_RATE_SIGMA, UsualSpacing, halved, hidden_variance
-from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
+from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavState
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -275,6 +275,12 @@ def unknown_motion(
         bias_jacobian=np.zeros((9, 6)),
         covariance=np.diag(sigma**2),
     )
+
+
+def unknown_motion_since(state: NavState, stamp_ns: int, imu: ImuConfig) -> ImuIncrement:
+    """Return the unknown motion from a state to a stamp [ns], linearised at the state's bias; see `unknown_motion`."""
+    bias = {"gyro_bias": state.gyro_bias, "accel_bias": state.accel_bias}
+    return unknown_motion(state.stamp_ns, stamp_ns, **bias, imu=imu)
 
 
 class ImuBuffer:

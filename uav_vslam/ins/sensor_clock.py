@@ -6,7 +6,7 @@ from collections import deque
 from typing import Any
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.ins.preintegration import unknown_motion
+from uav_vslam.ins.preintegration import unknown_motion_since
 from uav_vslam.ins.propagation import transition
 from uav_vslam.ins.sensor_lag import IMAGES, IMU, LEAST_NS, SensorLag
 from uav_vslam.stamps import (
@@ -129,6 +129,5 @@ def carried_over(estimate: NavEstimate, stamp_ns: int, imu: ImuConfig) -> NavEst
     """
     state = estimate.state
     elapsed_ns = min(abs(stamp_ns - state.stamp_ns), round(MOST_ELAPSED_S * NS_PER_S)) or 1
-    bias = {"gyro_bias": state.gyro_bias, "accel_bias": state.accel_bias}
-    F, Q = transition(state, unknown_motion(state.stamp_ns, state.stamp_ns + elapsed_ns, **bias, imu=imu), imu)
+    F, Q = transition(state, unknown_motion_since(state, state.stamp_ns + elapsed_ns, imu), imu)
     return NavEstimate(dataclasses.replace(state, stamp_ns=stamp_ns), F @ estimate.covariance @ F.T + Q)

@@ -32,12 +32,10 @@ class StartupBuffer:
 
     def take(self, *, from_first_reading: bool = False) -> list[ImuSample | int]:
         """Return and remove all items, in order of arrival; images from before the first reading may be left out."""
-        taken = list(self._items)
+        first_ns = self._first_reading_ns(0) if from_first_reading else 0
+        taken = [item for item in self._items if _stamp_ns(item) >= first_ns]
         self._items.clear()
-        if not from_first_reading:
-            return taken
-        first_ns = next((item.stamp_ns for item in taken if isinstance(item, ImuSample)), 0)
-        return [item for item in taken if _stamp_ns(item) >= first_ns]
+        return taken
 
     def readings(self) -> list[ImuSample]:
         """Return the buffered readings."""
@@ -49,8 +47,11 @@ class StartupBuffer:
 
     def uncovered_s(self, stamp_ns: int) -> float:
         """Return the time from a start at this stamp to the first reading that is buffered [s]."""
-        first_ns = next((item.stamp_ns for item in self._items if isinstance(item, ImuSample)), stamp_ns)
-        return (first_ns - stamp_ns) / NS_PER_S
+        return (self._first_reading_ns(stamp_ns) - stamp_ns) / NS_PER_S
+
+    def _first_reading_ns(self, otherwise_ns: int) -> int:
+        """Return the stamp of the first reading that is buffered, or another one if there is none [ns]."""
+        return next((item.stamp_ns for item in self._items if isinstance(item, ImuSample)), otherwise_ns)
 
 
 def _stamp_ns(item: ImuSample | int) -> int:

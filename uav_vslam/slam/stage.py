@@ -12,7 +12,7 @@ from typing import Any
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence, MapError
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import bridged, unknown_motion
+from uav_vslam.ins.preintegration import bridged, unknown_motion_since
 from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
@@ -29,7 +29,6 @@ from uav_vslam.types import (
     ImuIncrement,
     JointInformation,
     NavEstimate,
-    NavState,
     StereoFeatures,
 )
 
@@ -272,7 +271,8 @@ class SlamStage:
                 self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
             )
         if increment is None and features.stamp_ns != self._backend.stamp_ns:
-            increment = self._lost_motion(self._backend.nav.state, features.stamp_ns)
+            self._motion_lost += 1
+            increment = unknown_motion_since(self._backend.nav.state, features.stamp_ns, self._config.imu)
         if increment is not None:
             # before the filter, which may fail: the baseline must not miss a step
             self._dead_reckoning.add(increment)
@@ -294,11 +294,6 @@ class SlamStage:
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
         return FrameOutput(report, dead_reckoned, joint, increment, self._warnings(report, dead_reckoned))
-
-    def _lost_motion(self, before: NavState, stamp_ns: int) -> ImuIncrement:
-        self._motion_lost += 1
-        bias = {"gyro_bias": before.gyro_bias, "accel_bias": before.accel_bias}
-        return unknown_motion(before.stamp_ns, stamp_ns, **bias, imu=self._config.imu)
 
     def _joint_information(self, backend: SlamBackend) -> JointInformation:
         joint, start_map = backend.joint_information(), self._start_map
