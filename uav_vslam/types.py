@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.coded_points import CodedPoints
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.numerics import inverse_spd
 
 Array = NDArray[np.float64]
 
@@ -297,6 +296,8 @@ class JointInformation:
         Raises:
             FilterDivergence: the information is not positive definite.
         """
+        from uav_vslam.numerics import inverse_spd  # brings scipy, a third of the start of a node that needs none
+
         P = inverse_spd(self.information, "joint information")
         P.flags.writeable = False
         return P

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.calibration.pictures import FilePictures, paired, pictures_of
-from uav_vslam.datasets.messages import compressed_image_message, image_message
+from uav_vslam.datasets.message_builders import compressed_image_message, image_message
 from uav_vslam.datasets.rosbag import RawRecorder, encode
 from uav_vslam.errors import BagError, CalibrationError
 

@@ -14,7 +14,7 @@ from board_scene import poses, rendered_pair, rig_of
 from uav_vslam.calibration.boards import Board, Charuco, Chessboard
 from uav_vslam.cli.main import main
 from uav_vslam.datasets.calibration_files import read_calibration
-from uav_vslam.datasets.messages import compressed_image_message
+from uav_vslam.datasets.message_builders import compressed_image_message
 from uav_vslam.datasets.rosbag import RawRecorder, encode
 
 BOARDS: dict[str, tuple[Board, list[str]]] = {

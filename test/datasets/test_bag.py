@@ -11,7 +11,8 @@ import pytest
 from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.bag import _in_stamp_order, open_flight, vehicles
 from uav_vslam.datasets.flight_writer import ImageCoding
-from uav_vslam.datasets.messages import camera_info_message, image_message, stamp_ns_of, transforms_message
+from uav_vslam.datasets.message_builders import camera_info_message, image_message, transforms_message
+from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from uav_vslam.datasets.messages import ENCODINGS, camera_info_message, camera_of, image_message, image_of
+from uav_vslam.datasets.message_builders import camera_info_message, image_message
+from uav_vslam.datasets.messages import ENCODINGS, camera_of, image_of
 from uav_vslam.geometry.camera import PinholeCamera
 
 BGR = np.zeros((8, 12, 3), np.uint8)

@@ -19,15 +19,14 @@ from uav_vslam.config.input import COMPRESSED
 from uav_vslam.datasets.bag import BagFlight, TruthTrack
 from uav_vslam.datasets.cutting import CutVehicle
 from uav_vslam.datasets.flight_writer import LATCHED_TOPICS, TF_STATIC
-from uav_vslam.datasets.messages import (
-    TruthSample,
+from uav_vslam.datasets.message_builders import (
     camera_info_message,
-    header_stamp_ns,
     navigation_state_message,
     transforms_message,
     truth_message,
     with_header,
 )
+from uav_vslam.datasets.messages import TruthSample, header_stamp_ns
 from uav_vslam.datasets.rosbag import RawRecorder, decode, encode, iter_raw
 from uav_vslam.datasets.seen_points import recorded_pairs
 from uav_vslam.datasets.unfinished import unfinished

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.messages import (
-    TruthSample,
+from uav_vslam.datasets.message_builders import (
     camera_info_message,
     compressed_image_message,
     image_message,
@@ -22,6 +21,7 @@ from uav_vslam.datasets.messages import (
     transforms_message,
     truth_message,
 )
+from uav_vslam.datasets.messages import TruthSample
 from uav_vslam.datasets.rosbag import RawRecorder, encoded_view
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import StereoRig

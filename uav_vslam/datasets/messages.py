@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Converts records to bag messages and back: stamps, xyzw quaternions and flat arrays appear only here."""
+"""Records of ROS messages, from a bag or rclpy: stamps, xyzw quaternions and flat arrays are read only here."""
 
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +9,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.rosbag import message
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -114,41 +112,6 @@ def _nanoseconds(sec: int, nanosec: int) -> int:
     return int(sec) * NS_PER_S + int(nanosec)
 
 
-def with_header(built: Any, stamp_ns: int, frame_id: str) -> Any:
-    """Give a message another header; return it."""
-    built.header = _header(stamp_ns, frame_id)
-    return built
-
-
-def image_message(stamp_ns: int, frame_id: str, image: NDArray[Any], *, encoding: str = "") -> Any:
-    """Build sensor_msgs/Image from (H, W) grey or (H, W, 3) BGR pixels, or with another encoding of theirs."""
-    encoding = encoding or ("bgr8" if image.ndim == 3 else "mono8" if image.dtype == np.uint8 else "mono16")
-    pixels = np.ascontiguousarray(image).astype(image.dtype.newbyteorder("<"), copy=False)
-    return message(
-        "sensor_msgs/msg/Image",
-        header=_header(stamp_ns, frame_id),
-        height=image.shape[0],
-        width=image.shape[1],
-        encoding=encoding,
-        is_bigendian=0,
-        step=pixels.strides[0],
-        data=pixels.view(np.uint8).reshape(-1),
-    )
-
-
-def compressed_image_message(stamp_ns: int, frame_id: str, encoded: bytes, *, fmt: str) -> Any:
-    """Build sensor_msgs/CompressedImage from the bytes of a file.
-
-    Args:
-        stamp_ns: exposure time [ns].
-        frame_id: of the camera.
-        encoded: bytes of the file.
-        fmt: "jpeg" or "png"; of a Bayer mosaic "bayer_rggb8; png compressed", as `compressed_image_transport` has it.
-    """
-    data = np.frombuffer(encoded, np.uint8)
-    return message("sensor_msgs/msg/CompressedImage", header=_header(stamp_ns, frame_id), format=fmt, data=data)
-
-
 def image_of(built: Any) -> NDArray[Any]:
     """Return the (H, W) or (H, W, 3) BGR pixels of an Image or CompressedImage.
 
@@ -190,24 +153,6 @@ def decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
         return None
 
 
-def camera_info_message(stamp_ns: int, frame_id: str, camera: PinholeCamera) -> Any:
-    """Build sensor_msgs/CameraInfo; K and D are the calibration; P repeats K, because the rig is not rectified."""
-    return message(
-        "sensor_msgs/msg/CameraInfo",
-        header=_header(stamp_ns, frame_id),
-        height=camera.height,
-        width=camera.width,
-        distortion_model=camera.model,
-        d=np.asarray(camera.distortion, dtype=float),
-        k=camera.K.ravel(),
-        r=np.eye(3).ravel(),
-        p=np.column_stack([camera.K, np.zeros(3)]).ravel(),
-        binning_x=0,
-        binning_y=0,
-        roi=message("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
-    )
-
-
 def camera_of(info: Any) -> PinholeCamera:
     """Return the intrinsics of a CameraInfo.
 
@@ -235,41 +180,9 @@ def rectified_camera_of(info: Any) -> tuple[PinholeCamera, Pose]:
     return PinholeCamera(info.width, info.height, fx, fy, cx, cy), Pose(R_rectified_cam.T, np.zeros(3))
 
 
-def imu_message(sample: ImuSample, frame_id: str) -> Any:
-    """Build sensor_msgs/Imu; orientation is marked as unavailable."""
-    unknown = np.zeros(9)
-    unknown[0] = -1.0
-    return message(
-        "sensor_msgs/msg/Imu",
-        header=_header(sample.stamp_ns, frame_id),
-        orientation=_quaternion(np.array([1.0, 0.0, 0.0, 0.0])),
-        orientation_covariance=unknown,
-        angular_velocity=_vector(sample.gyro),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=_vector(sample.accel),
-        linear_acceleration_covariance=np.zeros(9),
-    )
-
-
 def imu_of(built: Any) -> ImuSample:
     """Return the reading of an Imu message."""
     return ImuSample(stamp_ns_of(built), _array(built.angular_velocity), _array(built.linear_acceleration))
-
-
-def truth_message(sample: TruthSample, *, frame_id: str, child_frame_id: str) -> Any:
-    """Build nav_msgs/Odometry; the twist is in the body frame, as the message defines it."""
-    twist = message(
-        "geometry_msgs/msg/Twist",
-        linear=_vector(sample.T_world_body.R.T @ sample.v_world),
-        angular=_vector(sample.rate_body),
-    )
-    return message(
-        "nav_msgs/msg/Odometry",
-        header=_header(sample.stamp_ns, frame_id),
-        child_frame_id=child_frame_id,
-        pose=message("geometry_msgs/msg/PoseWithCovariance", pose=_pose(sample.T_world_body), covariance=np.zeros(36)),
-        twist=message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
-    )
 
 
 def truth_of(built: Any) -> TruthSample:
@@ -283,21 +196,6 @@ def truth_of(built: Any) -> TruthSample:
     T_world_body = _pose_of(built.pose.pose)
     twist = built.twist.twist
     return TruthSample(stamp_ns_of(built), T_world_body, T_world_body.R @ _array(twist.linear), _array(twist.angular))
-
-
-def navigation_state_message(estimate: NavEstimate, *, frame_id: str, child_frame_id: str) -> Any:
-    """Build uav_vslam_msgs/NavigationState."""
-    state = estimate.state
-    return message(
-        "uav_vslam_msgs/msg/NavigationState",
-        header=_header(state.stamp_ns, frame_id),
-        child_frame_id=child_frame_id,
-        pose=_pose(state.T_map_body),
-        velocity=_vector(state.v_map),
-        gyro_bias=_vector(state.gyro_bias),
-        accel_bias=_vector(state.accel_bias),
-        covariance=np.asarray(estimate.covariance, dtype=float).ravel(),
-    )
 
 
 def navigation_state_of(built: Any) -> NavEstimate:
@@ -319,24 +217,6 @@ def navigation_state_of(built: Any) -> NavEstimate:
     return NavEstimate(NavState(stamp_ns_of(built), pose, *parts[1:]), P)
 
 
-def transforms_message(stamp_ns: int, edges: Sequence[tuple[str, str, Pose]]) -> Any:
-    """Build tf2_msgs/TFMessage from edges (parent frame, child frame, T_parent_child)."""
-    transforms = []
-    for parent, child, pose in edges:
-        transform = message(
-            "geometry_msgs/msg/Transform", translation=_vector(pose.t), rotation=_quaternion(pose.quaternion_wxyz)
-        )
-        transforms.append(
-            message(
-                "geometry_msgs/msg/TransformStamped",
-                header=_header(stamp_ns, parent),
-                child_frame_id=child,
-                transform=transform,
-            )
-        )
-    return message("tf2_msgs/msg/TFMessage", transforms=transforms)
-
-
 def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
     """Return the edges (parent frame, child frame, T_parent_child) of a TFMessage.
 
@@ -351,28 +231,6 @@ def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
         except ValueError as error:
             raise CalibrationError(f"/tf_static, {parent} to {child}: {error}; publish that transform anew") from None
     return edges
-
-
-def _header(stamp_ns: int, frame_id: str) -> Any:
-    sec, nanosec = divmod(int(stamp_ns), NS_PER_S)
-    stamp = message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-    return message("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
-
-
-def _vector(values: Array) -> Any:
-    x, y, z = np.asarray(values, dtype=float).tolist()
-    return message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def _quaternion(wxyz: Array) -> Any:
-    w, x, y, z = wxyz.tolist()
-    return message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-
-def _pose(pose: Pose) -> Any:
-    x, y, z = np.asarray(pose.t, dtype=float).tolist()
-    point = message("geometry_msgs/msg/Point", x=x, y=y, z=z)
-    return message("geometry_msgs/msg/Pose", position=point, orientation=_quaternion(pose.quaternion_wxyz))
 
 
 def _pose_of(built: Any) -> Pose:

@@ -16,7 +16,8 @@ from uav_vslam.datasets.importing.motion import motion_of_poses
 from uav_vslam.datasets.importing.pictures import Picture, frames, paired, shifted
 from uav_vslam.datasets.importing.problems import SHOWN, Problems
 from uav_vslam.datasets.importing.tables import read_table
-from uav_vslam.datasets.messages import compressed_image_message, image_of
+from uav_vslam.datasets.message_builders import compressed_image_message
+from uav_vslam.datasets.messages import image_of
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import ImuSample, StereoFrame

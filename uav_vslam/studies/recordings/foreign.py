@@ -12,7 +12,7 @@ import yaml
 from uav_vslam.config.input import TopicsConfig
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.kalibr_camchain import camchain
-from uav_vslam.datasets.messages import transforms_message
+from uav_vslam.datasets.message_builders import transforms_message
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw, topics_of
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp

@@ -12,7 +12,8 @@ import zstandard
 
 from uav_vslam.config import InputConfig
 from uav_vslam.datasets.flight_writer import FlightRecording, ImageCoding, write_flights
-from uav_vslam.datasets.messages import image_message, image_of, stamp_ns_of
+from uav_vslam.datasets.message_builders import image_message
+from uav_vslam.datasets.messages import image_of, stamp_ns_of
 from uav_vslam.datasets.rosbag import RawMessage, decode, encode
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
