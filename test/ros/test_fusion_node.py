@@ -395,7 +395,14 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
     assert os.environ["ROS_STATIC_PEERS"] == "127.0.0.1"
     context = rclpy.Context()
     context.init(args=[], domain_id=radio_id)
-    peer = rclpy.create_node("uav2", context=context, use_global_arguments=False)
+    peer = rclpy.create_node(
+        "uav2",
+        context=context,
+        use_global_arguments=False,
+        enable_rosout=False,
+        start_parameter_services=False,
+        parameter_overrides=[Parameter("start_type_description_service", value=False)],
+    )
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(peer)
     try:
@@ -407,13 +414,12 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         assert flight.spin(lambda: flight.node._exchange._transport.copies == 2)
         size = len(serialize_message(flight.received[0]))
         assert flight.epoch(2).bytes_sent == (1 + 2) * size  # each peer is sent its own copy
-        nodes = peer.get_node_names_and_namespaces
-        assert flight.spin(lambda: [name for name, namespace in nodes() if namespace == "/uav1"] == ["radio"])
-        sent, received = [PACKETS, "/uav2/fusion/feedback"], ["/uav1/fusion/feedback", "/uav2/landmark_information"]
-        published, subscribed = peer.get_publisher_names_and_types_by_node, peer.get_subscriber_names_and_types_by_node
-        assert flight.spin(lambda: [topic for topic, _ in published("radio", "/uav1")] == sent)
-        assert flight.spin(lambda: [topic for topic, _ in subscribed("radio", "/uav1")] == received)
-        assert peer.get_service_names_and_types_by_node("radio", "/uav1") == []
+        carried = {PACKETS, "/uav1/fusion/feedback", "/uav2/fusion/feedback", "/uav2/landmark_information"}
+        own = {"/parameter_events"}
+        assert flight.spin(lambda: {topic for topic, _ in peer.get_topic_names_and_types()} - own == carried)
+        assert flight.spin(lambda: peer.count_publishers("/parameter_events") == 1)
+        assert peer.count_subscribers(PACKETS) == 2  # the peer's own two: uav1 only sends there
+        assert peer.get_service_names_and_types() == []
         assert flight.others.get_publishers_info_by_topic(PACKETS) == []
     finally:
         executor.shutdown()
