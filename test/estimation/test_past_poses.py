@@ -147,7 +147,7 @@ def test_a_track_that_slides_fails_the_gate_and_others_pass(course) -> None:
     pixels = np.nan_to_num(tracks.pixels)
     pixels[4, :, [0, 2]] += np.linspace(0.0, 40 * SIGMA_PX, VIEWS) ** 2
     P = np.diag(np.full(RigErrors(course.rig, RIG, 15).dim + POSE_DIM * VIEWS, 1e-12))
-    passed = observed(course, Tracks(pixels, tracks.seen)).agreeing(P, 0.99)
+    passed = observed(course, Tracks(pixels, tracks.seen)).gated(P, 0.99)[0]
     assert not passed[4]
     assert passed.sum() == len(passed) - 1
 

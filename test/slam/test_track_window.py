@@ -161,6 +161,24 @@ def test_points_still_tracked_are_in_the_joint_estimate_under_lasting_identifier
     np.testing.assert_allclose(joint.covariance[:6, :6], backend._nav.pose.covariance, rtol=0.2, atol=1e-6)
 
 
+def test_a_sliding_track_that_ends_first_does_not_mislead_an_uncertain_start(flown) -> None:
+    """The start's velocity is uncertain, so that the track alone fits the state well."""
+    slides_px = 3.0
+    for seed in range(5):
+        flight = flown(400 + seed, frames=8, tracked_px=SIGMA_PX / 2)
+        undisturbed = position_errors(flight, fly(flight, backend_of(flight)))
+        first, second = (features for features, _ in flight.frames[:2])
+        track = np.intersect1d(first.tracks[first.tracks != 0], second.tracks)[0]
+        for k, features in enumerate((first, second)):
+            features.pixels[features.tracks == track, 0] += k * slides_px
+            features.pixels[features.tracks == track, 2] += k * slides_px
+        for features, _ in flight.frames[2:]:
+            features.tracks[features.tracks == track] = 0
+        reports = fly(flight, backend_of(flight))
+        assert not any(report.coasted for report in reports[1:])
+        np.testing.assert_allclose(position_errors(flight, reports), undisturbed, atol=0.02)
+
+
 @pytest.mark.parametrize("changes", [{"filter": "thesis_ukf", "model": "euler9"}, {"model": "euler9"}])
 def test_the_thesiss_filters_and_states_have_no_past_poses(flown, changes) -> None:
     flight = flown(7, frames=6, tracked_px=SIGMA_PX / 2)

@@ -12,7 +12,9 @@ over its errors; a `Linearisation` supplies F, Q, H and R. The thesis's four fil
 
 import copy
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -37,6 +39,7 @@ from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transpor
 from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
 from uav_vslam.estimation.past_poses import COPY_VARIANCE, POSE_DIM, PastPose, Tracks, observe_tracks
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
+from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import StereoRig
@@ -210,13 +213,16 @@ class Filter:
         P = submatrix(self.belief.covariance(NO_ROWS), rows)
         return PoseEstimate(state.stamp_ns, state.T_map_body, symmetrise(P))
 
-    def observe_tracks(self, tracks: Tracks, *, probability: float, become_landmarks: Mask) -> Mask:
+    def observe_tracks(
+        self, tracks: Tracks, *, probability: float, become_landmarks: Mask, others: Callable[[], Tracks] | None = None
+    ) -> Mask:
         """Take in tracks of points that are no landmarks; the next `update` uses what they say about the past poses.
 
         Args:
             tracks: pixels at the past poses, at least `past_poses.MIN_VIEWS` of each.
             probability: of the chi-square gate.
             become_landmarks: (T,) whose points are appended to the landmarks, if they pass the gate.
+            others: makes tracks that only help to tell which are wrong, see `track_consensus`.
 
         Returns:
             (T,) which have passed.
@@ -228,9 +234,12 @@ class Filter:
             for pose in self.past
         ]
         with _stamped(self.nav.stamp_ns):
-            seen = observe_tracks(tracks, past, rig=self.rig, errors=self._errors, sigma_px=self.track_sigma_px)
-            rows = np.r_[self._errors.rows, self._past_rows]
-            passed = seen.agreeing(submatrix(self.belief.covariance(NO_ROWS), rows), probability)
+            observed = partial(
+                observe_tracks, past=past, rig=self.rig, errors=self._errors, sigma_px=self.track_sigma_px
+            )
+            rows, seen = np.r_[self._errors.rows, self._past_rows], observed(tracks)
+            P = submatrix(self.belief.covariance(NO_ROWS), rows)
+            passed = trusted(seen, (lambda: observed(others())) if others else None, P, probability)
             if not passed.any():
                 return passed
             of_poses = seen.chosen(passed).of_poses()

@@ -128,15 +128,29 @@ class TrackObservation:
         """(T, 3, ...) Q_1^T H."""
         return np.asarray(np.swapaxes(self.Q, 1, 2) @ self.H)
 
-    def agreeing(self, P: Array, probability: float) -> Mask:
-        """Return which tracks pass a chi-square gate, given the covariance P of the rig's errors and the past poses."""
+    def joined(self, other: "TrackObservation") -> "TrackObservation":
+        """Return these tracks and then others, seen at the same past poses."""
+        parts = (np.concatenate([getattr(of, each.name) for of in (self, other)]) for each in dataclasses.fields(self))
+        return TrackObservation(*parts)
+
+    def gated(self, P: Array, probability: float, *, mean: Array | None = None) -> tuple[Mask, Array]:
+        """Test each track against a mean, by default zero, and covariance P of errors of the rig and the past poses.
+
+        Returns:
+            (T,) which tracks pass a chi-square gate.
+            (T,) variance that P adds to each track's residuals, all of them together, over that of one's noise.
+        """
         H = self.H - self.Q @ self.of_points
         r = self.residual[..., None]
         r = r - self.Q @ (np.swapaxes(self.Q, 1, 2) @ r)
+        if mean is not None:
+            r = r - (H @ mean)[..., None]
         HP = (H.reshape(-1, len(P)) @ P).reshape(H.shape)
-        S = HP @ np.swapaxes(H, 1, 2) + np.eye(H.shape[1])
+        S = HP @ np.swapaxes(H, 1, 2)
+        added = np.trace(S, axis1=1, axis2=2)
+        S += np.eye(H.shape[1])
         nis = np.sum(r * np.linalg.solve(S, r), axis=(1, 2))
-        return np.asarray(self.good & (nis <= chdtri(4 * self.views - 3, 1.0 - probability)))
+        return np.asarray(self.good & (nis <= chdtri(4 * self.views - 3, 1.0 - probability))), added
 
     def of_poses(self) -> VehicleObservation:
         """Return what all tracks together say about the rig's errors and the past poses."""
@@ -200,7 +214,7 @@ class _Views:
     def points(self, side: int, points: Array) -> Array:
         """Return (T, V, 3) points in the frame of the left (0) or right (1) camera; any where not seen."""
         _, R, t = self._cameras[side]
-        inside = (points @ R.reshape(-1, 3).T).reshape(len(points), -1, 3) + t
+        inside = (points @ R.reshape(-1, 3).T).reshape(len(points), len(R), 3) + t
         return np.where(self._tracks.seen[..., None], inside, [0.0, 0.0, 1.0])
 
     def linearise(self, points: Array) -> tuple[Array, Array]:

@@ -87,7 +87,10 @@ class TrackWindow:
         used = np.flatnonzero(finished & (views.counts >= MIN_VIEWS))
         new = self._chosen(used, landmark_map, choose)
         passed = slam_filter.observe_tracks(
-            views.chosen(used), probability=self._config.gate_probability, become_landmarks=np.isin(used, new)
+            views.chosen(used),
+            probability=self._config.gate_probability,
+            become_landmarks=np.isin(used, new),
+            others=lambda: views.chosen(self._longest(slam_filter, ~finished)),
         )
         new = np.intersect1d(new, used[passed])
         landmark_map.append(
@@ -104,12 +107,9 @@ class TrackWindow:
     def present(self, slam_filter: Filter, landmark_map: LandmarkMap, choose: Choice | None = None) -> Present:
         """Return the estimate of the present; `choose` which tracks' points it has as additional landmarks."""
         views = self.views
-        used = np.flatnonzero(views.counts >= MIN_VIEWS)
+        used = self._longest(slam_filter, np.ones(len(views), bool))
         if len(used) == 0:
             return Present(slam_filter, None, used)
-        used = used[np.argsort(-views.counts[used], kind="stable")]
-        size = (slam_filter.rig.left.width, slam_filter.rig.left.height)
-        used = np.sort(used[spread(views.chosen(used).newest_pixels[:, :2], PRESENT_TRACKS, size=size)])
         new = used[:0] if choose is None else self._chosen(used, landmark_map, choose)
         with_tracks, passed, innovation = slam_filter.with_tracks(
             views.chosen(used), probability=self._config.gate_probability, become_landmarks=np.isin(used, new)
@@ -145,6 +145,15 @@ class TrackWindow:
             newest = len(past) - 1
             slam_filter.marginalise(NO_ROWS, np.array([newest]))
             self.views.drop_frame(newest)
+
+    def _longest(self, slam_filter: Filter, among: NDArray[np.bool_]) -> Rows:
+        """Return the rows of the longest tracks, at most `PRESENT_TRACKS`, spread over the image."""
+        rows = np.flatnonzero(among & (self.views.counts >= MIN_VIEWS))
+        if len(rows) == 0:
+            return rows
+        rows = rows[np.argsort(-self.views.counts[rows], kind="stable")]
+        size = (slam_filter.rig.left.width, slam_filter.rig.left.height)
+        return np.sort(rows[spread(self.views.chosen(rows).newest_pixels[:, :2], PRESENT_TRACKS, size=size)])
 
     def _chosen(self, rows: Rows, landmark_map: LandmarkMap, choose: Choice) -> Rows:
         """Return those of some tracks that were seen often enough for a landmark, have none yet, and are chosen."""

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks of an uncertain vehicle: which of them contradict the others."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.config import RigConfig
+from uav_vslam.estimation.past_poses import POSE_DIM, PastPose, TrackObservation, Tracks, observe_tracks
+from uav_vslam.estimation.rig_errors import RigErrors
+from uav_vslam.estimation.track_consensus import WIDE, trusted
+
+VIEWS = 3
+SIGMA_PX = 0.1
+PROBABILITY = 0.99
+SLIDING = 0
+
+
+@pytest.fixture
+def seen(course) -> TrackObservation:
+    """Return a track that slides by some pixels in each frame, then correct ones."""
+    rng = np.random.default_rng(3)
+    pixels = np.stack([course.pixels(frame, np.arange(len(course.landmarks))) for frame in range(VIEWS)], axis=1)
+    pixels = pixels + rng.normal(0.0, 0.5 * SIGMA_PX, pixels.shape)
+    pixels[SLIDING, :, [0, 2]] += 20 * SIGMA_PX * np.arange(VIEWS)
+    errors = RigErrors(course.rig, RigConfig(), 15)
+    past = [PastPose(course.true_state(frame), np.zeros(3)) for frame in range(VIEWS)]
+    tracks = Tracks(pixels, np.ones(pixels.shape[:2], bool))
+    return observe_tracks(tracks, past, rig=course.rig, errors=errors, sigma_px=SIGMA_PX)
+
+
+def of(seen: TrackObservation, tracks: slice) -> TrackObservation:
+    rows = np.zeros(len(seen.views), bool)
+    rows[tracks] = True
+    return seen.chosen(rows)
+
+
+def covariance(seen: TrackObservation, position_m: float) -> NDArray[np.float64]:
+    """Return that of the rig and the past poses, whose positions are that uncertain."""
+    P = 1e-12 * np.eye(seen.H.shape[2])
+    of_positions = np.arange(len(P) - POSE_DIM * VIEWS, len(P)).reshape(VIEWS, POSE_DIM)[:, :3].ravel()
+    P[of_positions, of_positions] = position_m**2
+    return P
+
+
+def nobody() -> TrackObservation:
+    raise AssertionError("others were asked")
+
+
+def test_a_narrow_gate_needs_no_others(seen: TrackObservation) -> None:
+    passed = trusted(seen, nobody, covariance(seen, 1e-4), PROBABILITY)
+    assert not passed[SLIDING]
+    assert passed[SLIDING + 1 :].mean() > 0.9
+
+
+def test_where_the_gate_is_wide_a_track_must_agree_with_the_others(seen: TrackObservation) -> None:
+    P, alone, others = covariance(seen, 1.0), of(seen, slice(0, 1)), of(seen, slice(1, None))
+    passed, added = alone.gated(P, PROBABILITY)
+    assert passed.all()
+    assert added.min() > WIDE
+    assert trusted(alone, lambda: of(seen, slice(0)), P, PROBABILITY).all()  # without others to ask
+    assert not trusted(alone, lambda: others, P, PROBABILITY).any()
+    among_all = trusted(seen, None, P, PROBABILITY)
+    assert not among_all[SLIDING]
+    assert among_all[SLIDING + 1 :].mean() > 0.9
+
+
+def test_without_a_majority_the_gate_alone_decides(seen: TrackObservation) -> None:
+    P, alone = covariance(seen, 1.0), of(seen, slice(0, 1))
+    opposite = dataclasses.replace(alone, residual=-alone.residual)
+    assert trusted(alone, lambda: opposite, P, PROBABILITY).all()

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which tracks to trust: those that pass a gate and, where that is wide, agree with most others.
+
+While the state is uncertain, as at the start, its gate passes nearly anything. A point where the edge of a roof crosses
+something on the ground slides as the vehicle moves, though no point of the scene does. Used alone, because its track
+was the first to end, it would make the state certain and wrong, and the gate would then refuse all good tracks.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.past_poses import TrackObservation
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+WIDE = 25.0  # variance added by the state to a track's residuals, over that of their noise; commonly below 12
+ROUNDS = 5  # at most: each leaves out what contradicts the tracks kept by the one before
+
+
+def trusted(
+    seen: TrackObservation, others: Callable[[], TrackObservation] | None, P: Array, probability: float
+) -> Mask:
+    """Return which tracks to use.
+
+    Args:
+        seen: T tracks.
+        others: makes further ones, seen at the same past poses; called where the gate is wide only.
+        P: covariance of the errors of the rig and the past poses.
+        probability: of the gate.
+    """
+    passed, added = seen.gated(P, probability)
+    if not passed.any() or np.median(added) < WIDE:
+        return passed
+    everyone = seen.joined(others()) if others else seen
+    possible, _ = everyone.gated(P, probability)
+    kept = possible
+    for _ in range(ROUNDS):
+        said = everyone.chosen(kept).of_poses()
+        posterior = np.asarray(np.linalg.solve(np.eye(len(P)) + P @ said.Y, P))
+        agree, _ = everyone.gated(posterior, probability, mean=posterior @ said.i)
+        before, kept = kept, possible & agree
+        if (kept == before).all():
+            break
+    if 2 * kept.sum() <= possible.sum():  # no majority
+        return passed
+    return kept[: len(passed)]
