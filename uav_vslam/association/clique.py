@@ -5,7 +5,6 @@ Nearly all correct matches agree, so degrees settle most of a large problem: a g
 vertices with most disagreements; only vertices that may be in a larger clique, but not in all, are searched.
 """
 
-import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +30,8 @@ def largest_clique(agree: Agreement) -> Rows:
     open_ = np.flatnonzero(~settled)
     if len(open_) > SEARCHED:
         return found
+    import networkx as nx  # takes a second to load, and most problems are settled before
+
     graph = nx.from_numpy_array(among[np.ix_(open_, open_)] & ~np.eye(len(open_), dtype=bool))
     clique, _ = nx.max_weight_clique(graph, weight=None)
     exact = np.sort(np.concatenate([core[settled], core[open_[sorted(clique)]]]))
