@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, multivariate_normal
 
-from uav_vslam.config import BackendConfig, RigConfig
+from uav_vslam.config import EXACT_RIG, BackendConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import HUBER_PROBABILITY, STEREO_DOF, Filter
@@ -176,7 +176,7 @@ def test_prediction_adds_the_rigs_random_walk_and_resets_its_vibration(course, n
 
 def test_a_time_offset_moves_the_pixels_by_rotation_and_velocity_at_the_stamp(course, model: str) -> None:
     """The rotation rate is the gyroscope's at the end of the increment, bias-corrected."""
-    f = course.flown(model, rig_config=RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, time_offset_sigma_s=0.01))
+    f = course.flown(model, rig_config=dataclasses.replace(EXACT_RIG, time_offset_sigma_s=0.01))
     turning = dataclasses.replace(course.increments[3], rate_end=np.array([0.3, -0.2, 0.5]) + f.nav.gyro_bias)
     f.predict(turning)
     columns, later = f.predict_observations(ALL).H_vehicle[:, :, -1], 1e-6

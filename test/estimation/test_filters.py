@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam import config
-from uav_vslam.config import BackendConfig, RigConfig, VehicleConfig
+from uav_vslam.config import EXACT_RIG, BackendConfig, RigConfig, VehicleConfig
 from uav_vslam.estimation.filters import BOUNDED, FILTERS, make_filter
 
 OWN = [name for name in FILTERS if not name.startswith("thesis")]
@@ -19,8 +19,7 @@ def test_the_configuration_has_the_same_names() -> None:
 
 
 def made(course, name: str, **backend):
-    rig = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)  # the default of `Filter`
-    settings = VehicleConfig(imu=course.imu, rig=rig, backend=BackendConfig(filter=name, **backend))
+    settings = VehicleConfig(imu=course.imu, rig=EXACT_RIG, backend=BackendConfig(filter=name, **backend))
     return make_filter(course.initial, rig=course.rig, config=settings)
 
 
@@ -41,11 +40,22 @@ def test_a_configured_filter_is_the_one_of_that_name(course, name: str, model: s
 
 
 @pytest.mark.parametrize(("name", "model"), [("thesis_ukf", "ri15"), ("thesis_uhf", "ri15"), ("eif", "euler9")])
-def test_the_thesis_knows_no_error_of_the_disparity(course, name: str, model: str) -> None:
+def test_the_thesis_knows_no_error_of_disparity_or_clock(course, name: str, model: str) -> None:
     backend = BackendConfig(filter=name, model=model)
     f = make_filter(course.initial, rig=course.rig, config=VehicleConfig(imu=course.imu, backend=backend))
     assert f.disparity is None
+    assert f.can_add_landmarks  # whatever the angular rate
     f.judge_disparity()  # nothing to do
+
+
+def test_a_vehicle_without_attitude_has_no_offset_of_the_clock(course) -> None:
+    """Linearised, it would tell the heading, which nothing does."""
+    settings = VehicleConfig(imu=course.imu)
+    for sigma, has_offset in ((0.2, True), (0.4, False)):
+        P = course.initial.covariance.copy()
+        P[8, 8] = sigma**2
+        f = make_filter(dataclasses.replace(course.initial, covariance=P), rig=course.rig, config=settings)
+        assert f.can_add_landmarks is not has_offset  # before an angular rate is known
 
 
 @pytest.mark.parametrize("name", OWN)

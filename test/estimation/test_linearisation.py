@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from uav_vslam.config import RigConfig
+from uav_vslam.config import EXACT_RIG, RigConfig
 from uav_vslam.estimation.belief import Marginals, Observation
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.linearisation import (
@@ -34,7 +34,6 @@ DIFFERENCE = 2e-5  # relative to the largest entry: rounding of pixels of order 
 SCALED = 1e-9
 NONE = np.zeros(0, np.int64)
 
-RIGID = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)
 FLEXING = RigConfig(flexing=True, disparity_sigma_px=0.2, time_offset_sigma_s=0.01)
 CALIBRATED = RigState()
 BENT = RigState(np.array([3e-4, -5e-4, 2e-4]), np.array([1e-4, 2e-4, -3e-4]), disparity_px=0.3, time_offset_s=0.01)
@@ -83,7 +82,7 @@ def assert_close(found: Array, expected: Array, tolerance: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "config", [RIGID, FLEXING, RigConfig(rigid_sigma_deg=0.01)], ids=["rigid", "flexing", "precise"]
+    "config", [EXACT_RIG, FLEXING, RigConfig(rigid_sigma_deg=0.01)], ids=["rigid", "flexing", "precise"]
 )
 def test_pixel_jacobians_are_the_numerical_ones_at_the_calibration(course, model, config: RigConfig) -> None:
     camera, landmarks = camera_at(course, model, config, CALIBRATED), course.landmarks[[4, 0, 7]]
@@ -258,8 +257,8 @@ def test_cubature_becomes_the_jacobian_as_uncertainty_vanishes(course, model, sm
 
 def test_cubature_predicts_monte_carlo_better_than_the_jacobian(course, model) -> None:
     """Mean and covariance of the pixels over 40 000 antithetic draws of pose and landmark."""
-    camera, at = camera_at(course, model, RIGID, CALIBRATED), course.landmarks[[4]]
-    P = inflated(uncertain(course, model, RIGID, 1.0, 1), -1, 5.0)  # 10 m of height uncertainty, seen from 70 m
+    camera, at = camera_at(course, model, EXACT_RIG, CALIBRATED), course.landmarks[[4]]
+    P = inflated(uncertain(course, model, EXACT_RIG, 1.0, 1), -1, 5.0)  # 10 m of height uncertainty, seen from 70 m
     half = np.random.default_rng(0).multivariate_normal(np.zeros(len(P)), P, 20_000, method="cholesky")
     draws = np.vstack([half, -half])
     arm = np.broadcast_to(at - camera.nav.T_map_body.t, (len(draws), 3))
@@ -279,9 +278,9 @@ def test_cubature_predicts_monte_carlo_better_than_the_jacobian(course, model) -
 @pytest.mark.parametrize("smoothing", [0.0, 0.043])
 def test_cubature_observation_is_the_mean_and_covariance_over_its_points(course, model, smoothing: float) -> None:
     """Explicitly: each point retracted, projected and averaged; with smoothing all points are moved to the depth."""
-    camera = dataclasses.replace(camera_at(course, model, RIGID, CALIBRATED), depth_sigma_ratio=smoothing)
+    camera = dataclasses.replace(camera_at(course, model, EXACT_RIG, CALIBRATED), depth_sigma_ratio=smoothing)
     rows, m = np.array([4, 0, 7]), model.nav_dim
-    P, landmarks = uncertain(course, model, RIGID, 1.0, 3), course.landmarks[rows]
+    P, landmarks = uncertain(course, model, EXACT_RIG, 1.0, 3), course.landmarks[rows]
     predicted = Cubature().observation(camera, rows, landmarks, blocks(P, 3))
     points, J_vehicle, J_landmark = camera_points(camera, landmarks)
     for n in range(3):
@@ -332,7 +331,7 @@ def test_cubature_does_not_modify_its_inputs(course, model) -> None:
 def test_process_by_cubature_becomes_the_jacobians_as_uncertainty_vanishes(course, model) -> None:
     increment = course.increments[2]
     nav = dataclasses.replace(course.true_state(2), gyro_bias=np.zeros(3), accel_bias=np.zeros(3))  # as the increment
-    sigma = 1e-4 * np.sqrt(np.diag(uncertain(course, model, RIGID, 1.0, 0)))
+    sigma = 1e-4 * np.sqrt(np.diag(uncertain(course, model, EXACT_RIG, 1.0, 0)))
     belief = CovarianceBelief(np.diag(sigma**2), model.nav_dim)
     first, second = (linear.process(model, nav, belief, increment, course.imu) for linear in (Jacobians(), Cubature()))
     moved = propagate(nav, increment, gravity=course.imu.gravity)
@@ -347,7 +346,7 @@ def test_process_by_cubature_becomes_the_jacobians_as_uncertainty_vanishes(cours
 
 def test_cubature_process_is_the_mean_and_covariance_over_its_points(course, model) -> None:
     nav, increment, none = course.true_state(2), course.increments[2], np.zeros((0, 3))
-    P = uncertain(course, model, RIGID, 3.0, 0)
+    P = uncertain(course, model, EXACT_RIG, 3.0, 0)
     process = Cubature().process(model, nav, CovarianceBelief(P, model.nav_dim), increment, course.imu)
     centre, ends = propagate(nav, increment, gravity=course.imu.gravity), []
     for offset in cubature_offsets(np.linalg.cholesky(P)):
@@ -369,7 +368,7 @@ def test_process_by_cubature_predicts_monte_carlo(course, model) -> None:
     The increment's own noise, which the draws lack, is less than a thousandth of this.
     """
     nav, increment, count = course.true_state(2), course.increments[2], 2000
-    sigma = np.sqrt(np.diag(uncertain(course, model, RIGID, 1.0, 0)))
+    sigma = np.sqrt(np.diag(uncertain(course, model, EXACT_RIG, 1.0, 0)))
     sigma[6:9] = 0.05
     belief = CovarianceBelief(np.diag(sigma**2), model.nav_dim)
     process = Cubature().process(model, nav, belief, increment, course.imu)

@@ -70,7 +70,7 @@ def test_only_the_attitude_of_a_flexing_rig_has_a_random_walk() -> None:
     errors = RigErrors(RIG, dataclasses.replace(EVERYTHING, attitude_walk_deg=0.001), 15)
     expected = [np.deg2rad(0.001) ** 2 * 4.0] * 3 + [0.0] * 5
     np.testing.assert_allclose(errors.noise_variance(4.0), expected, rtol=1e-12)
-    np.testing.assert_array_equal(RigErrors(RIG, RigConfig(rigid_sigma_deg=0.01), 15).noise_variance(4.0), np.zeros(4))
+    np.testing.assert_array_equal(RigErrors(RIG, RigConfig(rigid_sigma_deg=0.01), 15).noise_variance(4.0), np.zeros(5))
     assert RigErrors(RIG, EXACT, 15).noise_variance(4.0).shape == (0,)
 
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from uav_vslam.config import RigConfig
+from uav_vslam.config import EXACT_RIG, RigConfig
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.simulation.imu import simulate_imu
 from uav_vslam.simulation.scenario import Purpose, Scenario, SimulatedVehicle, initial_estimate, simulate_vehicle
@@ -17,11 +17,10 @@ from uav_vslam.simulation.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 FRAMES = 60
-EXACT = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)
 TRUSTED = RigConfig(rigid_sigma_deg=0.002, disparity_sigma_px=0.0, epipolar_sigma_deg=0.0)
 FLEXING = RigConfig(flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02)
 SHIFTED = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.2, miscalibrated_probability=0.0)
-LATE = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, time_offset_sigma_s=0.02)
+LATE = dataclasses.replace(EXACT_RIG, time_offset_sigma_s=0.02)
 
 
 def simulated(seed: int, **truth) -> SimulatedVehicle:
@@ -84,7 +83,7 @@ def test_position_and_disparity_error_are_consistent(fly, name: str) -> None:
 
 
 def test_an_unmodelled_disparity_error_ruins_the_estimate_but_not_the_residuals(fly) -> None:
-    outcomes = [fly(simulated(3, disparity_bias_px=0.3), config) for config in (EXACT, SHIFTED)]
+    outcomes = [fly(simulated(3, disparity_bias_px=0.3), config) for config in (EXACT_RIG, SHIFTED)]
     assert outcomes[0].position_nees > 10.0
     assert outcomes[0].nis_per_dof == pytest.approx(1.0, abs=0.1)
     assert outcomes[1].position_nees < 4.0
@@ -92,7 +91,7 @@ def test_an_unmodelled_disparity_error_ruins_the_estimate_but_not_the_residuals(
 
 def test_an_unmodelled_bias_about_the_disparity_axis_ruins_the_estimate_but_not_the_residuals(fly) -> None:
     vehicle = simulated(3, extrinsic_bias_deg=(0.05, 0.0, 0.0))
-    rigid, flexing = fly(vehicle, EXACT), fly(vehicle, FLEXING)
+    rigid, flexing = fly(vehicle, EXACT_RIG), fly(vehicle, FLEXING)
     assert rigid.position_nees > 50.0
     assert rigid.nis_per_dof == pytest.approx(1.0, abs=0.1)
     assert flexing.position_nees < 4.0
@@ -107,7 +106,7 @@ def test_the_statistic_against_a_rigid_rig_grows_only_if_it_is_wrong(fly) -> Non
         assert right < limit
         for bias in ((0.02, 0.0, 0.0), (0.0, 0.02, 0.0)):
             assert fly(simulated(seed, extrinsic_bias_deg=bias), TRUSTED).filter.rig_evidence() > limit
-    assert fly(simulated(1), EXACT).filter.rig_evidence() == 0.0
+    assert fly(simulated(1), EXACT_RIG).filter.rig_evidence() == 0.0
 
 
 @pytest.mark.parametrize("axis", [1, 2], ids=["across the disparity", "optical"])
@@ -142,7 +141,7 @@ def swaying(seed: int) -> SimulatedVehicle:
 def test_a_time_offset_is_estimated_for_swaying_and_shaking_airframes(fly, motion, offset_s: float) -> None:
     """Camera stamps 10 ms early or late; a filter that ignores the offset is far worse."""
     vehicle = motion(3)
-    estimating, ignoring = fly(vehicle, LATE, offset_s=offset_s), fly(vehicle, EXACT, offset_s=offset_s)
+    estimating, ignoring = fly(vehicle, LATE, offset_s=offset_s), fly(vehicle, EXACT_RIG, offset_s=offset_s)
     sigma = np.sqrt(rig_covariance(estimating.filter)[0, 0])
     assert sigma < 0.2e-3  # [s], from 20 ms
     assert estimating.filter.rig_state.time_offset_s == pytest.approx(offset_s, abs=4 * sigma)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_vslam.config import RigConfig, VehicleConfig, load_vehicle
+from uav_vslam.config import EXACT_RIG, RigConfig, VehicleConfig, load_vehicle
 from uav_vslam.evaluation.consistency import chi_square_band, nees
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import so3_log
@@ -39,8 +39,7 @@ def simulated(seed: int) -> tuple[SimulatedVehicle, Seen]:
 
 def config_of(vehicle: SimulatedVehicle) -> VehicleConfig:
     """Return settings with the true noise and a rig that is known exactly, as GTSAM takes it."""
-    known = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)
-    return dataclasses.replace(load_vehicle(None), imu=vehicle.scenario.imu_config, rig=known)
+    return dataclasses.replace(load_vehicle(None), imu=vehicle.scenario.imu_config, rig=EXACT_RIG)
 
 
 def dead_reckoned(vehicle: SimulatedVehicle, seen: Seen) -> FilteredFlight:
@@ -92,7 +91,7 @@ def test_the_first_frame_counts_although_its_landmarks_had_to_wait_for_the_clock
     source = SimulatedSource(vehicle, features=tuple(features for features, _ in seen[:6]))
     flights = []
     for sigma_s in (0.0, 1e-6):
-        rig = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, time_offset_sigma_s=sigma_s)
+        rig = dataclasses.replace(EXACT_RIG, time_offset_sigma_s=sigma_s)
         track = track_vehicle(source, dataclasses.replace(config_of(vehicle), rig=rig))
         by_stamp = {features.stamp_ns: features for features, _ in seen}
         flights.append(FilteredFlight.of_outputs(vehicle.initial, track.outputs, by_stamp))

@@ -76,7 +76,7 @@ class RigConfig(Settings):
         0.2, "not flexing: probability before the flight that the calibration is wrong; 0: never", at_least=0, below=1
     )
     time_offset_sigma_s: float = setting(
-        0.0, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
+        3.0e-3, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
     )
 
     def _check_together(self) -> None:
@@ -88,7 +88,8 @@ class RigConfig(Settings):
             )
 
 
-EXACT_RIG = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0)  # no error of the calibration is a state
+# No error of the calibration is a state.
+EXACT_RIG = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, time_offset_sigma_s=0.0)
 
 # The names in vision.features.EXTRACTORS.
 EXTRACTORS = ("sift", "asift", "surf", "dsift", "phow_rgb", "phow_hsv", "phow_opponent", "orb")

@@ -169,7 +169,7 @@ class Filter:
         """Return whether landmarks can be added.
 
         If the time offset is a state, their positions depend on the angular rate: it is known from the first increment
-        on, whether propagated over it or told of it by `starts`.
+        on, whether propagated over it or told of it by `starts` or `ends`.
         """
         return self._rate_map is not None or self._errors.time_offset.start == self._errors.time_offset.stop
 
@@ -180,6 +180,10 @@ class Filter:
     def starts(self, increment: ImuIncrement) -> None:
         """Take over the angular rate at the start of an increment, where the estimate is."""
         self._rate_map = self.nav.T_map_body.R @ (increment.rate_start - self.nav.gyro_bias)
+
+    def ends(self, increment: ImuIncrement) -> None:
+        """Take over the angular rate at the end of an increment, where the estimate is."""
+        self._rate_map = self.nav.T_map_body.R @ (increment.rate_end - self.nav.gyro_bias)
 
     def predict(self, increment: ImuIncrement) -> None:
         """Propagate over an increment."""
@@ -198,7 +202,7 @@ class Filter:
             if self._gamma is not None:
                 self.belief, self.feasibility = bounded(self.belief, nav_dim, self._gamma)
         self.nav = process.nav
-        self._rate_map = self.nav.T_map_body.R @ (increment.rate_end - self.nav.gyro_bias)
+        self.ends(increment)
 
     def keep_pose(self) -> None:
         """Keep the present pose in the state, as the newest past one; not with `euler9`."""

@@ -5,7 +5,9 @@ import dataclasses
 from collections.abc import Callable
 from functools import partial
 
-from uav_vslam.config import VehicleConfig
+import numpy as np
+
+from uav_vslam.config import RigConfig, VehicleConfig
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.information import InformationBelief
@@ -13,6 +15,7 @@ from uav_vslam.estimation.linearisation import Cubature, Jacobians
 from uav_vslam.estimation.square_root import SquareRootBelief
 from uav_vslam.estimation.thesis_unscented import ThesisUnscentedFilter
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.types import NavEstimate
 
 FILTERS: dict[str, Callable[..., Filter]] = {
@@ -24,14 +27,13 @@ FILTERS: dict[str, Callable[..., Filter]] = {
     "thesis_uhf": partial(ThesisUnscentedFilter, form=CovarianceBelief),
 }
 THESIS = ("thesis_ukf", "thesis_uhf")  # filters as the thesis gives them
+LOST_ROTATION_SIGMA = 0.3  # [rad]: beyond, an offset of the clock, as it is linearised, would seem to tell the heading
 BOUNDED = ("uhf", "thesis_uhf")  # filters that use `backend.gamma`
 
 
 def make_filter(initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig) -> Filter:
     """Return the configured filter."""
-    backend, rig_config = config.backend, config.rig
-    if is_of_thesis(config):
-        rig_config = dataclasses.replace(rig_config, disparity_sigma_px=0.0)
+    backend = config.backend
     return FILTERS[backend.filter](
         initial,
         rig=rig,
@@ -41,9 +43,17 @@ def make_filter(initial: NavEstimate, *, rig: StereoRig, config: VehicleConfig) 
         sigma_px=backend.sigma_px,
         depth_sigma_ratio=backend.depth_sigma_ratio,
         robust=backend.robust,
-        rig_config=rig_config,
+        rig_config=_rig_states(initial, config),
         track_sigma_px=backend.track_sigma_px,
     )
+
+
+def _rig_states(initial: NavEstimate, config: VehicleConfig) -> RigConfig:
+    """Return the uncertainty of the rig, without that which is no state of this filter."""
+    rig, is_lost = config.rig, np.diagonal(initial.covariance)[ROTATION].max() > LOST_ROTATION_SIGMA**2
+    if is_of_thesis(config):
+        rig = dataclasses.replace(rig, disparity_sigma_px=0.0)
+    return dataclasses.replace(rig, time_offset_sigma_s=0.0) if is_lost or is_of_thesis(config) else rig
 
 
 def past_poses(config: VehicleConfig) -> int:
@@ -55,5 +65,5 @@ def past_poses(config: VehicleConfig) -> int:
 
 
 def is_of_thesis(config: VehicleConfig) -> bool:
-    """Return whether filter or states are those of the thesis, which knows neither disparity errors nor past poses."""
+    """Return whether filter or states are those of the thesis: no errors of disparity and clock, no past poses."""
     return config.backend.filter in THESIS or config.backend.model == "euler9"

@@ -107,6 +107,7 @@ class SlamBackend:
         self._last_tracks = np.zeros(0, np.uint32)
         self._motion = MotionFinder()
         self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
+        self._increment: ImuIncrement | None = None  # the newest
         self._reset(initial)
 
     @property
@@ -144,6 +145,7 @@ class SlamBackend:
         self._check_joins(features.stamp_ns, increment)
         step = self._step(increment, features)
         increment, features, is_seen = step.increment, step.features, step.tracks > 0
+        self._increment = increment
         known = len(self._map)
         matches, innovation, closures, evidence, disparity = Matches.none(), None, 0, 0.0, None
         sightings, late, smoothed = np.zeros((0, 2), np.intp), np.zeros((0, 2), np.intp), None
@@ -239,6 +241,8 @@ class SlamBackend:
 
     def _recover(self) -> None:
         self._reset(reinitialised(self._nav, since_s=self._since_start_s, imu=self._vehicle_config.imu))
+        if self._increment is not None:
+            self._filter.ends(self._increment)
 
     @property
     def _since_start_s(self) -> float:

@@ -43,5 +43,5 @@ deviation that the table names.
     run=run,
     add_arguments=add_arguments,
     frames=160,
-    variants="calibration judged, the attitude estimated, calibration doubted and clock estimated",
+    variants="calibration judged, the attitude estimated, calibration doubted",
 )
