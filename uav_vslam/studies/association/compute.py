@@ -173,7 +173,8 @@ def associate_all(flight: ExtractedFlight, names: Sequence[str] = tuple(ASSOCIAT
 def fly(flight: ExtractedFlight, name: str) -> Association:
     """Feed a flight to the back end with one associator."""
     backend_config = dataclasses.replace(flight.config.backend, association=name)
-    config = dataclasses.replace(flight.config, backend=backend_config)
+    synchronised = dataclasses.replace(flight.config.rig, time_offset_sigma_s=0.0)  # no frame's landmarks wait
+    config = dataclasses.replace(flight.config, backend=backend_config, rig=synchronised)
     recorder, truth = Recorder(ASSOCIATORS[name]), TruePoints(flight)
     matcher = MapMatcher(backend_config, recorder)
     backend = SlamBackend(flight.initial, rig=flight.rig, config=config, vehicle="uav1", matcher=matcher)
