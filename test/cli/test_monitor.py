@@ -32,7 +32,8 @@ def test_once_on_an_empty_domain_says_what_is_awaited(
 
 
 def test_wrong_arguments_are_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--domain 102 is not allowed" in refused(capsys, "monitor", "--domain", "102")
+    for verb in (["monitor"], ["topic", "list"], ["mode", "uav1"]):
+        assert "--domain 102 is not allowed" in refused(capsys, *verb, "--domain", "102")
     assert "nowhere.yaml" in refused(capsys, "monitor", "nowhere.yaml")
 
 

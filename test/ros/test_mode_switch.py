@@ -9,7 +9,12 @@ from collections.abc import Iterator
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS")
+from uav_vslam.cli.arguments import MODES
 from uav_vslam.cli.main import main
+from uav_vslam.config.vehicle import MODE_BUDGETS
+from uav_vslam.errors import UavVslamError
+from uav_vslam.ros.mode_switch import switch_mode
+from uav_vslam.ros.topic_tools import observer
 
 pytestmark = pytest.mark.ros
 
@@ -31,8 +36,15 @@ def test_the_mode_is_read_and_switched_by_a_typed_command(fusion: int, capfd: py
     assert main(["mode", "uav2", "none", *domain]) == 0
     assert main(["mode", "uav2", *domain]) == 0
     assert capfd.readouterr().out.splitlines() == ["uav2: wideband", "uav2: none", "uav2: none"]
-    assert main(["mode", "uav2", "loud", *domain]) == 2
-    assert "uav2 keeps its mode" in capfd.readouterr().err
+    with observer(fusion) as node, pytest.raises(UavVslamError, match="uav2 keeps its mode"):
+        switch_mode(node, "uav2", "loud", wait_s=60.0)
+
+
+def test_an_unknown_mode_is_refused_before_the_vehicle_is_looked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    assert set(MODES) == set(MODE_BUDGETS)
+    with pytest.raises(SystemExit, match="2"):
+        main(["mode", "uav2", "loud"])
+    assert "choose from" in capsys.readouterr().err
 
 
 def test_a_vehicle_that_is_not_there_is_named(domain_id: int, capfd: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from uav_vslam.evaluation.files.geodetic import Datum
 
 
+MODES = ("wideband", "narrowband", "none")  # the names in config.vehicle.MODE_BUDGETS
+
+
 def positive(text: str) -> int:
     """Return a count of at least one."""
     return _whole(text, 1, "a count of at least 1")

@@ -10,7 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from uav_vslam.cli.arguments import results_folder
+from uav_vslam.cli.arguments import MODES, results_folder
 
 HELP = "replay two vehicles' sample recordings through the node graph and report"
 EXAMPLES = """examples:
@@ -27,9 +27,7 @@ STAMPED = re.compile(r"^\[(\w+)\] \[[\d.]+\] \[[\w./]+\]: ")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument(
-        "--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate (default wideband)"
-    )
+    parser.add_argument("--mode", choices=MODES, help="how the vehicles communicate (default wideband)")
     parser.add_argument("--rate", type=float, metavar="R", help="multiple of real time (default 0: lock-step)")
     parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep estimates and output in this new folder")

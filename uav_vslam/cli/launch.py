@@ -10,6 +10,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import MODES
+
 if TYPE_CHECKING:
     from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
 
@@ -40,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=float, metavar="R", help="multiple of real time; 0: paced by the graph (lock-step)"
     )
-    parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="how the vehicles communicate")
+    parser.add_argument("--mode", choices=MODES, help="how the vehicles communicate")
     parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--record", type=Path, metavar="DIR", help="record the estimates into this new bag")
     parser.add_argument("--map", type=Path, metavar="DIR", help="map the surface in flight, each vehicle into DIR/NAME")

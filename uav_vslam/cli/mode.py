@@ -3,6 +3,8 @@
 
 import argparse
 
+from uav_vslam.cli.arguments import MODES
+
 HELP = "read or switch the communication mode of a flying vehicle"
 EXAMPLES = """examples:
   uav-vslam mode uav1                 print it
@@ -13,7 +15,7 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("vehicle", metavar="VEHICLE", help="its name")
-    parser.add_argument("mode", nargs="?", metavar="MODE", help="new mode; without it the present one is printed")
+    parser.add_argument("mode", nargs="?", choices=MODES, help="new mode; without it the present one is printed")
     parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
     parser.add_argument("--wait", type=float, default=5.0, metavar="S", help="time to find the vehicle [s] (default 5)")
 

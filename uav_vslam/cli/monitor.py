@@ -48,14 +48,10 @@ def seconds(text: str) -> float:
 def run(args: argparse.Namespace) -> int:
     """Watch until Ctrl-C, or once."""
     from uav_vslam.config import load_fleet
-    from uav_vslam.errors import ConfigError
     from uav_vslam.monitor import Fleet
-    from uav_vslam.ros.domain import MAX_DOMAIN_ID
     from uav_vslam.ros.fleet_monitor import GraphListener
     from uav_vslam.ros.topic_tools import observer
 
-    if args.domain is not None and not 0 <= args.domain <= MAX_DOMAIN_ID:
-        raise ConfigError(f"--domain {args.domain} is not allowed; use 0 to {MAX_DOMAIN_ID}")
     fleet = Fleet(list(load_fleet(args.fleet).vehicles) if args.fleet else args.vehicles)
     with observer(args.domain, "uav_vslam_monitor") as node:
         graph = GraphListener(node, fleet)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import positive, results_folder
+from uav_vslam.cli.arguments import MODES, positive, results_folder
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting of all vehicles"
     )
-    parser.add_argument("--mode", choices=["wideband", "narrowband", "none"], help="communication mode")
+    parser.add_argument("--mode", choices=MODES, help="communication mode")
     parser.add_argument(
         "--map", type=Path, metavar="FILE", help="start in flight over the ground of an earlier run's <vehicle>_map.npz"
     )

@@ -2,27 +2,36 @@
 """`uav-vslam topic`: inspect live topics where ROS came from PyPI, without its `ros2` command."""
 
 import argparse
+from typing import Any
 
 HELP = "list, print or measure live topics"
 EXAMPLES = """examples:
   uav-vslam topic list
   uav-vslam topic echo /uav1/odometry --count 1
-  uav-vslam topic hz /uav1/stereo_features
+  uav-vslam topic hz /uav1/stereo_features --domain 7
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
-    parser.add_argument(
-        "--wait", type=float, default=2.0, metavar="S", help="time to discover the graph [s] (default 2)"
-    )
+    _add_options(parser, domain=None, wait=2.0)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    actions.add_parser("list", help="print every topic with its type")
+    commands = [actions.add_parser("list", help="print every topic with its type")]
     for action, text in (("echo", "print messages, long arrays shortened"), ("hz", "print the rate once a second")):
         command = actions.add_parser(action, help=text)
         command.add_argument("topic", metavar="TOPIC")
         command.add_argument("--count", type=int, default=0, metavar="N", help="end after N messages or reports")
+        commands.append(command)
+    for command in commands:  # options may stand before the action and after it
+        _add_options(command, domain=argparse.SUPPRESS, wait=argparse.SUPPRESS)
+
+
+def _add_options(parser: argparse.ArgumentParser, *, domain: Any, wait: Any) -> None:
+    """Declare where to look and for how long, with these defaults."""
+    parser.add_argument("--domain", type=int, default=domain, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
+    parser.add_argument(
+        "--wait", type=float, default=wait, metavar="S", help="time to discover the graph [s] (default 2)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

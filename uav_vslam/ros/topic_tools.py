@@ -12,7 +12,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from uav_vslam.errors import UavVslamError
+from uav_vslam.errors import ConfigError, UavVslamError
+from uav_vslam.ros.domain import MAX_DOMAIN_ID
 
 LONGEST = 8  # elements of an array that are printed
 SPIN_S = 0.1
@@ -38,7 +39,13 @@ class Observer(Node):
 
 @contextmanager
 def observer(domain_id: int | None, name: str = "uav_vslam_topic") -> Iterator[Observer]:
-    """Join a ROS domain as an observer of that node name."""
+    """Join a ROS domain as an observer of that node name.
+
+    Raises:
+        ConfigError: no ROS domain has that number.
+    """
+    if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
+        raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
     context = rclpy.Context()
     context.init(domain_id=domain_id)
     node = Observer(context, name)
