@@ -150,13 +150,11 @@ def launch(
     Returns:
         The exit code of the first process that failed, 128 + the signal that interrupted a replay, or 0.
     """
-    from uav_vslam.errors import ConfigError
-    from uav_vslam.ros.domain import MAX_DOMAIN_ID
+    from uav_vslam.ros.domain import check_domain
     from uav_vslam.ros.fleet_commands import node_specs, without_parameter_services
     from uav_vslam.ros.supervisor import ESCALATION, SAVING, Supervisor, node_command
 
-    if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
-        raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
+    check_domain(domain_id)
     bag = str(record) if record else ""
     specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, record=bag, maps=maps)
     if not parameter_services:

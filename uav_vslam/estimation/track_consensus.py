@@ -34,8 +34,10 @@ def trusted(
     passed, added = seen.gated(P, probability)
     if not passed.any() or np.median(added) < WIDE:
         return passed
-    everyone = seen.joined(others()) if others else seen
-    possible, _ = everyone.gated(P, probability)
+    everyone, possible = seen, passed
+    if others is not None:
+        more = others()
+        everyone, possible = seen.joined(more), np.append(passed, more.gated(P, probability)[0])
     kept = possible
     for _ in range(ROUNDS):
         said = everyone.chosen(kept).of_poses()

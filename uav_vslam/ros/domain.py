@@ -11,6 +11,16 @@ from uav_vslam.errors import ConfigError
 MAX_DOMAIN_ID = 101  # above, DDS ports collide with those that Linux gives to clients
 
 
+def check_domain(domain_id: int | None) -> None:
+    """Refuse a number that is no usable ROS domain; None is the environment's.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
+        raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
+
+
 @contextmanager
 def claimed_domain() -> Iterator[int]:
     """Hold a ROS domain without a participant on this host and without another claim.

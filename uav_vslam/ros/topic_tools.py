@@ -12,8 +12,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from uav_vslam.errors import ConfigError, UavVslamError
-from uav_vslam.ros.domain import MAX_DOMAIN_ID
+from uav_vslam.errors import UavVslamError
+from uav_vslam.ros.domain import check_domain
 
 LONGEST = 8  # elements of an array that are printed
 SPIN_S = 0.1
@@ -44,8 +44,7 @@ def observer(domain_id: int | None, name: str = "uav_vslam_topic") -> Iterator[O
     Raises:
         ConfigError: no ROS domain has that number.
     """
-    if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
-        raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
+    check_domain(domain_id)
     context = rclpy.Context()
     context.init(domain_id=domain_id)
     node = Observer(context, name)
