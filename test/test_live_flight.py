@@ -45,7 +45,7 @@ def fly(seed: int) -> list[Output]:
         while corrections and corrections[0].state.stamp_ns + LATENCY_NS <= sample.stamp_ns:
             live.correct(corrections.pop(0))
         if live.add_imu(sample):
-            twist = body_twist(live.estimate, live.increment, config.imu)
+            twist = body_twist(live.estimate, live.increment)
             truth = simulated.true_state(sample.stamp_ns)
             sigma = np.sqrt(np.diag(twist.covariance)[:3])
             outputs.append(Output(live.estimate, live.T_odom_body, twist.linear, sigma, truth))

@@ -103,6 +103,7 @@ class ImuIncrement:
         bias_jacobian: (9, 6) d(rotation, velocity, position)/d(gyro bias, accel bias); the rotation is perturbed
             on the right.
         covariance: (9, 9) of (rotation, velocity, position), from the white noise of the readings.
+        gyro_noise, accel_noise: its densities [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
     """
 
     start_ns: int
@@ -117,6 +118,8 @@ class ImuIncrement:
     accel_bias: Array
     bias_jacobian: Array
     covariance: Array
+    gyro_noise: float
+    accel_noise: float
 
     @property
     def dt_s(self) -> float:

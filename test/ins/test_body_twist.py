@@ -32,7 +32,7 @@ def covariance() -> np.ndarray:
 
 
 def test_velocity_and_rate_are_in_the_body_frame_without_the_bias() -> None:
-    twist = body_twist(NavEstimate(STATE, covariance()), increment(5_000_000), IMU)
+    twist = body_twist(NavEstimate(STATE, covariance()), increment(5_000_000))
     np.testing.assert_allclose(STATE.T_map_body.R @ twist.linear, STATE.v_map, atol=1e-12)
     np.testing.assert_allclose(twist.angular, RATE, atol=1e-12)
 
@@ -40,7 +40,7 @@ def test_velocity_and_rate_are_in_the_body_frame_without_the_bias() -> None:
 def test_the_covariance_is_that_of_drawn_errors() -> None:
     """Truth is drawn around the estimate; 3 % is four standard deviations of 40 000 draws' variances."""
     rng, P = np.random.default_rng(5), covariance()
-    twist = body_twist(NavEstimate(STATE, P), increment(5_000_000), IMU)
+    twist = body_twist(NavEstimate(STATE, P), increment(5_000_000))
     errors = []
     for draw in rng.multivariate_normal(np.zeros(15), P, size=40_000):
         true_R = so3_exp(draw[6:9]) @ STATE.T_map_body.R
@@ -53,7 +53,7 @@ def test_the_covariance_is_that_of_drawn_errors() -> None:
 
 def test_a_slower_imu_is_less_noisy_per_reading() -> None:
     estimate = NavEstimate(STATE, 1e-12 * np.eye(15))
-    fast, slow = (body_twist(estimate, increment(ns), IMU).covariance[3, 3] for ns in (5_000_000, 10_000_000))
+    fast, slow = (body_twist(estimate, increment(ns)).covariance[3, 3] for ns in (5_000_000, 10_000_000))
     assert fast == pytest.approx(2 * slow, rel=1e-3)
 
 
@@ -61,6 +61,6 @@ def test_without_readings_the_rate_is_unknown() -> None:
     estimate = NavEstimate(STATE, covariance())
     empty = dataclasses.replace(increment(5_000_000), samples=0)
     for motion in (None, empty):
-        twist = body_twist(estimate, motion, IMU)
+        twist = body_twist(estimate, motion)
         assert twist.covariance[4, 4] >= UNKNOWN_RATE_SIGMA**2
         np.testing.assert_array_equal(twist.angular, np.zeros(3))

@@ -8,6 +8,7 @@ import itertools
 import numpy as np
 import pytest
 
+from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins import preintegration
 from uav_vslam.ins.gaps import ENOUGH, UsualSpacing
@@ -28,7 +29,7 @@ def flown() -> SimulatedVehicle:
 
 def increments(loss: float, seed: int = 5) -> list[ImuIncrement]:
     """Return the motion between frames, linearised at the true bias, from what a random loss leaves of the readings."""
-    vehicle, buffer, found = flown(), ImuBuffer(), []
+    vehicle, buffer, found = flown(), ImuBuffer(ImuConfig()), []
     kept = np.random.default_rng(seed).random(len(vehicle.imu.stamps_ns)) >= loss
     readings = iter([sample for sample, keep in zip(vehicle.imu.samples(), kept, strict=True) if keep])
     stamps_ns = vehicle.frame_stamps_ns.tolist()
@@ -114,7 +115,7 @@ def test_a_gap_is_as_uncertain_whenever_its_increment_is_made() -> None:
     vehicle = flown()
     kept = np.random.default_rng(1).random(len(vehicle.imu.stamps_ns)) < 0.3
     samples: list[ImuSample] = [sample for sample, keep in zip(vehicle.imu.samples(), kept, strict=True) if keep]
-    early, late = ImuBuffer(), ImuBuffer()
+    early, late = ImuBuffer(ImuConfig()), ImuBuffer(ImuConfig())
     for sample in samples:
         late.append(sample)
     arriving = iter(samples)

@@ -266,7 +266,7 @@ def reading(stamp_ns: int, value: float = 0.0) -> ImuSample:
 
 @pytest.mark.parametrize("stamp_ns", [10, 9])
 def test_a_reading_that_is_not_later_is_rejected(stamp_ns: int) -> None:
-    buffer = ImuBuffer()
+    buffer = ImuBuffer(IMU)
     buffer.append(reading(10))
     with pytest.raises(ValueError, match="not after 10 ns"):
         buffer.append(reading(stamp_ns))
@@ -276,11 +276,11 @@ def test_a_reading_that_is_not_later_is_rejected(stamp_ns: int) -> None:
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_reading_that_is_not_finite_is_rejected(value: float) -> None:
     with pytest.raises(ValueError, match="not finite"):
-        ImuBuffer().append(reading(10, value))
+        ImuBuffer(IMU).append(reading(10, value))
 
 
 def test_a_cut_holds_one_reading_beyond_each_end() -> None:
-    buffer = ImuBuffer()
+    buffer = ImuBuffer(IMU)
     for stamp_ns in range(0, 100, 10):
         buffer.append(reading(stamp_ns))
     assert [s.stamp_ns for s in buffer.cut(25, 45)] == [20, 30, 40, 50]
@@ -291,7 +291,7 @@ def test_a_cut_holds_one_reading_beyond_each_end() -> None:
 
 
 def test_readings_only_before_or_only_after_an_interval_are_a_gap() -> None:
-    buffer = ImuBuffer()
+    buffer = ImuBuffer(IMU)
     assert buffer.cut(0, 10) == []
     buffer.append(reading(100))
     assert buffer.cut(10, 20) == []
@@ -359,7 +359,7 @@ def test_a_bridged_increment_starts_earlier_with_a_large_covariance(readings) ->
 
 
 def test_readings_are_buffered_for_minutes_and_dropped_ones_are_a_gap() -> None:
-    buffer, second = ImuBuffer(), NS_PER_S
+    buffer, second = ImuBuffer(IMU), NS_PER_S
     step_ns, end_ns = second // 25, round(3 * MAX_HELD_S) * second
     for stamp_ns in range(0, end_ns + 1, step_ns):
         buffer.append(reading(stamp_ns))

@@ -67,6 +67,8 @@ def increment() -> ImuIncrement:
         accel_bias=rng.normal(size=3),
         bias_jacobian=rng.normal(size=(9, 6)),
         covariance=covariance(9),
+        gyro_noise=2e-4,
+        accel_noise=3e-3,
     )
 
 
@@ -215,6 +217,13 @@ def test_an_increment_with_nan_is_refused(field: str, count: int) -> None:
     message = convert.increment_to_msg(increment(), frame_id="b")
     setattr(message, field, [0.0] * (count - 1) + [NAN])
     assert refusal(convert.increment_from_msg, message) == "not_finite"
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, NAN, float("inf")])
+def test_an_increment_without_noise_is_refused(value: float) -> None:
+    message = convert.increment_to_msg(increment(), frame_id="b")
+    message.gyro_noise = value
+    assert refusal(convert.increment_from_msg, message) == "not_positive"
 
 
 def test_an_increment_without_length_is_refused() -> None:

@@ -17,6 +17,9 @@ class ImuConfig(Settings):
     accel_bias_walk: float = setting(1.0e-5, "accelerometer bias random walk", unit="m/s^3/sqrt(Hz)", above=0)
     gyro_bias_sigma: float = setting(5.0e-4, "gyroscope turn-on bias left after warm-up", unit="rad/s", above=0)
     accel_bias_sigma: float = setting(5.0e-2, "accelerometer turn-on bias left after warm-up", unit="m/s^2", above=0)
+    noise_from_readings: bool = setting(
+        True, "take the white noise that the readings show where it is more than twice the configured one"
+    )
     gravity: float = setting(9.80665, "local gravity, along -z of the map frame", unit="m/s^2", above=0)
 
 

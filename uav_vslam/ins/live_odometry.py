@@ -10,6 +10,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.ins.gaps import UsualSpacing
 from uav_vslam.ins.preintegration import bridged, preintegrate
 from uav_vslam.ins.preintegrator import advance
+from uav_vslam.ins.white_noise import WhiteNoise
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 
 MAX_STEPS = 2500  # retained for replay after a correction: 50 s at 50 Hz
@@ -23,6 +24,7 @@ class _Step:
     increment: ImuIncrement
     readings: list[ImuSample]
     period_s: float  # their usual spacing as of the last
+    imu: ImuConfig  # with their noise as of the last
 
 
 class LiveOdometry:
@@ -42,7 +44,7 @@ class LiveOdometry:
         self._imu, self._period_ns = imu, round(period_s * NS_PER_S)
         self._biases = initial.state.gyro_bias, initial.state.accel_bias
         self._steps: deque[_Step] = deque(maxlen=MAX_STEPS)
-        self._spacing = UsualSpacing()
+        self._spacing, self._noise = UsualSpacing(), WhiteNoise(imu)
         self._readings: list[ImuSample] = []  # from the newest output on, and the last one before it
         self._pending: NavEstimate | None = None
         self._corrected_ns = -1  # stamp of the newest correction
@@ -60,14 +62,15 @@ class LiveOdometry:
         start_ns = self.estimate.state.stamp_ns
         self._readings.append(sample)
         self._spacing.add(sample.stamp_ns)
+        self._noise.add(sample, self._spacing.period_s)
         if sample.stamp_ns <= start_ns:
             self._readings = self._readings[-1:]
             return False
         if not self._is_due(sample.stamp_ns - start_ns):
             return False
-        period_s = self._spacing.period_s
-        increment = self._preintegrated(self._readings, period_s, start_ns, sample.stamp_ns)
-        step = _Step(increment, self._readings, period_s)
+        period_s, imu = self._spacing.period_s, self._noise.imu
+        increment = self._preintegrated(self._readings, period_s, imu, start_ns, sample.stamp_ns)
+        step = _Step(increment, self._readings, period_s, imu)
         self._steps.append(step)
         self._readings = [sample]
         before = self.estimate.state.T_map_body
@@ -116,10 +119,12 @@ class LiveOdometry:
         """Return the part of a step's motion after a stamp, or all from an earlier one on, as far as it is known."""
         increment = step.increment
         if increment.start_ns < stamp_ns:
-            return self._preintegrated(step.readings, step.period_s, stamp_ns, increment.stamp_ns)
+            return self._preintegrated(step.readings, step.period_s, step.imu, stamp_ns, increment.stamp_ns)
         return bridged(increment, stamp_ns, self._imu)
 
-    def _preintegrated(self, readings: list[ImuSample], period_s: float, start_ns: int, stamp_ns: int) -> ImuIncrement:
+    def _preintegrated(
+        self, readings: list[ImuSample], period_s: float, imu: ImuConfig, start_ns: int, stamp_ns: int
+    ) -> ImuIncrement:
         gyro_bias, accel_bias = self._biases
         return preintegrate(
             readings,
@@ -127,6 +132,6 @@ class LiveOdometry:
             stamp_ns,
             gyro_bias=gyro_bias,
             accel_bias=accel_bias,
-            imu=self._imu,
+            imu=imu,
             period_s=period_s,
         )

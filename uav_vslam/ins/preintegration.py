@@ -18,6 +18,7 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.rotation import skew, so3_exp_and_right_jacobian
 from uav_vslam.ins.gaps import LEAP_S, UNKNOWN_ACCEL_SIGMA, UNKNOWN_RATE_SIGMA, UsualSpacing, halved, hidden_variance
+from uav_vslam.ins.white_noise import WhiteNoise
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavState
 
 Array = NDArray[np.float64]
@@ -110,6 +111,8 @@ def preintegrate(
         accel_bias=np.array(accel_bias, dtype=float),
         bias_jacobian=-G.sum(axis=0),
         covariance=0.5 * (covariance + covariance.T),
+        gyro_noise=imu.gyro_noise,
+        accel_noise=imu.accel_noise,
     )
 
 
@@ -140,12 +143,14 @@ def compose(first: ImuIncrement, second: ImuIncrement) -> ImuIncrement:
         accel_bias=first.accel_bias,
         bias_jacobian=A @ first.bias_jacobian + B @ second.bias_jacobian,
         covariance=A @ first.covariance @ A.T + B @ second.covariance @ B.T,
+        gyro_noise=max(first.gyro_noise, second.gyro_noise),
+        accel_noise=max(first.accel_noise, second.accel_noise),
     )
 
 
-def lacks_readings(increment: ImuIncrement, imu: ImuConfig) -> bool:
+def lacks_readings(increment: ImuIncrement) -> bool:
     """Return whether so many readings are missing that the rotation is known far worse than the gyroscope's noise."""
-    return bool(np.trace(increment.covariance[:3, :3]) > LACKING**2 * 3.0 * imu.gyro_noise**2 * increment.dt_s)
+    return bool(np.trace(increment.covariance[:3, :3]) > LACKING**2 * 3.0 * increment.gyro_noise**2 * increment.dt_s)
 
 
 def bridged(increment: ImuIncrement, start_ns: int, imu: ImuConfig) -> ImuIncrement:
@@ -154,7 +159,7 @@ def bridged(increment: ImuIncrement, start_ns: int, imu: ImuConfig) -> ImuIncrem
     Args:
         increment: known part of the motion.
         start_ns: start of the result, not after the increment's [ns].
-        imu: gravity; the unknown part is a hover.
+        imu: gravity and noise; the unknown part is a hover.
     """
     if increment.start_ns == start_ns:
         return increment
@@ -254,7 +259,7 @@ def unknown_motion(
     Args:
         start_ns, stamp_ns: the interval [ns].
         gyro_bias, accel_bias: (3,) linearisation point [rad/s], [m/s^2].
-        imu: gravity.
+        imu: gravity and noise.
     """
     dt = (stamp_ns - start_ns) / NS_PER_S
     hover = np.array([0.0, 0.0, imu.gravity])
@@ -274,6 +279,8 @@ def unknown_motion(
         accel_bias=np.array(accel_bias, dtype=float),
         bias_jacobian=np.zeros((9, 6)),
         covariance=np.diag(sigma**2),
+        gyro_noise=imu.gyro_noise,
+        accel_noise=imu.accel_noise,
     )
 
 
@@ -289,14 +296,15 @@ class ImuBuffer:
     An interval is complete once a reading at or after its end has arrived: see `covers`.
 
     Attributes:
-        period_s: usual spacing as of the newest reading of the last cut, so that it does not depend on when it is made.
+        period_s, imu: usual spacing and noise as of the newest reading of the last cut, so that they do not depend on
+            when it is made.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, imu: ImuConfig) -> None:
         self._samples: deque[ImuSample] = deque()
-        self._periods_s: deque[float] = deque()  # usual spacing as of each
-        self._spacing = UsualSpacing()
-        self.period_s = 0.0
+        self._known: deque[tuple[float, ImuConfig]] = deque()  # usual spacing and noise as of each
+        self._spacing, self._noise = UsualSpacing(), WhiteNoise(imu)
+        self.period_s, self.imu = 0.0, imu
 
     def append(self, sample: ImuSample) -> None:
         """Add a reading.
@@ -310,8 +318,9 @@ class ImuBuffer:
             newest = self._samples[-1].stamp_ns
             raise InvalidMessage("stamp", f"IMU stamp {sample.stamp_ns} ns is not after {newest} ns")
         self._spacing.add(sample.stamp_ns)
+        self._noise.add(sample, self._spacing.period_s)
         self._samples.append(sample)
-        self._periods_s.append(self._spacing.period_s)
+        self._known.append((self._spacing.period_s, self._noise.imu))
         while self._samples[0].stamp_ns < sample.stamp_ns - MAX_HELD_S * NS_PER_S:
             self._drop_oldest()
 
@@ -324,9 +333,9 @@ class ImuBuffer:
         while len(self._samples) > 1 and self._samples[1].stamp_ns <= start_ns:
             self._drop_oldest()
         chosen = []
-        for sample, period_s in zip(self._samples, self._periods_s, strict=True):
+        for sample, known in zip(self._samples, self._known, strict=True):
             chosen.append(sample)
-            self.period_s = period_s
+            self.period_s, self.imu = known
             if sample.stamp_ns >= stamp_ns:
                 break
         useful = chosen and chosen[-1].stamp_ns > start_ns and chosen[0].stamp_ns < stamp_ns
@@ -334,4 +343,4 @@ class ImuBuffer:
 
     def _drop_oldest(self) -> None:
         self._samples.popleft()
-        self._periods_s.popleft()
+        self._known.popleft()

@@ -34,7 +34,7 @@ class ImuPreintegrator:
         self._imu = imu
         self._gyro_bias = np.zeros(3) if start is None else start.gyro_bias
         self._accel_bias = np.zeros(3) if start is None else start.accel_bias
-        self._buffer = ImuBuffer()
+        self._buffer = ImuBuffer(imu)
         self._pending: deque[int] = deque()
         self.start_ns = None if start is None or at_next_image else start.stamp_ns
         self._last_ns = self.start_ns
@@ -75,7 +75,7 @@ class ImuPreintegrator:
                 stamp_ns,
                 gyro_bias=self._gyro_bias,
                 accel_bias=self._accel_bias,
-                imu=self._imu,
+                imu=self._buffer.imu,
                 period_s=self._buffer.period_s,
             )
             self._last_ns = stamp_ns

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The IMU's noise from its readings, at rest and in flight, against the configured densities.
 
-The density of white noise is sqrt(S / 2), S the one-sided power spectral density. It is taken over the upper band of
-frequencies, where an aircraft does not move: in flight noise and vibration remain. White noise is the same in both
-octaves of the band; vibration at some frequencies is not, and averages out when readings are integrated, so the quieter
-octave is what to configure. On EuRoC V1_01 the whole band's 0.086 m/s^2/sqrt(Hz) in place of 0.02 gave an ATE of
-0.046 m instead of 0.036 m.
+The density of white noise is sqrt(S / 2), S the one-sided power spectral density, over the octaves of
+`ins.white_noise`, of which the quieter one is what to configure. On EuRoC V1_01 the whole band's 0.086 m/s^2/sqrt(Hz)
+in place of 0.02 gave an ATE of 0.046 m instead of 0.036 m.
 """
 
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from scipy.signal import welch
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.ins.alignment import MAX_ACCEL_STD, MAX_RATE_STD
+from uav_vslam.ins.white_noise import NOISE_RATIO, OCTAVES
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, ok, warning
 from uav_vslam.types import NS_PER_S
@@ -99,7 +98,7 @@ def check_noise(levels: dict[str, NoiseLevels]) -> list[Finding]:
             found.append(ok(f"{sensor} noise", seen))
             continue
         remedy = f"set {SETTINGS[sensor]}: {level.recommended:.2g}, or isolate the IMU from vibration"
-        allowed = f"white noise of at most {limits.NOISE_RATIO:g} times the configured density"
+        allowed = f"white noise of at most {NOISE_RATIO:g} times the configured density"
         found.append(warning(f"{sensor} noise", f"{seen}: too much on {', '.join(loud)}", allowed, remedy))
     return found
 
@@ -114,7 +113,7 @@ def recommended(levels: dict[str, NoiseLevels]) -> dict[str, float]:
 
 
 def _too_loud(ratio: float) -> bool:
-    return ratio > limits.NOISE_RATIO
+    return ratio > NOISE_RATIO
 
 
 def _per_axis(values: tuple[float, ...]) -> str:
@@ -140,11 +139,8 @@ def _powers(readings: Array, rate_hz: float) -> Array:
     """Return the (2, 3) mean one-sided power spectral density of both octaves of the band per axis."""
     size = min(SEGMENT, len(readings))
     frequencies, power = welch(readings, rate_hz, nperseg=size, axis=0, detrend="linear")
-    low, high = (share * rate_hz for share in limits.NOISE_BAND)
-    middle = 2.0 * low
-    return np.array(
-        [power[(frequencies >= a) & (frequencies <= b)].mean(axis=0) for a, b in ((low, middle), (middle, high))]
-    )
+    shares = frequencies / rate_hz
+    return np.array([power[(shares >= low) & (shares <= high)].mean(axis=0) for low, high in OCTAVES])
 
 
 def _whole(octaves: Array | None) -> tuple[float, ...] | None:

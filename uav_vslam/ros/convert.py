@@ -158,6 +158,8 @@ def increment_to_msg(increment: ImuIncrement, *, frame_id: str) -> InsIncrement:
         accel_bias=increment.accel_bias,
         bias_jacobian=increment.bias_jacobian.ravel(),
         covariance=increment.covariance.ravel(),
+        gyro_noise=increment.gyro_noise,
+        accel_noise=increment.accel_noise,
     )
 
 
@@ -179,6 +181,8 @@ def increment_from_msg(message: InsIncrement) -> ImuIncrement:
         accel_bias=_finite(message.accel_bias, "accel_bias"),
         bias_jacobian=_finite(message.bias_jacobian, "bias_jacobian").reshape(9, 6),
         covariance=_finite(message.covariance, "covariance").reshape(9, 9),
+        gyro_noise=_positive(message.gyro_noise, "gyro_noise"),
+        accel_noise=_positive(message.accel_noise, "accel_noise"),
     )
 
 
@@ -306,6 +310,12 @@ def _finite(values: Any, what: str) -> Array:
     if not np.isfinite(out).all():
         raise InvalidMessage("not_finite", f"{what} holds NaN or infinity")
     return out
+
+
+def _positive(value: float, what: str) -> float:
+    if not 0.0 < value < float("inf"):
+        raise InvalidMessage("not_positive", f"{what} is {value:g}")
+    return value
 
 
 def rows_of(values: Any, dtype: Any, columns: int, what: str) -> NDArray[Any]:

@@ -319,7 +319,7 @@ class InsPropagatorNode(VehicleNode):
         self._dead_reckoning.publish(self._odometry_data(nav, increment))
 
     def _odometry_data(self, nav: NavEstimate, increment: ImuIncrement | None) -> bytes:
-        return self._odometry_of.of(nav.pose, body_twist(nav, increment, self.config.imu))
+        return self._odometry_of.of(nav.pose, body_twist(nav, increment))
 
     def _on_correction(self, message: NavigationState) -> None:
         corrected = navigation_from_msg(message)

@@ -194,7 +194,7 @@ class SlamBackendNode(VehicleNode):
         report, pose = output.report, output.report.pose
         self._correction.publish(navigation_to_msg(report.nav, frame_id=self.map_frame, child_frame_id=self.base_frame))
         self._path.append(PoseStamped(header=header(pose.stamp_ns, self.map_frame), pose=pose_to_msg(pose.T_map_body)))
-        twist = twist_to_msg(body_twist(report.nav, output.increment, self.config.imu))
+        twist = twist_to_msg(body_twist(report.nav, output.increment))
         self._odometry.publish(odometry_to_msg(pose, twist, frame_id=self.map_frame, child_frame_id=self.base_frame))
 
     def _count(self, output: FrameOutput) -> None:

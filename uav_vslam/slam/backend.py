@@ -156,7 +156,7 @@ class SlamBackend:
             self._window.add_frame(self._filter, features)
             self._window.finish(self._filter, self._map, self._frame, self._new_landmarks, everything=is_seen)
             matches, innovation, closures = self._correct(features, by_landmarks=not is_seen)
-            if increment is not None and lacks_readings(increment, self._vehicle_config.imu):
+            if increment is not None and lacks_readings(increment):
                 self._judges_disparity = False
             if self._judges_disparity and self._since_start_s > JUDGED_AFTER_S:
                 self._filter.judge_disparity()

@@ -19,6 +19,7 @@ from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
+from uav_vslam.slam.noise_monitor import NoiseMonitor
 from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.saved_map import MapOrigin, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
@@ -95,6 +96,7 @@ class SlamStage:
         self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
         self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
+        self._noise_monitor = NoiseMonitor(config.imu)
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
@@ -293,7 +295,9 @@ class SlamStage:
         self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
-        return FrameOutput(report, dead_reckoned, joint, increment, self._warnings(report, dead_reckoned))
+        of_imu = self._noise_monitor.add(increment) if increment is not None else ""
+        warnings = [text for text in (of_imu, *self._warnings(report, dead_reckoned)) if text]
+        return FrameOutput(report, dead_reckoned, joint, increment, tuple(warnings))
 
     def _joint_information(self, backend: SlamBackend) -> JointInformation:
         joint, start_map = backend.joint_information(), self._start_map
@@ -309,13 +313,13 @@ class SlamStage:
         if joint is not None:
             self._archive.add(joint)
 
-    def _warnings(self, report: FrameReport, dead_reckoned: NavEstimate) -> tuple[str, ...]:
+    def _warnings(self, report: FrameReport, dead_reckoned: NavEstimate) -> list[str]:
         if report.recovery:
             self._start_monitor.stop(report.pose.stamp_ns)
-            return (f"the filter was re-initialised: {report.recovery}",)
+            return [f"the filter was re-initialised: {report.recovery}"]
         if self._was_motion_unknown:  # what follows it contradicts a correct start and a correct rig
-            return ()
+            return []
         found = [self._start_monitor.add(report, dead_reckoned)]
         if self._start_monitor.trusts(report.pose.stamp_ns):  # a wrong start would contradict a correct rig
             found.append(self._rig_monitor.add(report))
-        return tuple(text for text in found if text)
+        return found
