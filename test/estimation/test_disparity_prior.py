@@ -60,3 +60,27 @@ def test_a_right_calibration_is_assumed_until_measured_and_a_doubted_one_is_not(
 def test_without_a_wrong_calibration_the_prior_stays() -> None:
     certain = DisparityPrior(RIGHT, WRONG, 0.0)
     assert certain.given(*estimate(1.0, 0.01, RIGHT**2), prior=RIGHT**2) == (0.0, RIGHT**2)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.05, 0.1, 0.2, -0.3])
+@pytest.mark.parametrize("sigma", [0.03, 0.1, 0.2])
+def test_what_is_claimed_is_the_mean_square_about_the_estimate(mu: float, sigma: float) -> None:
+    """Whichever prior the estimate was made with."""
+    parts = [w * density(GRID, s) for w, s in ((1 - PROBABILITY, RIGHT), (PROBABILITY, WRONG))]
+    both = sum(part * density(mu - GRID, sigma) for part in parts)
+    for prior in (RIGHT**2, WRONG**2):
+        mean, variance = estimate(mu, sigma**2, prior)
+        exact = ((GRID - mean) ** 2 * both).sum() / both.sum()
+        claimed = PRIOR.mean_square(mean, variance, prior=prior)
+        np.testing.assert_allclose(claimed, max(min(exact, WRONG**2), variance), rtol=1e-6)
+
+
+def test_before_any_measurement_the_mixture_itself_is_claimed() -> None:
+    mixed = (1 - PROBABILITY) * RIGHT**2 + PROBABILITY * WRONG**2
+    np.testing.assert_allclose(PRIOR.mean_square(0.0, RIGHT**2, prior=RIGHT**2), mixed, rtol=1e-12)
+
+
+def test_a_certain_calibration_claims_what_it_knows() -> None:
+    certain = DisparityPrior(RIGHT, WRONG, 0.0)
+    mean, variance = estimate(1.0, 0.01, RIGHT**2)
+    np.testing.assert_allclose(certain.mean_square(mean, variance, prior=RIGHT**2), variance, rtol=1e-12)

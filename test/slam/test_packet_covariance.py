@@ -117,7 +117,10 @@ def test_the_filters_own_covariances_are_bounded_and_hardly_scaled(joints: list[
 
 
 def test_the_compact_form_keeps_the_informative_part(joints: list[JointInformation]) -> None:
-    """The common error of 14 landmarks, with 0.3 m of each one's own added: a fifth more of its sigma at most."""
+    """The common error of 14 landmarks, with 0.3 m of each one's own added: 0.3 of its sigma more at most.
+
+    A doubtful calibration scales all depths, which is not rigid: it has to go to each landmark's own.
+    """
     floor = 0.3**2 * np.eye(42)
     for joint in joints[1:]:
         P = np.linalg.inv(joint.information)[6:48, 6:48]
@@ -129,4 +132,4 @@ def test_the_compact_form_keeps_the_informative_part(joints: list[JointInformati
             np.sqrt(np.trace(np.linalg.inv(J.T @ np.linalg.solve(A + floor, J))[:3, :3]))
             for A in (P, scale * points.covariance)
         ]
-        assert sigma[1] < 1.2 * sigma[0]
+        assert sigma[1] < 1.3 * sigma[0]

@@ -50,16 +50,41 @@ class DisparityPrior:
             mean, variance: of the estimate [px], [px^2].
             prior: variance of the prior in it [px^2].
         """
-        learnt = 1.0 / variance - 1.0 / prior
-        if self.probability == 0.0 or learnt < LEAST_LEARNT / prior:
+        measured = _measured(mean, variance, prior)
+        if measured is None or self.probability == 0.0:
             return self.probability, self.variance
-        v, mu = 1.0 / learnt, mean / (variance * learnt)
+        mu, v = measured
+        weight, right, wrong = self._posterior(mu, v)
+        if weight < DOUBTED:
+            return weight, self.right_px**2
+        spread = weight * (1.0 - weight) * (wrong - right) ** 2 * mu**2
+        k = min((1.0 - weight) * right + weight * wrong + spread / v, wrong)
+        return weight, v * k / (1.0 - k)
+
+    def mean_square(self, mean: float, variance: float, *, prior: float) -> float:
+        """Return how far the estimate may be off in mean square [px^2], also where the right one is taken for granted.
+
+        Never below its variance, and where the motion contradicts any calibration, not above that of a wrong one.
+        Arguments as of `given`.
+        """
+        measured = _measured(mean, variance, prior)
+        if measured is None:
+            weight, squares = self.probability, [self.right_px**2, self.wrong_px**2]
+        else:
+            mu, v = measured
+            weight, *shares = self._posterior(mu, v)
+            squares = [k * v + (k * mu - mean) ** 2 for k in shares]
+        expected = (1.0 - weight) * squares[0] + weight * squares[1]
+        return max(min(expected, self.wrong_px**2), variance)
+
+    def _posterior(self, mu: float, v: float) -> tuple[float, float, float]:
+        """Return the probability of a wrong calibration given N(mu, v), and k with a right and with a wrong one."""
         right, wrong = self.right_px**2, self.wrong_px**2
         log_ratio = 0.5 * (np.log((v + right) / (v + wrong)) + mu**2 * (1.0 / (v + right) - 1.0 / (v + wrong)))
-        weight = float(expit(logit(self.probability) + log_ratio))
-        if weight < DOUBTED:
-            return weight, right
-        k_right, k_wrong = right / (right + v), wrong / (wrong + v)
-        spread = weight * (1.0 - weight) * (k_wrong - k_right) ** 2 * mu**2
-        k = min((1.0 - weight) * k_right + weight * k_wrong + spread / v, k_wrong)
-        return weight, v * k / (1.0 - k)
+        return float(expit(logit(self.probability) + log_ratio)), right / (right + v), wrong / (wrong + v)
+
+
+def _measured(mean: float, variance: float, prior: float) -> tuple[float, float] | None:
+    """Return mean and variance that the measurements alone lead to; None if they say nothing yet."""
+    learnt = 1.0 / variance - 1.0 / prior
+    return None if learnt < LEAST_LEARNT / prior else (mean / (variance * learnt), 1.0 / learnt)

@@ -214,7 +214,7 @@ class Filter:
         """Return a past pose, as later frames have corrected it, with its covariance."""
         state = self.past[number].nav
         rows = self._past_rows.start + POSE_DIM * number + np.arange(POSE_DIM)
-        P = submatrix(self.belief.covariance(NO_ROWS), rows)
+        P = submatrix(self._claimed_covariance(), rows)
         return PoseEstimate(state.stamp_ns, state.T_map_body, symmetrise(P))
 
     def observe_tracks(
@@ -393,7 +393,7 @@ class Filter:
         """
         C, nav_dim = self._model.to_map(self.nav), self._model.nav_dim
         with _stamped(self.nav.stamp_ns):
-            P = self.belief.covariance(NO_ROWS)[:nav_dim, :nav_dim]
+            P = self._claimed_covariance()[:nav_dim, :nav_dim]
             cholesky(P, "covariance of the navigation state")
         return NavEstimate(self.nav, symmetrise(C @ P @ C.T))
 
@@ -403,7 +403,34 @@ class Filter:
         C = self._model.to_map(self.nav)[:nav_dim]
         rows = np.concatenate([POSE, np.arange(m, self.belief.size)])
         with _stamped(self.nav.stamp_ns):
-            return self.belief.predicted(C, np.zeros((nav_dim, nav_dim))).information(rows)
+            return self._claimed_belief().predicted(C, np.zeros((nav_dim, nav_dim))).information(rows)
+
+    def _doubt(self) -> tuple[int, float, float]:
+        """Return the disparity's row, variance, and how far it may be off in mean square [px^2].
+
+        Until the motion makes a wrong calibration likely, the estimate takes the right one for granted, which is more
+        accurate. What it claims must not.
+        """
+        row = self._errors.disparity.start
+        variance = float(self.belief.covariance(NO_ROWS)[row, row])
+        prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
+        return row, variance, self._errors.disparity_prior.mean_square(mean, variance, prior=prior)
+
+    def _claimed_covariance(self) -> Array:
+        """Return the covariance (vehicle, vehicle) with the doubt about the calibration."""
+        P = self.belief.covariance(NO_ROWS)
+        if not self._errors.has_disparity:
+            return P
+        row, variance, claimed = self._doubt()
+        effect = P[:, row] / variance
+        return P + (claimed - variance) * np.outer(effect, effect)
+
+    def _claimed_belief(self) -> Belief:
+        """Return the belief with the doubt about the calibration."""
+        if not self._errors.has_disparity:
+            return self.belief
+        row, variance, claimed = self._doubt()
+        return self.belief.information_changed(row, 1.0 / claimed - 1.0 / variance)[0]
 
     def rig_evidence(self) -> float:
         """Return the test statistic of the calibration, chi-square with a degree of freedom per attitude and disparity.
@@ -438,9 +465,7 @@ class Filter:
         """What is known of the disparity's error; None if it is no state."""
         if not self._errors.has_disparity:
             return None
-        row = self._errors.disparity.start
-        sigma_px = float(self.belief.covariance(NO_ROWS)[row, row]) ** 0.5
-        return DisparityEstimate(self.rig_state.disparity_px, sigma_px, self.miscalibrated)
+        return DisparityEstimate(self.rig_state.disparity_px, self._doubt()[2] ** 0.5, self.miscalibrated)
 
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
         return self._linear.observation(

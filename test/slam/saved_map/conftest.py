@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import RigConfig, VehicleConfig
 from uav_vslam.offline import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkField, scatter_landmarks
@@ -41,17 +41,17 @@ class Mapped:
 
 
 @functools.cache
-def _mapped(seed: int, *, frames: int = 48) -> Mapped:
+def _mapped(seed: int, *, frames: int = 48, rig: RigConfig | None = None) -> Mapped:
     vehicles = simulate_fleet(Scenario(seed=seed, frames=frames))
     field = scatter_landmarks(vehicles)
-    config = VehicleConfig(imu=vehicles[0].scenario.imu_config)
+    config = VehicleConfig(imu=vehicles[0].scenario.imu_config, rig=rig or RigConfig())
     track = track_vehicle(SimulatedSource(vehicles[0], field), config, keep_map=True)
     return Mapped(vehicles, field, config, track)
 
 
 @pytest.fixture(scope="session")
 def mapped() -> Callable[..., Mapped]:
-    """Return a factory of maps: `mapped(seed, frames=48)`."""
+    """Return a factory of maps: `mapped(seed, frames=48, rig=None)`."""
     return _mapped
 
 
