@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
-from uav_vslam.config import BackendConfig, RigConfig, VehicleConfig
+from uav_vslam.config import BackendConfig, RigConfig, StartConfig, VehicleConfig
 from uav_vslam.pipeline import VehiclePipeline
 from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
@@ -22,11 +22,14 @@ TURNED = {"extrinsic_bias_deg": (0.02, 0.0, 0.0)}  # about the disparity axis: 0
 TRUSTED = RigConfig(disparity_sigma_px=0.0)  # a disparity without errors
 
 
-def reports(seed: int, rig: RigConfig, *, frames: int = 80, **truth: Any) -> list[FrameReport]:
+def reports(seed: int, rig: RigConfig, *, frames: int = 80, start: str = "given", **truth: Any) -> list[FrameReport]:
     scenario = Scenario(seed=seed, vehicles=1, frames=frames, **truth)
     vehicle = simulate_vehicle(scenario, 0)
-    config = VehicleConfig(imu=scenario.imu_config, rig=rig, backend=BackendConfig(sigma_px=NOISE_PX))
-    pipeline = VehiclePipeline(vehicle.initial, rig=vehicle.rig, config=config, vehicle="uav1")
+    config = VehicleConfig(
+        imu=scenario.imu_config, rig=rig, backend=BackendConfig(sigma_px=NOISE_PX), start=StartConfig(method=start)
+    )
+    initial = vehicle.initial if start == "given" else None
+    pipeline = VehiclePipeline(initial, rig=vehicle.rig, config=config, vehicle="uav1")
     source = SimulatedSource(vehicle, scatter_landmarks([vehicle]), LandmarkNoise(sigma_px=NOISE_PX))
     return [output.report for output in pipeline.run(source.iter_events())]
 
@@ -68,6 +71,12 @@ def test_a_calibration_is_not_judged_in_the_first_seconds() -> None:
     flight = reports(3, RigConfig(), **TURNED)
     found = np.abs([r.disparity.mean_px for r in flight if r.disparity])
     assert found[: int(JUDGED_AFTER_S * Scenario().frame_rate_hz)].max() < 0.1 * found[-1]
+
+
+def test_corrections_of_an_unknown_tilt_are_no_evidence() -> None:
+    """The consumer unit's accelerometer knows it to 1.1 degrees until the vehicle turns, after 8 s."""
+    flight = reports(6, RigConfig(), start="in_flight", imu="consumer")
+    assert max(r.disparity.miscalibrated for r in flight if r.disparity) <= RigConfig().miscalibrated_probability
 
 
 def test_what_is_not_judged_yet_is_claimed_as_doubtful() -> None:

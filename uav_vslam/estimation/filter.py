@@ -385,15 +385,19 @@ class Filter:
         self.landmarks = np.delete(self.landmarks, landmarks, axis=0)
         self.past = [pose for k, pose in enumerate(self.past) if k not in past]
 
-    def nav_estimate(self) -> NavEstimate:
+    def nav_estimate(self, *, as_calibrated: bool = False) -> NavEstimate:
         """Return the navigation state with its (15, 15) map-frame covariance, zero for states the model lacks.
+
+        Args:
+            as_calibrated: with the covariance that it has if the calibration is right, without doubt about that.
 
         Raises:
             FilterDivergence: the covariance is not positive definite.
         """
         C, nav_dim = self._model.to_map(self.nav), self._model.nav_dim
         with _stamped(self.nav.stamp_ns):
-            P = self._claimed_covariance()[:nav_dim, :nav_dim]
+            P = self.belief.covariance(NO_ROWS) if as_calibrated else self._claimed_covariance()
+            P = P[:nav_dim, :nav_dim]
             cholesky(P, "covariance of the navigation state")
         return NavEstimate(self.nav, symmetrise(C @ P @ C.T))
 
@@ -459,6 +463,16 @@ class Filter:
             belief, column = self.belief.information_changed(row, change)
             self._errors = self._errors.with_disparity_variance(now)
             self.correct(belief, -change * mean * column)
+
+    def forget_disparity(self) -> None:
+        """Know no more of the disparity's error than before the flight."""
+        if not self._errors.has_disparity:
+            return
+        variance = self._errors.disparity_prior.variance
+        with _stamped(self.nav.stamp_ns):
+            self.belief = self.belief.reset_rows(np.array([self._errors.disparity.start]), variance)
+        self._errors = self._errors.with_disparity_variance(variance)
+        self.rig_state = dataclasses.replace(self.rig_state, disparity_px=0.0)
 
     @property
     def disparity(self) -> DisparityEstimate | None:

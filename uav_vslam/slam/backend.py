@@ -19,6 +19,7 @@ from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import lacks_readings
 from uav_vslam.ins.preintegrator import advance
+from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.slam.health import FilterHealth
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, rows_to_remove
@@ -38,7 +39,8 @@ from uav_vslam.types import (
 
 SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
-JUDGED_AFTER_S = 3.0  # since the start: before, a wrong start velocity looks like a wrong calibration
+LEVEL_RAD = 0.01  # 1 sigma of the tilt; while it is larger, its corrections look like a wrong calibration,
+JUDGED_AFTER_S = 3.0  # and since then, or since the start, a wrong velocity does
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
 
@@ -55,6 +57,7 @@ class FrameReport:
         innovation: None without an update.
         landmarks: landmarks in the state afterwards.
         recovery: why the filter was re-initialised at this frame; empty if it was not.
+        as_calibrated: `nav` with the covariance that it has if the calibration is right; None if re-initialised.
         rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
         disparity: its constant error as the filter estimates it; None if it does not.
         closures: associated landmarks that had not been seen for long.
@@ -74,6 +77,7 @@ class FrameReport:
     innovation: Innovation | None
     landmarks: int
     recovery: str = ""
+    as_calibrated: NavEstimate | None = None
     rig_evidence: float = 0.0
     disparity: DisparityEstimate | None = None
     closures: int = 0
@@ -149,6 +153,7 @@ class SlamBackend:
         known = len(self._map)
         matches, innovation, closures, evidence, disparity = Matches.none(), None, 0, 0.0, None
         sightings, late, smoothed = np.zeros((0, 2), np.intp), np.zeros((0, 2), np.intp), None
+        as_calibrated = None
         try:
             if increment is not None:
                 late = self._new_sightings(self._add_postponed(increment))
@@ -158,10 +163,11 @@ class SlamBackend:
             matches, innovation, closures = self._correct(features, by_landmarks=not is_seen)
             if increment is not None and lacks_readings(increment):
                 self._judges_disparity = False
-            if self._judges_disparity and self._since_start_s > JUDGED_AFTER_S:
-                self._filter.judge_disparity()
+            if self._judges_disparity:
+                self._judge_disparity()
             present = self._window.present(self._filter, self._map)
             self._nav, innovation = present.filter.nav_estimate(), present.innovation or innovation
+            as_calibrated = present.filter.nav_estimate(as_calibrated=True)
             sightings = np.vstack([self._sightings(matches), self._track_sightings(present, features)])
             smoothed = self._window.leaving(present.filter)
             self._remove_landmarks()
@@ -188,6 +194,7 @@ class SlamBackend:
             innovation=innovation,
             landmarks=len(self._map),
             recovery=recovery,
+            as_calibrated=as_calibrated,
             rig_evidence=evidence,
             disparity=disparity,
             closures=closures,
@@ -257,6 +264,18 @@ class SlamBackend:
         self._health = FilterHealth()
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
         self._judges_disparity = True  # until readings are missing: then the motion is no measure of it
+        self._level_ns: int | None = None  # since when the tilt is known
+
+    def _judge_disparity(self) -> None:
+        """Let the motion judge the disparity from when the tilt is known; what it said of it before is forgotten."""
+        if self._level_ns is None:
+            tilt = np.diagonal(self._nav.covariance)[ROTATION][:2]
+            if tilt.max() > LEVEL_RAD**2:
+                self._filter.forget_disparity()
+                return
+            self._level_ns = self._nav.state.stamp_ns
+        if (self._nav.state.stamp_ns - self._level_ns) / NS_PER_S > JUDGED_AFTER_S:
+            self._filter.judge_disparity()
 
     def _continued(self, features: StereoFeatures) -> int:
         """Return how many points continue a track of the frame before."""

@@ -64,7 +64,7 @@ class StartMonitor:
             self._dof += report.innovation.dof
         elif min(report.features, self._landmarks) >= MIN_FEATURES:
             self._coasted += 1
-        times = velocity_correction(report.nav, dead_reckoned)
+        times = velocity_correction(report.as_calibrated or report.nav, dead_reckoned)
         if times > np.sqrt(chdtri(3, SIGNIFICANCE) / 3):
             return f"the first frames correct the start's velocity by {times:.1f} times what its sigmas allow"
         if self._nis > MAX_NIS_PER_DOF * max(self._dof, 1):
