@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The white noise of an inertial unit as its readings show it, for a stranger's whose data sheet nobody has copied.
+"""The white noise of an inertial unit, measured from its readings in flight.
 
 An IMU that is noisier than configured, as by vibration, makes gates too narrow and a right calibration look wrong.
 Faster than an aircraft moves there is only noise. White noise is the same in both octaves of that band; vibration at
@@ -19,7 +19,7 @@ from uav_vslam.types import NS_PER_S, ImuSample
 Array = NDArray[np.float64]
 
 SEGMENT = 64  # readings per spectrum
-SEGMENTS = 8  # averaged: half of them at another noise are noticed within a second at 200 Hz
+SEGMENTS = 8  # averaged: 2.6 s at 200 Hz
 OCTAVES = (1 / 8, 1 / 4), (1 / 4, 1 / 2)  # of the sampling rate
 NOISE_RATIO = 2.0  # measured over configured density: with half of the true one, NIS is up to four times too large
 
