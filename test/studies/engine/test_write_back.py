@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import RigConfig, VehicleConfig
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.evaluation.consistency import nees
@@ -201,9 +201,10 @@ def test_own_maps_hold_nothing_that_peers_wrote_and_fused_ones_do(sends_own: boo
 
 
 def test_intersecting_each_landmark_alone_grows_too_sure(flights: list[Flight]) -> None:
-    tracks = fly_with_write_back(flights, VehicleConfig(), WRITE_BACK["landmark_ci"])
+    trusted = VehicleConfig(rig=RigConfig(miscalibrated_probability=0.0))  # doubt about depths would be exchanged, too
+    tracks = fly_with_write_back(flights, trusted, WRITE_BACK["landmark_ci"])
     for flight in flights:
-        track, alone = tracks[flight.vehicle.name], run_backend(flight, config=VehicleConfig())
+        track, alone = tracks[flight.vehicle.name], run_backend(flight, config=trusted)
         assert not track.failure
         known, of_alone = (np.trace(t.estimate.covariance[-1][:3, :3]) for t in (track, alone))
         assert known < 0.5 * of_alone  # two equal vehicles can at best halve a variance
