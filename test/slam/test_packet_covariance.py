@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import RigConfig, VehicleConfig
 from uav_vslam.geometry.coded_points import OFFSET_STEP_M, AnchoredPoints, rigid_jacobian
 from uav_vslam.pipeline import VehiclePipeline
 from uav_vslam.simulation.landmarks import scatter_landmarks
@@ -91,15 +91,24 @@ def test_rounding_inflates_each_landmark_separately() -> None:
     assert (np.diagonal(scale * points.covariance)[3:] < 1.1 * 0.3**2).all()
 
 
-@pytest.fixture(scope="module")
-def joints() -> list[JointInformation]:
-    """The filter's joint information, once a second, on a flight over simulated landmarks."""
+def fly(rig: RigConfig) -> list[JointInformation]:
+    """Return the filter's joint information, once a second, on a flight over simulated landmarks."""
     scenario = Scenario(frames=50)
     vehicle = simulate_vehicle(scenario, 0)
     source = SimulatedSource(vehicle, scatter_landmarks([vehicle]))
-    config = VehicleConfig(imu=scenario.imu_config)
+    config = VehicleConfig(imu=scenario.imu_config, rig=rig)
     pipeline = VehiclePipeline(vehicle.initial, rig=vehicle.rig, config=config, vehicle=vehicle.name)
     return [output.joint for output in pipeline.run(source.iter_events()) if output.joint is not None]
+
+
+@pytest.fixture(scope="module")
+def joints() -> list[JointInformation]:
+    return fly(RigConfig())
+
+
+@pytest.fixture(scope="module")
+def joints_of_trusted_rig() -> list[JointInformation]:
+    return fly(RigConfig(miscalibrated_probability=0.0))
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -116,13 +125,14 @@ def test_the_filters_own_covariances_are_bounded_and_hardly_scaled(joints: list[
         assert scale < 1.001
 
 
-def test_the_compact_form_keeps_the_informative_part(joints: list[JointInformation]) -> None:
-    """The common error of 14 landmarks, with 0.3 m of each one's own added: 0.3 of its sigma more at most.
+@pytest.mark.parametrize(("name", "most"), [("joints_of_trusted_rig", 1.2), ("joints", 1.3)])
+def test_the_compact_form_keeps_the_informative_part(name: str, most: float, request: pytest.FixtureRequest) -> None:
+    """The common error of 14 landmarks, with 0.3 m of each one's own added: a fifth more of its sigma at most.
 
-    A doubtful calibration scales all depths, which is not rigid: it has to go to each landmark's own.
+    Doubt about the calibration scales all depths, which is not rigid and goes to each landmark's own: 0.3 more with it.
     """
     floor = 0.3**2 * np.eye(42)
-    for joint in joints[1:]:
+    for joint in request.getfixturevalue(name)[1:]:
         P = np.linalg.inv(joint.information)[6:48, 6:48]
         offsets = joint.positions[:14] - joint.positions[:14].mean(axis=0)
         points, scale = code_anchored(offsets, P)
@@ -132,4 +142,4 @@ def test_the_compact_form_keeps_the_informative_part(joints: list[JointInformati
             np.sqrt(np.trace(np.linalg.inv(J.T @ np.linalg.solve(A + floor, J))[:3, :3]))
             for A in (P, scale * points.covariance)
         ]
-        assert sigma[1] < 1.3 * sigma[0]
+        assert sigma[1] < most * sigma[0]

@@ -69,8 +69,10 @@ def test_a_wrong_disparity_is_detected_estimated_and_told_once(error_px: float) 
 
 def test_a_calibration_is_not_judged_in_the_first_seconds() -> None:
     flight = reports(3, RigConfig(), **TURNED)
-    found = np.abs([r.disparity.mean_px for r in flight if r.disparity])
-    assert found[: int(JUDGED_AFTER_S * Scenario().frame_rate_hz)].max() < 0.1 * found[-1]
+    found = [r.disparity for r in flight if r.disparity]
+    early = found[: int(JUDGED_AFTER_S * Scenario().frame_rate_hz)]
+    assert {one.miscalibrated for one in early} == {RigConfig().miscalibrated_probability}
+    assert max(abs(one.mean_px) for one in early) < 0.1 * abs(found[-1].mean_px)
 
 
 def test_corrections_of_an_unknown_tilt_are_no_evidence() -> None:

@@ -37,11 +37,14 @@ class DisparityPrior:
     probability: float
 
     @property
+    def mixed(self) -> float:
+        """Variance of the mixture [px^2]."""
+        return (1.0 - self.probability) * self.right_px**2 + self.probability * self.wrong_px**2
+
+    @property
     def variance(self) -> float:
         """Of the prior as long as nothing was measured [px^2]."""
-        if self.probability < DOUBTED:
-            return self.right_px**2
-        return (1.0 - self.probability) * self.right_px**2 + self.probability * self.wrong_px**2
+        return self.right_px**2 if self.probability < DOUBTED else self.mixed
 
     def given(self, mean: float, variance: float, *, prior: float) -> tuple[float, float]:
         """Return the probability of a wrong calibration given the measurements, and the prior to use instead.
@@ -54,11 +57,11 @@ class DisparityPrior:
         if measured is None or self.probability == 0.0:
             return self.probability, self.variance
         mu, v = measured
-        weight, right, wrong = self._posterior(mu, v)
+        weight, k_right, k_wrong = self._posterior(mu, v)
         if weight < DOUBTED:
             return weight, self.right_px**2
-        spread = weight * (1.0 - weight) * (wrong - right) ** 2 * mu**2
-        k = min((1.0 - weight) * right + weight * wrong + spread / v, wrong)
+        spread = weight * (1.0 - weight) * (k_wrong - k_right) ** 2 * mu**2
+        k = min((1.0 - weight) * k_right + weight * k_wrong + spread / v, k_wrong)
         return weight, v * k / (1.0 - k)
 
     def mean_square(self, mean: float, variance: float, *, prior: float) -> float:
@@ -69,12 +72,11 @@ class DisparityPrior:
         """
         measured = _measured(mean, variance, prior)
         if measured is None:
-            weight, squares = self.probability, [self.right_px**2, self.wrong_px**2]
-        else:
-            mu, v = measured
-            weight, *shares = self._posterior(mu, v)
-            squares = [k * v + (k * mu - mean) ** 2 for k in shares]
-        expected = (1.0 - weight) * squares[0] + weight * squares[1]
+            return max(self.mixed, variance)
+        mu, v = measured
+        weight, *shares = self._posterior(mu, v)
+        right, wrong = (k * v + (k * mu - mean) ** 2 for k in shares)
+        expected = (1.0 - weight) * right + weight * wrong
         return max(min(expected, self.wrong_px**2), variance)
 
     def _posterior(self, mu: float, v: float) -> tuple[float, float, float]:

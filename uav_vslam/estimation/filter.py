@@ -434,6 +434,8 @@ class Filter:
         if not self._errors.has_disparity:
             return self.belief
         row, variance, claimed = self._doubt()
+        if claimed == variance:  # nobody doubts, and a change takes a factor
+            return self.belief
         return self.belief.information_changed(row, 1.0 / claimed - 1.0 / variance)[0]
 
     def rig_evidence(self) -> float:

@@ -25,8 +25,7 @@ NOISE_RATIO = 2.0  # measured over configured density: with half of the true one
 
 _WINDOW = np.hanning(SEGMENT)
 _SLOPE = np.linspace(-1.0, 1.0, SEGMENT)
-_SHARES = np.fft.rfftfreq(SEGMENT)
-_BINS = tuple(np.flatnonzero((low <= _SHARES) & (high >= _SHARES)) for low, high in OCTAVES)
+_SHARES = np.fft.rfftfreq(SEGMENT).astype(np.float64)
 
 
 class WhiteNoise:
@@ -62,6 +61,11 @@ class WhiteNoise:
         return dataclasses.replace(configured, **louder) if louder else configured
 
 
+def octave_means(power: Array, shares: Array) -> Array:
+    """Return (2, K) means over both octaves of power spectral densities (F, K) at (F,) shares of the sampling rate."""
+    return np.array([power[(shares >= low) & (shares <= high)].mean(axis=0) for low, high in OCTAVES])
+
+
 def _powers(segment: list[ImuSample]) -> Array:
     """Return (2, 6) one-sided power spectral densities of both octaves, of the gyroscope's and accelerometer's axes."""
     readings = np.array([[*sample.gyro.tolist(), *sample.accel.tolist()] for sample in segment])
@@ -70,4 +74,4 @@ def _powers(segment: list[ImuSample]) -> Array:
     rate_hz = (SEGMENT - 1) * NS_PER_S / (segment[-1].stamp_ns - segment[0].stamp_ns)
     spectrum = np.fft.rfft(readings * _WINDOW[:, None], axis=0)
     power = 2.0 * np.abs(spectrum) ** 2 / (rate_hz * (_WINDOW @ _WINDOW))
-    return np.array([power[bins].mean(axis=0) for bins in _BINS])
+    return octave_means(power, _SHARES)

@@ -14,7 +14,7 @@ from scipy.signal import welch
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.ins.alignment import MAX_ACCEL_STD, MAX_RATE_STD
-from uav_vslam.ins.white_noise import NOISE_RATIO, OCTAVES
+from uav_vslam.ins.white_noise import NOISE_RATIO, octave_means
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, ok, warning
 from uav_vslam.types import NS_PER_S
@@ -139,8 +139,7 @@ def _powers(readings: Array, rate_hz: float) -> Array:
     """Return the (2, 3) mean one-sided power spectral density of both octaves of the band per axis."""
     size = min(SEGMENT, len(readings))
     frequencies, power = welch(readings, rate_hz, nperseg=size, axis=0, detrend="linear")
-    shares = frequencies / rate_hz
-    return np.array([power[(shares >= low) & (shares <= high)].mean(axis=0) for low, high in OCTAVES])
+    return octave_means(power, frequencies / rate_hz)
 
 
 def _whole(octaves: Array | None) -> tuple[float, ...] | None:

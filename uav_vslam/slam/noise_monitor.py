@@ -14,10 +14,11 @@ class NoiseMonitor:
     def add(self, increment: ImuIncrement) -> str:
         """Add an increment and return a warning, normally empty."""
         seen = {"imu.gyro_noise": increment.gyro_noise, "imu.accel_noise": increment.accel_noise}
-        loud = {name: seen[name] for name, told in self._configured.items() if seen[name] > told}
+        loud = {name: seen[name] / told for name, told in self._configured.items() if seen[name] > told}
         if not loud:
             return ""
-        times = " and ".join(f"{value / self._configured.pop(name):.1f} times {name}" for name, value in loud.items())
+        self._configured = {name: told for name, told in self._configured.items() if name not in loud}
+        times = " and ".join(f"{ratio:.1f} times {name}" for name, ratio in loud.items())
         return (
             f"the readings of the IMU have {times}, and are weighted so: set what `uav-vslam check` measures over a "
             "recording, or isolate the IMU from vibration"
