@@ -10,6 +10,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins.body_twist import body_twist
+from uav_vslam.ins.imu_statistics import ImuStatistics
 from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.pipeline import VehiclePipeline
 from uav_vslam.simulation.landmarks import scatter_landmarks
@@ -40,10 +41,12 @@ def fly(seed: int) -> list[Output]:
     source, config = SimulatedSource(simulated, scatter_landmarks([simulated])), VehicleConfig(imu=scenario.imu_config)
     pipeline = VehiclePipeline(source.initial_state, rig=source.rig, config=config, vehicle="uav1")
     corrections = [output.report.nav for output in pipeline.run(source.iter_events())]
-    live, outputs = LiveOdometry(source.initial_state, config.imu, period_s=0.02), []
+    statistics, outputs = ImuStatistics(config.imu), []
+    live = LiveOdometry(source.initial_state, config.imu, statistics, period_s=0.02)
     for sample in (event for event in source.iter_events() if isinstance(event, ImuSample)):
         while corrections and corrections[0].state.stamp_ns + LATENCY_NS <= sample.stamp_ns:
             live.correct(corrections.pop(0))
+        statistics.add(sample)
         if live.add_imu(sample):
             twist = body_twist(live.estimate, live.increment)
             truth = simulated.true_state(sample.stamp_ns)

@@ -5,6 +5,7 @@ Frames: `map` is the vehicle's local ENU frame (z up, gravity along -z), shared 
 origin; `body` is FLU at the IMU. Stamps are nanoseconds since the epoch of the recording. Records are immutable.
 """
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -33,6 +34,11 @@ class ImuSample:
     stamp_ns: int
     gyro: Array
     accel: Array
+
+    @property
+    def is_finite(self) -> bool:
+        """Return whether it holds neither NaN nor infinity."""
+        return all(map(math.isfinite, (*self.gyro.tolist(), *self.accel.tolist())))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_log
+from uav_vslam.ins.imu_statistics import ImuStatistics
 from uav_vslam.ins.live_odometry import MAX_AHEAD_S, LiveOdometry
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.ins.preintegrator import advance
@@ -18,6 +19,18 @@ from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
 IMU = ImuConfig()
 MS = 1_000_000
 START = NavEstimate(NavState(NS_PER_S, Pose.identity(), np.ones(3), np.zeros(3), np.zeros(3)), 1e-4 * np.eye(15))
+
+
+class FedOdometry(LiveOdometry):
+    """Adds its readings to their statistics, as a preintegrator does."""
+
+    def __init__(self, initial: NavEstimate, *, period_s: float = 0.0) -> None:
+        self._fed = ImuStatistics(IMU)
+        super().__init__(initial, IMU, self._fed, period_s=period_s)
+
+    def add_imu(self, sample: ImuSample) -> bool:
+        self._fed.add(sample)
+        return super().add_imu(sample)
 
 
 def hovering(stamp_ns: int) -> ImuSample:
@@ -39,7 +52,7 @@ def assert_same(a: NavEstimate, b: NavEstimate) -> None:
 @pytest.mark.parametrize(("period_s", "outputs"), [(0.0, 800), (0.005, 800), (0.02, 200), (0.007, 800), (0.008, 400)])
 def test_output_follows_the_true_flight_at_the_rate_asked_for(flight, readings, period_s: float, outputs: int) -> None:
     samples = readings(0.5, 4.0, 800)
-    odometry = LiveOdometry(estimate_at(flight, samples[0]), IMU, period_s=period_s)
+    odometry = FedOdometry(estimate_at(flight, samples[0]), period_s=period_s)
     made = [sample.stamp_ns for sample in samples if odometry.add_imu(sample)]
     truth = flight.true_state(samples[-1].stamp_ns)
     for T_body in (odometry.estimate.state.T_map_body, odometry.T_odom_body):
@@ -54,7 +67,7 @@ def test_a_correction_counts_as_if_it_had_been_the_start(flight, readings, corre
     """At an output, and between two outputs; the covariance is propagated to the newest output as well."""
     samples = readings(0.5, 1.0, 200)
     middle = estimate_at(flight, samples[corrected], 1e-2)
-    late = LiveOdometry(estimate_at(flight, samples[0]), IMU, period_s=0.02)
+    late = FedOdometry(estimate_at(flight, samples[0]), period_s=0.02)
     for sample in samples:
         late.add_imu(sample)
     late.correct(middle)
@@ -66,7 +79,7 @@ def test_a_correction_counts_as_if_it_had_been_the_start(flight, readings, corre
 
 def test_a_correction_moves_the_map_and_not_the_odometry(flight, readings) -> None:
     samples = readings(0.5, 1.0, 200)
-    odometry = LiveOdometry(estimate_at(flight, samples[0]), IMU, period_s=0.02)
+    odometry = FedOdometry(estimate_at(flight, samples[0]), period_s=0.02)
     for sample in samples[:101]:
         odometry.add_imu(sample)
     before, jump = odometry.T_odom_body, Pose(so3_exp(np.array([0.0, 0.0, 0.1])), np.array([5.0, -2.0, 1.0]))
@@ -84,7 +97,7 @@ def test_a_correction_moves_the_map_and_not_the_odometry(flight, readings) -> No
 
 
 def test_a_correction_slightly_ahead_of_the_readings_waits_for_them() -> None:
-    odometry = LiveOdometry(START, IMU, period_s=0.02)
+    odometry = FedOdometry(START, period_s=0.02)
     for k in range(3):
         odometry.add_imu(hovering(NS_PER_S + 5 * k * MS))
     moved = dataclasses.replace(START.state, stamp_ns=NS_PER_S + 15 * MS, T_map_body=Pose(np.eye(3), np.full(3, 9.0)))
@@ -96,7 +109,7 @@ def test_a_correction_slightly_ahead_of_the_readings_waits_for_them() -> None:
 
 
 def test_a_correction_from_the_future_is_refused_and_changes_nothing() -> None:
-    odometry = LiveOdometry(START, IMU)
+    odometry = FedOdometry(START)
     odometry.add_imu(hovering(NS_PER_S + 5 * MS))
     before = odometry.estimate
     stamp_ns = before.state.stamp_ns + round(MAX_AHEAD_S * NS_PER_S) + 1
@@ -107,7 +120,7 @@ def test_a_correction_from_the_future_is_refused_and_changes_nothing() -> None:
 
 
 def test_a_gap_in_the_readings_makes_the_position_uncertain() -> None:
-    with_gap, without = LiveOdometry(START, IMU), LiveOdometry(START, IMU)
+    with_gap, without = FedOdometry(START), FedOdometry(START)
     for k in range(1, 400):
         without.add_imu(hovering(NS_PER_S + 5 * k * MS))
         if not 100 < k < 300:
@@ -118,7 +131,7 @@ def test_a_gap_in_the_readings_makes_the_position_uncertain() -> None:
 
 
 def test_readings_before_the_start_change_nothing() -> None:
-    odometry = LiveOdometry(START, IMU)
+    odometry = FedOdometry(START)
     assert not odometry.add_imu(hovering(NS_PER_S - 1))
     assert not odometry.add_imu(hovering(NS_PER_S))
     assert odometry.estimate is START

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.ins.gaps import UsualSpacing
+from uav_vslam.ins.imu_statistics import ImuStatistics
 from uav_vslam.ins.preintegration import bridged, preintegrate
 from uav_vslam.ins.preintegrator import advance
-from uav_vslam.ins.white_noise import WhiteNoise
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 
 MAX_STEPS = 2500  # retained for replay after a correction: 50 s at 50 Hz
@@ -39,12 +38,20 @@ class LiveOdometry:
         T_odom_body: the pose in the odometry frame at the same stamp.
     """
 
-    def __init__(self, initial: NavEstimate, imu: ImuConfig, *, period_s: float = 0.0) -> None:
-        """Start at a state, where both frames coincide; a period of 0 makes an output at each reading."""
-        self._imu, self._period_ns = imu, round(period_s * NS_PER_S)
+    def __init__(
+        self, initial: NavEstimate, imu: ImuConfig, statistics: ImuStatistics, *, period_s: float = 0.0
+    ) -> None:
+        """Start at a state, where both frames coincide.
+
+        Args:
+            initial: the state.
+            imu: gravity and bias walks.
+            statistics: of the readings; the caller adds each to them before it adds it here.
+            period_s: of the output [s]; 0 makes one at each reading.
+        """
+        self._imu, self._statistics, self._period_ns = imu, statistics, round(period_s * NS_PER_S)
         self._biases = initial.state.gyro_bias, initial.state.accel_bias
         self._steps: deque[_Step] = deque(maxlen=MAX_STEPS)
-        self._spacing, self._noise = UsualSpacing(), WhiteNoise(imu)
         self._readings: list[ImuSample] = []  # from the newest output on, and the last one before it
         self._pending: NavEstimate | None = None
         self._corrected_ns = -1  # stamp of the newest correction
@@ -61,14 +68,12 @@ class LiveOdometry:
         """Add a reading; return whether it made a new output."""
         start_ns = self.estimate.state.stamp_ns
         self._readings.append(sample)
-        self._spacing.add(sample.stamp_ns)
-        self._noise.add(sample, self._spacing.period_s)
         if sample.stamp_ns <= start_ns:
             self._readings = self._readings[-1:]
             return False
         if not self._is_due(sample.stamp_ns - start_ns):
             return False
-        period_s, imu = self._spacing.period_s, self._noise.imu
+        period_s, imu = self._statistics.period_s, self._statistics.imu
         increment = self._preintegrated(self._readings, period_s, imu, start_ns, sample.stamp_ns)
         step = _Step(increment, self._readings, period_s, imu)
         self._steps.append(step)

@@ -8,6 +8,7 @@ of interval j to the errors of the whole increment. Then the bias Jacobian is `-
 """
 
 import itertools
+from bisect import bisect_left, bisect_right
 from collections import deque
 from functools import partial
 
@@ -17,12 +18,11 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.rotation import skew, so3_exp_and_right_jacobian
-from uav_vslam.ins.gaps import LEAP_S, UNKNOWN_ACCEL_SIGMA, UNKNOWN_RATE_SIGMA, UsualSpacing, halved, hidden_variance
-from uav_vslam.ins.white_noise import WhiteNoise
+from uav_vslam.ins.gaps import LEAP_S, UNKNOWN_ACCEL_SIGMA, UNKNOWN_RATE_SIGMA, halved, hidden_variance
+from uav_vslam.ins.imu_statistics import ImuStatistics
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavState
 
 Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 MAX_GAP_S = 0.05  # longer gaps are reported
 LACKING = 10.0  # standard deviations of complete readings: one reading in ten is missing at 4, half of them at 15
@@ -65,7 +65,7 @@ def preintegrate(
         whole = unknown_motion(*leap, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
         whole = whole if leap[0] == start_ns else compose(part(start_ns, leap[0]), whole)
         return whole if leap[1] == stamp_ns else compose(whole, part(leap[1], stamp_ns))
-    stamps_ns = _stamps(samples)
+    stamps_ns = [sample.stamp_ns for sample in samples]
     t_s, gyro, accel = _readings_within(samples, stamps_ns, start_ns, stamp_ns)
     apart_s = _apart_s(stamps_ns, start_ns, stamp_ns)
     hidden = hidden_variance(samples, apart_s, period_s=period_s, imu=imu)
@@ -197,21 +197,25 @@ def _sums(steps: Array) -> Array:
 
 
 def _readings_within(
-    samples: list[ImuSample], stamps_ns: Stamps, start_ns: int, stamp_ns: int
+    samples: list[ImuSample], stamps_ns: list[int], start_ns: int, stamp_ns: int
 ) -> tuple[Array, Array, Array]:
     """Return times [s] from the start, gyro and accel (K, 3), with interpolated readings at both ends."""
     readings = np.array([[*s.gyro.tolist(), *s.accel.tolist()] for s in samples])
-    first, end = np.searchsorted(stamps_ns, start_ns, "right"), np.searchsorted(stamps_ns, stamp_ns)
-    inside = slice(int(first), int(end))
-    stamps = np.concatenate([[start_ns], stamps_ns[inside], [stamp_ns]])
-    ends = [_interpolated(readings, stamps_ns, at_ns)[None] for at_ns in (start_ns, stamp_ns)]
-    columns = np.concatenate([ends[0], readings[inside], ends[1]])
+    inside = _inside(stamps_ns, start_ns, stamp_ns)
+    stamps = np.array([start_ns, *stamps_ns[inside], stamp_ns])
+    start, end = (_interpolated(readings, stamps_ns, at_ns) for at_ns in (start_ns, stamp_ns))
+    columns = np.vstack([start, readings[inside], end])
     return (stamps - start_ns) / NS_PER_S, columns[:, :3], columns[:, 3:]
 
 
-def _interpolated(readings: Array, stamps_ns: Stamps, at_ns: int) -> Array:
+def _inside(stamps_ns: list[int], start_ns: int, stamp_ns: int) -> slice:
+    """Return which stamps are between the ends of an interval."""
+    return slice(bisect_right(stamps_ns, start_ns), bisect_left(stamps_ns, stamp_ns))
+
+
+def _interpolated(readings: Array, stamps_ns: list[int], at_ns: int) -> Array:
     """Return the reading (6,) at a stamp, held from the nearest one at the ends of the recording."""
-    after = int(np.searchsorted(stamps_ns, at_ns))
+    after = bisect_left(stamps_ns, at_ns)
     if after == 0 or after == len(stamps_ns) or stamps_ns[after] == at_ns:
         return np.asarray(readings[min(after, len(stamps_ns) - 1)])
     share = (at_ns - stamps_ns[after - 1]) / (stamps_ns[after] - stamps_ns[after - 1])
@@ -220,22 +224,18 @@ def _interpolated(readings: Array, stamps_ns: Stamps, at_ns: int) -> Array:
 
 def has_gap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> bool:
     """Return whether an interval has a gap in the readings; arguments as for `preintegrate`."""
-    return not samples or bool((_apart_s(_stamps(samples), start_ns, stamp_ns) > MAX_GAP_S).any())
+    return not samples or bool((_apart_s([s.stamp_ns for s in samples], start_ns, stamp_ns) > MAX_GAP_S).any())
 
 
-def _stamps(samples: list[ImuSample]) -> Stamps:
-    return np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
-
-
-def _apart_s(stamps_ns: Stamps, start_ns: int, stamp_ns: int) -> Array:
+def _apart_s(stamps_ns: list[int], start_ns: int, stamp_ns: int) -> Array:
     """Return for each of the K-1 intervals of `_readings_within` how far the readings around it are apart [s].
 
     They are actual readings, inside the interval or not: an image within a gap does not shorten it.
     """
-    first, end = np.searchsorted(stamps_ns, start_ns, "right"), np.searchsorted(stamps_ns, stamp_ns)
-    before = stamps_ns[first - 1] if first else start_ns
-    after = stamps_ns[end] if end < len(stamps_ns) else stamp_ns
-    return np.asarray(np.diff(np.concatenate([[before], stamps_ns[first:end], [after]])) / NS_PER_S)
+    inside = _inside(stamps_ns, start_ns, stamp_ns)
+    before = stamps_ns[inside.start - 1] if inside.start else start_ns
+    after = stamps_ns[inside.stop] if inside.stop < len(stamps_ns) else stamp_ns
+    return np.asarray(np.diff([before, *stamps_ns[inside], after]) / NS_PER_S)
 
 
 def _leap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> tuple[int, int] | None:
@@ -296,6 +296,7 @@ class ImuBuffer:
     An interval is complete once a reading at or after its end has arrived: see `covers`.
 
     Attributes:
+        statistics: as of the newest reading.
         period_s, imu: usual spacing and noise as of the newest reading of the last cut, so that they do not depend on
             when it is made.
     """
@@ -303,7 +304,7 @@ class ImuBuffer:
     def __init__(self, imu: ImuConfig) -> None:
         self._samples: deque[ImuSample] = deque()
         self._known: deque[tuple[float, ImuConfig]] = deque()  # usual spacing and noise as of each
-        self._spacing, self._noise = UsualSpacing(), WhiteNoise(imu)
+        self.statistics = ImuStatistics(imu)
         self.period_s, self.imu = 0.0, imu
 
     def append(self, sample: ImuSample) -> None:
@@ -312,15 +313,14 @@ class ImuBuffer:
         Raises:
             InvalidMessage: its stamp is not later than the newest one, or a value is not finite.
         """
-        if not (np.isfinite(sample.gyro).all() and np.isfinite(sample.accel).all()):
+        if not sample.is_finite:
             raise InvalidMessage("not_finite", f"IMU reading at {sample.stamp_ns} ns is not finite")
         if self._samples and sample.stamp_ns <= self._samples[-1].stamp_ns:
             newest = self._samples[-1].stamp_ns
             raise InvalidMessage("stamp", f"IMU stamp {sample.stamp_ns} ns is not after {newest} ns")
-        self._spacing.add(sample.stamp_ns)
-        self._noise.add(sample, self._spacing.period_s)
+        self.statistics.add(sample)
         self._samples.append(sample)
-        self._known.append((self._spacing.period_s, self._noise.imu))
+        self._known.append((self.statistics.period_s, self.statistics.imu))
         while self._samples[0].stamp_ns < sample.stamp_ns - MAX_HELD_S * NS_PER_S:
             self._drop_oldest()
 

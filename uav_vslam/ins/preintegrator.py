@@ -7,6 +7,7 @@ import numpy as np
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
+from uav_vslam.ins.imu_statistics import ImuStatistics
 from uav_vslam.ins.preintegration import ImuBuffer, bridged, has_gap, preintegrate
 from uav_vslam.ins.propagation import corrected, propagate, transition
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, NavState
@@ -39,6 +40,11 @@ class ImuPreintegrator:
         self.start_ns = None if start is None or at_next_image else start.stamp_ns
         self._last_ns = self.start_ns
         self.gaps = 0
+
+    @property
+    def statistics(self) -> ImuStatistics:
+        """Return those of all readings so far."""
+        return self._buffer.statistics
 
     def add_imu(self, sample: ImuSample) -> None:
         """Add a reading; see `ImuBuffer.append` for what is rejected."""

@@ -112,7 +112,6 @@ def _increasing(readings: list[ImuSample]) -> list[ImuSample]:
     """Return the finite readings whose stamps increase."""
     kept: list[ImuSample] = []
     for one in readings:
-        finite = np.isfinite(one.gyro).all() and np.isfinite(one.accel).all()
-        if finite and (not kept or one.stamp_ns > kept[-1].stamp_ns):
+        if one.is_finite and (not kept or one.stamp_ns > kept[-1].stamp_ns):
             kept.append(one)
     return kept

@@ -98,8 +98,8 @@ def imu_from_data(data: bytes) -> tuple[ImuSample, str]:
         sample, frame = imu_of_data(data)
     except (BagError, UnicodeDecodeError) as error:
         raise InvalidMessage("encoding", str(error)) from None
-    _finite(sample.gyro, "angular_velocity")
-    _finite(sample.accel, "linear_acceleration")
+    if not sample.is_finite:
+        raise InvalidMessage("not_finite", "angular_velocity or linear_acceleration holds NaN or infinity")
     return sample, frame
 
 

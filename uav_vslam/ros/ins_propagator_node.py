@@ -203,11 +203,12 @@ class InsPropagatorNode(VehicleNode):
         early = self._startup_buffer.take(from_first_reading=in_flight)
         for estimate in self._reckoner.start(initial):
             self._publish_dead_reckoning(estimate, None)
-        self._live = LiveOdometry(initial, self.config.imu, period_s=self._period_s)
         already_running = self._preintegrator is not None  # in flight, increments are needed before the start state
         if self._preintegrator is None:
             # restarted in flight: the images show the back end the motion up to the next one
             self._preintegrator = ImuPreintegrator(self.config.imu, initial.state, at_next_image=in_flight)
+        statistics = self._preintegrator.statistics
+        self._live = LiveOdometry(initial, self.config.imu, statistics, period_s=self._period_s)
         for item in early:
             try:
                 if not already_running:
@@ -316,7 +317,8 @@ class InsPropagatorNode(VehicleNode):
             self._publish_dead_reckoning(estimate, increment)
 
     def _publish_dead_reckoning(self, nav: NavEstimate, increment: ImuIncrement | None) -> None:
-        self._dead_reckoning.publish(self._odometry_data(nav, increment))
+        if self._dead_reckoning.get_subscription_count():
+            self._dead_reckoning.publish(self._odometry_data(nav, increment))
 
     def _odometry_data(self, nav: NavEstimate, increment: ImuIncrement | None) -> bytes:
         return self._odometry_of.of(nav.pose, body_twist(nav, increment))

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a stream of IMU readings tells of itself."""
+
+from uav_vslam.config import ImuConfig
+from uav_vslam.ins.gaps import UsualSpacing
+from uav_vslam.ins.white_noise import WhiteNoise
+from uav_vslam.types import ImuSample
+
+
+class ImuStatistics:
+    """The usual spacing of readings and their white noise, as of the newest one."""
+
+    def __init__(self, configured: ImuConfig) -> None:
+        self._spacing, self._noise = UsualSpacing(), WhiteNoise(configured)
+
+    @property
+    def period_s(self) -> float:
+        """Usual spacing [s]; 0 before the second reading."""
+        return self._spacing.period_s
+
+    @property
+    def imu(self) -> ImuConfig:
+        """The configuration, with the measured noise if that is far larger."""
+        return self._noise.imu
+
+    def add(self, sample: ImuSample) -> None:
+        """Add a reading, later than those before."""
+        self._spacing.add(sample.stamp_ns)
+        self._noise.add(sample, self._spacing.period_s)
