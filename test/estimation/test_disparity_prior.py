@@ -4,10 +4,15 @@
 import numpy as np
 import pytest
 
-from uav_vslam.estimation.disparity_prior import DOUBTED, DisparityPrior
+from uav_vslam.estimation.disparity_prior import BETWEEN, DOUBTED, DisparityPrior
 
 RIGHT, WRONG, PROBABILITY = 0.05, 0.3, 0.2
 PRIOR = DisparityPrior(RIGHT, WRONG, PROBABILITY)
+CLAIMED = (  # probability and standard deviation
+    ((1 - PROBABILITY) * (1 - BETWEEN), RIGHT),
+    ((1 - PROBABILITY) * BETWEEN, np.sqrt(RIGHT * WRONG)),
+    (PROBABILITY, WRONG),
+)
 GRID = np.linspace(-3.0, 3.0, 200_001)
 
 
@@ -66,17 +71,16 @@ def test_without_a_wrong_calibration_the_prior_stays() -> None:
 @pytest.mark.parametrize("sigma", [0.03, 0.1, 0.2])
 def test_what_is_claimed_is_the_mean_square_about_the_estimate(mu: float, sigma: float) -> None:
     """Whichever prior the estimate was made with."""
-    parts = [w * density(GRID, s) for w, s in ((1 - PROBABILITY, RIGHT), (PROBABILITY, WRONG))]
-    both = sum(part * density(mu - GRID, sigma) for part in parts)
+    all_kinds = sum(w * density(GRID, s) * density(mu - GRID, sigma) for w, s in CLAIMED)
     for prior in (RIGHT**2, WRONG**2):
         mean, variance = estimate(mu, sigma**2, prior)
-        exact = ((GRID - mean) ** 2 * both).sum() / both.sum()
+        exact = ((GRID - mean) ** 2 * all_kinds).sum() / all_kinds.sum()
         claimed = PRIOR.mean_square(mean, variance, prior=prior)
         np.testing.assert_allclose(claimed, max(min(exact, WRONG**2), variance), rtol=1e-6)
 
 
 def test_before_any_measurement_the_mixture_itself_is_claimed() -> None:
-    mixed = (1 - PROBABILITY) * RIGHT**2 + PROBABILITY * WRONG**2
+    mixed = sum(w * s**2 for w, s in CLAIMED)
     np.testing.assert_allclose(PRIOR.mean_square(0.0, RIGHT**2, prior=RIGHT**2), mixed, rtol=1e-12)
 
 

@@ -8,6 +8,7 @@ import pytest
 from scipy.special import chdtri
 
 from uav_vslam.config import BackendConfig, RigConfig, StartConfig, VehicleConfig
+from uav_vslam.estimation.disparity_prior import DisparityPrior
 from uav_vslam.pipeline import VehiclePipeline
 from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
@@ -82,13 +83,13 @@ def test_corrections_of_an_unknown_tilt_are_no_evidence() -> None:
 
 
 def test_what_is_not_judged_yet_is_claimed_as_doubtful() -> None:
-    """The first frames know no better than the mixture; a right calibration is hardly doubted any more in the end."""
-    prior = RigConfig()
-    flight = reports(1, prior, frames=160)
+    """The first frames know no better than the prior; a right calibration is hardly doubted any more in the end."""
+    rig = RigConfig()
+    flight = reports(1, rig, frames=160)
     sigma = [r.disparity.sigma_px for r in flight if r.disparity]
-    mixed = 1.0 - prior.miscalibrated_probability, prior.miscalibrated_probability
-    expected = np.sqrt(mixed[0] * prior.disparity_sigma_px**2 + mixed[1] * prior.miscalibrated_sigma_px**2)
-    assert sigma[0] == pytest.approx(expected, rel=1e-3)
+    prior = DisparityPrior(rig.disparity_sigma_px, rig.miscalibrated_sigma_px, rig.miscalibrated_probability)
+    unmeasured = prior.mean_square(0.0, prior.variance, prior=prior.variance)
+    assert sigma[0] == pytest.approx(np.sqrt(unmeasured), rel=1e-3)
     assert sigma[-1] < 0.5 * sigma[0]
 
 

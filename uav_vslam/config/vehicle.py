@@ -55,8 +55,8 @@ class RigConfig(Settings):
         0.05, "flexing: part independent in each frame, rms per axis", unit="deg", at_least=0
     )
     rigid_sigma_deg: float = setting(
-        5.0e-4,
-        "not flexing: residual after calibration; small, but data can contradict it; 0: exact",
+        2.0e-4,
+        "not flexing: about the axis that changes the disparity, if the calibration is right; 0: attitude exact",
         unit="deg",
         at_least=0,
     )

@@ -12,20 +12,26 @@ time, as if it had been there from the start.
 Symbols: with the likelihood N(mu, v) of the measurements alone, a prior N(0, s^2) leads to the mean k mu and the
 variance k v, k = s^2 / (s^2 + v). A mixture with weights w has the mean sum(w k) mu and the variance
 sum(w k) v + spread.
+
+What is claimed allows for more than these two: many calibrations are in between, as a board leaves them, and a flight
+can't tell those from right ones. They don't matter for the mean, which is not moved by what can't be told.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit, logit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 DOUBTED = 0.3  # probability of a wrong calibration; below it, the right one is taken for granted
+BETWEEN = 0.4  # share of calibrations that are not wrong, but neither right
 LEAST_LEARNT = 1e-9  # share of the prior's information: below it, the measurements say nothing yet
 
 
 @dataclass(frozen=True, slots=True)
 class DisparityPrior:
-    """A mixture of two Gaussians of mean zero.
+    """A mixture of Gaussians of mean zero: two for the mean, and one between them, on a logarithmic scale, for claims.
 
     Attributes:
         right_px, wrong_px: standard deviations with a right and with a wrong calibration [px].
@@ -37,14 +43,10 @@ class DisparityPrior:
     probability: float
 
     @property
-    def mixed(self) -> float:
-        """Variance of the mixture [px^2]."""
-        return (1.0 - self.probability) * self.right_px**2 + self.probability * self.wrong_px**2
-
-    @property
     def variance(self) -> float:
         """Of the prior as long as nothing was measured [px^2]."""
-        return self.right_px**2 if self.probability < DOUBTED else self.mixed
+        weights, variances = self._two
+        return self.right_px**2 if self.probability < DOUBTED else float(weights @ variances)
 
     def given(self, mean: float, variance: float, *, prior: float) -> tuple[float, float]:
         """Return the probability of a wrong calibration given the measurements, and the prior to use instead.
@@ -57,12 +59,13 @@ class DisparityPrior:
         if measured is None or self.probability == 0.0:
             return self.probability, self.variance
         mu, v = measured
-        weight, k_right, k_wrong = self._posterior(mu, v)
-        if weight < DOUBTED:
-            return weight, self.right_px**2
-        spread = weight * (1.0 - weight) * (k_wrong - k_right) ** 2 * mu**2
-        k = min((1.0 - weight) * k_right + weight * k_wrong + spread / v, k_wrong)
-        return weight, v * k / (1.0 - k)
+        weights, k = _posterior(mu, v, *self._two)
+        wrong = float(weights[1])
+        if wrong < DOUBTED:
+            return wrong, self.right_px**2
+        spread = wrong * (1.0 - wrong) * float(k[1] - k[0]) ** 2 * mu**2
+        share = min(float(weights @ k) + spread / v, float(k[1]))
+        return wrong, v * share / (1.0 - share)
 
     def mean_square(self, mean: float, variance: float, *, prior: float) -> float:
         """Return how far the estimate may be off in mean square [px^2], also where the right one is taken for granted.
@@ -70,20 +73,36 @@ class DisparityPrior:
         Never below its variance, and where the motion contradicts any calibration, not above that of a wrong one.
         Arguments as of `given`.
         """
+        if self.probability == 0.0:
+            return variance
         measured = _measured(mean, variance, prior)
+        weights, variances = self._three
         if measured is None:
-            return max(self.mixed, variance)
+            return max(float(weights @ variances), variance)
         mu, v = measured
-        weight, *shares = self._posterior(mu, v)
-        right, wrong = (k * v + (k * mu - mean) ** 2 for k in shares)
-        expected = (1.0 - weight) * right + weight * wrong
+        weights, k = _posterior(mu, v, weights, variances)
+        expected = float(weights @ (k * v + (k * mu - mean) ** 2))
         return max(min(expected, self.wrong_px**2), variance)
 
-    def _posterior(self, mu: float, v: float) -> tuple[float, float, float]:
-        """Return the probability of a wrong calibration given N(mu, v), and k with a right and with a wrong one."""
-        right, wrong = self.right_px**2, self.wrong_px**2
-        log_ratio = 0.5 * (np.log((v + right) / (v + wrong)) + mu**2 * (1.0 / (v + right) - 1.0 / (v + wrong)))
-        return float(expit(logit(self.probability) + log_ratio)), right / (right + v), wrong / (wrong + v)
+    @property
+    def _two(self) -> tuple[Array, Array]:
+        """Probabilities and variances of right and wrong calibrations."""
+        return np.array([1.0 - self.probability, self.probability]), np.array([self.right_px, self.wrong_px]) ** 2
+
+    @property
+    def _three(self) -> tuple[Array, Array]:
+        """Those of right ones, those between, and wrong ones."""
+        not_wrong, wrong = 1.0 - self.probability, self.probability
+        sigma_px = np.array([self.right_px, (self.right_px * self.wrong_px) ** 0.5, self.wrong_px])
+        return np.array([(1.0 - BETWEEN) * not_wrong, BETWEEN * not_wrong, wrong]), sigma_px**2
+
+
+def _posterior(mu: float, v: float, weights: Array, variances: Array) -> tuple[Array, Array]:
+    """Return the probabilities of priors N(0, variance) given a measurement N(mu, v), and k with each."""
+    total = variances + v
+    log_likelihood = -0.5 * (np.log(total) + mu**2 / total)
+    joint = weights * np.exp(log_likelihood - log_likelihood.max())
+    return joint / joint.sum(), variances / total
 
 
 def _measured(mean: float, variance: float, prior: float) -> tuple[float, float] | None:
