@@ -74,6 +74,15 @@ class Feed:
             self._stamp_ns += STEP_NS
             back_end.publish(self._stamp_ns)
 
+    @property
+    def times_misled(self) -> int:
+        """How often a lie was used after the truth: an impostor is known by its second message that follows a true one.
+
+        On a busy machine several of its messages may come in a row, as an input holds the newest only.
+        """
+        lies = [x_m > LIE_M / 2 for x_m in self.fused_x_m]
+        return sum(lie and not before for before, lie in itertools.pairwise([False, *lies]))
+
     def _on_fused(self, message: Odometry) -> None:
         self.fused_x_m.append(message.pose.pose.position.x)
 
@@ -112,8 +121,7 @@ def test_while_two_nodes_publish_an_input_it_is_not_used(
             assert witness.sees(
                 lambda n=count: len(feed.fused_x_m) > n + 20 and not witness.is_error(FUSION), feed.step
             )
-            # An impostor is known by its second message at the latest.
-            assert sum(x_m > LIE_M / 2 for x_m in feed.fused_x_m) <= lies_allowed
+            assert feed.times_misled <= lies_allowed
     log = (tmp_path / "fusion.log").read_text()
     assert log.count(f"2 nodes publish {FED}") == 2
     assert log.count(f"one node publishes {FED} again; it is used") == 2
