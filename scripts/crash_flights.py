@@ -30,11 +30,11 @@ from uav_vslam.config import load_fleet
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
 from uav_vslam.evaluation.consistency import nees
-from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.ros.domain import claimed_domain
 from uav_vslam.ros.qos import SENSOR
-from uav_vslam.studies.live.compute import PROC, node_name
+from uav_vslam.studies.live.compute import child_commands, node_name
 from uav_vslam.types import PoseEstimate
 
 ROOT = Path(__file__).parents[1]
@@ -71,15 +71,15 @@ def killed_in_turn(domain_id: int, launcher: subprocess.Popen[bytes], stamps_ns:
 
 def process_of(launcher: int, node: str) -> int:
     """Return the process of a node that a launcher has started."""
-    children = (PROC / str(launcher) / "task" / str(launcher) / "children").read_text().split()
-    names = {node_name((PROC / child / "cmdline").read_text().split("\0")): int(child) for child in children}
-    return names[node]
+    return next(pid for pid, words in child_commands(launcher).items() if node_name(words) == node)
 
 
 def end_error_m(poses: list[PoseEstimate], truth: Trajectory) -> float:
     """Return the root mean square position error at the end."""
-    paired, true = pair_with_truth(Trajectory.from_estimates(poses[-LAST:]), truth)
-    return float(np.sqrt(np.mean(np.sum((paired.positions - true.positions) ** 2, axis=1))))
+    error = absolute_error(Trajectory.from_estimates(poses[-LAST:]), truth)
+    if error is None:
+        raise SystemExit("the truth does not cover the end of the flight")
+    return error.ate_m
 
 
 def launch(command: list[str], log: Path, stamps_ns: list[int]) -> None:

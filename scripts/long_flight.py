@@ -40,7 +40,7 @@ from uav_vslam.ros.pacing import Answers, Kind, RealTime, Recorded
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
 from uav_vslam.ros.recording import Recording
 from uav_vslam.ros.shared_memory import FOLDER
-from uav_vslam.studies.live.compute import PROC, node_name
+from uav_vslam.studies.live.compute import PROC, child_commands, node_name
 from uav_vslam_msgs.msg import FusionStatus
 
 ROOT = Path(__file__).parents[1]
@@ -134,9 +134,8 @@ class LongFlight:
 def memory_mb(launcher: int) -> dict[str, float]:
     """Return the resident memory of each node that a launcher has started [MB]."""
     found = {}
-    for child in (PROC / str(launcher) / "task" / str(launcher) / "children").read_text().split():
-        words = (PROC / child / "cmdline").read_bytes().decode(errors="replace").split("\0")
-        pages = int((PROC / child / "statm").read_text().split()[1])
+    for pid, words in child_commands(launcher).items():
+        pages = int((PROC / str(pid) / "statm").read_text().split()[1])
         found[node_name(words) or words[-1]] = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
     return found
 

@@ -23,8 +23,8 @@ from uav_vslam.config import load_fleet  # noqa: E402
 from uav_vslam.datasets.messages import stamp_ns_of  # noqa: E402
 from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs  # noqa: E402
 from uav_vslam.evaluation.consistency import nees  # noqa: E402
-from uav_vslam.evaluation.pairing import pair_with_truth  # noqa: E402
 from uav_vslam.evaluation.trajectory import Trajectory  # noqa: E402
+from uav_vslam.evaluation.trajectory_error import absolute_error  # noqa: E402
 from uav_vslam.fleet import CooperativeTrack  # noqa: E402
 from uav_vslam.pipeline import VehicleTrack  # noqa: E402
 from uav_vslam.types import NS_PER_S, PoseEstimate  # noqa: E402
@@ -108,8 +108,9 @@ def test_a_back_end_killed_in_lock_step_catches_up_to_the_same_estimates(
 
 def end_error_m(estimates: list[PoseEstimate], truth: Trajectory) -> float:
     """Return the root mean square position error of the last ten estimates [m]."""
-    paired, true = pair_with_truth(Trajectory.from_estimates(estimates[-10:]), truth)
-    return float(np.sqrt(np.mean(np.sum((paired.positions - true.positions) ** 2, axis=1))))
+    error = absolute_error(Trajectory.from_estimates(estimates[-10:]), truth)
+    assert error is not None
+    return error.ate_m
 
 
 def longest_gap_s(estimates: list[PoseEstimate]) -> float:

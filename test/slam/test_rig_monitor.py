@@ -8,7 +8,7 @@ import pytest
 from scipy.special import chdtri
 
 from uav_vslam.config import BackendConfig, RigConfig, StartConfig, VehicleConfig
-from uav_vslam.estimation.disparity_prior import DisparityPrior
+from uav_vslam.estimation.disparity_prior import BETWEEN
 from uav_vslam.pipeline import VehiclePipeline
 from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
@@ -87,9 +87,9 @@ def test_what_is_not_judged_yet_is_claimed_as_doubtful() -> None:
     rig = RigConfig()
     flight = reports(1, rig, frames=160)
     sigma = [r.disparity.sigma_px for r in flight if r.disparity]
-    prior = DisparityPrior(rig.disparity_sigma_px, rig.miscalibrated_sigma_px, rig.miscalibrated_probability)
-    unmeasured = prior.mean_square(0.0, prior.variance, prior=prior.variance)
-    assert sigma[0] == pytest.approx(np.sqrt(unmeasured), rel=1e-3)
+    right_px, wrong_px, wrong = rig.disparity_sigma_px, rig.miscalibrated_sigma_px, rig.miscalibrated_probability
+    not_wrong = (1.0 - BETWEEN) * right_px**2 + BETWEEN * right_px * wrong_px
+    assert sigma[0] == pytest.approx(np.sqrt((1.0 - wrong) * not_wrong + wrong * wrong_px**2), rel=1e-3)
     assert sigma[-1] < 0.5 * sigma[0]
 
 

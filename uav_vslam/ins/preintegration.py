@@ -60,12 +60,12 @@ def preintegrate(
         raise ValueError(f"increment from {start_ns} ns to {stamp_ns} ns is empty; stamps must increase")
     if not samples:
         return unknown_motion(start_ns, stamp_ns, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
-    if (leap := _leap(samples, start_ns, stamp_ns)) is not None:
+    stamps_ns = [sample.stamp_ns for sample in samples]
+    if (leap := _leap(stamps_ns, start_ns, stamp_ns)) is not None:
         part = partial(preintegrate, samples, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu, period_s=period_s)
         whole = unknown_motion(*leap, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
         whole = whole if leap[0] == start_ns else compose(part(start_ns, leap[0]), whole)
         return whole if leap[1] == stamp_ns else compose(whole, part(leap[1], stamp_ns))
-    stamps_ns = [sample.stamp_ns for sample in samples]
     t_s, gyro, accel = _readings_within(samples, stamps_ns, start_ns, stamp_ns)
     apart_s = _apart_s(stamps_ns, start_ns, stamp_ns)
     hidden = hidden_variance(samples, apart_s, period_s=period_s, imu=imu)
@@ -238,12 +238,11 @@ def _apart_s(stamps_ns: list[int], start_ns: int, stamp_ns: int) -> Array:
     return np.asarray(np.diff([before, *stamps_ns[inside], after]) / NS_PER_S)
 
 
-def _leap(samples: list[ImuSample], start_ns: int, stamp_ns: int) -> tuple[int, int] | None:
+def _leap(stamps_ns: list[int], start_ns: int, stamp_ns: int) -> tuple[int, int] | None:
     """Return the longest part of an interval without a reading, if it is longer than LEAP_S."""
     if stamp_ns - start_ns <= LEAP_S * NS_PER_S:
         return None
-    inside = [s.stamp_ns for s in samples if start_ns < s.stamp_ns < stamp_ns]
-    parts = itertools.pairwise([start_ns, *inside, stamp_ns])
+    parts = itertools.pairwise([start_ns, *stamps_ns[_inside(stamps_ns, start_ns, stamp_ns)], stamp_ns])
     longest = max(parts, key=lambda part: part[1] - part[0])
     return longest if longest[1] - longest[0] > LEAP_S * NS_PER_S else None
 

@@ -99,7 +99,8 @@ def imu_from_data(data: bytes) -> tuple[ImuSample, str]:
     except (BagError, UnicodeDecodeError) as error:
         raise InvalidMessage("encoding", str(error)) from None
     if not sample.is_finite:
-        raise InvalidMessage("not_finite", "angular_velocity or linear_acceleration holds NaN or infinity")
+        _finite(sample.gyro, "angular_velocity")
+        _finite(sample.accel, "linear_acceleration")
     return sample, frame
 
 

@@ -3,6 +3,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,16 +35,24 @@ def sample_children(parent: int, time_s: float) -> Sample:
     """Return what the child processes of a launcher have used so far; ending processes are left out."""
     found: dict[str, float] = {}
     tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
-    for entry in (PROC / str(parent) / "task" / str(parent) / "children").read_text(encoding="ascii").split():
-        try:
-            words = (PROC / entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
-            fields = (PROC / entry / "stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
-        except OSError:
-            continue
+    for pid, words in child_commands(parent).items():
         name = node_name(words)
-        if name:
+        if not name:
+            continue
+        with suppress(OSError):
+            stat = (PROC / str(pid) / "stat").read_text(encoding="ascii", errors="replace")
+            fields = stat.rpartition(")")[2].split()
             found[name] = found.get(name, 0.0) + tick_s * (int(fields[UTIME]) + int(fields[STIME]))
     return Sample(time_s, found)
+
+
+def child_commands(parent: int) -> dict[int, list[str]]:
+    """Return the words of the command line of each child process; ending processes are left out."""
+    found: dict[int, list[str]] = {}
+    for entry in (PROC / str(parent) / "task" / str(parent) / "children").read_text(encoding="ascii").split():
+        with suppress(OSError):
+            found[int(entry)] = (PROC / entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
+    return found
 
 
 def node_name(words: Sequence[str]) -> str:
