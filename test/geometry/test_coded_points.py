@@ -15,6 +15,7 @@ from uav_vslam.geometry.coded_points import (
     diagonal_blocks,
     pack_lower,
     rigid_jacobian,
+    similarity_jacobian,
     size_code,
     size_m,
     unpack_lower,
@@ -38,12 +39,12 @@ def test_dense_points_keep_the_full_covariance() -> None:
 
 def test_anchored_points_keep_common_and_independent_errors() -> None:
     rng = np.random.default_rng(1)
-    common, own = lower(rng, 6, 6), rng.integers(-127, 128, (4, 6)).astype(np.int8)
+    common, own = lower(rng, 7, 7), rng.integers(-127, 128, (4, 6)).astype(np.int8)
     sizes = np.array([0, 2048, 20480, 30000], np.uint16)
     offsets = rng.integers(-3000, 3000, (4, 3)).astype(np.int16)
     points = AnchoredPoints(offsets, pack_lower(common).astype(np.float32), own, sizes)
     np.testing.assert_allclose(points.offsets_m, offsets * 0.02, rtol=1e-15)
-    J = rigid_jacobian(points.offsets_m)
+    J = similarity_jacobian(points.offsets_m)
     expected = J @ common @ common.T @ J.T
     for i, size in enumerate([1e-4, 2e-4, 1e-4 * 2**10, 1e-4 * 2 ** (30000 / 2048)]):
         L = np.zeros((3, 3))
@@ -56,7 +57,7 @@ def test_anchored_points_keep_common_and_independent_errors() -> None:
 def test_any_number_of_points_has_a_covariance(n: int) -> None:
     dense = DensePoints(np.zeros((n, 3), np.float32), np.zeros(3 * n * (3 * n + 1) // 2, np.float32))
     anchored = AnchoredPoints(
-        np.zeros((n, 3), np.int16), np.zeros(21, np.float32), np.zeros((n, 6), np.int8), np.zeros(n, np.uint16)
+        np.zeros((n, 3), np.int16), np.zeros(28, np.float32), np.zeros((n, 6), np.int8), np.zeros(n, np.uint16)
     )
     assert dense.covariance.shape == anchored.covariance.shape == (3 * n, 3 * n)
     assert dense.offsets_m.shape == anchored.offsets_m.shape == (n, 3)
@@ -69,6 +70,13 @@ def test_the_rigid_jacobian_is_the_numerical_one() -> None:
         twist = step * np.eye(6)[k]
         forth, back = (points @ so3_exp(s * twist[3:]).T + s * twist[:3] for s in (1.0, -1.0))
         np.testing.assert_allclose(J[:, k], (forth - back).ravel() / (2 * step), rtol=0, atol=1e-7)
+
+
+def test_a_similarity_is_a_rigid_motion_and_a_scale() -> None:
+    points = np.random.default_rng(3).uniform(-50, 50, (5, 3))
+    J = similarity_jacobian(points)
+    np.testing.assert_array_equal(J[:, :6], rigid_jacobian(points))
+    np.testing.assert_array_equal((J @ [0, 0, 0, 0, 0, 0, 0.1]).reshape(-1, 3), 0.1 * points)
 
 
 @given(st.floats(0.0, 4e5))

@@ -123,7 +123,7 @@ def refusal(message: LandmarkInformation, *, reseal: bool = False) -> str:
 
 
 BOTH = [
-    ("version", 1, "version"),
+    ("version", 2, "version"),
     ("version", 255, "version"),
     ("form", 2, "form"),
     ("form", 255, "form"),
@@ -158,7 +158,7 @@ BOTH = [
         (COMPACT, "own_factors", [1] * 17, "shape"),
         (COMPACT, "own_sizes", [1] * 2, "shape"),
         (COMPACT, "own_sizes", [1] * 3, "checksum"),
-        (COMPACT, "covariance_factor", [NAN] * 21, "checksum"),
+        (COMPACT, "covariance_factor", [NAN] * 28, "checksum"),
     ],
 )
 def test_a_packet_that_is_refused(packet_of: Maker, policy, field: str, value: Any, reason: str) -> None:
@@ -168,7 +168,7 @@ def test_a_packet_that_is_refused(packet_of: Maker, policy, field: str, value: A
 
 
 def test_numbers_that_are_not_finite_are_refused_even_with_a_valid_checksum(packet_of: Maker) -> None:
-    for policy, count in ((DENSE, 45), (COMPACT, 21)):
+    for policy, count in ((DENSE, 45), (COMPACT, 28)):
         message = packet_to_msg(packet_of(policy, 3))
         message.covariance_factor = [NAN] * count
         assert refusal(message, reseal=True) == "not_finite"

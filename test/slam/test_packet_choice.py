@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A packet sends shared landmarks, then new ones, and over time all."""
+"""A packet sends shared landmarks and new ones, and over time all."""
 
 import dataclasses
 from collections import Counter
@@ -25,14 +25,20 @@ TWENTY = JointInformation(
 EQUAL = np.ones(20)
 
 
-@given(st.integers(0, 25), st.dictionaries(st.integers(1, 20), st.integers(0, 3)), st.sets(st.integers(1, 20)))
+@given(
+    st.integers(0, 25),
+    st.integers(0, 4),
+    st.dictionaries(st.integers(1, 20), st.integers(0, 3)),
+    st.sets(st.integers(1, 20)),
+)
 @settings(max_examples=50)
-def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, times_sent, matched) -> None:
-    rows = choose_landmarks(TWENTY, EQUAL, count, matched_ids=matched, times_sent=times_sent)
+def test_the_choice_is_ascending_without_repeats_and_as_large_as_asked(count, offered, times_sent, matched) -> None:
+    rows = choose_landmarks(TWENTY, EQUAL, count, offered=offered, matched_ids=matched, times_sent=times_sent)
     assert len(rows) == min(count, 20)
     assert (np.diff(rows) > 0).all()
     chosen_matched = len(matched & set((rows + 1).tolist()))
-    assert chosen_matched == min(len(matched), count)  # shared landmarks go first
+    room = min(offered, count // 2, 20 - len(matched))
+    assert chosen_matched == min(len(matched), count - room)  # shared landmarks go first
 
 
 @pytest.mark.parametrize("count", [3, 6, 7, 19])
@@ -44,6 +50,16 @@ def test_all_are_sent_once_before_any_is_sent_again(count: int) -> None:
         times_sent.update(TWENTY.ids[rows].tolist())
         others = [times_sent[landmark] for landmark in set(TWENTY.ids.tolist()) - {2, 9}]
         assert max(others) - min(others) <= 1
+
+
+def test_shared_landmarks_that_would_fill_a_packet_leave_room_for_others() -> None:
+    """Vehicles that only repeat what they share would find nothing new in common."""
+    times_sent: Counter[int] = Counter()
+    for _ in range(2):
+        rows = choose_landmarks(TWENTY, EQUAL, 8, offered=3, matched_ids=range(1, 15), times_sent=times_sent)
+        times_sent.update(TWENTY.ids[rows].tolist())
+        assert (rows < 14).sum() == 5
+    assert all(times_sent[landmark] == 1 for landmark in range(15, 21))
 
 
 def test_of_those_sent_equally_often_the_newest_go_first() -> None:

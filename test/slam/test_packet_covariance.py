@@ -125,11 +125,11 @@ def test_the_filters_own_covariances_are_bounded_and_hardly_scaled(joints: list[
         assert scale < 1.001
 
 
-@pytest.mark.parametrize(("name", "most"), [("joints_of_trusted_rig", 1.2), ("joints", 1.3)])
-def test_the_compact_form_keeps_the_informative_part(name: str, most: float, request: pytest.FixtureRequest) -> None:
-    """The common error of 14 landmarks, with 0.3 m of each one's own added: a fifth more of its sigma at most.
+@pytest.mark.parametrize("name", ["joints_of_trusted_rig", "joints"])
+def test_the_compact_form_keeps_the_informative_part(name: str, request: pytest.FixtureRequest) -> None:
+    """The shift that 14 landmarks have in common, with 0.3 m of each one's own added: 1 % more of its sigma at most.
 
-    Doubt about the calibration scales all depths, which is not rigid and goes to each landmark's own: 0.3 more with it.
+    Most of what is not rigid is scale: without it in the common error, it was up to 30 % more.
     """
     floor = 0.3**2 * np.eye(42)
     for joint in request.getfixturevalue(name)[1:]:
@@ -142,4 +142,4 @@ def test_the_compact_form_keeps_the_informative_part(name: str, most: float, req
             np.sqrt(np.trace(np.linalg.inv(J.T @ np.linalg.solve(A + floor, J))[:3, :3]))
             for A in (P, scale * points.covariance)
         ]
-        assert sigma[1] < most * sigma[0]
+        assert sigma[1] < 1.01 * sigma[0]

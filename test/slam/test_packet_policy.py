@@ -20,7 +20,7 @@ def test_narrowband_sends_the_compact_form() -> None:
     assert packet_policy(FusionConfig(mode="narrowband", max_packet_landmarks=5)).max_landmarks == 5
 
 
-@pytest.mark.parametrize(("byte_limit", "landmarks"), [(450, 5), (900, 14), (1800, 22), (None, 22)])
+@pytest.mark.parametrize(("byte_limit", "landmarks"), [(450, 4), (900, 13), (1800, 22), (None, 22)])
 def test_a_narrowband_packet_fills_one_ethernet_frame(make_joint, byte_limit, landmarks) -> None:
     joint = make_joint(np.random.default_rng(0).uniform(-50, 50, (40, 3)), np.eye(126))
     policy = packet_policy(FusionConfig(mode="narrowband"))

@@ -60,7 +60,7 @@ def test_the_form_counts() -> None:
     empty = np.zeros((0, 3))
     dense = DensePoints(empty.astype(np.float32), np.zeros(21, np.float32))
     anchored = AnchoredPoints(
-        empty.astype(np.int16), np.zeros(21, np.float32), np.zeros((0, 6), np.int8), np.zeros(0, np.uint16)
+        empty.astype(np.int16), np.zeros(28, np.float32), np.zeros((0, 6), np.int8), np.zeros(0, np.uint16)
     )
     one, other = (
         LandmarkPacket(1, "a", 1, 1, ("a/1",), "", *(np.zeros(0, np.uint32), np.zeros(3, np.int32)), p, 1.0, 0, *rest)

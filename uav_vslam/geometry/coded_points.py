@@ -2,8 +2,8 @@
 """Points with a joint covariance, quantised for the radio in two forms, and how both are decoded.
 
 dense     the Cholesky factor of the whole (3N, 3N) covariance
-anchored  J P_T J^T + blkdiag(D_i): a rigid-body error common to all points, J_i = [I, -[x_i]x] with x_i measured
-          from the origin, plus an independent error of each point; a landmark takes 14 bytes
+anchored  J P_T J^T + blkdiag(D_i): an error common to all points of shift, rotation and scale, J_i = [I, -[x_i]x, x_i]
+          with x_i measured from the origin, plus an independent error of each point; a landmark takes 14 bytes
 
 Factors are coded, never covariances: L L^T stays positive semidefinite under any rounding.
 """
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 RIGID_DOF = 6
-COMMON_NUMBERS = RIGID_DOF * (RIGID_DOF + 1) // 2
+COMMON_DOF = RIGID_DOF + 1
+COMMON_NUMBERS = COMMON_DOF * (COMMON_DOF + 1) // 2
 OWN_NUMBERS = 6  # of a 3x3 lower factor
 
 OFFSET_STEP_M = 0.02
@@ -52,11 +53,11 @@ class DensePoints:
 
 @dataclass(frozen=True, slots=True)
 class AnchoredPoints:
-    """Points with a common rigid-body error about the origin and an independent error each.
+    """Points with a common error of shift, rotation and scale about the origin, and an independent error each.
 
     Attributes:
         offsets: (N, 3) int16, from the origin [2 cm].
-        common_factor: (21,) float32 rows of the lower factor of P_T, order shift [m], rotation [rad].
+        common_factor: (28,) float32 rows of the lower factor of P_T, order shift [m], rotation [rad], scale.
         own_factors: (N, 6) int8 rows of the lower factor of D_i, in 127ths of its size.
         own_sizes: (N,) uint16 code of the size, see `size_m`.
     """
@@ -74,7 +75,7 @@ class AnchoredPoints:
     @property
     def covariance(self) -> Array:
         """(3N, 3N) [m^2]."""
-        loading = rigid_jacobian(self.offsets_m) @ unpack_lower(self.common_factor.astype(float))
+        loading = similarity_jacobian(self.offsets_m) @ unpack_lower(self.common_factor.astype(float))
         own = unpack_lower(self.own_factors.astype(float)) * (size_m(self.own_sizes) / FACTOR_STEPS)[:, None, None]
         return np.asarray(loading @ loading.T + block_diagonal(own @ own.transpose(0, 2, 1)))
 
@@ -102,6 +103,11 @@ def rigid_jacobian(points: Array) -> Array:
     J[:, 1, 3], J[:, 1, 5] = -z, x
     J[:, 2, 3], J[:, 2, 4] = y, -x
     return J.reshape(-1, RIGID_DOF)
+
+
+def similarity_jacobian(points: Array) -> Array:
+    """Return (3N, 7) d(points)/d(shift, rotation, scale) about the origin: J_i = [I, -[x_i]x, x_i]."""
+    return np.hstack([rigid_jacobian(points), points.reshape(-1, 1)])
 
 
 def pack_lower(L: Array) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landmark selection for packets: shared landmarks first by expected gain, then the others in turn."""
+"""Landmark selection for packets: shared landmarks first by expected gain, and the others in turn."""
 
 from collections.abc import Collection, Mapping
 
@@ -29,7 +29,13 @@ def expected_gain(P: Array) -> Array:
 
 
 def choose_landmarks(
-    joint: JointInformation, gain: Array, count: int, *, matched_ids: Collection[int], times_sent: Mapping[int, int]
+    joint: JointInformation,
+    gain: Array,
+    count: int,
+    *,
+    matched_ids: Collection[int],
+    times_sent: Mapping[int, int],
+    offered: int = 0,
 ) -> Rows:
     """Return at most `count` ascending rows.
 
@@ -43,13 +49,15 @@ def choose_landmarks(
         count: largest number to return.
         matched_ids: landmarks found to be shared with a peer.
         times_sent: how often landmarks were sent, by identifier; missing ones never were.
+        offered: number of landmarks not known to be shared to leave room for, in half of `count` at most.
     """
     plan, size = ground_plan(joint.positions)
     matched = np.isin(joint.ids, np.fromiter(matched_ids, np.uint32, len(matched_ids)))
     by_gain = np.argsort(-gain, kind="stable")
     first = by_gain[matched[by_gain]]
-    first = first[spread(plan[first], count, size=size)]
     others = np.flatnonzero(~matched)
+    room = min(offered, count // 2, len(others))
+    first = first[spread(plan[first], count - room, size=size)]
     times = np.array([times_sent.get(landmark, 0) for landmark in joint.ids[others].tolist()], np.intp)
     in_turn = others[np.lexsort((-joint.ids[others].astype(np.int64), times))]
     return np.sort(np.concatenate([first, in_turn[: count - len(first)]]))

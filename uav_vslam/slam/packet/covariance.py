@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from uav_vslam.estimation.rigid_bound import smallest_rigid_bound
+from uav_vslam.estimation.common_error_bound import smallest_common_bound
 from uav_vslam.geometry.coded_points import (
     COMMON_NUMBERS,
     FACTOR_STEPS,
@@ -17,7 +17,7 @@ from uav_vslam.geometry.coded_points import (
     AnchoredPoints,
     DensePoints,
     pack_lower,
-    rigid_jacobian,
+    similarity_jacobian,
     size_code,
     unpack_lower,
 )
@@ -36,7 +36,7 @@ def code_dense(offsets: Array, P: Array) -> tuple[DensePoints, float]:
 
 
 def code_anchored(offsets: Array, P: Array) -> tuple[AnchoredPoints, float]:
-    """Return offsets (N, 3) in steps of 2 cm, the rigid and own errors that approximate P, and the factor s.
+    """Return offsets (N, 3) in steps of 2 cm, the common and own errors that bound P, and the factor s.
 
     P includes the variance of rounding the offsets.
     """
@@ -45,7 +45,7 @@ def code_anchored(offsets: Array, P: Array) -> tuple[AnchoredPoints, float]:
         nothing = np.zeros((0, OWN_NUMBERS), np.int8)
         return AnchoredPoints(rounded, np.zeros(COMMON_NUMBERS, np.float32), nothing, np.zeros(0, np.uint16)), 1.0
     P = symmetrise(P) + ROUNDING_VARIANCE * np.eye(len(P))
-    common, own = smallest_rigid_bound(P, rigid_jacobian(np.asarray(rounded * OFFSET_STEP_M, dtype=float)))
+    common, own = smallest_common_bound(P, similarity_jacobian(np.asarray(rounded * OFFSET_STEP_M, dtype=float)))
     points = AnchoredPoints(rounded, pack_lower(common).astype(np.float32), *_code_own(own))
     return points, bounding_scale(cholesky(symmetrise(points.covariance), "coded covariance of a packet"), P)
 

@@ -51,7 +51,9 @@ def make_packet(
     prior_id = joint.prior_id or prior_id
     count = _max_landmarks(joint, policy, codes.shape[1], prior_id, byte_limit)
     P = joint.covariance
-    rows = choose_landmarks(joint, expected_gain(P), count, matched_ids=matched_ids, times_sent=times_sent)
+    rows = choose_landmarks(
+        joint, expected_gain(P), count, matched_ids=matched_ids, times_sent=times_sent, offered=policy.offered
+    )
     origin = _origin(joint, rows)
     if policy.form == ANCHOR:
         near = np.abs(joint.positions[rows] - origin) <= OFFSET_LIMIT_M

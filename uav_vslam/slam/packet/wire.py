@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uav_vslam.geometry.coded_points import COMMON_NUMBERS, OWN_NUMBERS, AnchoredPoints, DensePoints
 from uav_vslam.types import LandmarkPacket
 
-VERSION = 2  # of the layout, as in LandmarkInformation.msg
+VERSION = 3  # of the layout, as in LandmarkInformation.msg
 
 ENCAPSULATION = 4  # bytes of DDS's header of a serialised message
 

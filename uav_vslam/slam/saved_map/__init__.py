@@ -3,7 +3,7 @@
 
 A filter's joint covariance over all landmarks ever mapped would be huge, and few of its entries are needed: a vehicle
 sees one place at a time. So the map is a list of sections, each with the landmarks of about one view of the ground.
-Within a section the covariance bounds the exact one, in the form of a narrowband packet: one rigid error common to all
+Within a section the covariance bounds the exact one, in a form like a narrowband packet's: one rigid error common to
 its landmarks, the drift up to there, and an independent one of each. How the errors of different sections are
 correlated is not stored: what uses two of them together has to treat them as correlated to an unknown degree.
 """

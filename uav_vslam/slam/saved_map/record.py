@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.estimation.rigid_bound import smallest_rigid_bound
+from uav_vslam.estimation.common_error_bound import smallest_common_bound
 from uav_vslam.geometry.coded_points import block_diagonal, rigid_jacobian
 from uav_vslam.types import source_of
 
@@ -80,7 +80,7 @@ class MapSection:
             FilterDivergence: the covariance is not positive definite.
         """
         anchor = positions.mean(axis=0)
-        common, own = smallest_rigid_bound(covariance, rigid_jacobian(positions - anchor))
+        common, own = smallest_common_bound(covariance, rigid_jacobian(positions - anchor))
         return MapSection(anchor, common, ids, positions, own, descriptors, observations)
 
     def __len__(self) -> int:

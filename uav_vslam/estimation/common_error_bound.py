@@ -2,9 +2,9 @@
 """The smallest covariance of the form J P_T J^T + blkdiag(D_i) that is an upper bound of a given one.
 
 A least-squares or maximum-likelihood fit to P misses the one or two directions in which landmark errors are correlated
-but not rigid, such as a stretch along the track; inflating the fit until it bounds those too (ten times, for beliefs of
-our filter) loses the most valuable part, the common error. So the bound is a constraint: minimise trace(W R) subject to
-R >= P, a small semidefinite program, by Newton's method on
+in another way, such as a stretch along the track; inflating the fit until it bounds those too (ten times, for beliefs
+of our filter) loses the most valuable part, the common error. So the bound is a constraint: minimise trace(W R) subject
+to R >= P, a small semidefinite program, by Newton's method on
 
     t trace(W R) - log det(R - P) - log det P_T - sum_i log det D_i,    t -> infinity,
 
@@ -30,13 +30,13 @@ CONVERGED = 4.0  # square of the Newton decrement at which it has
 MAX_STEPS = 60
 STAY_INSIDE = 0.9  # largest share of the way to the boundary in one step
 SHORTEST_STEP = 1e-12  # share of a step below which the search fails
-RANK_TOLERANCE = 1e-9  # of J: one or two points do not observe all six rigid motions
+RANK_TOLERANCE = 1e-9  # of J: one or two points do not observe all parts of a common error
 
 
-def smallest_rigid_bound(P: Array, J: Array) -> tuple[Array, Array]:
+def smallest_common_bound(P: Array, J: Array) -> tuple[Array, Array]:
     """Return lower factors of P_T (k, k) and D_i (N, 3, 3) with J P_T J^T + blkdiag(D_i) >= P up to rounding.
 
-    P_T may be singular: fewer than three points do not observe all rigid motions.
+    P_T may be singular: few points do not observe all parts of the common error.
 
     Args:
         P: (3N, 3N) positive definite [m^2], N > 0.
@@ -108,7 +108,7 @@ def _line_search(P: Array, Q: Array, common: Array, own: Array, step_common: Arr
             break
         share *= 0.7
         if share < SHORTEST_STEP:
-            raise FilterDivergence("no rigid bound was found for the covariance of a packet")
+            raise FilterDivergence("no such bound was found for the covariance of a packet")
     if share == 1.0:
         return X_0, X_i, True
     share *= STAY_INSIDE

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.linalg import eigh
 
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.rigid_bound import INDIFFERENCE_M, TOLERANCE, smallest_rigid_bound
+from uav_vslam.estimation.common_error_bound import INDIFFERENCE_M, TOLERANCE, smallest_common_bound
 from uav_vslam.geometry.coded_points import block_diagonal, diagonal_blocks, rigid_jacobian
 
 ROUNDING = 1e-6  # of the bound, in units of the covariance
@@ -16,7 +16,7 @@ ROUNDING = 1e-6  # of the bound, in units of the covariance
 
 def bound(P: np.ndarray, points: np.ndarray) -> np.ndarray:
     J = rigid_jacobian(points)
-    common, own = smallest_rigid_bound(P, J)
+    common, own = smallest_common_bound(P, J)
     assert np.array_equal(common, np.tril(common))
     assert np.array_equal(own, np.tril(own))
     return np.asarray(J @ common @ common.T @ J.T + block_diagonal(own @ own.transpose(0, 2, 1)))
@@ -73,7 +73,7 @@ def test_no_other_split_into_common_and_own_error_costs_less(seed: int) -> None:
     points = rng.uniform(-60, 60, (8, 3))
     J, A = rigid_jacobian(points), rng.normal(size=(24, 30))
     P = J @ np.diag([1.0, 1.0, 0.5, 1e-2, 1e-2, 2e-2]) ** 2 @ J.T + 0.02 * A @ A.T
-    common, own = smallest_rigid_bound(P, J)
+    common, own = smallest_common_bound(P, J)
     shared, alone = J @ common @ common.T @ J.T, block_diagonal(own @ own.transpose(0, 2, 1))
     W = block_diagonal(np.linalg.inv(diagonal_blocks(P) + INDIFFERENCE_M**2 * np.eye(3)))
     cost = np.trace(W @ (shared + alone))
@@ -90,4 +90,4 @@ def test_no_other_split_into_common_and_own_error_costs_less(seed: int) -> None:
 
 def test_a_covariance_without_positive_eigenvalues_is_rejected() -> None:
     with pytest.raises(FilterDivergence, match="positive definite"):
-        smallest_rigid_bound(np.zeros((6, 6)), rigid_jacobian(np.eye(3)[:2]))
+        smallest_common_bound(np.zeros((6, 6)), rigid_jacobian(np.eye(3)[:2]))
