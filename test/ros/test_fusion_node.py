@@ -72,11 +72,13 @@ class Flight:
         for _ in range(QUIET_TURNS):
             self.turn()
 
-    def listen(self, mode: str, node: Any = None) -> Any:
-        """Subscribe to uav1 as a peer in that mode does; return the subscription once it is matched."""
+    def listen(self, mode: str, node: Any = None) -> None:
+        """Subscribe to uav1 as a peer in that mode does, and wait until both sides have discovered each other."""
+        sender = self.node._radio._publisher
+        before = sender.get_subscription_count()
         node = node or self.others
         made = node.create_subscription(LandmarkInformation, PACKETS, self.received.append, RADIO[mode])
-        return made
+        assert self.spin(lambda: made.get_publisher_count() > 0 and sender.get_subscription_count() > before)
 
     def joint(self, second: int, vehicle: str) -> JointInformation:
         points = [[4.0 * k, 7.0 * (k % 3), 0.0] for k in range(6)]
@@ -207,8 +209,7 @@ def test_a_peer_that_comes_late_has_a_packet_after_one_epoch(fly: Callable[..., 
     flight = fly()
     for second in (1, 2, 3):
         flight.epoch(second)
-    subscription = flight.listen("wideband")
-    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    flight.listen("wideband")
     flight.rest()
     assert flight.received == []
     flight.epoch(4)
@@ -230,8 +231,7 @@ def test_narrowband_without_peers_leaves_the_radio_to_discovery(fly: Callable[..
 
 def test_what_the_budget_has_no_room_for_is_counted_and_never_sent(fly: Callable[..., Flight]) -> None:
     flight = fly("fusion.budget_bytes_per_s:=1")
-    subscription = flight.listen("wideband")
-    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    flight.listen("wideband")
     flight.epoch(1)
     status = flight.epoch(2)
     flight.rest()
@@ -242,8 +242,8 @@ def test_what_the_budget_has_no_room_for_is_counted_and_never_sent(fly: Callable
 
 def test_the_status_counts_the_bytes_that_were_sent_and_received(fly: Callable[..., Flight]) -> None:
     flight = fly("radio_interface:=lo", "fusion.feedback:=false")
-    subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
-    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    flight.listen("wideband")
+    publisher = flight.peer("wideband")
     for second in (1, 2, 3):
         publisher.publish(flight.packet(second))
         assert flight.spin(lambda ns=second * NS_PER_S: flight.newest_ns() == ns)
@@ -297,9 +297,9 @@ def test_in_wideband_a_peer_gets_the_fused_estimate_of_its_landmarks(fly: Callab
 
 def test_the_exchange_follows_its_parameters(fly: Callable[..., Flight]) -> None:
     flight = fly("fusion.feedback:=false", peers="[uav2, uav3, uav4]")
-    subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
+    flight.listen("wideband")
+    publisher = flight.peer("wideband")
     returned = flight.others.create_subscription(LandmarkInformation, "/uav2/fusion/feedback", lambda _: None, STATE)
-    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
     assert flight.epoch(1).packets_sent == 1
     assert flight.spin(lambda: flight.received)
     assert len(flight.received[-1].ids) == 6
@@ -344,8 +344,8 @@ def test_a_setting_that_leaves_the_budget_alone_does_not_refill_it(fly: Callable
 @pytest.mark.parametrize("relay", [True, False])
 def test_a_relay_forwards_new_packets_unchanged(fly: Callable[..., Flight], relay: bool) -> None:
     flight = fly(f"fusion.relay:={str(relay).lower()}", peers="[uav2, uav3, uav4]")
-    subscription, publisher = flight.listen("wideband"), flight.peer("wideband")
-    assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+    flight.listen("wideband")
+    publisher = flight.peer("wideband")
     direct, sent_on, homecoming = (flight.packet(1, of=name) for name in ("uav2", "uav3", "uav1"))
     for message in (direct, sent_on, sent_on, homecoming):
         publisher.publish(message)
@@ -406,8 +406,7 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(peer)
     try:
-        subscription = flight.listen("wideband", node=peer)
-        assert flight.spin(lambda: subscription.get_publisher_count() > 0)
+        flight.listen("wideband", node=peer)
         flight.epoch(1)
         assert flight.spin(lambda: executor.spin_once(timeout_sec=0.02) or flight.received)
         flight.listen("wideband", node=peer)
@@ -416,7 +415,8 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         assert flight.epoch(2).bytes_sent == (1 + 2) * size  # each peer is sent its own copy
         carried = {PACKETS, "/uav1/fusion/feedback", "/uav2/fusion/feedback", "/uav2/landmark_information"}
         own = {"/parameter_events"}
-        assert flight.spin(lambda: {topic for topic, _ in peer.get_topic_names_and_types()} - own == carried)
+        flight.spin(lambda: {topic for topic, _ in peer.get_topic_names_and_types()} - own == carried)
+        assert {topic for topic, _ in peer.get_topic_names_and_types()} - own == carried
         assert flight.spin(lambda: peer.count_publishers("/parameter_events") == 1)
         assert peer.count_subscribers(PACKETS) == 2  # the peer's own two: uav1 only sends there
         assert peer.get_service_names_and_types() == []
