@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper makes of images and late poses the surface that the core makes of the same views."""
 
+import resource
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -167,3 +169,58 @@ def test_a_folder_that_holds_a_map_is_refused(make: Make, tmp_path: Path) -> Non
     HeightGrid(1.0, tmp_path / "map" / "tiles").flush()
     with pytest.raises(Exception, match="already holds a height grid"):
         make(f"map.folder:={tmp_path / 'map'}")
+
+
+def test_a_restarted_mapper_and_a_reset_one_begin_a_map_beside_the_earlier_ones(make: Make, tmp_path: Path) -> None:
+    HeightGrid(1.0, tmp_path / "map" / "tiles").flush()
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0", "resume:=true")
+    assert node._map.folder == tmp_path / "map_2"
+    HeightGrid(1.0, tmp_path / "map_3" / "tiles").flush()
+    calibrate(node)
+    fly(node, range(VIEWS))
+    node.reset()
+    assert (tmp_path / "map_2" / "map.json").is_file()
+    assert node._map.folder == tmp_path / "map_4"
+
+
+def test_a_reset_that_can_not_begin_another_map_leaves_the_present_one_in_use(make: Make, tmp_path: Path) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
+    calibrate(node)
+    fly(node, range(VIEWS // 2))
+    present = node._map
+    with full_disk():
+        response = node._on_reset(Trigger.Request(), Trigger.Response())
+    assert not response.success
+    assert "File too large" in response.message
+    assert node._map is present
+    fly(node, range(VIEWS // 2, VIEWS))
+    node.destroy_node()
+    assert (tmp_path / "map" / "orthomosaic.png").is_file()
+
+
+def test_a_full_disk_costs_views_and_not_the_node(make: Make, tmp_path: Path) -> None:
+    node = make(f"map.folder:={tmp_path / 'map'}", "map.cell_m:=1.0")
+    node._map.grid._tiles._most_tiles = 1  # others are written to make room
+    calibrate(node)
+    fly(node, range(3))
+    with full_disk():
+        fly(node, range(3, VIEWS))
+        node._publish()
+    assert "File too large" in node.alarms["map"]
+    assert node.counts["dropped/unsaved"] > 0
+    mapped = node.counts["views"]
+    fly(node, range(VIEWS, VIEWS + 3))
+    assert node.counts["views"] == mapped + 3
+    node._publish()
+    assert "map" not in node.alarms
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """Let no file grow: the kernel refuses each write, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -97,6 +97,17 @@ def test_a_process_that_would_fail_again_is_not_restarted() -> None:
     assert lines == ["started with"]
 
 
+def test_a_process_that_has_run_before_is_restarted_whatever_it_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor, "BACKOFF_S", (0.05,))
+    program = "import sys; print(*sys.argv[1:], flush=True); sys.exit(2 if 'again' in sys.argv else 5)"
+    failing = dataclasses.replace(python("b", program), resume=("again",))
+    leading = python("a", "import time; time.sleep(2.0)", leads=True)
+    lines: list[str] = []
+    code = Supervisor(restarts=True, on_line=lambda _, line: lines.append(line)).run([failing, leading])
+    assert code == 2  # as it ended last, when the leading process was done
+    assert lines[:4] == ["", "again", "again", "again"]
+
+
 def test_pauses_between_restarts_grow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervisor, "BACKOFF_S", (0.05, 0.3, 0.6))
     stamps: list[float] = []

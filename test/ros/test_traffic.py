@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rates follow the counters, and the kernel's counters are those of the named interface."""
 
+import shutil
 import socket
 from pathlib import Path
 
@@ -61,6 +62,27 @@ def test_an_interface_is_down_if_the_kernel_says_so(
     (tmp_path / "wlan0" / "operstate").write_text(f"{state}\n")
     monkeypatch.setattr("uav_vslam.ros.traffic.INTERFACES", tmp_path)
     assert Interface("wlan0").is_down is down
+
+
+def test_an_interface_that_is_unplugged_is_down_and_goes_on_counting_once_it_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uav_vslam.ros.traffic.INTERFACES", tmp_path)
+
+    def plug_in(sent: int) -> None:
+        (tmp_path / "wlan0" / "statistics").mkdir(parents=True)
+        (tmp_path / "wlan0" / "operstate").write_text("up\n")
+        (tmp_path / "wlan0" / "statistics" / "tx_bytes").write_text(f"{sent}\n")
+
+    plug_in(1000)
+    interface = Interface("wlan0")
+    assert interface.sent_bytes == 1000
+    shutil.rmtree(tmp_path / "wlan0")
+    assert interface.is_down
+    assert interface.sent_bytes == 1000
+    plug_in(200)
+    assert not interface.is_down
+    assert interface.sent_bytes == 1200
 
 
 @pytest.mark.parametrize("name", ["radio0", "../lo"])

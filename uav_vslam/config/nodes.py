@@ -68,6 +68,9 @@ class MapConfig(Settings):
 class MapperNodeConfig(VehicleNodeConfig):
     """Parameters of mapper."""
 
+    resume: bool = setting(
+        False, "the folder may hold the map of a process that died; the launcher sets it when it restarts the node"
+    )
     map: MapConfig = field(default_factory=MapConfig)
 
 

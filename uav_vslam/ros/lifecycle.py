@@ -72,7 +72,7 @@ class PausableNode(LifecycleNode):
             self.reset()
             response.success, response.message = True, "started again"
             self.get_logger().warning("reset by ~/reset: it starts again")
-        except UavVslamError as error:
+        except (UavVslamError, OSError) as error:
             response.success, response.message = False, str(error)
         return response
 

@@ -9,6 +9,7 @@ out  map/surface                                     sensor_msgs/PointCloud2, la
  srv ~/save_map                                      std_srvs/Trigger: the map so far, into the folder map.folder
 """
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -39,8 +40,8 @@ class MapperNode(VehicleNode):
 
     def __init__(self) -> None:
         super().__init__("mapper")
-        self._maps = 0
-        self._begin_map()
+        self._map = self._new_map(beside=self.own.resume)
+        self._published_pairs = 0
         self._late: LatePoses | None = None
         self._stamp_ns = 0
         self._surface = self.advertise(PointCloud2, "map/surface", LATCHED)
@@ -54,18 +55,20 @@ class MapperNode(VehicleNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self.own.map.publish_s, self._publish, clock=steady)
 
-    def _begin_map(self) -> None:
-        """Begin an empty map; each after the first has a folder of its own beside it."""
-        self._maps += 1
-        name = self.own.map.folder + (f"_{self._maps}" if self._maps > 1 else "")
-        folder = Path(name) if self.own.map.folder else None
-        self._map = FlownMap(folder, cell_m=self.own.map.cell_m, pixel_m=self.own.map.pixel_m)
-        self._published_pairs = 0
+    def _new_map(self, *, beside: bool) -> FlownMap:
+        """Return an empty map, if need be in a folder beside earlier ones."""
+        name = self.own.map.folder
+        folder = Path(name) if name else None
+        if folder is not None and beside:
+            others = (Path(f"{name}_{number}") for number in itertools.count(2))
+            folder = next(each for each in itertools.chain([folder], others) if not each.exists())
+        return FlownMap(folder, cell_m=self.own.map.cell_m, pixel_m=self.own.map.pixel_m)
 
     def reset(self) -> None:
-        """Save the map and begin another one."""
+        """Begin another map, in a folder beside the present one, which is saved."""
+        another = self._new_map(beside=True)  # before anything has ended: it may be refused
         self._end_map()
-        self._begin_map()
+        self._map, self._published_pairs = another, 0
 
     def destroy_node(self) -> None:
         """Save the whole map, then destroy the node."""
@@ -96,7 +99,12 @@ class MapperNode(VehicleNode):
         if view is None:
             self.counts["dropped/pose_without_image"] += 1
             return
-        self._map.add(view)
+        try:
+            self._map.add(view)
+        except OSError as error:  # tiles are written to make room for others
+            self._alarm(error)
+            self.drop("unsaved", f"a view is missing in the map: {error}")
+            return
         self.counts["views"] += 1
         self.counts["pairs"] = self._map.mapper.pairs
         self.counts |= {f"refused/{reason}": count for reason, count in self._map.mapper.refused.items()}
@@ -109,6 +117,12 @@ class MapperNode(VehicleNode):
         self._published_pairs = pairs
         if self._map.folder is not None:
             self._note_save(self._flush)
+        try:
+            self._publish_map()
+        except OSError as error:  # as in `_on_pose`
+            self._alarm(error)
+
+    def _publish_map(self) -> None:
         if self._surface.get_subscription_count():
             points, bgr = self._map.coloured()
             self._surface.publish(cloud_to_msg(points, bgr=bgr, stamp_ns=self._stamp_ns, frame_id=self.map_frame))
@@ -124,7 +138,10 @@ class MapperNode(VehicleNode):
             self.notes["map"] = save()
             self.alarms.pop("map", None)
         except (UavVslamError, OSError) as error:
-            self.alarms["map"] = f"the map can't be saved: {error}"
+            self._alarm(error)
+
+    def _alarm(self, error: Exception) -> None:
+        self.alarms["map"] = f"the map can't be saved: {error}"
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:

@@ -28,7 +28,7 @@ SAVING = (*ESCALATION[:2], (60.0, signal.SIGKILL))  # where a process has a map 
 POLL_S = 0.05
 BACKOFF_S = (0.2, 1.0, 2.0, 5.0, 10.0)  # before each restart of a process; the last one for all further ones
 STABLE_S = 60.0  # a process that ran for so long is restarted without waiting again
-WRONG_INPUT = 2  # exit code of a process that would fail again
+WRONG_INPUT = 2  # exit code of a process that would fail again, if it is the first thing it does
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +61,7 @@ class _Child:
     started_s: float = field(default_factory=time.monotonic)
     failures: int = 0
     restart_at_s: float | None = None
+    restarted: bool = False
     missed: bool = False
 
 
@@ -184,8 +185,12 @@ class Supervisor:
         return True
 
     def _is_restarted(self, child: _Child, code: int) -> bool:
-        """Restart a process that failed, when its time has come; return False if it is not to be restarted."""
-        if not self.restarts or child.command.leads or code in {0, WRONG_INPUT}:
+        """Restart a process that failed, when its time has come; return False if it is not to be restarted.
+
+        A process that has run before had the right input: what it refuses after a restart may come back, as a radio
+        interface or room on the disk does.
+        """
+        if not self.restarts or child.command.leads or code == 0 or (code == WRONG_INPUT and not child.restarted):
             return False
         now_s = time.monotonic()
         if child.restart_at_s is None:
@@ -197,7 +202,7 @@ class Supervisor:
             self._forget(child)
             child.process = self._spawn(child.command, child.command.resume)
             self._follow(child)
-            child.started_s, child.restart_at_s = now_s, None
+            child.started_s, child.restart_at_s, child.restarted = now_s, None, True
         return True
 
     def _forget(self, child: _Child) -> None:
@@ -277,7 +282,7 @@ def node_command(spec: NodeSpec, log_level: str = "") -> Command:
     name = f"{spec.namespace}/{spec.name}".strip("/")
     argv = [*find_executable(spec.executable), *spec.ros_arguments()]
     argv += ["--log-level", log_level] if log_level else []
-    resume = ("-p", "resume:=true") if spec.executable == "slam_backend" else ()
+    resume = ("-p", "resume:=true") if spec.executable in {"slam_backend", "mapper"} else ()
     leads, optional = spec.executable == "replay", spec.executable == "recorder"
     return Command(name, argv, leads, spec.environment, resume, optional)
 

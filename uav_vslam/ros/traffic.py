@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Traffic: rates of byte counters, and the kernel's counters of a network interface."""
 
-from collections import deque
+import contextlib
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,15 +32,19 @@ class Rate:
         return (total - begin) / ((now_ns - begin_ns) / NS_PER_S) if now_ns > begin_ns else 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Interface:
     """A network interface; the kernel counts all of its traffic: discovery, headers, and other programs' too.
+
+    One that is unplugged is down, and its counters stay where they were; plugged in again, they go on from there.
 
     Attributes:
         name: as `ip link` shows it.
     """
 
     name: str
+    _last: dict[str, int] = field(default_factory=dict)  # by counter, as the kernel had it
+    _before: Counter[str] = field(default_factory=Counter)  # what it had counted before it began anew
 
     def __post_init__(self) -> None:
         if "/" in self.name or not (INTERFACES / self.name).is_dir():
@@ -48,8 +53,11 @@ class Interface:
 
     @property
     def is_down(self) -> bool:
-        """Whether it carries nothing: switched off, or without a link."""
-        return (INTERFACES / self.name / "operstate").read_text().strip() in NO_LINK
+        """Whether it carries nothing: unplugged, switched off, or without a link."""
+        try:
+            return (INTERFACES / self.name / "operstate").read_text().strip() in NO_LINK
+        except OSError:
+            return True
 
     @property
     def sent_bytes(self) -> int:
@@ -62,4 +70,9 @@ class Interface:
         return self._read("rx_bytes")
 
     def _read(self, counter: str) -> int:
-        return int((INTERFACES / self.name / "statistics" / counter).read_text())
+        last = self._last.get(counter, 0)
+        with contextlib.suppress(OSError):
+            self._last[counter] = int((INTERFACES / self.name / "statistics" / counter).read_text())
+        if self._last.get(counter, 0) < last:
+            self._before[counter] += last
+        return self._before[counter] + self._last.get(counter, 0)
