@@ -113,6 +113,21 @@ def test_loss_and_duplication_rates_are_as_configured(share: float) -> None:
     assert len(link.receive(FOREVER_NS)) == kept + link.packets["duplicated"]
 
 
+def test_a_clock_that_is_set_back_begins_the_link_again() -> None:
+    link: Link[int] = Link(LinkConfig(rate_bytes_per_s=600.0, burst_bytes=600, delay_s=2.0, blackouts=(0.0, 3.0)))
+
+    def fly() -> list[int]:
+        arrived = []
+        for second in range(100, 160):
+            link.send(second * NS_PER_S, 600, second)
+            arrived += link.receive(second * NS_PER_S)
+        return arrived
+
+    assert fly() == fly() == list(range(103, 158))
+    assert link.packets["offered"] == sum(link.packets[fate] for fate in FATES) + 2  # on the air
+    assert link.packets["lost"] == 2
+
+
 def test_loss_of_zero_and_one_is_deterministic() -> None:
     for loss, expected in ((0.0, 200), (1.0, 0)):
         link: Link[int] = Link(LinkConfig(loss=loss))

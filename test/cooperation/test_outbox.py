@@ -109,3 +109,27 @@ def test_a_stamp_from_the_future_does_not_keep_a_peer_from_being_silent() -> Non
     outbox.on_packet(10**18)
     assert turns(outbox, range(101, 104)) == [True, True, True]
     assert turns(outbox, range(120, 126)) == [True] * 5 + [False]
+
+
+def test_what_is_relayed_before_the_first_epoch_counts_in_the_mean_rate_and_its_time_does_not() -> None:
+    outbox = Outbox(FusionConfig(mode="narrowband"))
+    assert outbox.try_reserve(outbox.now_ns, 500)
+    begin_ns = 1_700_000_000 * NS_PER_S
+    for stamp_ns in (begin_ns + each for each in epochs(60)):
+        outbox.on_packet(stamp_ns)
+        if outbox.should_send(stamp_ns):
+            assert outbox.try_reserve(stamp_ns, min(outbox.available(stamp_ns), NARROWBAND_PACKET_BYTES))
+    assert outbox.sent_bytes_per_s == pytest.approx(900, rel=0.05)
+
+
+def test_a_clock_set_again_before_anything_was_sent_leaves_the_mean_rate() -> None:
+    outbox = Outbox(FusionConfig(mode="narrowband"))
+    begin_ns = 1_700_000_000 * NS_PER_S
+    for stamp_ns in (begin_ns + each for each in epochs(60)):
+        if outbox.should_send(stamp_ns):
+            assert outbox.try_reserve(stamp_ns, 900)
+    rate = outbox.sent_bytes_per_s
+    for _ in range(2):
+        outbox.restart_clock()
+        outbox.should_send(begin_ns)
+    assert outbox.sent_bytes_per_s == rate > 0

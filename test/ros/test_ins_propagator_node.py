@@ -164,6 +164,23 @@ def test_a_node_restarted_in_flight_starts_at_the_correction(make: Make, take_of
     assert (first_ns - NOW_NS) // NS_PER_S == away_s  # what nothing was measured of is left to the images
 
 
+@pytest.mark.parametrize("method", ["given", "in_flight"])
+def test_a_node_that_is_reset_alone_goes_on_from_the_next_correction(make: Make, method: str) -> None:
+    node = make(f"start.method:={method}")
+    rest(node, NOW_NS, 1.0)
+    deliver(node, "initial_state", start_at(NOW_NS + NS_PER_S))
+    rest(node, NOW_NS + NS_PER_S + STEP_NS, 1.0)
+    assert node._live is not None
+    node.reset()
+    rest(node, NOW_NS + 3 * NS_PER_S, 1.0)
+    assert node._live is None
+    deliver(node, "slam/correction", start_at(NOW_NS + 4 * NS_PER_S))
+    before = node.counts["increments"]
+    rest(node, NOW_NS + 4 * NS_PER_S + STEP_NS, 1.0)
+    assert node._live.estimate.state.stamp_ns > NOW_NS + 4.9 * NS_PER_S
+    assert node.counts["increments"] > before + 20
+
+
 def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_covariances(make: Make) -> None:
     node = make("odometry_rate_hz:=50.0")
     edges: list[TransformStamped] = []

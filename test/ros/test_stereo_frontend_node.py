@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from lone_node import deliver, lone_node  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
@@ -17,7 +18,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ros.convert import flat, header, transform_to_msg  # noqa: E402
 from uav_vslam.ros.qos import IMAGE, LATCHED, STATE  # noqa: E402
-from uav_vslam.ros.stereo_frontend_node import RAW_AWAITED, StereoFrontendNode  # noqa: E402
+from uav_vslam.ros.stereo_frontend_node import MAX_ALONE, RAW_AWAITED, StereoFrontendNode  # noqa: E402
 from uav_vslam_msgs.msg import StereoFeatures  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -204,3 +205,15 @@ def test_static_transforms_of_one_publisher_per_camera_all_arrive(domain_id):
         for node in (*publishers, front, tester):
             node.destroy_node()
         rclpy.shutdown()
+
+
+def test_a_silent_camera_is_reported_again_after_a_reset(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node, image = made(), blank_image("left")
+        for begin in (0, MAX_ALONE):
+            for k in range(begin, begin + MAX_ALONE):
+                image.header = header(STAMP_NS + k * 100_000_000, "left_optical")
+                deliver(node, "left/image_raw", image)
+            assert "one camera is silent" in node.alarms["pairs"]
+            node.reset()
+            assert "pairs" not in node.alarms

@@ -18,6 +18,8 @@ from uav_vslam.types import NS_PER_S
 
 Item = TypeVar("Item")
 
+SET_BACK_NS = NS_PER_S  # a clock that goes back further was set, not adjusted
+
 
 class Link(Generic[Item]):
     """Carries items of a stated size from one sender to one receiver.
@@ -31,6 +33,7 @@ class Link(Generic[Item]):
         self._config = config
         self._rng = np.random.default_rng(config.seed)
         self._start_ns: int | None = None
+        self._now_ns = 0  # at the last call
         self._free_ns = 0  # when the last packet has left the queue
         self._tokens = float(config.burst_bytes)  # at that time [byte]
         self._queue: deque[tuple[int, int]] = deque()  # (when it has left, size) of the packets not yet out
@@ -46,6 +49,7 @@ class Link(Generic[Item]):
 
     def send(self, now_ns: int, size_bytes: int, item: Item) -> None:
         """Offer a packet."""
+        self._follow_clock(now_ns)
         if self._start_ns is None:
             self._start_ns = self._free_ns = now_ns
         self._count("offered", size_bytes)
@@ -68,12 +72,23 @@ class Link(Generic[Item]):
 
     def receive(self, now_ns: int) -> list[Item]:
         """Return what has arrived since the last call, in the order of arrival."""
+        self._follow_clock(now_ns)
         arrived = []
         while self._air and self._air[0][0] <= now_ns:
             _, _, size_bytes, item = heapq.heappop(self._air)
             self._count("delivered", size_bytes)
             arrived.append(item)
         return arrived
+
+    def _follow_clock(self, now_ns: int) -> None:
+        """Begin again where the clock was set back: what is under way would wait for the old time, and is lost."""
+        if now_ns < self._now_ns - SET_BACK_NS:
+            for _, _, size_bytes, _ in self._air:
+                self._count("lost", size_bytes)
+            self._air.clear()
+            self._queue.clear()
+            self._start_ns, self._tokens = None, float(self._config.burst_bytes)
+        self._now_ns = now_ns
 
     def _enqueue(self, now_ns: int, size_bytes: int) -> int | None:
         """Return when the packet's last byte has left, None if the queue is full."""

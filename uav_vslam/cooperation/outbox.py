@@ -19,14 +19,14 @@ class Outbox:
 
     Attributes:
         packets_sent, bytes_sent: accepted packets and their payload.
-        now_ns: stamp of the last epoch.
+        now_ns: stamp of the last epoch; 0 before the first.
     """
 
     def __init__(self, config: FusionConfig) -> None:
         self.packets_sent = 0
         self.bytes_sent = 0
         self._first_ns: int | None = None  # stamp of the first epoch
-        self._last_ns = 0
+        self._last_ns: int | None = None  # of the last packet
         self._flown_ns = 0  # before the clock was set
         self._last_received_ns = 0  # stamp of the newest packet of any peer
         self.now_ns = 0
@@ -52,16 +52,21 @@ class Outbox:
 
     def restart_clock(self) -> None:
         """Go on by stamps that may be older; the budget is not refilled."""
-        self._flown_ns += self._last_ns - (self._first_ns or 0)
-        self._first_ns, self._last_ns = None, 0
+        self._flown_ns = self._flown()
+        self._first_ns = self._last_ns = None
         self._last_received_ns = self.now_ns = 0
         self._budget.restart_clock()
 
     @property
     def sent_bytes_per_s(self) -> float:
         """Mean payload rate from the first epoch to the one after the last packet [B/s]."""
-        flown_ns = self._flown_ns + self._last_ns - (self._first_ns or 0)
-        return self.bytes_sent / (flown_ns / NS_PER_S + self._epoch_s)
+        return self.bytes_sent / (self._flown() / NS_PER_S + self._epoch_s)
+
+    def _flown(self) -> int:
+        """Return the time from the first epoch to the last packet, on all clocks [ns]."""
+        if self._first_ns is None or self._last_ns is None:
+            return self._flown_ns
+        return self._flown_ns + self._last_ns - self._first_ns
 
     def on_packet(self, stamp_ns: int) -> None:
         """Record the arrival of a peer's packet; a stamp in the future counts as now."""
@@ -91,8 +96,9 @@ class Outbox:
         """Charge a packet of that stamp and payload; return False, without charging, if it exceeds the budget."""
         if not self._budget.spend(stamp_ns, size_bytes):
             return False
-        self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
-        self._last_ns = stamp_ns
+        if stamp_ns:  # what is relayed before the first epoch has none
+            self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
+            self._last_ns = stamp_ns
         self.packets_sent += 1
         self.bytes_sent += size_bytes
         return True

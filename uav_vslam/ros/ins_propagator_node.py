@@ -67,6 +67,7 @@ class InsPropagatorNode(VehicleNode):
         self._image_ns = -1
         self._period_s = 1.0 / self.own.odometry_rate_hz if self.own.odometry_rate_hz else 0.0
         self._gaps = RecentEvents()
+        self._is_reset = False  # by itself: the back end may be in flight
         self._transforms: list[TransformStamped] = []  # of the readings of a batch
         self._in_batch = False
         self._forget_flight()
@@ -112,6 +113,7 @@ class InsPropagatorNode(VehicleNode):
         self._starts.clear()
         self._stamps.restart()
         self._forget_flight()
+        self._is_reset = True
 
     def _take_waiting(self) -> None:
         """Take the image stamps and readings that wait; be back when the reading is due that makes the next odometry.
@@ -327,7 +329,8 @@ class InsPropagatorNode(VehicleNode):
         corrected = navigation_from_msg(message)
         if self._live is not None:
             self._live.correct(corrected)
-        elif self._preintegrator is None:  # restarted in flight: the back end knows better than the take-off state
+        elif self._preintegrator is None or self._is_reset:
+            # started again in flight: the back end knows better than the take-off state, which it publishes only once
             self._corrected_ns = corrected.state.stamp_ns
             self._wait_to_start(corrected, message.child_frame_id)
 

@@ -98,7 +98,13 @@ class SlamBackendNode(VehicleNode):
         return SlamStage(self.config, vehicle=self.vehicle, session=session, keep_map=True)
 
     def _next_session(self) -> int:
-        return max(next_session(self.vehicle), self._stage.session + 1)
+        following = self._stage.session + 1  # above all that this process has used
+        try:
+            return max(next_session(self.vehicle), following)
+        except ConfigError as error:
+            self.alarms["session"] = f"session {following} is not stored, and may be used again: {error}"
+            self.get_logger().error(self.alarms["session"])
+            return following
 
     def reset(self) -> None:
         """Start again in a new session, at whatever stamps come next."""

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A new session begins in flight even where its number can't be stored."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from lone_node import deliver, lone_node  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from uav_vslam.config import ImuConfig  # noqa: E402
+from uav_vslam.ins.preintegration import unknown_motion  # noqa: E402
+from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
+from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
+from uav_vslam.types import NS_PER_S, StereoFeatures  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+SESSION = 5
+FRAME_NS = NS_PER_S // 5
+
+
+@pytest.fixture
+def node(domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SlamBackendNode]:
+    """A back end with a session number of its own, and no place to store others."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    with lone_node(SlamBackendNode, domain_id) as made:
+        yield made(f"session:={SESSION}")
+
+
+def fly(node: SlamBackendNode, start_ns: int, frames: int) -> None:
+    """Deliver frames without features, and the unknown motion to each."""
+    still = {"gyro_bias": np.zeros(3), "accel_bias": np.zeros(3), "imu": ImuConfig()}
+    for stamp_ns in range(start_ns, start_ns + frames * FRAME_NS, FRAME_NS):
+        increment = unknown_motion(stamp_ns - FRAME_NS, stamp_ns, **still)
+        deliver(node, "ins/increment", increment_to_msg(increment, frame_id=node.base_frame))
+        features = features_to_msg(StereoFeatures.empty(stamp_ns), frame_id="left_optical", size=(64, 48))
+        deliver(node, "stereo_features", features)
+
+
+def test_a_clock_that_is_set_back_begins_a_session_that_can_not_be_stored(node: SlamBackendNode) -> None:
+    fly(node, 1000 * NS_PER_S, 20)
+    fly(node, 500 * NS_PER_S, 100)
+    assert node._stage.session == SESSION + 1
+    assert "may be used again" in node.alarms["session"]
+    assert node.counts["dropped/refused"] == 0
+
+
+def test_a_reset_begins_a_session_that_can_not_be_stored(node: SlamBackendNode) -> None:
+    response = node._on_reset(Trigger.Request(), Trigger.Response())
+    assert response.success, response.message
+    assert node._stage.session == SESSION + 1
