@@ -32,7 +32,7 @@ from uav_vslam.geometry.stereo import StereoRig  # noqa: E402
 from uav_vslam.ros.qos import IMAGE, LATCHED, NEWEST, SENSOR, STATE  # noqa: E402
 from uav_vslam.ros.readiness import DISCOVERY  # noqa: E402
 from uav_vslam.ros.recording import Recording  # noqa: E402
-from uav_vslam.types import ImuSample, NavEstimate, NavState, StereoFrame  # noqa: E402
+from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState, StereoFrame  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -223,6 +223,20 @@ def rewritten(source: Path, out: Path, keep: Callable[[RawMessage], list[bytes]]
                 latched = raw.topic in {"/tf_static", "/uav1/initial_state"}
                 recorder.write(raw.topic, raw.msgtype, data, raw.stamp_ns, latched=latched)
     return out
+
+
+def test_what_the_recorder_s_clock_stamped_comes_with_the_inputs_around_it(bags: list[Path], tmp_path: Path) -> None:
+    away_ns = 300_000_000 * NS_PER_S
+    with RawRecorder(tmp_path / "other_clock") as recorder:
+        for raw in iter_raw([bags[0]]):
+            latched = raw.topic in {"/tf_static", "/uav1/initial_state"}
+            recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns + away_ns, latched=latched)
+    stamps, others = (
+        [(message.topic, message.stamp_ns) for message in Recording([path]).messages()]
+        for path in (bags[0], tmp_path / "other_clock")
+    )
+    assert others == stamps
+    assert "/uav1/right/camera_info" in dict(stamps)
 
 
 def test_separately_recorded_static_transforms_are_all_kept(bags: list[Path], tmp_path: Path) -> None:

@@ -67,7 +67,7 @@ class Recorded:
         topic, message_type: as recorded ("/uav1/imu/data_raw", "sensor_msgs/msg/Imu").
         vehicle: its namespace without slashes; "" for topics of the whole fleet.
         kind: its role in the pacing.
-        stamp_ns: header stamp [ns].
+        stamp_ns: as `Recording.messages` has it [ns].
         payload: serialised message (CDR).
     """
 

@@ -104,13 +104,20 @@ class Recording:
         )
 
     def messages(self) -> Iterator[Recorded]:
-        """Yield all but the latched messages in recorded order; a damaged bag ends early."""
+        """Yield all but the latched messages in recorded order; a damaged bag ends early.
+
+        What paces the replay has the stamp of its header, and all else that of the last such message: the clock of the
+        recorder may be another one.
+        """
         latched = {raw.topic for raw in self.latched}
         topics = [topic for topic in self.topics if topic not in latched]
         streams = [self._until_broken(path, topics) for path in self._paths]
+        newest_ns: int | None = None
         for raw in heapq.merge(*streams, key=lambda raw: raw.stamp_ns):
             vehicle, kind = self.classify(raw.topic)
-            stamp_ns = raw.stamp_ns if kind is Kind.OTHER else header_stamp_ns(raw.data)
+            if kind is not Kind.OTHER:
+                newest_ns = header_stamp_ns(raw.data)
+            stamp_ns = raw.stamp_ns if newest_ns is None else newest_ns
             yield Recorded(raw.topic, raw.msgtype, vehicle, kind, stamp_ns, raw.data)
 
     def _until_broken(self, path: Path, topics: Sequence[str]) -> Iterator[RawMessage]:

@@ -208,7 +208,7 @@ class ReplayNode(Node):
         return [f"{t} has no subscriber" for t in unread] + [f"{t} has no publisher" for t in unwritten]
 
     def _publish(self, message: Recorded) -> None:
-        if message.stamp_ns - self._clock_ns >= CLOCK_NS:
+        if message.kind is not Kind.OTHER and message.stamp_ns - self._clock_ns >= CLOCK_NS:
             self._clock_ns = message.stamp_ns
             self._clock_publisher.publish(ClockMsg(clock=stamp_from_ns(message.stamp_ns)))
         self._publishers_by_topic[message.topic].publish(message.payload)
