@@ -444,9 +444,10 @@ def test_the_frame_of_a_peer_without_a_common_origin_is_published(fly: Callable[
     flight.peer("wideband").publish(flight.packet(1))
     assert flight.spin(flight.newest_ns)
     flight.epoch(3)
-    assert flight.spin(lambda: any(edge.child_frame_id == "uav2/map" for edge in edges))
-    edge = next(edge for edge in edges if edge.child_frame_id == "uav2/map")
-    assert edge.header.frame_id == "world"
+    assert flight.spin(lambda: any(edge.child_frame_id == "uav1/uav2/map" for edge in edges))
+    edge = next(edge for edge in edges if edge.child_frame_id == "uav1/uav2/map")
+    assert edge.header.frame_id == "uav1/world"
+    assert {edge.header.frame_id for edge in edges} == {"uav1/world"}  # all vehicles may share one graph
     t = edge.transform.translation
     np.testing.assert_allclose([t.x, t.y, t.z], -np.array(shift), rtol=0, atol=0.1)
     assert flight.node.notes["frame/uav2"] == "found"

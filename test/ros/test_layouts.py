@@ -68,7 +68,7 @@ class Offered:
         for one in node.publishers:
             self.types[one.topic_name] = type_name(one.msg_type)
             self.qos[one.topic_name] = one.qos_profile
-        self.frames |= {node.map_frame, node.odom_frame, node.base_frame, node.config.frames.world}
+        self.frames |= {node.map_frame, node.odom_frame, node.base_frame, node.world_frame}
 
 
 def type_name(kind: Any) -> str:

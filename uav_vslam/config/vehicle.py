@@ -339,7 +339,10 @@ class FusionConfig(Settings):
 class OutputFramesConfig(Settings):
     """Names of the frames that the nodes publish (REP-105); that of the body is `input.frames.base`."""
 
-    world: str = setting("world", "common frame of the fleet, of the fused estimate")
+    world: str = setting(
+        "",
+        "frame of the fused estimate; empty: world, which the fleet shares, or VEHICLE/world without a common origin",
+    )
     map: str = setting("", "frame of the vehicle's own map; empty: VEHICLE/map")
     odom: str = setting("", "frame in which the own pose has no jumps; empty: VEHICLE/odom")
 

@@ -170,29 +170,28 @@ class FusionNode(VehicleNode):
         self.notes["map_landmarks"] = str(epoch.map_landmarks)
         stamp_ns = joint.stamp_ns
         self._publish_frames(stamp_ns, epoch)
-        self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=self.config.frames.world))
-        self._paths.publish(Path(header=header(stamp_ns, self.config.frames.world), poses=list(self._path)))
+        self._landmarks.publish(cloud_to_msg(epoch.positions, stamp_ns=stamp_ns, frame_id=self.world_frame))
+        self._paths.publish(Path(header=header(stamp_ns, self.world_frame), poses=list(self._path)))
         self._report(stamp_ns, epoch.weight)
 
     def _publish_pose(self, own: PoseEstimate, fused: PoseEstimate, twist: TwistWithCovariance) -> None:
         """Publish the fused pose; the twist, in the body frame, is the own one: packets hold no velocities."""
         T_world_map = fused.T_map_body @ own.T_map_body.inverse()
-        edge = transform_to_msg(
-            T_world_map, stamp_ns=own.stamp_ns, parent=self.config.frames.world, child=self.map_frame
-        )
+        edge = transform_to_msg(T_world_map, stamp_ns=own.stamp_ns, parent=self.world_frame, child=self.map_frame)
         self._tf.publish(TFMessage(transforms=[edge]))
         self._path.append(
-            PoseStamped(header=header(fused.stamp_ns, self.config.frames.world), pose=pose_to_msg(fused.T_map_body))
+            PoseStamped(header=header(fused.stamp_ns, self.world_frame), pose=pose_to_msg(fused.T_map_body))
         )
-        self._odometry.publish(
-            odometry_to_msg(fused, twist, frame_id=self.config.frames.world, child_frame_id=self.base_frame)
-        )
+        self._odometry.publish(odometry_to_msg(fused, twist, frame_id=self.world_frame, child_frame_id=self.base_frame))
 
     def _publish_frames(self, stamp_ns: int, epoch: FusedEpoch) -> None:
-        """Publish the frames of peers without a common origin; the diagnostics say why one is unknown."""
+        """Publish the frames of peers without a common origin; the diagnostics say why one is unknown.
+
+        Each vehicle has names of its own for them: the peer may publish the frame itself, with another parent.
+        """
         edges = [
-            transform_to_msg(frame.T_own_peer, stamp_ns=stamp_ns, parent=self.config.frames.world, child=f"{peer}/map")
-            for peer, frame in epoch.frames.items()
+            transform_to_msg(frame.T_own_peer, stamp_ns=stamp_ns, parent=self.world_frame, child=child)
+            for child, frame in ((f"{self.vehicle}/{peer}/map", frame) for peer, frame in epoch.frames.items())
         ]
         if edges:
             self._tf.publish(TFMessage(transforms=edges))
@@ -201,7 +200,7 @@ class FusionNode(VehicleNode):
 
     def _report(self, stamp_ns: int, own_weight: float) -> None:
         before = set(self._reporter.silent)
-        status = self._reporter.report(stamp_ns, self.config.frames.world, own_weight=own_weight)
+        status = self._reporter.report(stamp_ns, self.world_frame, own_weight=own_weight)
         self._status.publish(status)
         self._report_faults()
         for peer in before - set(self._reporter.silent):

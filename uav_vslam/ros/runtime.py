@@ -94,6 +94,11 @@ class VehicleNode(PausableNode):
         """Go on with live settings that have changed."""
 
     @property
+    def world_frame(self) -> str:
+        """Name of the frame of the fused estimate."""
+        return self.config.frames.world or ("world" if self.config.fusion.common_origin else f"{self.vehicle}/world")
+
+    @property
     def map_frame(self) -> str:
         """Name of the vehicle's map frame."""
         return self.config.frames.map_of(self.vehicle)
