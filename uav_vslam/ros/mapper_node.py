@@ -107,7 +107,8 @@ class MapperNode(VehicleNode):
             return
         self.counts["views"] += 1
         self.counts["pairs"] = self._map.mapper.pairs
-        self.counts |= {f"refused/{reason}": count for reason, count in self._map.mapper.refused.items()}
+        for reason, count in self._map.mapper.refused.items():
+            self.counts[f"refused/{reason}"] = count
 
     def _publish(self) -> None:
         """Save the changed tiles and publish the map, if it has grown."""
