@@ -16,7 +16,7 @@ from uav_vslam.config import BackendConfig, load_fleet
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
-from uav_vslam.datasets.truth import truth_trajectory
+from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.evaluation.output import ALL_TRACKS
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.fleet import CooperativeTrack
@@ -218,7 +218,9 @@ def test_the_twin_gives_the_same_bytes_whatever_the_number_of_workers(
 def test_a_real_flight_in_a_room_stays_within_decimetres_and_knows_how_good_it_is(euroc: Case) -> None:
     fleet = load_fleet(euroc.fleet)
     flight = open_flight(fleet.replay.bags, "uav1")
-    truths = {"uav1": truth_trajectory(flight)}
+    truth = flight.truth()
+    assert truth is not None
+    truths = {"uav1": trajectory_of(truth)}
     result = flight_result("v101", euroc.tracks, euroc.cooperative, truths, fleet.vehicles)
     figures = build_summary(result, git=None)["vehicles"]["uav1"]
     assert figures["frames_in"] == figures["frames_processed"] == figures["s_slam"]["poses"] == EUROC_FRAMES

@@ -93,7 +93,15 @@ def test_frames_with_features_but_no_association_are_detected() -> None:
     monitor = StartMonitor()
     warnings = [monitor.add(report(0.1 * k), DEAD_RECKONED) for k in range(MAX_COASTED + 1)]
     assert warnings[:-1] == [""] * MAX_COASTED  # at the first frame the map is empty
-    assert warnings[-1].startswith(f"{MAX_COASTED} of the first frames match no landmark")
+    assert warnings[-1].startswith(f"{MAX_COASTED} of the first frames show nothing where")
+
+
+def test_frames_with_tracks_of_which_none_is_used_are_detected_without_any_landmark() -> None:
+    monitor = StartMonitor()
+    frames = [dataclasses.replace(report(0.1 * k, landmarks=0), tracked=50 if k else 0) for k in range(MAX_COASTED + 1)]
+    warnings = [monitor.add(frame, DEAD_RECKONED) for frame in frames]
+    assert warnings[:-1] == [""] * MAX_COASTED
+    assert warnings[-1].startswith(f"{MAX_COASTED} of the first frames show nothing where")
 
 
 @pytest.mark.parametrize("poor", [{"features": 5}, {"landmarks": 5}])

@@ -25,7 +25,7 @@ the WGS 84 ellipsoid for geojson.
 """
 FORMATS = {"tum": ".tum", "kitti": "_kitti.txt", "csv": ".csv"}
 MAPS = ("geojson", "kml")
-TRACKS = ("truth", "ins", "s_slam", "c_slam")
+TRACKS = ("truth", "ins", "s_slam", "c_slam", "smoothed")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from uav_vslam.config import InputConfig
     from uav_vslam.datasets.bag import BagFlight
     from uav_vslam.evaluation.result import FlightResult
-    from uav_vslam.evaluation.trajectory import Trajectory
     from uav_vslam.offline import FlightSource
     from uav_vslam.pipeline import VehicleTrack
 
@@ -76,7 +75,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.config import idle_settings, load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
-    from uav_vslam.datasets.truth import truth_trajectory
+    from uav_vslam.datasets.truth import doubts_of, trajectory_of
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
@@ -94,7 +93,10 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     for flight in flights.values():
         _report_offset(flight)
         _warn(f"{flight.vehicle}: {text}" for text in flight.warnings)
-    truths: dict[str, Trajectory | None] = {name: truth_trajectory(flight) for name, flight in flights.items()}
+    recorded = {name: flight.truth() for name, flight in flights.items()}
+    for name, truth in recorded.items():
+        _warn(f"{name}: {text}" for text in (doubts_of(truth) if truth else ()))
+    truths = {name: trajectory_of(truth) if truth else None for name, truth in recorded.items()}
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
         sources: list[FlightSource] = list(flights.values())
@@ -188,11 +190,16 @@ def _vehicles(requested: Sequence[str] | None, bags: tuple[Path, ...], config: I
     from uav_vslam.datasets.bag import vehicles
     from uav_vslam.errors import BagError, ConfigError
 
-    names = list(requested or vehicles(bags, config))
+    names = [name.strip("/") for name in requested or vehicles(bags, config)]
     if not names:
         raise BagError(
             f"bag {', '.join(map(str, bags))} holds no <vehicle>/{config.topics.left}; name its topics by "
             "input.topics, or record or remap the images"
+        )
+    if nested := next((name for name in names if "/" in name), ""):
+        raise ConfigError(
+            f"the namespace {nested} has several levels, but results are named by vehicle: name its topics from "
+            f"the root instead, as in --set input.topics.left=/{nested}/{config.topics.left}"
         )
     if len(set(names)) < len(names):
         raise ConfigError(f"--vehicles {' '.join(names)} names one twice; each vehicle has one namespace")

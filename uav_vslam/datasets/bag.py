@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads one vehicle's flight from bags: calibration, start state, ground truth, sensor events in stamp order."""
 
+import dataclasses
 import heapq
 import itertools
 from collections.abc import Collection, Iterator, Sequence
@@ -15,6 +16,7 @@ from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.messages import (
+    TRUTH_TYPES,
     TruthSample,
     header_stamp_ns,
     image_of,
@@ -40,6 +42,7 @@ Array = NDArray[np.float64]
 
 DEFAULT_VEHICLE = "uav1"  # where topics do not begin with its name
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+TELLING_WAY_M = 0.5  # within a second: more than what positions scatter by
 REORDER_NS = 500_000_000  # a message may be recorded this much later than its stamp
 
 
@@ -52,12 +55,14 @@ class TruthTrack:
         positions_world: (N, 3) [m].
         R_world_body: (N, 3, 3).
         velocities_world: (N, 3) [m/s].
+        left_out: messages without a usable pose.
     """
 
     stamps_ns: NDArray[np.int64]
     positions_world: Array
     R_world_body: Array
     velocities_world: Array
+    left_out: int = 0
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -107,17 +112,20 @@ class BagFlight:
         return _in_stamp_order(self._recorded_events())
 
     def truth(self) -> TruthTrack | None:
-        """Return the true motion, or None if none was recorded.
+        """Return the true motion without poses that are not finite, or None if none was recorded.
 
         Raises:
-            BagError: a message can't be decoded, or its quaternion is invalid.
+            BagError: a message can't be decoded.
         """
-        topic = self.input.topic(self.vehicle, "truth")
-        try:
-            samples = [truth_of(decode(raw)) for raw in _readable(iter_raw(self.paths, [topic]))]
-        except ValueError as error:
-            raise BagError(f"bag {_names(self.paths)}, {topic}: {error}") from None
-        return truth_track(samples) if samples else None
+        samples, left_out = [], 0
+        for raw in _readable(iter_raw(self.paths, [self.input.topic(self.vehicle, "truth")])):
+            if raw.msgtype not in TRUTH_TYPES:
+                return None
+            try:
+                samples.append(truth_of(decode(raw)))
+            except InvalidMessage:
+                left_out += 1
+        return dataclasses.replace(truth_track(samples), left_out=left_out) if samples else None
 
     def stamps_apart_ns(self, first: int | None = None) -> NDArray[np.int64]:
         """Return the distance of each left image's stamp to the nearest right one's [ns].
@@ -277,8 +285,13 @@ def _doubts(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
     if setup.imu_unnamed:
         topic = setup.config.topic(setup.vehicle, "imu")
         yield f"{topic} has no frame_id, so the IMU counts as the body; set input.frames.imu if it is elsewhere"
+    if setup.frames.moved:
+        frames = ", ".join(sorted(setup.frames.moved))
+        yield f"{TF_STATIC} places {frames} differently from message to message; the last one counts"
     topic = setup.config.topic(setup.vehicle, "truth")
     truth = _first(bags, topic)
+    if truth is not None and truth.__msgtype__ not in TRUTH_TYPES:
+        yield f"{topic} holds {truth.__msgtype__} and is not read: record one of {', '.join(TRUTH_TYPES)}"
     if conflict := setup.conflict(getattr(truth, "child_frame_id", "")):
         yield f"{topic} {conflict}"
 
@@ -301,20 +314,18 @@ def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], topic: st
 
 
 def _collect(bags: Sequence[Path], topics: dict[str, TopicInfo], setup: SensorSetup) -> None:
-    """Read camera infos and static transforms until all that is needed is known, or the recording ends."""
+    """Read all static transforms, and camera infos until all that is needed is known, or the recording ends."""
+    for raw in _readable(iter_raw(bags, [TF_STATIC])) if TF_STATIC in topics else ():
+        setup.frames.add(transforms_of(decode(raw)))
     sides = {setup.config.topic(setup.vehicle, f"{side}_info"): side for side in SIDES}
-    wanted = [topic for topic in (*sides, TF_STATIC) if topic in topics]
-    for raw in _readable(iter_raw(bags, wanted)):
-        built = decode(raw)
-        if raw.topic == TF_STATIC:
-            setup.frames.add(transforms_of(built))
-        elif sides[raw.topic] not in setup.cameras:
+    for raw in _readable(iter_raw(bags, [topic for topic in sides if topic in topics])):
+        if not setup.missing_infos:
+            return
+        if sides[raw.topic] not in setup.cameras:
             try:
-                setup.add_camera(sides[raw.topic], built)
+                setup.add_camera(sides[raw.topic], decode(raw))
             except CalibrationError as error:
                 raise CalibrationError(f"{raw.topic}: {error}") from None
-        if not setup.missing_infos and not setup.missing_transforms():
-            return
     for side in setup.missing_infos:
         topic = setup.config.topic(setup.vehicle, f"{side}_info")
         raise BagError(f"bag {_names(bags)} holds no message on {topic}; record it with the images")
@@ -362,11 +373,30 @@ def _in_stamp_order(events: Iterator[ImuSample | StereoFrame]) -> Iterator[ImuSa
 
 
 def truth_track(samples: list[TruthSample]) -> TruthTrack:
-    """Return samples in any order as a track; where only poses were recorded, velocities are differences."""
+    """Return samples in any order as a track.
+
+    Velocities are differences where only poses were recorded, or a twist that contradicts them, such as one that was
+    never filled in.
+    """
     samples = sorted({sample.stamp_ns: sample for sample in samples}.values(), key=lambda s: s.stamp_ns)
     stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
     positions = np.array([s.T_world_body.t for s in samples])
     velocities = np.array([s.v_world for s in samples])
-    if np.isnan(velocities).any() and len(samples) > 1:
-        velocities = np.gradient(positions, (stamps - stamps[0]) / NS_PER_S, axis=0)
+    times_s = (stamps - stamps[0]) / NS_PER_S
+    if len(samples) > 1 and (np.isnan(velocities).any() or _contradict(times_s, positions, velocities)):
+        velocities = np.gradient(positions, times_s, axis=0)
     return TruthTrack(stamps, positions, np.array([s.T_world_body.R for s in samples]), velocities)
+
+
+def _contradict(times_s: Array, positions: Array, velocities: Array) -> bool:
+    """Return whether velocities account for less than half of the way within a second, in the median of all seconds."""
+    steps = 0.5 * (velocities[1:] + velocities[:-1]) * np.diff(times_s)[:, None]
+    by_velocity = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    later = np.searchsorted(times_s, times_s + 1.0)
+    first = np.flatnonzero(later < len(times_s))
+    if len(first) == 0:
+        first, later = np.zeros(1, np.intp), np.full(1, len(times_s) - 1)
+    way = positions[later[first]] - positions[first]
+    missed = np.linalg.norm(way - (by_velocity[later[first]] - by_velocity[first]), axis=1)
+    way_m = np.linalg.norm(way, axis=1)
+    return bool(np.median(way_m) > TELLING_WAY_M and np.median(missed) > 0.5 * np.median(way_m))

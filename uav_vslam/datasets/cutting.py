@@ -16,7 +16,7 @@ from uav_vslam.datasets.bag import vehicles as vehicles_of
 from uav_vslam.datasets.cut_options import CutOptions
 from uav_vslam.datasets.seen_points import seen_flight
 from uav_vslam.datasets.starts import drawn_start, true_start
-from uav_vslam.datasets.truth import truth_trajectory
+from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.legs import Leg, Meeting, choose_legs, legs_by_hand, meeting_of
 from uav_vslam.evaluation.overlap import overlap_of
@@ -87,13 +87,13 @@ def poses_of(flight: BagFlight) -> tuple[Trajectory, Array]:
     Raises:
         BagError: none was recorded.
     """
-    truth, track = truth_trajectory(flight), flight.truth()
-    if truth is None or track is None:
+    truth = flight.truth()
+    if truth is None:
         raise BagError(
             f"the recording holds no {flight.input.topic(flight.vehicle, 'truth')} along which it could be cut; "
             "`uav-vslam cut --trajectory` takes an estimate instead"
         )
-    return truth, track.velocities_world
+    return trajectory_of(truth), truth.velocities_world
 
 
 def velocities_of(poses: Trajectory) -> Array:

@@ -3,8 +3,12 @@
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.pose import Pose
+
+SAME_PLACE = 1e-4  # largest difference of two poses that are the same [m], and of their rotation matrices
 
 
 class FrameTree:
@@ -12,10 +16,15 @@ class FrameTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose]] = {}  # child -> (parent, T_parent_child)
+        self.moved: set[str] = set()  # frames that a later edge has placed elsewhere
 
     def add(self, edges: Iterable[tuple[str, str, Pose]]) -> None:
         """Add edges (parent frame, child frame, T_parent_child); a later one replaces an earlier one."""
-        self._parents |= {child: (parent, pose) for parent, child, pose in edges}
+        for parent, child, pose in edges:
+            before, T = self._parents.get(child, (parent, pose))
+            if before != parent or not np.allclose(T.matrix, pose.matrix, atol=SAME_PLACE):
+                self.moved.add(child)
+            self._parents[child] = parent, pose
 
     def connected(self, base: str, frame: str) -> bool:
         """Return whether `find` would succeed."""

@@ -38,6 +38,12 @@ ENCODINGS: dict[str, tuple[Any, int, int | None]] = {
         ("grbg", cv2.COLOR_BayerGRBG2BGR),
     )
 }
+TRUTH_TYPES = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+)
 # What other tools call the models of `PinholeCamera`.
 LENS_MODELS = {"": "plumb_bob", "fisheye": "equidistant", "kannala_brandt4": "equidistant"}
 
@@ -186,16 +192,28 @@ def imu_of(built: Any) -> ImuSample:
 
 
 def truth_of(built: Any) -> TruthSample:
-    """Return the motion of an Odometry; of other stamped poses and of a TransformStamped the pose, NaN for the rest."""
-    unknown = np.full(3, np.nan)
-    if hasattr(built, "transform"):
-        return TruthSample(stamp_ns_of(built), _pose_of_transform(built.transform), unknown, unknown)
+    """Return the motion of one of `TRUTH_TYPES`: of an Odometry; of the others the pose, and NaN for the rest.
+
+    Raises:
+        InvalidMessage: the quaternion is zero, or the pose is not finite.
+    """
+    try:
+        T_world_body = _true_pose(built)
+    except ValueError as error:
+        raise InvalidMessage("orientation", str(error)) from None
+    if not (np.isfinite(T_world_body.t).all() and np.isfinite(T_world_body.R).all()):
+        raise InvalidMessage("pose", "it is not finite")
     if not hasattr(built, "twist"):
-        pose = getattr(built.pose, "pose", built.pose)  # with covariance or without
-        return TruthSample(stamp_ns_of(built), _pose_of(pose), unknown, unknown)
-    T_world_body = _pose_of(built.pose.pose)
+        unknown = np.full(3, np.nan)
+        return TruthSample(stamp_ns_of(built), T_world_body, unknown, unknown)
     twist = built.twist.twist
     return TruthSample(stamp_ns_of(built), T_world_body, T_world_body.R @ _array(twist.linear), _array(twist.angular))
+
+
+def _true_pose(built: Any) -> Pose:
+    if hasattr(built, "transform"):
+        return _pose_of_transform(built.transform)
+    return _pose_of(getattr(built.pose, "pose", built.pose))  # with covariance or without
 
 
 def navigation_state_of(built: Any) -> NavEstimate:

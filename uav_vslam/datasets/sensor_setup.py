@@ -8,9 +8,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from uav_vslam.config import InputConfig, VehicleConfig, differences, replaced
 from uav_vslam.datasets.calibration_files import Calibration, read_calibration
-from uav_vslam.datasets.frame_tree import FrameTree
+from uav_vslam.datasets.frame_tree import SAME_PLACE, FrameTree
 from uav_vslam.datasets.messages import camera_of, rectified_camera_of
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
@@ -136,13 +138,28 @@ class SensorSetup:
     def conflict(self, frame: str) -> str:
         """Return why a state or truth of a frame is not one of the body, empty if it is or nothing is known of it."""
         frame = frame.lstrip("/")
-        if not self._cameras_in_files or self._base_named or not (frame and self._imu_frame):
+        if not self._cameras_in_files or self._base_named:
+            return self._apart(frame) if frame else ""
+        if not (frame and self._imu_frame):
             return ""
         if frame in (self._imu_frame, self.config.frames.base):
             return ""
         return (
             f"is of {frame}, but the calibration files make the IMU, {self._imu_frame}, the body; if /tf_static "
             f"connects them, set input.frames.base: {frame} and input.frames.imu: {self._imu_frame}"
+        )
+
+    def _apart(self, frame: str) -> str:
+        """Return where /tf_static has a frame, if it is not where the body is."""
+        base = self.config.base_frame(self.vehicle)
+        if not self.frames.connected(base, frame):
+            return ""
+        T_base_frame = self.frames.find(base, frame)
+        if np.allclose(T_base_frame.matrix, np.eye(4), atol=SAME_PLACE):
+            return ""
+        return (
+            f"is of {frame}, which /tf_static places elsewhere than the body, {base}: give it for {base}, or set "
+            f"input.frames.base: {frame}"
         )
 
     @property

@@ -16,6 +16,7 @@ from uav_vslam.datasets.bag import IMAGE_TYPES, TruthTrack, truth_track
 from uav_vslam.datasets.calibration_files import Calibration
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.messages import (
+    TRUTH_TYPES,
     header_stamp_ns,
     image_of,
     imu_of,
@@ -39,7 +40,7 @@ TYPES = {  # that can be read, by role
     "right_info": ("sensor_msgs/msg/CameraInfo",),
     "imu": ("sensor_msgs/msg/Imu",),
     "initial_state": ("uav_vslam_msgs/msg/NavigationState",),
-    "truth": ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped"),
+    "truth": TRUTH_TYPES,
 }
 SAMPLES = 8  # images of each camera, and pairs, that are decoded
 COUPLE_NS = NS_PER_S // 2  # largest time between two pairs that still show the same

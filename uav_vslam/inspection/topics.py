@@ -177,6 +177,10 @@ def check_frames(survey: Survey) -> list[Finding]:
     if survey.imu and setup.imu_unnamed:
         remedy = "set input.frames.imu if it is elsewhere"
         found.append(warning("IMU frame", "header.frame_id is empty, so the IMU counts as the body", "a name", remedy))
+    if setup.frames.moved:
+        remedy = "record it again with one set of transforms, or give a file with input.calibration"
+        seen = f"{', '.join(sorted(setup.frames.moved))} differently from message to message"
+        found.append(warning(f"{TF_STATIC} places", seen, "one place", f"the last one is used: {remedy}"))
     for role, judge in (("initial_state", error), ("truth", warning)):
         if conflict := setup.conflict(survey.child_frames.get(role, "")):
             found.append(judge(f"{role} frame", f"it {conflict}", "the body frame", "see the text"))

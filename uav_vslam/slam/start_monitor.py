@@ -5,7 +5,7 @@ Start position and heading define the map, so they can't be wrong as such. But a
 relative to the velocity shows as a velocity correction beyond its uncertainty. With P_r the covariance of dead
 reckoning from the start state and P that of the filter, a velocity correction d has covariance P_r - P. This is the
 innovation test reduced to three numbers: among the hundreds of pixels of a frame, ten sigmas of velocity do not show.
-Frames whose innovations are too large as a whole, or without any associated landmark, are evidence as well.
+Frames whose innovations are too large as a whole, or that associate no landmark and use no track, are evidence as well.
 """
 
 import numpy as np
@@ -20,10 +20,10 @@ WATCHED_S = 5.0  # later the start hardly matters
 SIGNIFICANCE = 1e-4  # false-alarm probability per frame of a correct start
 NEGLIGIBLE = 0.01  # [m/s] corrections below are negligible at any covariance
 MAX_NIS_PER_DOF = 2.0  # of all updates since the start; a consistent filter is within a few percent of 1
-MAX_COASTED = 3  # frames with enough features but no associated landmark
+MAX_COASTED = 3  # frames with enough features, but none that the prediction explains
 MIN_FEATURES = 20  # fewer, in the frame or in the map, are too few to judge
 
-REMEDY = "check initial_state's covariance, the IMU noise or the calibration"
+REMEDY = "check initial_state and its covariance, the IMU noise and the calibration"
 
 
 class StartMonitor:
@@ -59,10 +59,10 @@ class StartMonitor:
         return f"{finding}; {REMEDY}" if finding else ""
 
     def _finding(self, report: FrameReport, dead_reckoned: NavEstimate) -> str:
-        if report.innovation is not None:
+        if report.innovation is not None and report.innovation.dof > 0:
             self._nis += report.innovation.nis
             self._dof += report.innovation.dof
-        elif min(report.features, self._landmarks) >= MIN_FEATURES:
+        elif max(report.tracked, min(report.features, self._landmarks)) >= MIN_FEATURES:
             self._coasted += 1
         times = velocity_correction(report.as_calibrated or report.nav, dead_reckoned)
         if times > np.sqrt(chdtri(3, SIGNIFICANCE) / 3):
@@ -71,7 +71,7 @@ class StartMonitor:
             times = np.sqrt(self._nis / self._dof)
             return f"innovations after the start are {times:.1f} times larger than the start's sigmas allow"
         if self._coasted >= MAX_COASTED:
-            return f"{self._coasted} of the first frames match no landmark where the start predicts it"
+            return f"{self._coasted} of the first frames show nothing where the start predicts it"
         return ""
 
 

@@ -46,7 +46,7 @@ def read_trajectory(
     if _has_kitti_columns(rows):
         return _kitti(rows, _kitti_stamps(rows, times, reference, numbered=numbered))
     if not rows.commas and rows.columns == TUM_COLUMNS:
-        return _poses(rows, rows.stamps_ns(seconds=True), wxyz=False)
+        return _poses(rows, rows.stamps_ns(seconds=True), wxyz=_has_title_wxyz(rows))
     if rows.commas and rows.columns >= CSV_COLUMNS:
         return _csv(rows)
     raise TrajectoryFileError(
@@ -77,6 +77,11 @@ def _csv(rows: Rows) -> Trajectory:
     covariance = np.zeros((len(found), 6, 6))
     covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = rows.numbers(first, rows.columns)
     return Trajectory(found.stamps_ns, found.positions, found.quaternions_wxyz, covariance)
+
+
+def _has_title_wxyz(rows: Rows) -> bool:
+    """Return whether a TUM file has a title, not just any comment, that names the quaternion's real part first."""
+    return len(rows.header) == TUM_COLUMNS and rows.header[4].lower() in {"qw", "q_w", "w"}
 
 
 def _is_wxyz(rows: Rows) -> bool:

@@ -14,7 +14,7 @@ from uav_vslam.config import FrontendConfig, VehicleConfig
 from uav_vslam.datasets.bag import BagFlight, open_flight, vehicles
 from uav_vslam.datasets.flight_writer import write_flights
 from uav_vslam.datasets.importing.euroc import read_euroc
-from uav_vslam.datasets.truth import truth_trajectory
+from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.stereo import StereoRig
@@ -70,13 +70,15 @@ def extracted_recording(
 ) -> RecordedFlight:
     """Read a recording and extract features from its images."""
     with _opened(recording, vehicle) as flight:
-        track, truth = flight.truth(), truth_trajectory(flight)
-        if track is None or truth is None:
+        truth = flight.truth()
+        if truth is None:
             raise BagError(
                 f"{recording} holds no {flight.vehicle}/ground_truth/odometry, which the study scores against"
             )
         advance = progress(flight.frame_count, "searching images")
-        return searched(flight, config.frontend, truth=truth, velocities=track.velocities_world, on_frame=advance)
+        return searched(
+            flight, config.frontend, truth=trajectory_of(truth), velocities=truth.velocities_world, on_frame=advance
+        )
 
 
 def searched(

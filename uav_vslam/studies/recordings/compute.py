@@ -14,7 +14,7 @@ from uav_vslam.config.settings import differences
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.flight_writer import write_flights
 from uav_vslam.datasets.sensor_setup import with_noise_of_files
-from uav_vslam.datasets.truth import truth_trajectory
+from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.trajectory import Trajectory
@@ -98,9 +98,10 @@ def _fly(seed: int, way: str, made: Made, config: VehicleConfig) -> Flown:
         track = track_vehicle(flight, with_noise_of_files(config))
     except UavVslamError as error:
         return Flown(seed, way, float("nan"), np.zeros(0), 0, 0, str(error))
-    truth = truth_trajectory(flight)
+    recorded = flight.truth()
     estimate = Trajectory.from_estimates([output.report.pose for output in track.outputs])
-    assert truth is not None
+    assert recorded is not None
+    truth = trajectory_of(recorded)
     errors, consistency = absolute_error(estimate, truth), nees(estimate, truth)
     assert errors is not None
     assert consistency is not None
