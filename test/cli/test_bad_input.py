@@ -278,7 +278,14 @@ def test_a_value_that_is_no_yaml_is_told(good: Path, capsys: pytest.CaptureFixtu
 
 
 def test_a_vehicle_named_twice_on_the_command_line_is_told(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "names one twice" in refused(capsys, "run", good, "--vehicles", "uav1", "uav1")
+    assert "names one twice" in refused(capsys, "run", good, "--vehicles", "uav1", "/uav1/")
+
+
+def test_a_namespace_of_several_levels_is_refused_before_the_flight(
+    good: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(capsys, "run", good, "--vehicles", "fleet/uav1")
+    assert "--set input.topics.left=/fleet/uav1/left/image_raw" in said
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 """`export` of results folders and trajectory files."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,14 @@ def results(tmp_path: Path) -> Path:
     """The link to the results of the flight."""
     write_results(FLIGHT, tmp_path / "results")
     return tmp_path / "results" / "latest"
+
+
+def test_all_tracks_are_exported_unless_some_are_named(results: Path, tmp_path: Path) -> None:
+    shutil.copy(results / "uav1_c_slam.tum", results / "uav1_smoothed.tum")
+    assert main(["export", str(results), "--format", "tum", "--out", str(tmp_path / "all")]) == 0
+    written = {path.name for path in (tmp_path / "all").iterdir()}
+    assert written == {path.name for path in results.glob("*.tum")}
+    assert "uav1_smoothed.tum" in written
 
 
 def test_results_are_exported_and_read_back(results: Path, tmp_path: Path, capsys) -> None:

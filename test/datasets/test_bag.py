@@ -2,8 +2,10 @@
 """A recorded flight reads back as simulated, and an incomplete recording is refused by name."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +14,9 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.bag import _in_stamp_order, open_flight, vehicles
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.message_builders import camera_info_message, image_message, transforms_message
-from uav_vslam.datasets.messages import stamp_ns_of
+from uav_vslam.datasets.messages import stamp_ns_of, transforms_of
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw
+from uav_vslam.datasets.truth import doubts_of
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
@@ -198,6 +201,95 @@ def test_a_flight_without_start_state_or_ground_truth_opens(tiny_bag: Path, tmp_
     flight = open_flight(bag, "uav1")
     assert flight.initial_state is None
     assert flight.truth() is None
+
+
+TRUTH = "/uav1/ground_truth/odometry"
+
+
+def edited(topic: str, change: Callable[[Any, int], None]) -> Callable[[RawMessage], RawMessage]:
+    """Return a `rewrite` that edits the messages of a topic, given their number."""
+    numbers = itertools.count()
+
+    def edit(raw: RawMessage) -> RawMessage:
+        if raw.topic != topic:
+            return raw
+        built = decode(raw)
+        change(built, next(numbers))
+        return dataclasses.replace(raw, data=encode(built))
+
+    return edit
+
+
+def test_true_poses_that_are_not_finite_are_left_out_and_counted(tiny_bag: Path, tmp_path: Path) -> None:
+    def spoil(built: Any, number: int) -> None:
+        if number == 1:
+            built.pose.pose.position.x = np.nan
+        if number == 3:
+            q = built.pose.pose.orientation
+            q.w = q.x = q.y = q.z = 0.0
+
+    whole = open_flight(tiny_bag, "uav1").truth()
+    truth = open_flight(rewrite(tiny_bag, tmp_path / "bag", edited(TRUTH, spoil)), "uav1").truth()
+    assert whole is not None
+    assert truth is not None
+    assert (truth.left_out, len(truth)) == (2, len(whole) - 2)
+    assert np.isfinite(truth.positions_world).all()
+    assert any("2 poses of the ground truth" in text for text in doubts_of(truth))
+    assert list(doubts_of(whole)) == []
+
+
+def test_a_twist_that_was_never_filled_in_gives_way_to_differences(tiny_bag: Path, tmp_path: Path) -> None:
+    def empty(built: Any, _: int) -> None:
+        built.twist.twist.linear.x = built.twist.twist.linear.y = built.twist.twist.linear.z = 0.0
+
+    whole = open_flight(tiny_bag, "uav1").truth()
+    truth = open_flight(rewrite(tiny_bag, tmp_path / "bag", edited(TRUTH, empty)), "uav1").truth()
+    assert whole is not None
+    assert truth is not None
+    np.testing.assert_allclose(truth.velocities_world[1:-1], whole.velocities_world[1:-1], atol=0.2)
+
+
+def test_truth_of_another_type_is_told_and_not_read(tiny_bag: Path, tmp_path: Path) -> None:
+    with RawRecorder(tmp_path / "bag") as recorder:
+        for raw in iter_raw([tiny_bag]):
+            if raw.topic != TRUTH:
+                recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns, latched=raw.topic == "/tf_static")
+            if raw.topic == "/uav1/imu/data_raw":
+                recorder.write(TRUTH, raw.msgtype, raw.data, raw.stamp_ns)
+    flight = open_flight(tmp_path / "bag", "uav1")
+    assert flight.truth() is None
+    assert any("sensor_msgs/msg/Imu and is not read" in text for text in flight.warnings)
+
+
+def test_transforms_that_change_are_all_read_and_told(tiny_bag: Path, tmp_path: Path) -> None:
+    (edges,) = (transforms_of(decode(raw)) for raw in iter_raw([tiny_bag]) if raw.topic == "/tf_static")
+    longer = [(parent, child, Pose(T.R, 1.3 * T.t)) for parent, child, T in edges]
+    with RawRecorder(tmp_path / "bag") as recorder:
+        for raw in iter_raw([tiny_bag]):
+            if raw.topic == "/tf_static":
+                wrong = encode(transforms_message(raw.stamp_ns, longer))
+                recorder.write(raw.topic, raw.msgtype, wrong, raw.stamp_ns, latched=True)
+            recorder.write(raw.topic, raw.msgtype, raw.data, raw.stamp_ns, latched=raw.topic == "/tf_static")
+    flight, right = open_flight(tmp_path / "bag", "uav1"), open_flight(tiny_bag, "uav1")
+    assert flight.rig.baseline_m == right.rig.baseline_m
+    assert any("uav1/right_optical" in text and "the last one counts" in text for text in flight.warnings)
+    assert right.warnings == ()
+
+
+@pytest.mark.parametrize(("topic", "refused"), [("/uav1/initial_state", True), (TRUTH, False)])
+def test_a_state_of_a_frame_that_is_not_the_body_is_told(
+    tiny_bag: Path, tmp_path: Path, topic: str, refused: bool
+) -> None:
+    def move(built: Any, _: int) -> None:
+        built.child_frame_id = "uav1/left_optical"
+
+    bag = rewrite(tiny_bag, tmp_path / "bag", edited(topic, move))
+    text = f"{topic} is of uav1/left_optical, which /tf_static places elsewhere than the body, uav1/base_link"
+    if refused:
+        with pytest.raises(CalibrationError, match=text):
+            open_flight(bag, "uav1")
+    else:
+        assert any(text in warning for warning in open_flight(bag, "uav1").warnings)
 
 
 def test_cameras_of_different_size_are_refused(tiny_bag: Path, tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
 from uav_vslam.types import NS_PER_S
 
+MAX_SPACING_S = MAX_GAP_S  # of poses against which estimates are scored
+
 
 def trajectory_of(truth: TruthTrack) -> Trajectory:
     """Return recorded ground truth as a trajectory."""
@@ -21,10 +23,10 @@ def doubts_of(truth: TruthTrack) -> Iterator[str]:
     """Yield why ground truth serves less than it seems to."""
     if truth.left_out:
         yield f"{truth.left_out} poses of the ground truth are not finite, or have no orientation, and are left out"
-    if (apart_s := spacing_s(truth)) > MAX_GAP_S:
+    if (apart_s := spacing_s(truth)) > MAX_SPACING_S:
         yield (
-            f"the poses of the ground truth are {apart_s:.2g} s apart; estimates in gaps of more than {MAX_GAP_S:g} s "
-            "are not scored, unless by `uav-vslam evaluate RESULTS --max-gap S`"
+            f"the poses of the ground truth are {apart_s:.2g} s apart; estimates in gaps of more than "
+            f"{MAX_SPACING_S:g} s are not scored, unless by `uav-vslam evaluate RESULTS --max-gap S`"
         )
 
 

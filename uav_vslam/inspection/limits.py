@@ -53,3 +53,5 @@ REPEATED_SHARE = 0.02  # of the images equal to the one before
 # Start and truth
 START_BEFORE_S = 30.0  # `ins.startup_buffer` holds so much
 LARGEST_SPEED = 150.0  # [m/s] of an UAV
+START_SIGMAS = 5.0  # of the start's own, by which its velocity may differ from the truth's
+START_VELOCITY = 0.5  # [m/s] of the truth besides, whose velocity may be a difference of positions

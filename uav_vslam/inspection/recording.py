@@ -64,7 +64,7 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     imu_findings, found.noise = check_imu(survey, readings, rig, looked, config)
     found.findings += imu_findings
     images_ns = _stamps(survey, "left")
-    found.findings += start.check_start(survey.initial, images_ns, readings, config)
+    found.findings += start.check_start(survey.initial, images_ns, readings, config, survey.truth)
     if config.start.method == "given" and not survey.initial and readings:
         found.start_method = start.method_for(readings, config)
     found.findings += start.check_truth(survey.truth, images_ns, recorded="truth" in survey.streams)

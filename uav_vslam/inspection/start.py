@@ -6,9 +6,11 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.bag import TruthTrack
+from uav_vslam.datasets.truth import MAX_SPACING_S, spacing_s
 from uav_vslam.errors import UavVslamError
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.preintegration import MAX_GAP_S
+from uav_vslam.ins.propagation import ROTATION, VELOCITY
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate
@@ -23,7 +25,11 @@ METHODS = "start.method: static for a vehicle at rest, in_flight for one that fl
 
 
 def check_start(
-    initial: list[NavEstimate], images_ns: Stamps, readings: list[ImuSample], config: VehicleConfig
+    initial: list[NavEstimate],
+    images_ns: Stamps,
+    readings: list[ImuSample],
+    config: VehicleConfig,
+    truth: TruthTrack | None = None,
 ) -> list[Finding]:
     """Check that the configured start can work.
 
@@ -32,6 +38,7 @@ def check_start(
         images_ns: (N,) stamps of the left images [ns].
         readings: of the IMU in the body, in stamp order.
         config: of the vehicle.
+        truth: true motion, if known, in any frame.
     """
     if config.start.method == "in_flight":
         return [ok("start state", "start.method in_flight: estimated from images and IMU")]
@@ -40,7 +47,7 @@ def check_start(
     if not initial:
         seen, allowed = "start.method is given, but no start state was recorded", "one message on initial_state"
         return [error("start state", seen, allowed, f"record one, or set {_METHODS[method_for(readings, config)]}")]
-    return _check_given(initial[0], images_ns, readings)
+    return _check_given(initial[0], images_ns, readings, truth)
 
 
 def check_truth(truth: TruthTrack | None, images_ns: Stamps, *, recorded: bool) -> list[Finding]:
@@ -63,6 +70,9 @@ def check_truth(truth: TruthTrack | None, images_ns: Stamps, *, recorded: bool) 
         seen = f"{covered.sum()} of {len(images_ns)} images are in its time; it begins {later_s:.2f} s after the first"
         remedy = "correct its stamps to the sensors' clock: nothing can be evaluated otherwise"
         found.append(warning("truth time", seen, "truth during the flight", remedy))
+    if (apart_s := spacing_s(truth)) > MAX_SPACING_S:
+        seen, remedy = f"poses {apart_s:.2g} s apart", "score with `uav-vslam evaluate RESULTS --max-gap S`"
+        found.append(warning("truth rate", seen, f"at most {MAX_SPACING_S:g} s apart", remedy))
     speed = _speeds(truth)
     if len(speed) and speed.max() > limits.LARGEST_SPEED:
         fast = int((speed > limits.LARGEST_SPEED).sum())
@@ -75,7 +85,9 @@ def check_truth(truth: TruthTrack | None, images_ns: Stamps, *, recorded: bool) 
     ]
 
 
-def _check_given(start: NavEstimate, images_ns: Stamps, readings: list[ImuSample]) -> list[Finding]:
+def _check_given(
+    start: NavEstimate, images_ns: Stamps, readings: list[ImuSample], truth: TruthTrack | None
+) -> list[Finding]:
     found = []
     sigma2 = np.diag(start.covariance)
     speed = float(np.linalg.norm(start.state.v_map))
@@ -86,6 +98,7 @@ def _check_given(start: NavEstimate, images_ns: Stamps, readings: list[ImuSample
         seen = f"speed {speed:.3g} m/s"
         found.append(warning("start state", seen, f"{limits.LARGEST_SPEED:g} m/s", "check its velocity"))
     found += _check_start_time(start.state.stamp_ns, images_ns, readings)
+    found += _check_start_motion(start, truth) if truth is not None else []
     return found or [ok("start state", f"given, speed {speed:.2f} m/s")]
 
 
@@ -105,6 +118,28 @@ def _check_start_time(stamp_ns: int, images_ns: Stamps, readings: list[ImuSample
         seen = f"{unused} of {len(images_ns)} images are before it"
         return [warning("start time", seen, "at the first image", "they are not used: give an earlier state")]
     return []
+
+
+def _check_start_motion(start: NavEstimate, truth: TruthTrack) -> list[Finding]:
+    """Compare the velocities in the body, which do not depend on the frames that start and truth are given in."""
+    nearest = int(np.argmin(np.abs(truth.stamps_ns - start.state.stamp_ns)))
+    if abs(truth.stamps_ns[nearest] - start.state.stamp_ns) > MAX_GAP_S * NS_PER_S:
+        return []
+    given = start.state.T_map_body.R.T @ start.state.v_map
+    true = truth.R_world_body[nearest].T @ truth.velocities_world[nearest]
+    P, speed = start.covariance, float(np.linalg.norm(given))
+    sigma = np.sqrt(np.trace(P[VELOCITY, VELOCITY]) + speed**2 * np.trace(P[ROTATION, ROTATION]))
+    allowed = limits.START_SIGMAS * sigma + limits.START_VELOCITY
+    off = float(np.linalg.norm(given - true))
+    if off <= allowed:
+        return []
+    seen = f"in the body its velocity is {_vector(given)} m/s, the truth's {_vector(true)} m/s"
+    remedy = "check velocity and orientation of both, and that they are of the same body frame"
+    return [warning("start state", seen, f"at most {allowed:.2g} m/s apart", remedy)]
+
+
+def _vector(v: NDArray[np.float64]) -> str:
+    return " ".join(f"{x:.2f}" for x in v)
 
 
 def _check_static(readings: list[ImuSample], config: VehicleConfig) -> list[Finding]:

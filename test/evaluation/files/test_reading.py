@@ -47,6 +47,19 @@ def test_a_title_that_names_xyzw_is_honoured_as_are_seconds(file):
     np.testing.assert_allclose(read.quaternions_wxyz, [[0.6, 0.8, 0, 0]])
 
 
+@pytest.mark.parametrize(
+    ("title", "quaternion"),
+    [
+        ("# timestamp x y z qw qx qy qz", [0.6, 0.8, 0, 0]),
+        ("# timestamp x y z qx qy qz qw", [0, 0.6, 0.8, 0]),
+        ("# a comment of eight words is no title", [0, 0.6, 0.8, 0]),
+    ],
+)
+def test_the_title_of_a_tum_file_tells_the_order_of_the_quaternion(file, title, quaternion):
+    read = read_trajectory(file(f"{title}\n10.5 1 2 3 0.6 0.8 0 0\n"))
+    np.testing.assert_allclose(read.quaternions_wxyz, [quaternion])
+
+
 def test_kitti_is_turned_to_forward_left_up(file):
     read = read_trajectory(file(KITTI), times=file("0.0\n1.036224e-01\n", "times.txt"))
     assert read.stamps_ns.tolist() == [0, 103_622_400]
