@@ -27,6 +27,9 @@ def test_a_wrong_unit_is_named(factor: float, said: str) -> None:
 def test_removed_gravity_is_named_and_vibration_is_not_mistaken_for_size() -> None:
     (removed,) = check_units(forces() - [0.0, 0.0, 9.81], gravity=9.80665, rate_hz=200.0)
     assert "gravity was removed" in removed.seen
+    flown = forces() - [0.0, 0.0, 9.81] + np.sin(np.arange(2000) / 100.0)[:, None] * [1.0, 0.5, 0.3]  # 0.1 of gravity
+    (removed,) = check_units(flown, gravity=9.80665, rate_hz=200.0)
+    assert "gravity was removed" in removed.seen
     shaken = forces() + 30.0 * np.sin(np.arange(2000) * 1.1)[:, None] * UP
     (finding,) = check_units(shaken, gravity=9.80665, rate_hz=200.0)
     assert finding.severity is Severity.OK

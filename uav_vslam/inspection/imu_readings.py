@@ -38,14 +38,15 @@ def check_units(accel: Array, *, gravity: float, rate_hz: float) -> list[Finding
     if low <= share <= high:
         return [ok("IMU gravity size", f"median specific force {size:.2f} m/s^2")]
     seen, allowed = f"median specific force {size:.3g}", f"near {gravity:.2f} m/s^2"
+    steady = float(np.linalg.norm(np.mean(means, axis=0))) / size if size > 0 else 0.0  # gravity keeps its direction
+    if share < limits.NO_GRAVITY_SHARE or (share < low and steady < limits.NO_GRAVITY_STEADY):
+        remedy = "record raw readings: a driver's 'linear' or 'free' acceleration can't be used"
+        return [error("IMU gravity size", f"{seen}: gravity was removed", allowed, remedy)]
     for unit, factor in limits.UNITS.items():
         if abs(share / factor - 1.0) <= limits.UNIT_SPREAD:
             return [
                 error("IMU gravity size", f"{seen}: {unit}", allowed, f"multiply the readings by {1.0 / factor:.5g}")
             ]
-    if share < limits.NO_GRAVITY_SHARE:
-        remedy = "record raw readings: a driver's 'linear' or 'free' acceleration can't be used"
-        return [error("IMU gravity size", f"{seen}: gravity was removed", allowed, remedy)]
     remedy = f"correct the scale: a factor of {1.0 / share:.3g} is missing, unless saturation falsifies the mean"
     return [error("IMU gravity size", seen, allowed, remedy)]
 

@@ -20,6 +20,7 @@ UNITS = {  # what specific force over gravity is in other units
 }
 UNIT_SPREAD = 0.2  # relative, around such a factor: bias and manoeuvres
 NO_GRAVITY_SHARE = 0.05  # of gravity: less is acceleration from which gravity was removed
+NO_GRAVITY_STEADY = 0.5  # mean vector over median size: less, and what is too small for gravity has no direction either
 TILT_DEG = 30.0  # between measured and expected direction of gravity: accelerations of 6 m/s^2
 MEAN_TILT_DEG = 10.0  # the same over a whole flight with truth, where accelerations are known
 LARGEST_RATE = math.radians(2000.0)  # [rad/s] largest range of usual gyroscopes
@@ -53,5 +54,6 @@ REPEATED_SHARE = 0.02  # of the images equal to the one before
 # Start and truth
 START_BEFORE_S = 30.0  # `ins.startup_buffer` holds so much
 LARGEST_SPEED = 150.0  # [m/s] of an UAV
+BURST_SHARE = 2.0  # readings "missing" per reading, by the median period: more, and they come in bursts
 START_SIGMAS = 5.0  # of the start's own, by which its velocity may differ from the truth's
 START_VELOCITY = 0.5  # [m/s] of the truth besides, whose velocity may be a difference of positions

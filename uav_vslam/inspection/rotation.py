@@ -85,7 +85,7 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
     )
     best = _misfit(gyro, reference, scale, axes)
     if best > limits.ROTATION_MISFIT:
-        remedy = "check the extrinsics of camera and IMU, and the clocks of both"
+        remedy = f"check the extrinsics of camera and IMU, and the clocks of the IMU and {pairs.source}"
         return [warning(subject, f"{seen}; no other unit or axes explain it", allowed, remedy)]
     said = [SCALES[scale], _axes_text(axes)]
     seen += f"; {100 * best:.0f} % if it is {' and '.join(one for one in said if one)}"

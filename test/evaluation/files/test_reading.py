@@ -60,6 +60,11 @@ def test_the_title_of_a_tum_file_tells_the_order_of_the_quaternion(file, title, 
     np.testing.assert_allclose(read.quaternions_wxyz, [quaternion])
 
 
+def test_seconds_are_seconds_where_the_first_stamp_is_a_plain_zero(file):
+    read = read_trajectory(file("t,x,y,z,qw,qx,qy,qz\n0,1,2,3,1,0,0,0\n0.140056,1,2,3,1,0,0,0\n"))
+    assert read.stamps_ns.tolist() == [0, 140_056_000]
+
+
 def test_kitti_is_turned_to_forward_left_up(file):
     read = read_trajectory(file(KITTI), times=file("0.0\n1.036224e-01\n", "times.txt"))
     assert read.stamps_ns.tolist() == [0, 103_622_400]

@@ -65,7 +65,7 @@ def _has_kitti_columns(rows: Rows) -> bool:
 
 
 def _csv(rows: Rows) -> Trajectory:
-    seconds = "." in rows.cells[0][0]
+    seconds = any("." in cells[0] for cells in rows.cells)
     found = _poses(rows, rows.stamps_ns(seconds=seconds), wxyz=_is_wxyz(rows))
     first = next((k for k, name in enumerate(rows.header) if name.startswith("cov_")), None)
     if first is None:
