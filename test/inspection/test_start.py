@@ -16,6 +16,7 @@ from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 CONFIG = VehicleConfig()
 IMAGES_NS = np.arange(50, dtype=np.int64) * NS_PER_S // 5
 AHEAD = np.array([20.0, 0.0, 0.0])
+ELSEWHERE = Pose(so3_exp([0.1, 0.2, 2.0]), np.array([100.0, 5.0, 0.0]))
 
 
 def truth_every(seconds: float, turn: Pose | None = None) -> TruthTrack:
@@ -38,13 +39,20 @@ def findings(given: NavEstimate, truth: TruthTrack) -> list[str]:
     return [each.seen for each in found if "the truth's" in each.seen]
 
 
-@pytest.mark.parametrize("turn", [Pose.identity(), Pose(so3_exp([0.1, 0.2, 2.0]), np.array([100.0, 5.0, 0.0]))])
+@pytest.mark.parametrize("turn", [Pose.identity(), ELSEWHERE])
 def test_a_start_is_compared_with_truth_of_any_frame(turn: Pose) -> None:
     truth = truth_every(0.02, turn)
     assert findings(start(np.eye(3), AHEAD), truth) == []
     (no_speed,) = findings(start(np.eye(3), np.zeros(3)), truth)
     assert no_speed.startswith("in the body its velocity is 0.00 0.00 0.00 m/s, the truth's 20.00 ")
     assert findings(start(so3_exp([0.0, 0.0, 1.5]), AHEAD), truth)
+
+
+@pytest.mark.parametrize(("turn", "told"), [(ELSEWHERE, True), (Pose.identity(), False)])
+def test_truth_of_a_frame_of_its_own_is_told(turn: Pose, told: bool) -> None:
+    found = check_start([start(np.eye(3), AHEAD)], IMAGES_NS, [], CONFIG, truth_every(0.02, turn))
+    (seen,) = [each.seen for each in found if each.subject == "truth origin"] or [""]
+    assert seen == ("where the flight starts it is 100 m and 115 deg from the start state" if told else "")
 
 
 def test_a_start_that_is_uncertain_enough_is_not_contradicted() -> None:

@@ -56,4 +56,6 @@ START_BEFORE_S = 30.0  # `ins.startup_buffer` holds so much
 LARGEST_SPEED = 150.0  # [m/s] of an UAV
 BURST_SHARE = 2.0  # readings "missing" per reading, by the median period: more, and they come in bursts
 START_SIGMAS = 5.0  # of the start's own, by which its velocity may differ from the truth's
+START_DISTANCE = 1.0  # [m] from the truth besides: the way between their stamps
+START_TURN_DEG = 2.0  # from the truth besides
 START_VELOCITY = 0.5  # [m/s] of the truth besides, whose velocity may be a difference of positions

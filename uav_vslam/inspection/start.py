@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start state and ground truth: present, at the time of the flight, plausible."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,9 +10,10 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.bag import TruthTrack
 from uav_vslam.datasets.truth import MAX_SPACING_S, spacing_s
 from uav_vslam.errors import UavVslamError
+from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.preintegration import MAX_GAP_S
-from uav_vslam.ins.propagation import ROTATION, VELOCITY
+from uav_vslam.ins.propagation import POSITION, ROTATION, VELOCITY
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate
@@ -98,7 +101,7 @@ def _check_given(
         seen = f"speed {speed:.3g} m/s"
         found.append(warning("start state", seen, f"{limits.LARGEST_SPEED:g} m/s", "check its velocity"))
     found += _check_start_time(start.state.stamp_ns, images_ns, readings)
-    found += _check_start_motion(start, truth) if truth is not None else []
+    found += _check_against_truth(start, truth) if truth is not None else []
     return found or [ok("start state", f"given, speed {speed:.2f} m/s")]
 
 
@@ -120,13 +123,17 @@ def _check_start_time(stamp_ns: int, images_ns: Stamps, readings: list[ImuSample
     return []
 
 
-def _check_start_motion(start: NavEstimate, truth: TruthTrack) -> list[Finding]:
-    """Compare the velocities in the body, which do not depend on the frames that start and truth are given in."""
+def _check_against_truth(start: NavEstimate, truth: TruthTrack) -> list[Finding]:
     nearest = int(np.argmin(np.abs(truth.stamps_ns - start.state.stamp_ns)))
     if abs(truth.stamps_ns[nearest] - start.state.stamp_ns) > MAX_GAP_S * NS_PER_S:
         return []
+    return _check_start_motion(start, truth, nearest) or _check_truth_origin(start, truth, nearest)
+
+
+def _check_start_motion(start: NavEstimate, truth: TruthTrack, at: int) -> list[Finding]:
+    """Compare the velocities in the body, which do not depend on the frames that start and truth are given in."""
     given = start.state.T_map_body.R.T @ start.state.v_map
-    true = truth.R_world_body[nearest].T @ truth.velocities_world[nearest]
+    true = truth.R_world_body[at].T @ truth.velocities_world[at]
     P, speed = start.covariance, float(np.linalg.norm(given))
     sigma = np.sqrt(np.trace(P[VELOCITY, VELOCITY]) + speed**2 * np.trace(P[ROTATION, ROTATION]))
     allowed = limits.START_SIGMAS * sigma + limits.START_VELOCITY
@@ -136,6 +143,20 @@ def _check_start_motion(start: NavEstimate, truth: TruthTrack) -> list[Finding]:
     seen = f"in the body its velocity is {_vector(given)} m/s, the truth's {_vector(true)} m/s"
     remedy = "check velocity and orientation of both, and that they are of the same body frame"
     return [warning("start state", seen, f"at most {allowed:.2g} m/s apart", remedy)]
+
+
+def _check_truth_origin(start: NavEstimate, truth: TruthTrack, at: int) -> list[Finding]:
+    """Check that start and truth are given in one frame: errors are not aligned."""
+    given, P = start.state.T_map_body, start.covariance
+    away_m = float(np.linalg.norm(given.t - truth.positions_world[at]))
+    turned_deg = math.degrees(np.linalg.norm(so3_log(given.R.T @ truth.R_world_body[at])))
+    most_m = limits.START_SIGMAS * math.sqrt(np.trace(P[POSITION, POSITION])) + limits.START_DISTANCE
+    most_deg = limits.START_SIGMAS * math.degrees(math.sqrt(np.trace(P[ROTATION, ROTATION]))) + limits.START_TURN_DEG
+    if away_m <= most_m and turned_deg <= most_deg:
+        return []
+    seen = f"where the flight starts it is {away_m:.3g} m and {turned_deg:.0f} deg from the start state"
+    remedy = "errors count in one frame: give both in one, or score with `uav-vslam evaluate RESULTS --alignment se3`"
+    return [warning("truth origin", seen, f"at most {most_m:.2g} m and {most_deg:.2g} deg", remedy)]
 
 
 def _vector(v: NDArray[np.float64]) -> str:
