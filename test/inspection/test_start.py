@@ -55,6 +55,12 @@ def test_truth_of_a_frame_of_its_own_is_told(turn: Pose, told: bool) -> None:
     assert seen == ("where the flight starts it is 100 m and 115 deg from the start state" if told else "")
 
 
+def test_a_start_without_a_covariance_is_told_that_alone() -> None:
+    bad = dataclasses.replace(start(np.eye(3), np.zeros(3)), covariance=-np.eye(15))
+    (found,) = check_start([bad], IMAGES_NS, [], CONFIG, truth_every(0.02))
+    assert found.subject == "start covariance"
+
+
 def test_a_start_that_is_uncertain_enough_is_not_contradicted() -> None:
     wide = dataclasses.replace(start(np.eye(3), np.zeros(3)), covariance=25.0 * np.eye(15))
     assert findings(wide, truth_every(0.02)) == []

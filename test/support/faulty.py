@@ -107,6 +107,23 @@ def vibrating(message: Any) -> Any:
     return message
 
 
+def unreadable(message: Any) -> Any:
+    """Name an encoding that nobody knows."""
+    return dataclasses.replace(message, encoding="yuv9")
+
+
+def at_rest(message: Any) -> Any:
+    """Forget the velocity of a start state."""
+    message.velocity.x = message.velocity.y = message.velocity.z = 0.0
+    return message
+
+
+def moved_away(message: Any) -> Any:
+    """Give a position in a frame 1 km away."""
+    message.pose.pose.position.x += 1000.0
+    return message
+
+
 def half_size(message: Any) -> Any:
     """Describe images of half the size."""
     return dataclasses.replace(message, width=message.width // 2, height=message.height // 2, k=0.5 * message.k)
@@ -238,6 +255,21 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
     "no start state": (
         lambda: [without(START)],
         [("error", "start state", ("no start state", "in_flight"))],
+    ),
+    "images of an unreadable encoding": (
+        lambda: [edited(LEFT, unreadable), edited(RIGHT, unreadable)],
+        [
+            ("error", "left messages", ("8 of 8 messages", "image encoding")),
+            ("error", "right messages", ("8 of 8 messages", "image encoding")),
+        ],
+    ),
+    "start state at rest in flight": (
+        lambda: [edited(START, at_rest)],
+        [("warning", "start state", ("its velocity is 0.00 0.00 0.00 m/s, the truth's",))],
+    ),
+    "truth of another origin": (
+        lambda: [edited(TRUTH, moved_away)],
+        [("warning", "truth origin", ("it is 1e+03 m and 0 deg", "--alignment se3"))],
     ),
     "start state of another time": (
         lambda: [later(START, -100_000_000_000)],

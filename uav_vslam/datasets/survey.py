@@ -222,13 +222,13 @@ class _Reader:
     def _add_image(self, side: str, raw: RawMessage) -> None:
         number = len(self._checksums[side])
         self._checksums[side].append(zlib.crc32(memoryview(raw.data)[HEADER_BYTES:]))
-        if number % max(1, self.found.topics[raw.topic].count // SAMPLES) == 0:
-            self.found.images[side].append(image_of(decode(raw)))
         add = self._pairer.add_left if side == "left" else self._pairer.add_right
         frozen = number > 0 and self._checksums[side][-1] == self._checksums[side][-2]
         pair = add(header_stamp_ns(raw.data), None if frozen else raw)
         if pair is not None:
             self._add_pair(raw.topic, pair)
+        if number % max(1, self.found.topics[raw.topic].count // SAMPLES) == 0:  # last: it may be refused
+            self.found.images[side].append(image_of(decode(raw)))
 
     def _add_pair(self, topic: str, pair: StereoPair[RawMessage | None]) -> None:
         """Count a pair, and keep some of those that are not frozen, preferably where the next one follows soon."""
@@ -253,7 +253,11 @@ def _setup(vehicle: str, config: InputConfig) -> tuple[SensorSetup, list[str]]:
 
 
 def _frame(pair: StereoPair[RawMessage | None], time_offset_ns: int) -> StereoFrame | None:
-    """Return the decoded pair with a stamp of the IMU's clock, None if an image is frozen."""
+    """Return the decoded pair with a stamp of the IMU's clock, None if an image is frozen or can't be decoded."""
     if pair.left is None or pair.right is None:
         return None
-    return StereoFrame(pair.stamp_ns + time_offset_ns, image_of(decode(pair.left)), image_of(decode(pair.right)))
+    try:
+        left, right = image_of(decode(pair.left)), image_of(decode(pair.right))
+    except (BagError, ValueError):
+        return None
+    return StereoFrame(pair.stamp_ns + time_offset_ns, left, right)

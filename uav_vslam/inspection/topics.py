@@ -120,10 +120,15 @@ def check_topics(survey: Survey, guess: Guess) -> list[Finding]:
             if name in survey.topics:
                 seen, allowed = f"{name} holds {survey.topics[name].msgtype}", " or ".join(TYPES[role])
                 found.append(warning(f"{role} topic", seen, allowed, "it is not read: record that type"))
+    if "/" in survey.vehicle:
+        remedy = f"for `uav-vslam run`, set input.topics.left: /{survey.vehicle}/{survey.input.topics.left}, and so on"
+        found.append(warning("namespace", f"{survey.vehicle} has several levels", "one, as results are named", remedy))
     for role, stream in survey.streams.items():
         if stream.errors:
-            judge = error if len(stream.errors) > limits.UNUSABLE_SHARE * max(1, len(stream)) else warning
-            seen = f"{stream.topic}: {len(stream.errors)} messages can't be used, the first: {stream.errors[0]}"
+            bad = len(stream.errors)
+            read = bad + len(survey.images[role]) if role in SIDES else len(stream)  # of images a few
+            judge = error if bad > limits.UNUSABLE_SHARE * max(1, read) else warning
+            seen = f"{stream.topic}: {bad} of {read} messages can't be used, the first: {stream.errors[0]}"
             found.append(judge(f"{role} messages", seen, "readable messages", "correct what writes them"))
     if survey.damage:
         found.append(warning("recording", survey.damage, "a complete bag", "only what could be read is judged"))
