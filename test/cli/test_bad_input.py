@@ -281,6 +281,25 @@ def test_a_vehicle_named_twice_on_the_command_line_is_told(good: Path, capsys: p
     assert "names one twice" in refused(capsys, "run", good, "--vehicles", "uav1", "/uav1/")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("evaluate", "--max-gap", "2"), "--max-gap serves files and results folders"),
+        (("evaluate", "--times", "times.txt"), "--times serves files and results folders"),
+        (("mosaic", "--method", "homography", "--height", "70"), "has no use for --height"),
+        (("import", "kitti", "out", "--first-frame", "3"), "--first-frame goes with --oxts"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    arguments: tuple[str, ...], said: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    verb, *others = arguments
+    source = [str(good)] if verb != "import" else []
+    if verb == "import":
+        others = [others[0], str(good), str(tmp_path / others[1]), *others[2:]]
+    assert said in refused(capsys, verb, *source, *others)
+
+
 def test_a_namespace_of_several_levels_is_refused_before_the_flight(
     good: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -160,6 +160,20 @@ def test_files_of_the_cameras_alone_leave_their_place_to_the_static_frames(kind:
     assert_rig(setup.rig())
 
 
+def test_cameras_that_were_calibrated_alone_leave_their_places_to_the_static_frames(tmp_path: Path) -> None:
+    for path in ros(tmp_path):
+        tree = yaml.safe_load(path.read_text())
+        tree["rectification_matrix"]["data"] = np.eye(3).ravel().tolist()
+        tree["projection_matrix"]["data"] = np.column_stack([LEFT.K, np.zeros(3)]).ravel().tolist()
+        written(path, tree)
+    setup = setup_of(tmp_path / "left.yaml", tmp_path / "right.yaml")
+    setup.imu_frame = "uav1/base_link"
+    for side, camera, T in (("left", LEFT, RIG.T_body_left), ("right", RIGHT, RIG.T_body_right)):
+        setup.cameras[side] = (camera, side)
+        setup.frames.add([("uav1/base_link", side, T)])
+    assert_rig(setup.rig())
+
+
 def test_the_noise_of_a_file_counts_where_the_configuration_sets_none(tmp_path: Path) -> None:
     files = [str(kalibr(tmp_path)), str(written(tmp_path / "imu.yaml", {"imu0": NOISE}))]
     config = load_vehicle(None, overrides={"input.calibration": files, "imu.gyro_noise": 5e-4})

@@ -66,6 +66,20 @@ def test_a_point_behind_a_camera_does_not_count() -> None:
     assert overlap_of(views, CAMERA).share[0, 1] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("model", "distortion"),
+    [("plumb_bob", [-0.28, 0.07, 0.0, 0.0, 0.0]), ("plumb_bob", [0.2, 0, 0, 0, 0]), ("equidistant", [0.01, 0, 0, 0])],
+)
+def test_all_of_an_image_is_seen_in_itself_through_any_lens(model: str, distortion: list[float]) -> None:
+    lens = PinholeCamera(400, 300, 250.0, 250.0, 200.0, 150.0, np.array(distortion), model)
+    pixels = np.stack(np.meshgrid(np.arange(2.0, 400.0, 12.0), np.arange(2.0, 300.0, 12.0)), axis=-1).reshape(-1, 2)
+    T_world_cam = Pose(R_DOWN, np.array([0.0, 0.0, HEIGHT_M]))
+    points = T_world_cam.apply(HEIGHT_M * lens.bearings(lens.undistort(pixels)))
+    assert overlap_of([View(0, T_world_cam, points)], lens).share[0, 0] == 1.0
+    far = View(0, T_world_cam, T_world_cam.apply(HEIGHT_M * np.array([[30.0, 0.0, 1.0]])))  # where models fold over
+    assert overlap_of([far], lens).share[0, 0] == 0.0
+
+
 def test_views_without_points_share_nothing() -> None:
     blind = View(0, view(0.0).T_world_cam, np.zeros((0, 3)))
     found = overlap_of([blind, view(0.0)], CAMERA)

@@ -44,6 +44,22 @@ def test_a_dot_is_undistorted_to_where_a_pinhole_shows_it(model: str) -> None:
         assert centre == pytest.approx([u, v], abs=0.1)
 
 
+def test_a_lens_that_leaves_corners_empty_is_zoomed_until_it_does_not() -> None:
+    pincushion = dataclasses.replace(RIG.left, distortion=np.array([0.3, 0.0, 0.0, 0.0, 0.0]))
+    lens = Undistorter(pincushion)
+    assert lens.camera.fx > 1.02 * pincushion.fx
+    grey = np.full((pincushion.height, pincushion.width), 200, np.uint8)
+    assert (lens.apply(grey) == 200).all()
+    at = np.array([[200.0, 100.0], [60.0, 200.0]])  # seen where the zoomed pinhole says
+    seen = pincushion.distort(pincushion.project(lens.camera.bearings(at)))
+    image = np.zeros_like(grey)
+    for u, v in np.rint(seen).astype(int):
+        image[v - 1 : v + 2, u - 1 : u + 2] = 255
+    found = lens.apply(image)
+    for u, v in at.astype(int):
+        assert found[v - 2 : v + 3, u - 2 : u + 3].max() > 200
+
+
 def test_an_image_without_distortion_is_passed_on() -> None:
     image = np.zeros((240, 320), np.uint8)
     assert Undistorter(RIG.left).apply(image) is image

@@ -19,11 +19,12 @@ def compare_files(args: argparse.Namespace) -> int:
 
     from uav_vslam.evaluation.comparison import compare, pair_run
     from uav_vslam.evaluation.output import write_comparison
+    from uav_vslam.evaluation.pairing import MAX_GAP_S
     from uav_vslam.evaluation.revision import git_revision
     from uav_vslam.report.comparison_plot import write_comparison_plot
     from uav_vslam.report.comparison_table import print_comparison
 
-    runs = [pair_run(run, max_gap_s=args.max_gap) for run in _runs(args)]
+    runs = [pair_run(run, max_gap_s=args.max_gap or MAX_GAP_S) for run in _runs(args)]
     for run in runs:
         _report_partial(run)
     name = args.name or "comparison"

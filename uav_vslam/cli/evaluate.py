@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--segments", type=lengths_m, metavar="M,M,...", help="lengths for the drift (default: 100 to 800, or shares)"
     )
     parser.add_argument(
-        "--max-gap", type=positive_seconds, default=0.5, metavar="S", help="of the truth, to interpolate (default 0.5)"
+        "--max-gap", type=positive_seconds, metavar="S", help="of the truth, to interpolate (default 0.5)"
     )
     parser.add_argument("--name", help="of the results (default: name of the first bag, or comparison)")
     parser.add_argument(
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate, write and print; return 2 if a recording is damaged, after evaluating what can be read."""
     from uav_vslam.cli.comparison import compare_files
-    from uav_vslam.errors import BagError
+    from uav_vslam.errors import BagError, ConfigError
 
     bags = [path for path in args.inputs if _is_bag(path)]
     if not bags:
@@ -72,6 +72,9 @@ def run(args: argparse.Namespace) -> int:
         raise BagError(
             f"{bags[0]} is a bag, which is evaluated with other bags only; run it, and give the folder of the results"
         )
+    useless = {"--times": args.times, "--segments": args.segments, "--max-gap": args.max_gap}
+    if given := next((option for option, value in useless.items() if value is not None), ""):
+        raise ConfigError(f"{given} serves files and results folders; evaluate {bags[0]} without, then its results")
     return evaluate(args)
 
 

@@ -173,8 +173,16 @@ def _read_tumvi(args: argparse.Namespace, problems: Problems) -> Source:
 def _read_kitti(args: argparse.Namespace, problems: Problems) -> Source:
     from uav_vslam.datasets.importing.kitti import read_kitti
     from uav_vslam.datasets.importing.kitti_oxts import read_oxts
+    from uav_vslam.errors import ConfigError
 
     oxts = None
+    useless = {
+        "--first-frame": args.first_frame,
+        "--image-times": args.image_times,
+        "--initial-sigma": args.initial_sigma,
+    }
+    if not args.oxts and (given := next((option for option, value in useless.items() if value), "")):
+        raise ConfigError(f"{given} goes with --oxts DIR, the raw drive: without it there are no readings and no start")
     if args.oxts:
         oxts = read_oxts(args.oxts, first_frame=args.first_frame, image_times=args.image_times, problems=problems)
     return read_kitti(

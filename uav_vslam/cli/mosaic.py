@@ -59,11 +59,15 @@ def run(args: argparse.Namespace) -> int:
 
     import cv2
 
+    from uav_vslam.errors import ConfigError
     from uav_vslam.evaluation.output import new_folder
     from uav_vslam.mapping.pictures.reading import read_folder
     from uav_vslam.report.mosaic_table import print_mosaic
     from uav_vslam.report.page.page import write_page
 
+    useless = {"--height": args.height, "--focal-px": args.focal_px} if args.method == "homography" else {}
+    if given := next((option for option, value in useless.items() if value is not None), ""):
+        raise ConfigError(f"--method homography has no use for {given}: it knows neither cameras nor heights")
     cv2.setNumThreads(1)
     folder = read_folder(args.folder, focal_px=args.focal_px)
     for text in folder.warnings:
@@ -136,7 +140,7 @@ def _write(found: Reconstruction, warnings: list[str], pixel_m: float | None, re
     draw_ground(found.surface.grid, counts, found.surface.raster.bounds_m, frame, folder)
     pixel_m = pixel_m or output.pixel_size_m(found.gsd_m, overlap["area_m2"], MOST_PIXELS)
     with progress_bar("drawing", PASSES * len(found.adjusted.used)) as advance:
-        drawn = draw(found, pixel_m, folder, on_view=advance)
+        drawn = draw(found, counts, pixel_m, folder, on_view=advance)
     figures = output.quality(found) | {"overlap": overlap, "warnings": warnings} | drawn
     output.write_poses(found, results / "poses.csv")
     write_json(results / "cameras.json", figures["cameras"])

@@ -8,6 +8,7 @@
 Cameras count in the order of the files: the first is the left one. The body is Kalibr's IMU, or EuRoC's body (`T_BS`).
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,7 @@ from uav_vslam.datasets.kalibr_camchain import KALIBR_LENSES
 from uav_vslam.errors import CalibrationError, one_line
 from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.stereo import MIN_BASELINE_M
 
 Array = NDArray[np.float64]
 Tree = Mapping[str, Any]
@@ -259,6 +261,8 @@ def _related(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:
     if left.T_left_cam is None or right.T_left_cam is None:
         return [left, right]
     T_left_right = left.T_left_cam.inverse() @ right.T_left_cam
+    if np.linalg.norm(T_left_right.t) < MIN_BASELINE_M:  # each was calibrated alone, and says nothing of the other
+        return [dataclasses.replace(camera, T_left_cam=None) for camera in cameras]
     return [
         CameraCalibration(left.camera, left.T_body_cam, Pose.identity(), left.time_offset_s),
         CameraCalibration(right.camera, right.T_body_cam, T_left_right, right.time_offset_s),

@@ -15,6 +15,7 @@ from uav_vslam.geometry.pose import Pose
 
 Array = NDArray[np.float64]
 
+BORDER_SAMPLES = 50  # of each side of an image
 LARGEST_VIEW_ANGLE_DEG = 50.0  # from there on, SIFT finds less than half of the points again [lowe04, fig. 9]
 
 
@@ -57,9 +58,10 @@ def overlap_of(views: list[View], camera: PinholeCamera) -> Overlap:
     """Compare all views with each other."""
     count = len(views)
     share, angle = np.zeros((count, count)), np.full((count, count), np.nan)
+    reach = _reach(camera)
     for row, view in enumerate(views):
         for column, other in enumerate(views):
-            share[row, column], angle[row, column] = _seen(view, other, camera)
+            share[row, column], angle[row, column] = _seen(view, other, camera, reach)
     stamps_ns = np.array([view.stamp_ns for view in views], np.int64)
     return Overlap(stamps_ns, share, angle, _turns_deg(np.array([view.T_world_cam.R for view in views])))
 
@@ -75,14 +77,25 @@ def _turns_deg(R_world_cam: Array) -> Array:
     return np.asarray(np.degrees(np.abs(np.arctan2(sine, cosine))))
 
 
-def _seen(view: View, other: View, camera: PinholeCamera) -> tuple[float, float]:
+def _reach(camera: PinholeCamera) -> float:
+    """Return how far from the axis the lens images, at depth 1: models of lenses fold over beyond."""
+    u, v = np.linspace(0, camera.width - 1, BORDER_SAMPLES), np.linspace(0, camera.height - 1, BORDER_SAMPLES)
+    zero = np.zeros(BORDER_SAMPLES)
+    border = [(u, zero), (u, zero + v[-1]), (zero, v), (zero + u[-1], v)]
+    rays = camera.bearings(camera.undistort(np.concatenate([np.column_stack(side) for side in border])))
+    return float(np.nanmax(np.linalg.norm(rays[:, :2], axis=1)))
+
+
+def _seen(view: View, other: View, camera: PinholeCamera, reach: float) -> tuple[float, float]:
     """Return the share of a view's points that the other sees, and the mean angle between their rays [deg]."""
     points = view.points_world
     if len(points) == 0:
         return 0.0, float("nan")
     in_other = other.T_world_cam.inverse().apply(points)
     ahead = in_other[:, 2] > 0
-    pixels = camera.project(np.where(ahead[:, None], in_other, [0.0, 0.0, 1.0]))
+    in_other = np.where(ahead[:, None], in_other, [0.0, 0.0, 1.0])
+    ahead &= np.linalg.norm(in_other[:, :2], axis=1) <= reach * in_other[:, 2]
+    pixels = camera.distort(camera.project(in_other))
     inside = ahead & np.all((pixels >= 0) & (pixels < [camera.width, camera.height]), axis=1)
     rays, other_rays = points - view.T_world_cam.t, points - other.T_world_cam.t
     lengths = np.linalg.norm(rays, axis=1) * np.linalg.norm(other_rays, axis=1)

@@ -12,11 +12,14 @@ from uav_vslam.geometry.camera import PinholeCamera
 Image = NDArray[np.uint8]
 
 
+BORDER_PX = 1.0  # so far outside the image its border is repeated
+
+
 class Undistorter:
     """Removes the lens distortion of one camera; an image without any is passed on as it is.
 
     Attributes:
-        camera: the same intrinsics without distortion.
+        camera: without distortion, and with a longer focal length where the lens would leave parts of its image empty.
     """
 
     def __init__(self, camera: PinholeCamera) -> None:
@@ -24,11 +27,16 @@ class Undistorter:
         self._maps: tuple[NDArray[np.int16], NDArray[np.uint16]] | None = None
         if camera.model == "equidistant" or np.any(camera.distortion):
             grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
-            raw = camera.distort(grid).astype(np.float32)
+            centre, corner = np.array([camera.cx, camera.cy]), np.array([camera.width - 1, camera.height - 1])
+            beyond = camera.distort(grid) - centre
+            room = np.where(beyond < 0, centre, corner - centre) + BORDER_PX
+            zoom = max(1.0, float((np.abs(beyond) / room).max()))
+            self.camera = dataclasses.replace(self.camera, fx=zoom * camera.fx, fy=zoom * camera.fy)
+            raw = camera.distort(centre + (grid - centre) / zoom).astype(np.float32)
             self._maps = cv2.convertMaps(raw[..., 0], raw[..., 1], cv2.CV_16SC2)
 
     def apply(self, image: Image) -> Image:
-        """Return the (H, W) or (H, W, 3) image undistorted; black where nothing was imaged."""
+        """Return the (H, W) or (H, W, 3) image undistorted."""
         if self._maps is None:
             return image
-        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR))
+        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))

@@ -51,6 +51,8 @@ def test_exif_gives_focal_length_time_and_position(tmp_path: Path) -> None:
 def test_the_focal_plane_gives_the_focal_length_of_a_shrunk_picture() -> None:
     tags = {0x920A: 8.8, 0xA20E: 4000 / 13.2 * 10.0, 0xA210: 3, 0xA002: 4000}
     assert focal_px(tags, (1000, 750)) == pytest.approx(8.8 * 1000 / 13.2)
+    turned = tags | {0xA002: 3000, 0xA003: 4000}  # by a program that corrected the sizes
+    assert focal_px(turned, (750, 1000)) == pytest.approx(8.8 * 1000 / 13.2)
 
 
 def test_the_table_takes_precedence_and_gives_the_order(tmp_path: Path) -> None:

@@ -77,6 +77,11 @@ class OxtsRecording:
         first, last = self.imu.stamps_ns[[0, -1]].tolist()
         kept = [pair for pair in pairs if first < pair.stamp_ns <= last]
         notes = []
+        if len(pairs) < len(self.picture_stamps_ns):
+            notes.append(
+                f"the raw drive has {len(self.picture_stamps_ns)} pictures from the first one on, and the sequence "
+                f"{len(pairs)}: if that does not begin with the first, give --first-frame"
+            )
         if len(kept) < len(pairs):
             notes.append(f"{len(pairs) - len(kept)} image pairs before or after the IMU's readings are left out")
         period_ns = float(np.median(np.diff(self.imu.stamps_ns)))

@@ -6,6 +6,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from uav_vslam.evaluation.output import write_json
 from uav_vslam.mapping.georeference import write_bands
 from uav_vslam.mapping.orthomosaic import blended_mosaic
@@ -21,11 +24,19 @@ Figures = dict[str, Any]
 PASSES = 3  # over all pictures: brightness, picture, seams
 
 
-def draw(found: Reconstruction, pixel_m: float, folder: Path, *, on_view: Callable[[], None] = lambda: None) -> Figures:
+def draw(
+    found: Reconstruction,
+    counts: NDArray[np.uint16],
+    pixel_m: float,
+    folder: Path,
+    *,
+    on_view: Callable[[], None] = lambda: None,
+) -> Figures:
     """Write the orthomosaic, heights and map.json into a folder; return size, pixel and seams of the mosaic.
 
     Args:
         found: poses and surface.
+        counts: (rows, columns) pictures that show each cell of the surface; where none does, no height is known.
         pixel_m: side of the mosaic's pixels [m].
         folder: where the files go.
         on_view: called `PASSES` times for each picture used.
@@ -36,8 +47,9 @@ def draw(found: Reconstruction, pixel_m: float, folder: Path, *, on_view: Callab
         mosaic = blended_mosaic(lambda: iter(views), found.surface, pixel_m, folder=Path(tiles), on_view=on_view)
         drawn = write_orthomosaic(mosaic, folder, datum)
         seam = seam_figures(seams(mosaic, counted(views, on_view)))
-    write_bands(folder / "height.tif", {"height": found.surface.grid}, found.surface.raster, datum)
+    heights = np.where(counts > 0, found.surface.grid, np.nan)
+    write_bands(folder / "height.tif", {"height": heights}, found.surface.raster, datum)
     size = {key: drawn[key] for key in ("m_per_px", "width", "height")}
-    tree = map_figures(found) | {"orthomosaic": size | {"seam_px": seam["median_px"]}}
+    tree = map_figures(found, heights) | {"orthomosaic": size | {"seam_px": seam["median_px"]}}
     write_json(folder / "map.json", tree)
     return size | {"seam": seam}

@@ -14,7 +14,7 @@ EXIF_IFD, GPS_IFD = 0x8769, 0x8825
 MAKE, MODEL, DATE_TIME = 0x010F, 0x0110, 0x0132
 DATE_TIME_ORIGINAL, SUBSECONDS = 0x9003, 0x9291
 FOCAL_MM, FOCAL_35MM = 0x920A, 0xA405
-PLANE_X_RESOLUTION, PLANE_UNIT, PIXELS_X = 0xA20E, 0xA210, 0xA002
+PLANE_X_RESOLUTION, PLANE_UNIT, PIXELS_X, PIXELS_Y = 0xA20E, 0xA210, 0xA002, 0xA003
 LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = 1, 2, 3, 4, 5, 6
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # of the focal plane's resolution: inch, cm, mm
 FILM_DIAGONAL_MM = 43.2666  # of 36 x 24 mm
@@ -54,7 +54,8 @@ def focal_px(tags: Tags, size: tuple[int, int]) -> float | None:
         size: width and height of the image [px], which may have been shrunk since.
     """
     focal_mm, resolution = _number(tags.get(FOCAL_MM)), _number(tags.get(PLANE_X_RESOLUTION))
-    original = _number(tags.get(PIXELS_X)) or float(max(size))
+    sides = [side for tag in (PIXELS_X, PIXELS_Y) if (side := _number(tags.get(tag)))]
+    original = max(sides, default=float(max(size)))  # the picture may have been turned since
     if focal_mm and resolution:
         per_mm = resolution / MM_PER_UNIT.get(tags.get(PLANE_UNIT, 2), 25.4)
         return focal_mm * per_mm * max(size) / original

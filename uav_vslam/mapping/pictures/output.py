@@ -111,17 +111,17 @@ def quality(found: Reconstruction) -> Figures:
     return figures
 
 
-def map_figures(found: Reconstruction) -> Figures:
-    """Return the content of map.json but for the orthomosaic's own part."""
-    raster, height = found.surface.raster, found.surface.grid
+def map_figures(found: Reconstruction, heights: NDArray[np.floating]) -> Figures:
+    """Return the content of map.json but for the orthomosaic's own part; heights (rows, columns) are NaN if unknown."""
+    raster, known = found.surface.raster, heights[np.isfinite(heights)]
     tree: Figures = {
         "cell_m": raster.cell_m,
         "gsd_m": found.gsd_m,
         "bounds_m": list(raster.bounds_m),
         "vehicles": {"pictures": {"views": len(found.adjusted.used), "share": 1.0}},
         "surface": {
-            "cells": int(height.size),
-            "height_m": [float(np.percentile(height, 1)), float(np.percentile(height, 99))],
+            "cells": int(known.size),
+            "height_m": [float(np.percentile(known, 1)), float(np.percentile(known, 99))],
         },
         "frame": "map",
     }

@@ -111,7 +111,8 @@ def place(
         focal_known: focal lengths are given by the user.
     """
     adjusted = levelled(adjusted)
-    positions, datum = local_positions(pictures)
+    recorded, datum = local_positions(pictures)
+    positions = _without_repeats(recorded)
     used = adjusted.used[np.isfinite(positions[adjusted.used]).all(axis=1)]
     if datum is None or len(used) < FEWEST_POSITIONS:
         size = HEIGHT_WITHOUT_SCALE if height_m is None else height_m
@@ -122,15 +123,27 @@ def place(
     rise = np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])
     believed = max(float(np.median(distance[used])), float(np.median(rise)) / VERTICAL_FACTOR) <= BELIEVED_M
     wrong: tuple[int, ...] = ()
-    if believed:
+    if believed and height_m is None:
         adjusted = _with_gps(adjusted, pictures, positions, distance[used], focal_known=focal_known)
-        distance = _distances(adjusted, positions, used)
+        distance = _distances(adjusted, recorded, adjusted.used)
         bound = max(WRONG_M, WRONG_SIGMAS * 1.4826 * float(np.median(distance[used])))
-        wrong = tuple(int(k) for k in used if distance[k] > bound)
+        wrong = tuple(int(k) for k in adjusted.used if distance[k] > bound)
     ground = float(np.median(adjusted.scene.points[:, 2]))
     adjusted = replace(adjusted, scene=transformed(adjusted.scene, 1.0, np.eye(3), np.array([0.0, 0.0, -ground])))
     datum = replace(datum, altitude_m=datum.altitude_m + ground)
     return adjusted, Placement("gps" if height_m is None else "height", datum, distance, believed, wrong)
+
+
+def _without_repeats(positions: Array) -> Array:
+    """Return (N, 3) positions, NaN for those that repeat an earlier one: a receiver that is stuck gives no others.
+
+    If half of them were equal, the similarity that maps all pictures to one point would fit best.
+    """
+    known = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    _, first = np.unique(positions[known], axis=0, return_index=True)
+    distinct = np.full_like(positions, np.nan)
+    distinct[known[first]] = positions[known[first]]
+    return distinct
 
 
 def plane_similarity(a: Array, b: Array) -> tuple[complex, complex]:

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scale and place of a reconstruction: by the height that is given, or by GPS, even if its receiver was stuck."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
+from uav_vslam.mapping.pictures.bundle import Scene
+from uav_vslam.mapping.pictures.lens import project
+from uav_vslam.mapping.pictures.picture import Geodetic, Picture
+from uav_vslam.mapping.pictures.placement import Placement, place
+from uav_vslam.mapping.pictures.procedure import Adjusted
+from uav_vslam.mapping.pictures.tracks import Tracks
+
+Array = NDArray[np.float64]
+
+HEIGHT_M = 50.0
+SIDE, SPACING_M = 5, 15.0
+WIDTH, HEIGHT, FOCAL_PX = 1000, 750, 900.0
+DATUM = Datum(-28.0, 153.0, 20.0)
+SCALE = 0.02  # of a reconstruction by pictures alone
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[Array, Adjusted]:
+    """Return true (25, 3) positions [m], and the adjusted pictures in a frame of their own scale."""
+    rng = np.random.default_rng(1)
+    count = SIDE * SIDE
+    x, y = np.meshgrid(SPACING_M * np.arange(SIDE), SPACING_M * np.arange(SIDE))
+    centres = np.column_stack([x.ravel(), y.ravel(), HEIGHT_M + rng.normal(0, 2, count)])
+    ground = np.column_stack([rng.uniform(-25, 85, (1500, 2)), rng.normal(0, 1.5, 1500)])
+    R, lens = np.tile(np.diag([1.0, -1.0, -1.0]), (count, 1, 1)), np.array([[np.log(FOCAL_PX), 0, 0]])
+    pictures, points, pixels = [], [], []
+    for k in range(count):
+        seen = project((ground - centres[k]) @ R[k].T, np.repeat(lens, len(ground), 0))
+        inside = np.flatnonzero((abs(seen[:, 0]) < WIDTH / 2) & (abs(seen[:, 1]) < HEIGHT / 2))
+        pictures += [k] * len(inside)
+        points += inside.tolist()
+        pixels.append(seen[inside] + rng.normal(0, 0.3, (len(inside), 2)))
+    order = np.lexsort((pictures, points))
+    tracks = Tracks(np.array(pictures)[order], np.array(points)[order], np.vstack(pixels)[order], len(ground))
+    every = np.ones(len(order), bool)
+    scene = Scene(R, SCALE * centres, lens, np.zeros(count, int), SCALE * ground[tracks.of(every)])
+    return centres, Adjusted(scene, tracks.chosen(every), np.arange(count), 0.3, np.zeros((1, 3)))
+
+
+def placed(adjusted: Adjusted, positions: Array, height_m: float | None = None) -> tuple[float, Placement]:
+    """Return the height of the result [m], and its placement, with GPS at these positions."""
+    pictures = [
+        Picture(Path(f"{k}.jpg"), WIDTH, HEIGHT, False, "camera", FOCAL_PX, float(k), Geodetic(latitude, longitude, up))
+        for k, (longitude, latitude, up) in enumerate(to_geodetic(positions, DATUM))
+    ]
+    result, placement = place(adjusted, pictures, height_m=height_m, focal_known=True)
+    scene = result.scene
+    return float(np.median(scene.centres[:, 2]) - np.median(scene.points[:, 2])), placement
+
+
+def gps(positions: Array, sigma_m: float = 1.0) -> Array:
+    return positions + np.random.default_rng(2).normal(0, sigma_m, positions.shape)
+
+
+@pytest.mark.parametrize("height_m", [45.0, 55.0])
+def test_a_height_that_is_given_takes_precedence_over_gps(flown: tuple[Array, Adjusted], height_m: float) -> None:
+    height, placement = placed(flown[1], gps(flown[0]), height_m)
+    assert height == pytest.approx(height_m, rel=0.02)
+    assert placement.scale == "height"
+    assert placement.gps_m is not None
+
+
+def test_a_receiver_that_is_stuck_for_most_of_the_flight_is_no_scale(flown: tuple[Array, Adjusted]) -> None:
+    positions = gps(flown[0])
+    positions[8:23] = positions[8]
+    height, placement = placed(flown[1], positions)
+    assert height == pytest.approx(HEIGHT_M, rel=0.1)
+    assert placement.scale == "gps"
+    assert placement.wrong
+    assert set(placement.wrong) <= set(range(9, 23))
+
+
+def test_one_position_for_all_pictures_is_none(flown: tuple[Array, Adjusted]) -> None:
+    _, placement = placed(flown[1], np.tile(flown[0][:1], (SIDE * SIDE, 1)))
+    assert placement.scale == "none"
