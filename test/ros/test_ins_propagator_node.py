@@ -164,6 +164,18 @@ def test_a_node_restarted_in_flight_starts_at_the_correction(make: Make, take_of
     assert (first_ns - NOW_NS) // NS_PER_S == away_s  # what nothing was measured of is left to the images
 
 
+def test_image_stamps_that_do_not_go_on_are_told_while_they_do_not(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    deliver(node, "left/camera_info", CameraInfo(header=header(NOW_NS, "left_optical")))  # once, latched
+    for k in range(500):
+        stamp = header(NOW_NS + k * STEP_NS, node.base_frame)
+        deliver(node, "imu/data_raw", Imu(header=stamp, linear_acceleration=Vector3(z=node.config.imu.gravity)))
+    assert "left/camera_info has brought no new stamp for 2 s" in node.alarms["images"]
+    rest(node, NOW_NS + 500 * STEP_NS, 0.5)
+    assert "images" not in node.alarms
+
+
 @pytest.mark.parametrize("method", ["given", "in_flight"])
 def test_a_node_that_is_reset_alone_goes_on_from_the_next_correction(make: Make, method: str) -> None:
     node = make(f"start.method:={method}")

@@ -130,6 +130,17 @@ def test_reset_begins_a_session_that_waits_for_a_start_state(make: Make) -> None
     assert len(flight.fused) >= FRAMES - 1
 
 
+def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_goes_on(make: Make) -> None:
+    flight = make()
+    flight.start()
+    for node in NODES:
+        assert not change(flight, node, Transition.TRANSITION_ACTIVATE)  # it is active
+        assert not change(flight, node, 99)
+    assert [state_of(flight, node) for node in NODES] == [State.PRIMARY_STATE_ACTIVE] * 3
+    flight.fly()
+    assert len(flight.odometry) == FRAMES
+
+
 def test_cleanup_forgets_the_flight_and_a_node_runs_again_once_it_is_activated(make: Make) -> None:
     flight = make("session:=1")
     flight.start()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new session begins in flight even where its number can't be stored."""
+"""The back end's node begins a session in flight even where its number can't be stored, and tells when it coasts."""
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,10 +13,12 @@ from lone_node import deliver, lone_node  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from uav_vslam.config import ImuConfig  # noqa: E402
+from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.preintegration import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
-from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
-from uav_vslam.types import NS_PER_S, StereoFeatures  # noqa: E402
+from uav_vslam.ros.slam_backend_node import MANY_COASTED, SlamBackendNode  # noqa: E402
+from uav_vslam.slam.backend import FrameReport  # noqa: E402
+from uav_vslam.types import NS_PER_S, NavEstimate, NavState, PoseEstimate, StereoFeatures  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -54,3 +57,21 @@ def test_a_reset_begins_a_session_that_can_not_be_stored(node: SlamBackendNode) 
     response = node._on_reset(Trigger.Request(), Trigger.Response())
     assert response.success, response.message
     assert node._stage.session == SESSION + 1
+
+
+def test_frames_that_coast_with_features_are_an_alarm(node: SlamBackendNode) -> None:
+    state = NavState(1000 * NS_PER_S, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+    report = FrameReport(
+        PoseEstimate(state.stamp_ns, state.T_map_body, np.eye(6)), NavEstimate(state, np.eye(15)), 50, 0, False, None, 0
+    )
+    for k in range(MANY_COASTED):
+        assert "coasted" not in node.alarms
+        node._report_coasting(coasting_at(report, k))
+    assert f"{MANY_COASTED} frames of the last 10 s had features" in node.alarms["coasted"]
+    node._report_coasting(dataclasses.replace(coasting_at(report, 100), coasted=False))
+    assert "coasted" not in node.alarms
+
+
+def coasting_at(report: FrameReport, frame: int) -> FrameReport:
+    pose = dataclasses.replace(report.pose, stamp_ns=report.pose.stamp_ns + frame * FRAME_NS)
+    return dataclasses.replace(report, pose=pose, coasted=True)

@@ -51,6 +51,7 @@ from uav_vslam.stamps import Admitted, TimeJump
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
 
+SILENT_NS = 2 * NS_PER_S  # of readings without a new stamp of an image
 SHORTEST_NS = NS_PER_S // 1000  # time between two looks at the readings
 
 
@@ -140,8 +141,21 @@ class InsPropagatorNode(VehicleNode):
 
     def _on_reading(self, reading: ImuSample) -> None:
         self._reading_ns = reading.stamp_ns
+        self._report_image_stamps()
         self._feed(IMU, reading.stamp_ns, reading)
         self._batches.at_once = not self._period_s or self._live is None or reading.stamp_ns < self._image_ns
+
+    def _report_image_stamps(self) -> None:
+        """Warn while readings go on without new stamps of images: a camera_info that comes once, or is not stamped."""
+        if self._image_ns < 0 or self._reading_ns - self._image_ns <= SILENT_NS:
+            self.alarms.pop("images", None)
+        elif "images" not in self.alarms:
+            topic = self._stamped_topics()[0][3]
+            self.alarms["images"] = (
+                f"{topic} has brought no new stamp for {SILENT_NS / NS_PER_S:g} s of readings: it has to come with "
+                "each image, and with its stamp"
+            )
+            self.get_logger().warning(self.alarms["images"])
 
     def _on_stamped(self, data: bytes) -> None:
         stamp_ns = header_stamp_ns(data) + self._sensors.time_offset_ns

@@ -11,6 +11,7 @@ A node that is not active receives its messages and ignores them, counted as `pa
 from typing import Any
 
 from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import SetBool, Trigger
 
@@ -32,6 +33,8 @@ class PausableNode(LifecycleNode):
         self.paused = UNCONFIGURED
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/pause", self._on_pause)
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
 
     def reset(self) -> None:
         """Start again, as a new process would."""
@@ -74,6 +77,17 @@ class PausableNode(LifecycleNode):
             self.get_logger().warning("reset by ~/reset: it starts again")
         except (UavVslamError, OSError) as error:
             response.success, response.message = False, str(error)
+        return response
+
+    def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+        """Refuse a transition that the present state does not have: rclpy raises, which would end the node."""
+        asked = request.transition
+        possible = {label: number for number, label, *_ in self._state_machine.available_transitions}
+        if (asked.label in possible) if asked.label else (asked.id in possible.values()):
+            return self._change_state(request, response)
+        state, known = self._state_machine.current_state[1], ", ".join(possible) or "none"
+        self.get_logger().warning(f"no transition {asked.label or asked.id}: the node is {state}, which has {known}")
+        response.success = False
         return response
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

@@ -8,6 +8,7 @@ What goes wrong is in the response, and the node goes on.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from rclpy.node import Node
@@ -40,7 +41,7 @@ def _map_file(node: Node) -> str:
     name: str = node.get_parameter("map_file").value
     if not name:
         raise MapError("the parameter map_file is empty; set it to the name of a file")
-    return name
+    return str(Path(name).expanduser().absolute())
 
 
 def _answering(action: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:

@@ -52,6 +52,7 @@ from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_che
 from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.start_monitor import MIN_FEATURES
 from uav_vslam.slam.state_folder import state_folder
 from uav_vslam.types import NS_PER_S, NavEstimate
 from uav_vslam.types import JointInformation as Joint
@@ -59,6 +60,7 @@ from uav_vslam_msgs.msg import FrameQuality, InsIncrement, JointInformation, Nav
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
 
 MAX_PATH = 2000  # poses in a published path
+MANY_COASTED = 5  # frames of the last `RECENT_S`
 
 
 class SlamBackendNode(VehicleNode):
@@ -70,6 +72,7 @@ class SlamBackendNode(VehicleNode):
         self._saved_ns: int | None = None
         self._clocked = ClockedStage(self._resumed() or self._fresh(), self.config, self._next_session)
         self._recoveries, self._recovery = RecentEvents(), ""
+        self._coasted, self._warned = RecentEvents(), RecentEvents()
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._odometry = self.advertise(Odometry, "odometry", NEWEST)
         self._paths = self.advertise(Path, "path", STATE)
@@ -211,13 +214,27 @@ class SlamBackendNode(VehicleNode):
         self.counts["closures"] += report.closures
         self.counts["recoveries"] += report.recovery != ""
         self._report_recoveries(report)
+        self._report_coasting(report)
         self.notes["landmarks"] = str(report.landmarks)
         self.notes["associated"] = str(report.associated)
         if report.innovation is not None:
             self.notes["nis_per_dof"] = f"{report.innovation.nis / max(report.innovation.dof, 1):.2f}"
         for text in output.warnings:
             self.get_logger().warning(text)
-            self.notes["warning"] = text
+            self.notes["warning"] = self.alarms["warning"] = text
+        if not self._warned.count(report.pose.stamp_ns, len(output.warnings)):
+            self.alarms.pop("warning", None)
+
+    def _report_coasting(self, report: FrameReport) -> None:
+        """Warn while frames have features, but the estimate goes on by the IMU alone."""
+        recent = self._coasted.count(report.pose.stamp_ns, report.coasted and report.features >= MIN_FEATURES)
+        if recent >= MANY_COASTED:
+            self.alarms["coasted"] = (
+                f"{recent} frames of the last {RECENT_S:g} s had features, but none where the estimate expects it: "
+                "check start state, units of the IMU, clocks and calibration"
+            )
+        else:
+            self.alarms.pop("coasted", None)
 
     def _report_recoveries(self, report: FrameReport) -> None:
         """Warn while the filter has been re-initialised lately: what it claims is then no more than a guess."""

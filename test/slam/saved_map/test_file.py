@@ -84,6 +84,13 @@ def test_a_folder_that_is_not_there_is_named(saved: SavedMap, tmp_path: Path) ->
         save_map(saved, tmp_path / "nowhere" / "map.npz")
 
 
+def test_a_file_that_is_no_map_is_not_replaced(saved: SavedMap, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(MapError, match="is no map, and is not replaced"):
+        save_map(saved, tmp_path / "notes.txt")
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
 def test_a_map_that_cannot_be_put_in_its_place_leaves_nothing_behind(saved: SavedMap, tmp_path: Path) -> None:
     (tmp_path / "map.npz" / "in the way").mkdir(parents=True)
     with pytest.raises(MapError, match="can't be written"):

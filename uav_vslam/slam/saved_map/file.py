@@ -35,12 +35,15 @@ Arrays = dict[str, Any]  # of arrays; Any suits savez, which also has named opti
 
 
 def save_map(saved: SavedMap, file: Path | str) -> int:
-    """Write a map, replacing a file of that name as a whole, and return its size [byte].
+    """Write a map, replacing one of that name as a whole, and return its size [byte].
 
     Raises:
-        MapError: the file can't be written.
+        MapError: the file can't be written, or is there and no map.
     """
     path = Path(file)
+    is_map = path.is_file() and (path.stat().st_size == 0 or zipfile.is_zipfile(path))
+    if path.exists() and not (is_map or path.is_dir()):  # a folder can't be replaced
+        raise MapError(f"{path} is no map, and is not replaced; name another file")
     content = io.BytesIO()
     np.savez_compressed(content, header=np.array(_header(saved)), **_columns(saved))
     try:
