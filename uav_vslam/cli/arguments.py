@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import re
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,11 @@ if TYPE_CHECKING:
 
 
 MODES = ("wideband", "narrowband", "none")  # the names in config.vehicle.MODE_BUDGETS
+
+
+def first_given(options: Mapping[str, object]) -> str:
+    """Return the name of the first option that was given, empty if none was: to refuse those without effect."""
+    return next((name for name, value in options.items() if value), "")
 
 
 def positive(text: str) -> int:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import lengths_m, positive_seconds, results_folder
+from uav_vslam.cli.arguments import first_given, lengths_m, positive_seconds, results_folder
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.result import FlightResult
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             f"{bags[0]} is a bag, which is evaluated with other bags only; run it, and give the folder of the results"
         )
     useless = {"--times": args.times, "--segments": args.segments, "--max-gap": args.max_gap}
-    if given := next((option for option, value in useless.items() if value is not None), ""):
+    if given := first_given(useless):
         raise ConfigError(f"{given} serves files and results folders; evaluate {bags[0]} without, then its results")
     return evaluate(args)
 

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import namespace, non_negative, positive_number
+from uav_vslam.cli.arguments import first_given, namespace, non_negative, positive_number
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -175,14 +175,14 @@ def _read_kitti(args: argparse.Namespace, problems: Problems) -> Source:
     from uav_vslam.datasets.importing.kitti_oxts import read_oxts
     from uav_vslam.errors import ConfigError
 
-    oxts = None
     useless = {
         "--first-frame": args.first_frame,
         "--image-times": args.image_times,
         "--initial-sigma": args.initial_sigma,
     }
-    if not args.oxts and (given := next((option for option, value in useless.items() if value), "")):
+    if not args.oxts and (given := first_given(useless)):
         raise ConfigError(f"{given} goes with --oxts DIR, the raw drive: without it there are no readings and no start")
+    oxts = None
     if args.oxts:
         oxts = read_oxts(args.oxts, first_frame=args.first_frame, image_times=args.image_times, problems=problems)
     return read_kitti(

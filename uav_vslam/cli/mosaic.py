@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import positive_number, results_folder
+from uav_vslam.cli.arguments import first_given, positive_number, results_folder
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
     from uav_vslam.report.mosaic_table import print_mosaic
     from uav_vslam.report.page.page import write_page
 
-    useless = {"--height": args.height, "--focal-px": args.focal_px} if args.method == "homography" else {}
-    if given := next((option for option, value in useless.items() if value is not None), ""):
+    useless = {"--height": args.height, "--focal-px": args.focal_px}
+    if args.method == "homography" and (given := first_given(useless)):
         raise ConfigError(f"--method homography has no use for {given}: it knows neither cameras nor heights")
     cv2.setNumThreads(1)
     folder = read_folder(args.folder, focal_px=args.focal_px)

@@ -79,7 +79,7 @@ def _turns_deg(R_world_cam: Array) -> Array:
 
 def _reach(camera: PinholeCamera) -> float:
     """Return how far from the axis the lens images, at depth 1: models of lenses fold over beyond."""
-    u, v = np.linspace(0, camera.width - 1, BORDER_SAMPLES), np.linspace(0, camera.height - 1, BORDER_SAMPLES)
+    u, v = np.linspace(0, camera.width, BORDER_SAMPLES), np.linspace(0, camera.height, BORDER_SAMPLES)
     zero = np.zeros(BORDER_SAMPLES)
     border = [(u, zero), (u, zero + v[-1]), (zero, v), (zero + u[-1], v)]
     rays = camera.bearings(camera.undistort(np.concatenate([np.column_stack(side) for side in border])))

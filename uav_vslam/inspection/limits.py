@@ -6,6 +6,7 @@ import math
 # Time
 MISSING_PERIODS = 1.5  # an interval longer than so many periods lacks a message
 LOST_SHARE = 0.01  # of a stream's messages: fewer are lost by any driver now and then
+BURST_SHARE = 2.0  # readings "missing" per reading, by the median period: more, and they come in bursts
 UNUSABLE_SHARE = 0.5  # if more of a stream is useless, so is the stream
 MIN_IMU_RATE_HZ = 50.0  # small aircraft turn to and fro at up to 10 Hz; the midpoint rule needs five readings a period
 OWN_CLOCK_S = 1.0  # drivers and recorders delay messages by less, so a larger difference is another clock
@@ -54,7 +55,6 @@ REPEATED_SHARE = 0.02  # of the images equal to the one before
 # Start and truth
 START_BEFORE_S = 30.0  # `ins.startup_buffer` holds so much
 LARGEST_SPEED = 150.0  # [m/s] of an UAV
-BURST_SHARE = 2.0  # readings "missing" per reading, by the median period: more, and they come in bursts
 START_SIGMAS = 5.0  # of the start's own, by which its velocity may differ from the truth's
 START_DISTANCE = 1.0  # [m] from the truth besides: the way between their stamps
 START_TURN_DEG = 2.0  # from the truth besides

@@ -66,7 +66,7 @@ def check_imu_rate(stamps_ns: Stamps) -> list[Finding]:
         mean_hz = (len(np.unique(stamps_ns)) - 1) * NS_PER_S / (stamps_ns.max() - stamps_ns.min())
         seen = f"{rate_hz:.0f} Hz within bursts, {mean_hz:.1f} Hz on average"
         remedy = "they are stamped when bursts of them arrive: let the driver stamp the time of each reading"
-        return [*found, warning("IMU stamps", seen, "even steps", remedy)]
+        found.append(warning("IMU stamps", seen, "even steps", remedy))
     elif lost > limits.LOST_SHARE * len(stamps_ns):
         seen, allowed = f"{lost} of {len(stamps_ns) + lost} readings are missing", f"{limits.LOST_SHARE:.0%}"
         found.append(warning("IMU gaps", seen, allowed, "check the link to the IMU, or the recorder's load"))

@@ -189,9 +189,10 @@ class FusionNode(VehicleNode):
 
         Each vehicle has names of its own for them: the peer may publish the frame itself, with another parent.
         """
+        own, world = self.vehicle, self.world_frame
         edges = [
-            transform_to_msg(frame.T_own_peer, stamp_ns=stamp_ns, parent=self.world_frame, child=child)
-            for child, frame in ((f"{self.vehicle}/{peer}/map", frame) for peer, frame in epoch.frames.items())
+            transform_to_msg(frame.T_own_peer, stamp_ns=stamp_ns, parent=world, child=f"{own}/{peer}/map")
+            for peer, frame in epoch.frames.items()
         ]
         if edges:
             self._tf.publish(TFMessage(transforms=edges))

@@ -294,10 +294,8 @@ class InsPropagatorNode(VehicleNode):
         """Count increments with gaps in their readings, and warn of them for a while."""
         self.counts["imu_gaps"] += gaps
         recent = self._gaps.count(stamp_ns, gaps)
-        if recent:
-            self.alarms["imu"] = f"{recent} increments of the last {RECENT_S:g} s lack IMU readings"
-        else:
-            self.alarms.pop("imu", None)
+        text = f"{recent} increments of the last {RECENT_S:g} s lack IMU readings"
+        self.report_alarm("imu", text if recent else "")
 
     def _propagate(self, live: LiveOdometry, item: ImuSample | int) -> None:
         if not isinstance(item, ImuSample) or not live.add_imu(item):

@@ -191,6 +191,13 @@ class VehicleNode(PausableNode):
             self.get_logger().warning(f"dropped a message: {line.refusal}", throttle_duration_sec=5.0)
         self.report_failure("clock", "; ".join(line.faults.values()))
 
+    def report_alarm(self, subject: str, text: str) -> None:
+        """Set an alarm; an empty text means that there is none."""
+        if text:
+            self.alarms[subject] = text
+        else:
+            self.alarms.pop(subject, None)
+
     def report_failure(self, subject: str, text: str) -> None:
         """Set a failure, and log it if it is new; an empty text means that there is none."""
         if not text:

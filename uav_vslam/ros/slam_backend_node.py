@@ -228,24 +228,18 @@ class SlamBackendNode(VehicleNode):
     def _report_coasting(self, report: FrameReport) -> None:
         """Warn while frames have features, but the estimate goes on by the IMU alone."""
         recent = self._coasted.count(report.pose.stamp_ns, report.coasted and report.features >= MIN_FEATURES)
-        if recent >= MANY_COASTED:
-            self.alarms["coasted"] = (
-                f"{recent} frames of the last {RECENT_S:g} s had features, but none where the estimate expects it: "
-                "check start state, units of the IMU, clocks and calibration"
-            )
-        else:
-            self.alarms.pop("coasted", None)
+        text = (
+            f"{recent} frames of the last {RECENT_S:g} s had features, but none where the estimate expects it: "
+            "check start state, units of the IMU, clocks and calibration"
+        )
+        self.report_alarm("coasted", text if recent >= MANY_COASTED else "")
 
     def _report_recoveries(self, report: FrameReport) -> None:
         """Warn while the filter has been re-initialised lately: what it claims is then no more than a guess."""
         self._recovery = report.recovery or self._recovery
         recent = self._recoveries.count(report.pose.stamp_ns, report.recovery != "")
-        if recent:
-            self.alarms["recovery"] = (
-                f"the filter was re-initialised {recent}x in the last {RECENT_S:g} s, the last time: {self._recovery}"
-            )
-        else:
-            self.alarms.pop("recovery", None)
+        text = f"the filter was re-initialised {recent}x in the last {RECENT_S:g} s, the last time: {self._recovery}"
+        self.report_alarm("recovery", text if recent else "")
 
 
 def main(args: list[str] | None = None) -> int:

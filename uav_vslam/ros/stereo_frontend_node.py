@@ -51,13 +51,13 @@ class StereoFrontendNode(VehicleNode):
         self._frontend: Frontend | None = None
         self._alone = 0  # images since the last pair
         self._image_frame = ""  # of the left images
-        tolerance_s = self.config.input.pair_tolerance_s
-        self._pairer: StereoPairer[Pixels] = StereoPairer(tolerance_ns=round(tolerance_s * NS_PER_S))
+        given = self.config.input
+        self._pairer: StereoPairer[Pixels] = StereoPairer(tolerance_ns=round(given.pair_tolerance_s * NS_PER_S))
         self._waiting: deque[StereoFrame] = deque()
         self._publisher = self.advertise(StereoFeatures, "stereo_features", RESUMABLE)
         self._choices: dict[str, dict[type, Input]] = {}  # by camera: its candidate topics, until one is selected
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
-            topic, on_image = getattr(self.config.input.topics, side), partial(self._on_image, side, add)
+            topic, on_image = getattr(given.topics, side), partial(self._on_image, side, add)
             self._choices[side] = {
                 kind: self.listen(kind, name, on_image, IMAGE, instead_of=topic)
                 for kind, name in image_topics(topic).items()

@@ -43,7 +43,7 @@ class Interface:
     """
 
     name: str
-    _last: dict[str, int] = field(default_factory=dict)  # by counter, as the kernel had it
+    _last: Counter[str] = field(default_factory=Counter)  # as the kernel had it
     _before: Counter[str] = field(default_factory=Counter)  # what it had counted before it began anew
 
     def __post_init__(self) -> None:
@@ -70,9 +70,10 @@ class Interface:
         return self._read("rx_bytes")
 
     def _read(self, counter: str) -> int:
-        last = self._last.get(counter, 0)
+        now = self._last[counter]
         with contextlib.suppress(OSError):
-            self._last[counter] = int((INTERFACES / self.name / "statistics" / counter).read_text())
-        if self._last.get(counter, 0) < last:
-            self._before[counter] += last
-        return self._before[counter] + self._last.get(counter, 0)
+            now = int((INTERFACES / self.name / "statistics" / counter).read_text())
+        if now < self._last[counter]:
+            self._before[counter] += self._last[counter]
+        self._last[counter] = now
+        return self._before[counter] + now

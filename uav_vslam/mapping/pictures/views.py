@@ -12,6 +12,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.mapping.pictures.lens import camera_of
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.procedure import Adjusted
+from uav_vslam.mapping.undistortion import filling_zoom
 from uav_vslam.mapping.view import Image, View
 
 NAME = "pictures"
@@ -60,11 +61,7 @@ class PictureViews:
 
 def undistortion(camera: PinholeCamera) -> tuple[PinholeCamera, tuple[Image, Image]]:
     """Return a camera without distortion, whose image is all within the distorted one, and OpenCV's maps to it."""
-    centre = np.array([camera.cx, camera.cy])
-    zoom = 1.0
-    for pixels in _strips(camera):
-        beyond = np.abs(camera.distort(pixels) - centre) / (centre + FADE_PX)
-        zoom = max(zoom, float(beyond.max()))
+    zoom = max(filling_zoom(camera, pixels, border_px=FADE_PX) for pixels in _strips(camera))
     ideal = PinholeCamera(camera.width, camera.height, zoom * camera.fx, zoom * camera.fy, camera.cx, camera.cy)
     raw = np.concatenate(
         [camera.distort(camera.project(ideal.bearings(pixels))).astype(np.float32) for pixels in _strips(camera)]
