@@ -12,8 +12,8 @@ from typing import Any
 
 from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig, differences, find_dds_profile
 from uav_vslam.errors import ConfigError
+from uav_vslam.ros.transport import PROFILES_FILE
 
-DDS_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 VEHICLE_NODES = ("stereo_frontend", "ins_propagator", "slam_backend", "fusion")
 
 
@@ -120,7 +120,7 @@ def _on_radio(fleet: FleetConfig, fusion: NodeSpec) -> NodeSpec:
     others = [address for name, address in fleet.addresses.items() if name != vehicle]
     radio = {f"radio_{name}": value for name, value in differences(fleet.radio).items()}
     radio |= {"radio_peers": others} if others else {}
-    environment = {DDS_PROFILES: str(find_dds_profile("radio.xml"))} if others else {}
+    environment = {PROFILES_FILE: str(find_dds_profile("radio.xml"))} if others else {}
     return dataclasses.replace(fusion, parameters=fusion.parameters | radio, environment=environment)
 
 

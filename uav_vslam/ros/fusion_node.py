@@ -230,7 +230,7 @@ class FusionNode(VehicleNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point."""
-    return run_node(FusionNode, args)
+    return run_node(FusionNode, args, shared_memory=True)  # the radio's participant shares its profile
 
 
 if __name__ == "__main__":

@@ -172,7 +172,7 @@ class MapperNode(VehicleNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point."""
-    return run_node(MapperNode, args)
+    return run_node(MapperNode, args, shared_memory=True)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ Messages are written byte for byte, with their header stamps. The bag is complet
 disk is full, messages are dropped and counted, and the status is ERROR; with room again, recording goes on.
 """
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ VEHICLE_TOPICS = {
 }
 REPORT_S = 1.0
 PERIOD_S = 0.1  # between batches
+SILENCE_S = 10.0  # of wall time, without a message of a vehicle
 
 
 class RecorderNode(Node):
@@ -60,11 +62,12 @@ class RecorderNode(Node):
         self._output = output
         self._written = self._dropped = 0
         self._inputs: list[Any] = []
+        self._newest_s: dict[str, float] = {}  # by vehicle: when its last message came
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for vehicle in vehicles:
             for name, message_type in VEHICLE_TOPICS.items():
-                self._record(f"/{vehicle}/{name}", message_type)
-        self._record("/diagnostics", DiagnosticArray)
+                self._record(f"/{vehicle}/{name}", message_type, vehicle)
+        self._record("/diagnostics", DiagnosticArray, "")
         DiscoveryReport(self, self._unmatched)
         wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(REPORT_S, self._report, clock=wall_clock)
@@ -81,13 +84,14 @@ class RecorderNode(Node):
         self.get_logger().info(f"{self._written} messages recorded, {self._dropped} dropped")
         super().destroy_node()
 
-    def _record(self, topic: str, message_type: Any) -> None:
+    def _record(self, topic: str, message_type: Any, vehicle: str) -> None:
         package, name = message_type.__module__.split(".")[0], message_type.__name__
 
         batches = Batches(at_once=True)
 
         def write(data: bytes, _: Any) -> None:
             batches.at_once = False  # there are messages: its QoS suits the publisher
+            self._newest_s[vehicle] = time.monotonic()
             try:
                 stamp_ns = header_stamp_ns(data)
                 if stamp_ns or topic != "/diagnostics":  # these are stamped 0 until the clock runs
@@ -121,9 +125,24 @@ class RecorderNode(Node):
         """Return level and text of the status."""
         if self._bag.is_full():
             return DiagnosticStatus.ERROR, f"the disk of {self._output} is full: {self._dropped} messages not recorded"
+        if silent := self._silent_vehicles():
+            return (
+                DiagnosticStatus.WARN,
+                f"recording, but nothing comes from {', '.join(silent)}, whose nodes are there",
+            )
         if self._dropped:
             return DiagnosticStatus.WARN, f"recording; {self._dropped} messages were not recorded"
         return DiagnosticStatus.OK, "recording"
+
+    def _silent_vehicles(self) -> list[str]:
+        """Return the vehicles that have publishers, but whose messages have ceased to come, and for how long."""
+        now_s = time.monotonic()
+        publish = {one.topic_name.split("/")[1] for one in self._inputs if one.get_publisher_count()}
+        return [
+            f"{vehicle} for {now_s - newest_s:.0f} s"
+            for vehicle, newest_s in self._newest_s.items()
+            if vehicle in publish and now_s - newest_s > SILENCE_S
+        ]
 
 
 def main(args: list[str] | None = None) -> int:

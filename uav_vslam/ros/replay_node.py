@@ -267,7 +267,7 @@ def _inputs(entries: Iterable[str]) -> dict[str, InputConfig]:
 
 def main(args: list[str] | None = None) -> int:
     """Entry point."""
-    return run_node(ReplayNode, args)
+    return run_node(ReplayNode, args, shared_memory=True)
 
 
 if __name__ == "__main__":

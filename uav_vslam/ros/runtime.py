@@ -35,6 +35,7 @@ from uav_vslam.ros.lifecycle import PausableNode
 from uav_vslam.ros.params import VehicleParameters, declare, read
 from uav_vslam.ros.qos import LATCHED_BY_MANY
 from uav_vslam.ros.readiness import DiscoveryReport
+from uav_vslam.ros.transport import do_without_shared_memory
 from uav_vslam.stamps import TimeLine
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -278,11 +279,21 @@ def _pauses_text(pauses: dict[str, float]) -> str:
 
 
 def run_node(
-    factory: Callable[[], Node], args: list[str] | None = None, *, executor_type: type[Executor] = LeanExecutor
+    factory: Callable[[], Node],
+    args: list[str] | None = None,
+    *,
+    shared_memory: bool = False,
+    executor_type: type[Executor] = LeanExecutor,
 ) -> int:
     """Initialise ROS, spin one node until SIGINT or SIGTERM, and shut down; return the exit code.
 
     A node may end itself by raising SystemExit in a callback. An error of ours is one line and exit code 2.
+
+    Args:
+        factory: makes the node.
+        args: command line; None for that of the process.
+        shared_memory: whether the node exchanges images, see `transport`.
+        executor_type: which executor spins it.
     """
     keep_freed_memory()
     cv2.setNumThreads(1)  # several nodes share the cores, and results must not depend on their number
@@ -296,6 +307,8 @@ def run_node(
         signal.signal(number, stop)
     node = executor = None
     try:
+        if not shared_memory:
+            do_without_shared_memory()
         _initialise(args)
         node = factory()
         executor = executor_type()

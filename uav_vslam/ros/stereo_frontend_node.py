@@ -154,7 +154,7 @@ class StereoFrontendNode(VehicleNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point."""
-    return run_node(StereoFrontendNode, args)
+    return run_node(StereoFrontendNode, args, shared_memory=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder says when a vehicle whose nodes are there is no longer heard."""
+
+from pathlib import Path
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from nav_msgs.msg import Odometry  # noqa: E402
+from node_processes import Witness  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+
+from uav_vslam.ros import recorder_node  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+RECORDER = "fleet: recorder"
+
+
+def test_a_vehicle_that_is_no_longer_heard_is_named(
+    domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_node, "SILENCE_S", 1.0)
+    settings = ["-p", f"output:={tmp_path / 'out'}", "-p", "vehicles:=[uav1, uav2]"]
+    rclpy.init(args=["--ros-args", *settings], domain_id=domain_id)
+    recorder, executor = recorder_node.RecorderNode(), SingleThreadedExecutor()
+    executor.add_node(recorder)
+    message = Odometry()
+    message.header.stamp.sec = 1
+
+    def turn() -> None:
+        executor.spin_once(timeout_sec=0.01)
+
+    try:
+        with Witness(domain_id) as witness:
+            first, second = (
+                witness.node.create_publisher(Odometry, f"/{name}/odometry", 10) for name in ("uav1", "uav2")
+            )
+
+            def both() -> None:
+                first.publish(message)
+                second.publish(message)
+                turn()
+
+            def second_only() -> None:
+                second.publish(message)
+                turn()
+
+            assert witness.sees(lambda: int(witness.value(RECORDER, "written") or 0) > 20, both)
+            assert witness.text(RECORDER) == "recording"
+            assert witness.sees(lambda: "nothing comes from uav1 for" in witness.text(RECORDER), second_only)
+            assert "uav2" not in witness.text(RECORDER)
+            assert witness.sees(lambda: witness.text(RECORDER) == "recording", both)
+    finally:
+        executor.shutdown()
+        recorder.destroy_node()
+        rclpy.try_shutdown()

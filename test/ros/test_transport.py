@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Only nodes that exchange images use shared memory, where a killed process can leave another deaf."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS")
+from node_processes import Witness, running
+
+from uav_vslam.config import find_dds_profile
+from uav_vslam.ros.fleet_commands import VEHICLE_NODES, NodeSpec
+from uav_vslam.ros.transport import DISCOVERY_RANGE, PROFILES_FILE, do_without_shared_memory
+
+pytestmark = pytest.mark.ros
+
+SEGMENT = "/dev/shm/fastrtps_"
+
+
+def test_only_nodes_with_images_map_shared_memory(domain_id: int, tmp_path: Path) -> None:
+    specs = [NodeSpec(name, name, "/uav1", {"vehicle": "uav1"}) for name in (*VEHICLE_NODES, "mapper")]
+    specs[-1].parameters["map.folder"] = str(tmp_path / "map")
+    specs.append(NodeSpec("recorder", "recorder", "/", {"output": str(tmp_path / "out"), "vehicles": ["uav1"]}))
+    with Witness(domain_id) as witness, running(specs, tmp_path, domain_id) as processes:
+        assert witness.sees(lambda: len(witness.statuses) == len(specs))
+        maps = {name: Path(f"/proc/{process.pid}/maps").read_text() for name, process in processes.items()}
+    assert {name for name, mapped in maps.items() if SEGMENT in mapped} == {"stereo_frontend", "mapper", "fusion"}
+
+
+@pytest.mark.parametrize(
+    ("profile", "discovery", "applies"),
+    [
+        (None, "LOCALHOST", True),
+        ("", "LOCALHOST", True),
+        ("images.xml", "LOCALHOST", True),  # as env.sh sets it
+        ("radio.xml", "LOCALHOST", False),
+        ("images.xml", "SUBNET", False),
+        ("images.xml", None, False),
+    ],
+)
+def test_a_profile_or_range_that_the_user_has_chosen_stays(
+    profile: str | None, discovery: str | None, applies: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ROS_STATIC_PEERS", raising=False)
+    given = {PROFILES_FILE: profile and str(find_dds_profile(profile)), DISCOVERY_RANGE: discovery}
+    for name, value in given.items():
+        if value is None:
+            monkeypatch.delenv(name, raising=False)
+        else:
+            monkeypatch.setenv(name, value)
+    do_without_shared_memory()
+    changed = {PROFILES_FILE: str(find_dds_profile("messages.xml")), DISCOVERY_RANGE: "SYSTEM_DEFAULT"}
+    assert {name: os.environ.get(name) for name in given} == (changed if applies else given)
+
+
+def test_static_peers_keep_the_range(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_STATIC_PEERS", "10.0.0.2")
+    monkeypatch.setenv(DISCOVERY_RANGE, "LOCALHOST")
+    do_without_shared_memory()
+    assert os.environ[DISCOVERY_RANGE] == "LOCALHOST"
