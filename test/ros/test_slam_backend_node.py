@@ -18,6 +18,7 @@ from uav_vslam.ins.preintegration import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
 from uav_vslam.ros.slam_backend_node import MANY_COASTED, SlamBackendNode  # noqa: E402
 from uav_vslam.slam.backend import FrameReport  # noqa: E402
+from uav_vslam.slam.stage import SlamStage  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState, PoseEstimate, StereoFeatures  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -75,3 +76,14 @@ def test_frames_that_coast_with_features_are_an_alarm(node: SlamBackendNode) -> 
 def coasting_at(report: FrameReport, frame: int) -> FrameReport:
     pose = dataclasses.replace(report.pose, stamp_ns=report.pose.stamp_ns + frame * FRAME_NS)
     return dataclasses.replace(report, pose=pose, coasted=True)
+
+
+def test_unequal_stamps_of_images_and_camera_info_are_an_alarm(
+    node: SlamBackendNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SlamStage, "unpaired", "their stamps are +1.000 ms apart")
+    fly(node, 1000 * NS_PER_S, 1)
+    assert "+1.000 ms" in node.alarms["unpaired"]
+    monkeypatch.setattr(SlamStage, "unpaired", "")
+    fly(node, 1001 * NS_PER_S, 1)
+    assert "unpaired" not in node.alarms

@@ -183,3 +183,18 @@ def test_no_increment_is_lost_while_frames_come_that_show_nothing_new() -> None:
             reached = increment.stamp_ns
     assert reached >= 200
     assert queue.before_start == MAX_WAITING + 20
+
+
+@pytest.mark.parametrize("apart", [-1, 1, 30])
+def test_frames_whose_stamps_are_beside_those_of_the_increments_are_told_with_the_difference(apart: int) -> None:
+    queue = FrameQueue(0)
+    for k in range(1, 6):
+        queue.add_features(frame(100 * k + apart))
+        queue.add_increment(motion(100 * (k - 1), 100 * k))
+        drain(queue)
+    assert queue.unpaired >= 4
+    assert queue.apart_ns == apart
+    queue.add_increment(motion(500, 600))
+    queue.add_features(frame(600))
+    assert drain(queue)[-1] == (600, 1)
+    assert queue.unpaired == 0

@@ -318,3 +318,19 @@ def test_a_rig_is_not_blamed_for_an_unknown_motion(flown, unknown: bool) -> None
     frames = [*flight.frames[:1], *flight.frames[7 if unknown else 1 :]]
     told = [text for output in feed(stage, frames) for text in output.warnings]
     assert any("contradicts the calibration" in text for text in told) == (not unknown)
+
+
+def test_images_beside_the_stamps_of_their_camera_info_are_told(flown) -> None:
+    flight = flown(1)
+    stage = make(flight)
+    stage.start(flight.vehicle.initial)
+    feed(stage, flight.frames[:3])
+    late = [
+        (dataclasses.replace(features, stamp_ns=features.stamp_ns + 1_000_000), up) for features, up in flight.frames
+    ]
+    feed(stage, late[3:9])
+    assert stage.unpaired == ""
+    feed(stage, late[9:20])
+    assert "+1.000 ms" in stage.unpaired
+    feed(stage, flight.frames[20:24])
+    assert stage.unpaired == ""

@@ -18,6 +18,8 @@ class FrameQueue:
         lost: images whose features did not arrive in time; replaced by an empty frame.
         without_motion: frames dropped because they are inside an increment, or because they are repeated.
         motion_refused: increments dropped because they begin before the stamp reached.
+        unpaired: frames dropped in a row because no increment ends at their stamp.
+        apart_ns: of the last of those, its stamp minus that of the nearest end of an increment [ns].
     """
 
     def __init__(self, start_ns: int | None = None) -> None:
@@ -26,6 +28,8 @@ class FrameQueue:
         self.lost = 0
         self.without_motion = 0
         self.motion_refused = 0
+        self.unpaired = 0
+        self.apart_ns = 0
         self._reached_ns: int | None = None
         self._ahead = 0  # increments since the last features: a slow front end lags, but is not silent
         self._features: deque[StereoFeatures] = deque(maxlen=MAX_WAITING)
@@ -69,13 +73,13 @@ class FrameQueue:
                 self._reached_ns = stamp_ns
                 return self._features.popleft(), None
             elif self._increments[0].stamp_ns > stamp_ns:  # increments are in order: none will end at this frame
-                self._features.popleft()
-                self.without_motion += 1
+                self._drop_unpaired(self._increments[0])
             elif self._increments[0].stamp_ns < stamp_ns:
                 return self._bridge()
             else:
                 increment = self._increments.popleft()
                 self._reached_ns = stamp_ns
+                self.unpaired = 0
                 return self._features.popleft(), increment
         waiting = len(self._increments)
         if min(self._ahead, waiting) <= MAX_AHEAD and waiting < MAX_WAITING:
@@ -89,6 +93,13 @@ class FrameQueue:
         self._reached_ns = increment.stamp_ns
         self.lost += 1
         return StereoFeatures.empty(increment.stamp_ns), increment
+
+    def _drop_unpaired(self, increment: ImuIncrement) -> None:
+        """Drop the oldest frame, whose stamp is inside an increment."""
+        stamp_ns = self._features.popleft().stamp_ns
+        self.apart_ns = min(stamp_ns - increment.start_ns, stamp_ns - increment.stamp_ns, key=abs)
+        self.unpaired += 1
+        self.without_motion += 1
 
     def _refuse_motion_before(self, reached_ns: int) -> None:
         while self._increments and self._increments[0].start_ns < reached_ns:
