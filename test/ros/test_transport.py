@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Only nodes that exchange images use shared memory, where a killed process can leave another deaf."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ from node_processes import Witness, running
 
 from uav_vslam.config import find_dds_profile
 from uav_vslam.ros.fleet_commands import VEHICLE_NODES, NodeSpec
-from uav_vslam.ros.transport import DISCOVERY_RANGE, PROFILES_FILE, do_without_shared_memory
+from uav_vslam.ros.transport import DISCOVERY_RANGE, PROFILES_FILE, udp_alone
 
 pytestmark = pytest.mark.ros
 
@@ -49,13 +48,11 @@ def test_a_profile_or_range_that_the_user_has_chosen_stays(
             monkeypatch.delenv(name, raising=False)
         else:
             monkeypatch.setenv(name, value)
-    do_without_shared_memory()
     changed = {PROFILES_FILE: str(find_dds_profile("messages.xml")), DISCOVERY_RANGE: "SYSTEM_DEFAULT"}
-    assert {name: os.environ.get(name) for name in given} == (changed if applies else given)
+    assert udp_alone() == (changed if applies else {})
 
 
 def test_static_peers_keep_the_range(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_STATIC_PEERS", "10.0.0.2")
     monkeypatch.setenv(DISCOVERY_RANGE, "LOCALHOST")
-    do_without_shared_memory()
-    assert os.environ[DISCOVERY_RANGE] == "LOCALHOST"
+    assert udp_alone() == {}

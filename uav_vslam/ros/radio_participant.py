@@ -4,9 +4,7 @@
 Neither parameters nor logs nor the vehicle's other topics are announced there. See docs/radio.md.
 """
 
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
@@ -16,6 +14,7 @@ from rclpy.parameter import Parameter
 
 from uav_vslam.config.nodes import FusionNodeConfig
 from uav_vslam.ros.params import read
+from uav_vslam.ros.transport import environment
 
 POLL_S = 0.05  # period of serving the second context: packets come once a second
 CALLBACKS_A_TURN = 4
@@ -47,7 +46,7 @@ class Participant:
             addresses: of the other vehicles on the radio; the DDS profile decides whether multicast finds more.
         """
         self._context = Context()
-        with _environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", ROS_STATIC_PEERS=";".join(addresses)):
+        with environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", ROS_STATIC_PEERS=";".join(addresses)):
             self._context.init(args=[], domain_id=domain_id)  # the process's arguments are for the vehicle's node
         self.node = Node(
             "radio",
@@ -75,17 +74,3 @@ class Participant:
     def _spin(self) -> None:
         for _ in range(CALLBACKS_A_TURN):
             self._executor.spin_once(timeout_sec=0.0)
-
-
-@contextmanager
-def _environment(**variables: str) -> Iterator[None]:
-    """Set environment variables temporarily."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            del os.environ[name]
-            if value is not None:
-                os.environ[name] = value

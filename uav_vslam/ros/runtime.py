@@ -35,7 +35,7 @@ from uav_vslam.ros.lifecycle import PausableNode
 from uav_vslam.ros.params import VehicleParameters, declare, read
 from uav_vslam.ros.qos import LATCHED_BY_MANY
 from uav_vslam.ros.readiness import DiscoveryReport
-from uav_vslam.ros.transport import do_without_shared_memory
+from uav_vslam.ros.transport import environment, udp_alone
 from uav_vslam.stamps import TimeLine
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -307,10 +307,9 @@ def run_node(
         signal.signal(number, stop)
     node = executor = None
     try:
-        if not shared_memory:
-            do_without_shared_memory()
-        _initialise(args)
-        node = factory()
+        with environment(**({} if shared_memory else udp_alone())):
+            _initialise(args)
+            node = factory()
         executor = executor_type()
         executor.add_node(node)
         while not stopping:  # each node has a timer on wall time, which ends the wait
