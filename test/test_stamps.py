@@ -69,6 +69,15 @@ def test_a_clock_that_was_set_is_followed_by_all_streams_and_no_item_is_lost(off
     assert line.faults == {}
 
 
+def test_images_of_another_clock_from_the_beginning_are_told_with_the_difference() -> None:
+    line = both()
+    for stamp_ns in seconds(0, 4):
+        feed(line, [stamp_ns], ("IMU",))
+        feed(line, [stamp_ns + 3600 * NS_PER_S], ("image",))
+    assert passed == {"IMU": seconds(0, 4), "image": []}
+    assert line.faults == {"image": "image stamps are +3600.0 s from those of IMU: do their clocks agree?"}
+
+
 @pytest.mark.parametrize("name", ["IMU", "image"])
 @pytest.mark.parametrize("offset_s", [-10.0, -2.0, 10.0, 3600.0])
 def test_the_clock_of_one_stream_alone_is_refused_and_named_until_it_comes_back(name: str, offset_s: float) -> None:

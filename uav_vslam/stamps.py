@@ -248,6 +248,9 @@ class TimeLine(Generic[T]):
     def _off(self, name: str) -> str:
         """Return how far a stream's run is off its time line, and which other streams are not."""
         stream = self._streams[name]
+        if stream.newest_ns is None:  # never on the time line: the reference is elsewhere
+            apart_s = (stream.run_ns - (self._streams[self._reference].newest_ns or 0)) / NS_PER_S
+            return f"{name} stamps are {apart_s:+.1f} s from those of {self._reference}: do their clocks agree?"
         still = [key for key in self._streams if key != name and not self._is_confirmed(key)]
         text = f"{name} stamps jump by {stream.off_ns / NS_PER_S:+.1f} s to {stream.run_ns} ns"
         return f"{text}, but not those of {' and '.join(still)}: do their clocks agree?" if still else text

@@ -78,12 +78,12 @@ def coasting_at(report: FrameReport, frame: int) -> FrameReport:
     return dataclasses.replace(report, pose=pose, coasted=True)
 
 
-def test_unequal_stamps_of_images_and_camera_info_are_an_alarm(
+def test_unequal_stamps_of_images_and_camera_info_are_a_failure(
     node: SlamBackendNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SlamStage, "unpaired", "their stamps are +1.000 ms apart")
     fly(node, 1000 * NS_PER_S, 1)
-    assert "+1.000 ms" in node.alarms["unpaired"]
+    assert "+1.000 ms" in node.failures["unpaired"]
     monkeypatch.setattr(SlamStage, "unpaired", "")
     fly(node, 1001 * NS_PER_S, 1)
-    assert "unpaired" not in node.alarms
+    assert "unpaired" not in node.failures

@@ -162,7 +162,7 @@ class SlamBackendNode(VehicleNode):
             self._save(output.report.pose.stamp_ns)
         for reason, count in self._clocked.dropped.items():
             self.counts[f"dropped/{reason}"] = count
-        self.report_alarm("unpaired", self._stage.unpaired)
+        self.report_failure("unpaired", self._stage.unpaired)
         if self._finds_start:
             self.notes["start"] = f"searching: {self._stage.missing_start}"
 
