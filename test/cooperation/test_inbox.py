@@ -305,6 +305,17 @@ def test_a_stamp_far_ahead_is_refused(make_small_packet) -> None:
     assert offer(inbox, make_small_packet(2, stamp_ns=S_NS + ahead_ns)) == ""
 
 
+def test_packets_of_a_peer_that_is_ahead_are_kept_until_their_time_comes(make_small_packet) -> None:
+    inbox, ahead_s = Inbox("uav1"), 8
+    for sequence in range(1, 30):
+        packet = make_small_packet(sequence, stamp_ns=(sequence + ahead_s) * S_NS)
+        assert hear(inbox, packet, sequence * S_NS) == ""
+        newest = inbox.newest("uav2", sequence * S_NS)
+        if sequence > ahead_s:
+            assert newest.sequence == sequence - ahead_s
+    assert len(inbox.peers["uav2"].packets) == ahead_s + 1
+
+
 def test_another_vehicle_of_the_own_name_is_told_from_an_own_packet_that_comes_back(make_small_packet) -> None:
     inbox = Inbox("uav2")
     inbox.advance(3 * S_NS, 7)

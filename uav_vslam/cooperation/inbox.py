@@ -21,6 +21,7 @@ from uav_vslam.slam.packet import check_contents, check_form
 from uav_vslam.types import NS_PER_S, LandmarkPacket
 
 KEPT_PER_PEER = 4  # recent packets, so that an epoch finds one that is old enough
+MOST_KEPT = 16  # so many, of a peer that is ahead: with fewer, none would be left when its time comes
 MAX_PEERS = 64  # forged names must not fill the memory
 FUTURE_S = 10.0  # a packet whose stamp is further ahead of the own epochs is refused: no clock errs by so much
 NAMESAKE_S = 10.0  # one that is not heard for so long has gone
@@ -71,12 +72,12 @@ class PeerRecord:
         """Number of packets that may still be used."""
         return len(self.unused)
 
-    def keep(self, packet: LandmarkPacket) -> None:
-        """Keep a packet for the next epochs; the oldest make room."""
+    def keep(self, packet: LandmarkPacket, now_ns: int) -> None:
+        """Keep a packet for the epochs after `now_ns` [ns]; the oldest make room."""
         self.unused[packet.order] = SUPERSEDED if len(packet) else EMPTY
-        _keep(packet, self.arrived)
+        _keep(packet, self.arrived, now_ns)
         if len(packet):  # an empty one, from a full link or an empty view, does not replace the one before
-            _keep(packet, self.packets)
+            _keep(packet, self.packets, now_ns)
         self._settle()
 
     def withdraw(self) -> None:
@@ -158,7 +159,7 @@ class Inbox:
                 record.dropped[error.reason] += 1
             raise
         record.received += 1
-        record.keep(packet)
+        record.keep(packet, self.now_ns)
 
     def newest(self, peer: str, not_after_ns: int) -> LandmarkPacket | None:
         """Return the peer's newest packet made at or before a stamp."""
@@ -214,15 +215,16 @@ class Inbox:
         return self.peers.setdefault(vehicle, PeerRecord())
 
 
-def _keep(packet: LandmarkPacket, among: list[LandmarkPacket]) -> None:
+def _keep(packet: LandmarkPacket, among: list[LandmarkPacket], now_ns: int) -> None:
     among.append(packet)
     among.sort(key=lambda p: p.order)
-    del among[:-KEPT_PER_PEER]
+    ahead = sum(p.stamp_ns > now_ns for p in among) if now_ns else 0
+    del among[: -min(max(KEPT_PER_PEER, ahead + 1), MOST_KEPT)]
 
 
 def _check_order(packet: LandmarkPacket, kept: list[LandmarkPacket]) -> None:
     """Refuse a packet that was received before or superseded."""
     if any(p.order == packet.order for p in kept):
         raise InvalidMessage("duplicate", f"packet {packet.sequence} of {packet.source} was received twice")
-    if len(kept) == KEPT_PER_PEER and packet.order < kept[0].order:
+    if len(kept) >= KEPT_PER_PEER and packet.order < kept[0].order:
         raise InvalidMessage("late", f"packet {packet.sequence} of {packet.source} is older than the oldest one kept")
