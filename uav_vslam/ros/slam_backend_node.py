@@ -119,6 +119,9 @@ class SlamBackendNode(VehicleNode):
         self._path.clear()
         self._saved_ns = None
         self._finds_start = self.config.start.searches and self._stage.initial is None
+        if self._stage.initial is None and not self._finds_start:
+            self.alarms["start"] = "no estimate before a new initial_state: the session began without one"
+            self.get_logger().warning(self.alarms["start"])
 
     def _resumed(self) -> SlamStage | None:
         """Return the stage of a process that died, if asked to go on from it."""
@@ -157,12 +160,16 @@ class SlamBackendNode(VehicleNode):
     def _work(self) -> None:
         """Process every frame whose features and increment have arrived."""
         self._stage.rig = self._rig.rig or self._stage.rig  # that of a checkpoint until cameras are heard again
+        if self._stage.initial is not None:
+            self.alarms.pop("start", None)
         for output in self._stage.run():
             self._publish(output)
             self._save(output.report.pose.stamp_ns)
         for reason, count in self._clocked.dropped.items():
             self.counts[f"dropped/{reason}"] = count
         self.report_failure("unpaired", self._stage.unpaired)
+        doubt = self._stage.imu_doubt
+        self.report_failure("imu", f"{doubt}; until then the motion is that of the images alone" if doubt else "")
         if self._finds_start:
             self.notes["start"] = f"searching: {self._stage.missing_start}"
 

@@ -17,10 +17,11 @@ from uav_vslam.estimation.filters import make_filter, past_poses
 from uav_vslam.estimation.observation import projectable
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import lacks_readings
+from uav_vslam.ins.preintegration import lacks_readings, unknown_motion_since
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import ROTATION
-from uav_vslam.slam.health import FilterHealth
+from uav_vslam.slam.health import MIN_FEATURES, FilterHealth
+from uav_vslam.slam.imu_doubt import ImuDoubt
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, rows_to_remove
 from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
@@ -41,6 +42,7 @@ SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches 
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
 LEVEL_RAD = 0.01  # 1 sigma of the tilt; while it is larger, its corrections look like a wrong calibration,
 JUDGED_AFTER_S = 3.0  # and since then, or since the start, a wrong velocity does
+TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
 
@@ -109,7 +111,8 @@ class SlamBackend:
         self._map = LandmarkMap()
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
-        self._motion = MotionFinder()
+        self._motion, self._doubt = MotionFinder(), ImuDoubt(config.imu.gravity)
+        self._confirmed = initial  # the newest estimate that an image has confirmed
         self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
         self._increment: ImuIncrement | None = None  # the newest
         self._reset(initial)
@@ -147,7 +150,7 @@ class SlamBackend:
             ValueError: the increment does not span estimate to frame.
         """
         self._check_joins(features.stamp_ns, increment)
-        step = self._step(increment, features)
+        step, readings, R_map_body = self._step(increment, features), increment, self.nav.state.T_map_body.R
         increment, features, is_seen = step.increment, step.features, step.tracks > 0
         self._increment = increment
         known = len(self._map)
@@ -178,9 +181,17 @@ class SlamBackend:
             if increment is not None and self._nav.state.stamp_ns != features.stamp_ns:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
             recovery = str(error)
+        is_confirmed = innovation is not None and innovation.dof > 0
+        if is_confirmed:
+            self._confirmed = self._nav
+        missed = not is_confirmed and min(len(features), known) >= MIN_FEATURES
+        if readings is not None and self._doubt.add(readings, R_map_body, coasted=missed, apart_rad=step.apart_rad):
+            self._nav, recovery = self._since_confirmed(), self._doubt.reason
         if recovery:
-            matches, closures, sightings = Matches.none(), 0, sightings[:0]
+            matches, closures, sightings, as_calibrated = Matches.none(), 0, sightings[:0], None
             self._recover()
+            if self._doubt.reason:  # the motion from here on is that of the tracks
+                self._window.add_frame(self._filter, features)
         associated = 0 if recovery else len(sightings) + step.tracks
         added = self._add_landmarks(matches, features)
         self._postponed = None if self._filter.can_add_landmarks else features
@@ -241,10 +252,27 @@ class SlamBackend:
             associated=0,
             landmarks=len(self._map),
             recovery=reason,
+            as_calibrated=None,
             closures=0,
             coasted=True,
             sightings=self._new_sightings(added),
         )
+
+    def _since_confirmed(self) -> NavEstimate:
+        """Return the estimate of the newest frame, as if the readings since the last confirmed one had been missing."""
+        before, now, imu = self._confirmed, self._nav.state, self._vehicle_config.imu
+        unknown = unknown_motion_since(before.state, now.stamp_ns, imu)
+        if self._doubt.turns:
+            covariance = unknown.covariance.copy()
+            covariance[:3, :3] = TURNED_RAD**2 * np.eye(3)
+            turned = before.state.T_map_body.R.T @ now.T_map_body.R
+            unknown = dataclasses.replace(unknown, delta_R=turned, covariance=covariance)
+        return advance(before, unknown, imu)
+
+    @property
+    def imu_doubt(self) -> str:
+        """Why the motion is taken from the images alone; empty while the IMU is believed."""
+        return self._doubt.reason
 
     def _recover(self) -> None:
         self._reset(reinitialised(self._nav, since_s=self._since_start_s, imu=self._vehicle_config.imu))
@@ -302,6 +330,7 @@ class SlamBackend:
             rig=self._filter.rig,
             imu=self._vehicle_config.imu,
             threshold_px=self._config.pnp_px,
+            doubt=self._doubt,
         )
 
     def _correct(self, features: StereoFeatures, *, by_landmarks: bool) -> tuple[Matches, Innovation | None, int]:

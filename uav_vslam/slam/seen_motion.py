@@ -16,7 +16,14 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import LEAP_S, MOST_ROTATION_SIGMA, UNKNOWN_RATE_SIGMA, UNKNOWN_SPEED_SIGMA
+from uav_vslam.ins.preintegration import (
+    LEAP_S,
+    MOST_ROTATION_SIGMA,
+    UNKNOWN_RATE_SIGMA,
+    UNKNOWN_SPEED_SIGMA,
+    unknown_motion_since,
+)
+from uav_vslam.slam.imu_doubt import ImuDoubt
 from uav_vslam.types import ImuIncrement, NavState, StereoFeatures
 from uav_vslam.vision.pnp import pnp_ransac
 
@@ -38,11 +45,13 @@ class Step:
         increment: None only for a frame at the start state.
         features: those that the filter may use.
         tracks: number of tracks that have shown the motion; 0 if it is the IMU's.
+        apart_rad: angle between the rotations of IMU and tracks; 0 if the tracks were not asked, or show none [rad].
     """
 
     increment: ImuIncrement | None
     features: StereoFeatures
     tracks: int = 0
+    apart_rad: float = 0.0
 
 
 class MotionFinder:
@@ -60,8 +69,9 @@ class MotionFinder:
         rig: StereoRig,
         imu: ImuConfig,
         threshold_px: float,
+        doubt: ImuDoubt,
     ) -> Step:
-        """Return a frame with its motion, which is the one seen if the IMU's is unknown.
+        """Return a frame with its motion, which is the one seen if the IMU's is unknown or not to be believed.
 
         Args:
             increment: motion since the frame before.
@@ -70,20 +80,29 @@ class MotionFinder:
             rig: calibration.
             imu: gravity.
             threshold_px: largest reprojection error of a track.
+            doubt: whether the IMU is believed.
 
         Returns:
             Tracks that contradict the motion seen have ended; if it remains unknown, there are no points at all.
         """
         before, self._before = self._before, features.without_descriptors
-        if increment is None or before is None or (unknown := _unknown_share(increment)) <= SEEN_BEYOND:
+        if increment is None or before is None:
+            return Step(increment, features)
+        unknown = _unknown_share(increment)
+        if unknown <= SEEN_BEYOND and not doubt.is_suspected:
             return Step(increment, features)
         found = _motion_seen(before, features, rig, threshold_px)
+        apart_rad = float(np.linalg.norm(so3_log(increment.delta_R.T @ found[0].R))) if found else 0.0
+        if doubt.reason:
+            increment, unknown = unknown_motion_since(start, increment.stamp_ns, imu), 1.0
+        if unknown <= SEEN_BEYOND:
+            return Step(increment, features, apart_rad=apart_rad)
         if found is not None:
             T_start_end, contradicting, count = found
             tracks = features.tracks.copy()
             tracks[contradicting] = 0
             moved = _moved(increment, start, T_start_end, imu)
-            return Step(moved, dataclasses.replace(features, tracks=tracks), count)
+            return Step(moved, dataclasses.replace(features, tracks=tracks), count, apart_rad)
         return Step(increment, features if unknown <= COAST_BEYOND else StereoFeatures.empty(features.stamp_ns))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence, MapError
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import bridged, unknown_motion_since
+from uav_vslam.ins.preintegration import bridged, lacks_readings, unknown_motion_since
 from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
@@ -156,6 +156,11 @@ class SlamStage:
         )
 
     @property
+    def imu_doubt(self) -> str:
+        """Why the motion is taken from the images alone; empty while the IMU is believed."""
+        return self._backend.imu_doubt if self._backend is not None else ""
+
+    @property
     def session(self) -> int:
         """Number of this start of the vehicle."""
         return self._session
@@ -292,7 +297,10 @@ class SlamStage:
             self._motion_lost += increment.start_ns != self._backend.stamp_ns
             increment = bridged(increment, self._backend.stamp_ns, self._config.imu)
             self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
+            if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
+                self._start_monitor.stop(increment.start_ns)
         report = self._backend.process(features, increment)
+        self._was_motion_unknown |= self._backend.imu_doubt != ""
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
         joint = None

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings that contradict both gravity and the images cost accuracy for a while, but not the flight."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.slam.imu_doubt import BELIEVED_AFTER, DOUBTED_AFTER
+from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.types import ImuIncrement
+
+FRAMES, FIRST, SIGMA_PX = 60, 20, 0.05
+SEEDS = range(310, 313)
+SLOWEST = 8  # frames of readings that fit at first
+
+
+def scaled(increment: ImuIncrement, factor: float) -> ImuIncrement:
+    """Return the increment of an accelerometer whose readings are that many times the true ones."""
+    return dataclasses.replace(increment, delta_v=factor * increment.delta_v, delta_p=factor * increment.delta_p)
+
+
+def turning(increment: ImuIncrement) -> ImuIncrement:
+    """Return the increment of a gyroscope that is 0.5 rad/s off."""
+    return dataclasses.replace(
+        increment, delta_R=increment.delta_R @ so3_exp(np.array([0.5, 0.0, 0.0]) * increment.dt_s)
+    )
+
+
+WRONG = {
+    "sign": lambda increment: scaled(increment, -1.0),
+    "g instead of m/s^2": lambda increment: scaled(increment, 1.0 / 9.81),
+    "gravity removed": lambda increment: scaled(increment, 0.0),
+    "rates": turning,
+}
+
+
+def fly(flight, wrong, frames: range) -> tuple[SlamStage, list[FrameOutput], list[str]]:
+    """Fly with wrong readings up to some frames; return the stage, its outputs, and the doubt after each."""
+    imu = flight.vehicle.scenario.imu_config
+    backend = BackendConfig(sigma_px=SIGMA_PX, track_sigma_px=2.0 * SIGMA_PX)
+    stage = SlamStage(VehicleConfig(imu=imu, backend=backend), vehicle="uav1")
+    stage.rig = flight.vehicle.rig
+    stage.start(flight.vehicle.initial)
+    outputs, doubts = [], []
+    for k, (features, increment) in enumerate(flight.frames):
+        stage.add_features(features)
+        if increment is not None:
+            stage.add_increment(wrong(increment) if k in frames else increment)
+        outputs += stage.run()
+        doubts.append(stage.imu_doubt)
+    return stage, outputs, doubts
+
+
+def errors_and_nees(flight, outputs: list[FrameOutput]) -> tuple[np.ndarray, np.ndarray]:
+    errors, nees = [], []
+    for pose in (output.report.pose for output in outputs):
+        error = pose.T_map_body.t - flight.vehicle.true_state(pose.stamp_ns).T_map_body.t
+        errors.append(np.linalg.norm(error))
+        nees.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
+    return np.array(errors), np.array(nees)
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_an_imu_that_can_not_be_right_is_left_out_within_few_frames(flown, kind: str) -> None:
+    """Single flights were 300 m off at a sigma of 10 m."""
+    ends, claimed = [], []
+    for seed in SEEDS:
+        flight = flown(seed, frames=FRAMES, tracked_px=SIGMA_PX)
+        _, outputs, doubts = fly(flight, WRONG[kind], range(FIRST, FRAMES))
+        begun = next(k for k, doubt in enumerate(doubts) if doubt)
+        assert FIRST + DOUBTED_AFTER - 1 <= begun <= FIRST + SLOWEST
+        assert doubts[-1]
+        assert outputs[begun].report.recovery == doubts[begun]
+        assert not any(output.report.coasted or output.report.recovery for output in outputs[begun + 1 :])
+        errors_m, nees = errors_and_nees(flight, outputs)
+        ends.append(errors_m[-1])
+        claimed.append(nees[begun:].mean())
+    assert np.sqrt(np.mean(np.square(ends))) <= 10.0
+    assert np.mean(claimed) <= 1.5
+
+
+def test_an_imu_that_is_right_again_is_believed_again(flown) -> None:
+    flight = flown(310, frames=FRAMES, tracked_px=SIGMA_PX)
+    _, outputs, doubts = fly(flight, WRONG["sign"], range(FIRST, FIRST + 8))
+    assert any(doubts)
+    believed = len(doubts) - doubts[::-1].index(next(doubt for doubt in doubts[::-1] if doubt))
+    assert believed <= FIRST + 8 + DOUBTED_AFTER + BELIEVED_AFTER
+    assert not any(output.report.coasted for output in outputs[believed:])
+    _, nees = errors_and_nees(flight, outputs)
+    assert nees[believed:].mean() <= 1.5
+
+
+def test_a_wrong_rig_or_start_is_no_reason_to_doubt_the_imu(flown) -> None:
+    flight = flown(311, frames=FRAMES, tracked_px=SIGMA_PX)
+    rig = flight.vehicle.rig
+    turned = dataclasses.replace(rig.T_body_right, R=rig.T_body_right.R @ so3_exp(np.array([0.0, 0.02, 0.0])))
+    knocked = dataclasses.replace(rig, T_body_right=turned)
+    imu = flight.vehicle.scenario.imu_config
+    stage = SlamStage(VehicleConfig(imu=imu), vehicle="uav1")
+    stage.rig = knocked
+    initial = flight.vehicle.initial
+    fast = dataclasses.replace(initial.state, v_map=[*initial.state.v_map, 8.0, 0.0, 0.0])
+    stage.start(dataclasses.replace(initial, state=fast))
+    coasted = 0
+    for features, increment in flight.frames:
+        stage.add_features(features)
+        if increment is not None:
+            stage.add_increment(increment)
+        coasted += sum(output.report.coasted for output in stage.run())
+        assert stage.imu_doubt == ""
+    assert coasted > DOUBTED_AFTER

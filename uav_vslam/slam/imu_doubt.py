@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether readings of the IMU can be true, asked while no point of an image is where they lead to expect it.
+
+A wrong start and a wrong rig make frames contradict the prediction as well. But only a wrong IMU feels a force that is
+not the reaction to gravity, or turns otherwise than the images, whose rotation hardly depends on the baseline.
+"""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.ins.preintegration import lacks_readings
+from uav_vslam.types import ImuIncrement
+
+Array = NDArray[np.float64]
+
+DOUBTED_AFTER = 3  # consecutive frames that show nothing where it is expected
+BELIEVED_AFTER = 20  # consecutive frames, of readings that are plausible again
+MOST_ACCEL = 5.0  # [m/s^2] of the mean over these frames: more is no flight in this attitude
+MOST_RATE = 0.2  # [rad/s] of the mean difference between IMU and images
+
+
+class ImuDoubt:
+    """Watches the readings, and says whether they are to be believed.
+
+    Attributes:
+        reason: why they aren't; empty while they are.
+        turns: whether the angular rates are, of readings that aren't.
+    """
+
+    def __init__(self, gravity: float) -> None:
+        self._gravity = np.array([0.0, 0.0, gravity])
+        self._forces: deque[Array] = deque(maxlen=DOUBTED_AFTER)  # specific forces in the map
+        self._rates: deque[float] = deque(maxlen=DOUBTED_AFTER)  # of IMU against images
+        self._coasted = self._plausible = 0
+        self.reason, self.turns = "", True
+
+    @property
+    def is_suspected(self) -> bool:
+        """Whether the motion that the images show is wanted, to judge the readings by."""
+        return self._coasted > 0 or self.reason != ""
+
+    def add(self, increment: ImuIncrement, R_map_body: Array, *, coasted: bool, apart_rad: float) -> bool:
+        """Add the readings up to a frame and return whether they are doubted from now on.
+
+        Args:
+            increment: as the IMU has it.
+            R_map_body: (3, 3) attitude at its start.
+            coasted: the frame had points, but none of them where it was expected.
+            apart_rad: angle between the rotations of the IMU and of the images; 0 if they show none [rad].
+        """
+        self._coasted = self._coasted + 1 if coasted else 0
+        if not self.is_suspected or lacks_readings(increment):  # which shows no more than that they are missing
+            self._forces.clear()
+            self._rates.clear()
+            return False
+        self._forces.append(R_map_body @ increment.delta_v / increment.dt_s)
+        self._rates.append(apart_rad / increment.dt_s)
+        finding = self._finding()
+        if self.reason:
+            self._plausible = 0 if finding else self._plausible + 1
+            if self._plausible >= BELIEVED_AFTER:
+                self.reason, self._plausible = "", 0
+            return False
+        self.reason = finding if self._coasted >= DOUBTED_AFTER else ""
+        return self.reason != ""
+
+    def _finding(self) -> str:
+        force, rate = np.mean(self._forces, axis=0), float(np.mean(self._rates))
+        self.turns = rate <= MOST_RATE
+        if not self.turns:
+            return (
+                f"the IMU turns by {rate:.1f} rad/s otherwise than the images: check unit, axes and stamps of its data"
+            )
+        if np.linalg.norm(force - self._gravity) > MOST_ACCEL:
+            felt = ", ".join(f"{x:.1f}" for x in force)
+            return (
+                f"the IMU feels ({felt}) m/s^2 in the map, where gravity is {self._gravity[2]:.1f} up: check unit, "
+                "sign and axes of its accelerations, and the attitude at the start"
+            )
+        return ""
