@@ -64,11 +64,13 @@ def test_a_start_without_a_stamp_is_refused_and_the_next_one_used(make: Make, fi
         deliver(node, "initial_state", start_at(0))
     assert node.counts["dropped/start_stamp"] == 1
     assert node.counts["increments"] == 0
+    assert node.alarms["start"].startswith("no start: initial_state is stamped 0 ns")
     deliver(node, "initial_state", start_at(NOW_NS))
     rest(node, NOW_NS + 105_000_000, 1.0)
     assert node.counts["increments"] > 25
     assert node.counts["imu_gaps"] == 0
     assert node.counts["dropped/start_stamp"] == 1
+    assert "start" not in node.alarms
 
 
 def test_a_start_long_after_the_first_imu_samples_is_waited_for(make: Make) -> None:

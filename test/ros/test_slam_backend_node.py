@@ -58,6 +58,7 @@ def test_a_reset_begins_a_session_that_can_not_be_stored(node: SlamBackendNode) 
     response = node._on_reset(Trigger.Request(), Trigger.Response())
     assert response.success, response.message
     assert node._stage.session == SESSION + 1
+    assert node.alarms["start"].startswith("no estimate before a new initial_state")
 
 
 def test_frames_that_coast_with_features_are_an_alarm(node: SlamBackendNode) -> None:

@@ -191,12 +191,16 @@ class InsPropagatorNode(VehicleNode):
             return
         self._given = None
         if refusal := self._start_refusal(given.state.stamp_ns, ahead_s):
-            self.drop("start_stamp", f"initial_state is stamped {given.state.stamp_ns} ns, {refusal}")
-            return
-        if conflict := self._sensors.conflict(self._given_frame):
-            self.drop("start_frame", f"initial_state {conflict}")
-            return
-        self._start(given)
+            self._refuse_start("start_stamp", f"initial_state is stamped {given.state.stamp_ns} ns, {refusal}")
+        elif conflict := self._sensors.conflict(self._given_frame):
+            self._refuse_start("start_frame", f"initial_state {conflict}")
+        else:
+            self._start(given)
+
+    def _refuse_start(self, reason: str, text: str) -> None:
+        """Drop a start state; until another is taken, nothing else says why there is no estimate."""
+        self.drop(reason, text)
+        self.alarms["start"] = f"no start: {text}"
 
     def _start_refusal(self, stamp_ns: int, ahead_s: float) -> str:
         """Return why a start state of this stamp is of no use; empty if it is."""
@@ -214,6 +218,7 @@ class InsPropagatorNode(VehicleNode):
         return ""
 
     def _start(self, initial: NavEstimate) -> None:
+        self.alarms.pop("start", None)
         unmeasured = self._startup_buffer.uncovered_s(initial.state.stamp_ns) > MAX_GAP_S
         in_flight = unmeasured and initial.state.stamp_ns == self._corrected_ns
         early = self._startup_buffer.take(from_first_reading=in_flight)
