@@ -2,15 +2,17 @@
 """Readings that contradict both gravity and the images cost accuracy for a while, but not the flight."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 
-from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.slam.imu_doubt import BELIEVED_AFTER, DOUBTED_AFTER
+from uav_vslam.ins.preintegration import preintegrate
+from uav_vslam.slam.imu_doubt import BELIEVED_AFTER, DOUBTED_AFTER, ImuDoubt
 from uav_vslam.slam.stage import FrameOutput, SlamStage
-from uav_vslam.types import ImuIncrement
+from uav_vslam.types import ImuIncrement, ImuSample
 
 FRAMES, FIRST, SIGMA_PX = 60, 20, 0.05
 SEEDS = range(310, 313)
@@ -102,7 +104,7 @@ def test_a_wrong_rig_or_start_is_no_reason_to_doubt_the_imu(flown) -> None:
     stage = SlamStage(VehicleConfig(imu=imu), vehicle="uav1")
     stage.rig = knocked
     initial = flight.vehicle.initial
-    fast = dataclasses.replace(initial.state, v_map=[*initial.state.v_map, 8.0, 0.0, 0.0])
+    fast = dataclasses.replace(initial.state, v_map=initial.state.v_map + np.array([8.0, 0.0, 0.0]))
     stage.start(dataclasses.replace(initial, state=fast))
     coasted = 0
     for features, increment in flight.frames:
@@ -112,3 +114,31 @@ def test_a_wrong_rig_or_start_is_no_reason_to_doubt_the_imu(flown) -> None:
         coasted += sum(output.report.coasted for output in stage.run())
         assert stage.imu_doubt == ""
     assert coasted > DOUBTED_AFTER
+
+
+def test_a_moment_of_high_acceleration_is_no_reason_to_doubt_the_imu() -> None:
+    doubt, upright = ImuDoubt(9.81), np.eye(3)
+    samples = [ImuSample(k * 5_000_000, np.zeros(3), np.array([12.0, 0.0, 9.81])) for k in range(200)]
+    zero = np.zeros(3)
+    for k in range(20):
+        span = k * 50_000_000, (k + 1) * 50_000_000
+        pushed = preintegrate(samples, *span, gyro_bias=zero, accel_bias=zero, imu=ImuConfig())
+        missed = 2 <= k < 9  # 0.35 s
+        assert not doubt.add(pushed, upright, coasted=missed, apart_rad=0.001)
+        assert doubt.is_suspected == missed
+
+
+def test_while_images_show_nothing_doubts_stay_as_they_are() -> None:
+    doubt, upright, zero = ImuDoubt(9.81), np.eye(3), np.zeros(3)
+    samples = [ImuSample(k * 5_000_000, zero, np.array([0.0, 0.0, 9.81])) for k in range(4000)]
+    span = itertools.pairwise(range(0, 4000 * 5_000_000, 100_000_000))
+    level = [preintegrate(samples, *ends, gyro_bias=zero, accel_bias=zero, imu=ImuConfig()) for ends in span]
+    upside_down = np.diag([1.0, -1.0, -1.0])
+    assert not any(doubt.add(one, upside_down, coasted=True, apart_rad=None) for one in level[:10])
+    assert any(doubt.add(one, upside_down, coasted=True, apart_rad=0.001) for one in level[10:12])
+    for one in level[12 : 14 + BELIEVED_AFTER]:
+        doubt.add(one, upright, coasted=False, apart_rad=None)
+    assert doubt.reason
+    for one in level[-BELIEVED_AFTER - 5 :]:
+        doubt.add(one, upright, coasted=False, apart_rad=0.001)
+    assert not doubt.reason

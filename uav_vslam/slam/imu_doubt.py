@@ -6,6 +6,7 @@ not the reaction to gravity, or turns otherwise than the images, whose rotation 
 """
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,20 @@ from uav_vslam.types import ImuIncrement
 
 Array = NDArray[np.float64]
 
-DOUBTED_AFTER = 3  # consecutive frames that show nothing where it is expected
+DOUBTED_AFTER = 3  # consecutive frames that show nothing where it is expected,
+DOUBTED_AFTER_S = 0.4  # and at least this time: a moment may well exceed the limits below
 BELIEVED_AFTER = 20  # consecutive frames, of readings that are plausible again
-MOST_ACCEL = 5.0  # [m/s^2] of the mean over these frames: more is no flight in this attitude
+MOST_ACCEL = 5.0  # [m/s^2] of the mean: more is no flight in this attitude
 MOST_RATE = 0.2  # [rad/s] of the mean difference between IMU and images
+
+
+@dataclass(frozen=True, slots=True)
+class _Readings:
+    """Those up to one frame: duration [s], velocity gained in the map [m/s], angle between IMU and images [rad]."""
+
+    dt_s: float
+    gained: Array
+    apart_rad: float | None
 
 
 class ImuDoubt:
@@ -31,8 +42,7 @@ class ImuDoubt:
 
     def __init__(self, gravity: float) -> None:
         self._gravity = np.array([0.0, 0.0, gravity])
-        self._forces: deque[Array] = deque(maxlen=DOUBTED_AFTER)  # specific forces in the map
-        self._rates: deque[float] = deque(maxlen=DOUBTED_AFTER)  # of IMU against images
+        self._recent: deque[_Readings] = deque()
         self._coasted = self._plausible = 0
         self.reason, self.turns = "", True
 
@@ -41,38 +51,51 @@ class ImuDoubt:
         """Whether the motion that the images show is wanted, to judge the readings by."""
         return self._coasted > 0 or self.reason != ""
 
-    def add(self, increment: ImuIncrement, R_map_body: Array, *, coasted: bool, apart_rad: float) -> bool:
+    def add(self, increment: ImuIncrement, R_map_body: Array, *, coasted: bool, apart_rad: float | None) -> bool:
         """Add the readings up to a frame and return whether they are doubted from now on.
 
         Args:
             increment: as the IMU has it.
             R_map_body: (3, 3) attitude at its start.
             coasted: the frame had points, but none of them where it was expected.
-            apart_rad: angle between the rotations of the IMU and of the images; 0 if they show none [rad].
+            apart_rad: angle between the rotations of the IMU and of the images [rad]; None if they show none.
         """
         self._coasted = self._coasted + 1 if coasted else 0
         if not self.is_suspected or lacks_readings(increment):  # which shows no more than that they are missing
-            self._forces.clear()
-            self._rates.clear()
+            self._recent.clear()
             return False
-        self._forces.append(R_map_body @ increment.delta_v / increment.dt_s)
-        self._rates.append(apart_rad / increment.dt_s)
+        self._keep(_Readings(increment.dt_s, R_map_body @ increment.delta_v, apart_rad))
         finding = self._finding()
         if self.reason:
-            self._plausible = 0 if finding else self._plausible + 1
+            self._plausible = 0 if finding or apart_rad is None else self._plausible + 1
             if self._plausible >= BELIEVED_AFTER:
                 self.reason, self._plausible = "", 0
             return False
         self.reason = finding if self._coasted >= DOUBTED_AFTER else ""
         return self.reason != ""
 
+    def _keep(self, readings: _Readings) -> None:
+        """Keep what the findings are about: the last frames."""
+        self._recent.append(readings)
+        while len(self._recent) > DOUBTED_AFTER and self._lasted_s - self._recent[0].dt_s >= DOUBTED_AFTER_S:
+            self._recent.popleft()
+
+    @property
+    def _lasted_s(self) -> float:
+        return sum(one.dt_s for one in self._recent)
+
     def _finding(self) -> str:
-        force, rate = np.mean(self._forces, axis=0), float(np.mean(self._rates))
+        """Return what is wrong with the readings of the last frames; empty if nothing is, or nobody can tell."""
+        seen = [one for one in self._recent if one.apart_rad is not None]
+        if not seen or self._lasted_s < DOUBTED_AFTER_S:
+            return ""
+        rate = sum(one.apart_rad or 0.0 for one in seen) / sum(one.dt_s for one in seen)
         self.turns = rate <= MOST_RATE
         if not self.turns:
             return (
                 f"the IMU turns by {rate:.1f} rad/s otherwise than the images: check unit, axes and stamps of its data"
             )
+        force = np.sum([one.gained for one in self._recent], axis=0) / self._lasted_s
         if np.linalg.norm(force - self._gravity) > MOST_ACCEL:
             felt = ", ".join(f"{x:.1f}" for x in force)
             return (

@@ -45,13 +45,13 @@ class Step:
         increment: None only for a frame at the start state.
         features: those that the filter may use.
         tracks: number of tracks that have shown the motion; 0 if it is the IMU's.
-        apart_rad: angle between the rotations of IMU and tracks; 0 if the tracks were not asked, or show none [rad].
+        apart_rad: angle between the rotations of IMU and tracks [rad]; None if these were not asked, or show none.
     """
 
     increment: ImuIncrement | None
     features: StereoFeatures
     tracks: int = 0
-    apart_rad: float = 0.0
+    apart_rad: float | None = None
 
 
 class MotionFinder:
@@ -92,7 +92,7 @@ class MotionFinder:
         if unknown <= SEEN_BEYOND and not doubt.is_suspected:
             return Step(increment, features)
         found = _motion_seen(before, features, rig, threshold_px)
-        apart_rad = float(np.linalg.norm(so3_log(increment.delta_R.T @ found[0].R))) if found else 0.0
+        apart_rad = float(np.linalg.norm(so3_log(increment.delta_R.T @ found[0].R))) if found else None
         if doubt.reason:
             increment, unknown = unknown_motion_since(start, increment.stamp_ns, imu), 1.0
         if unknown <= SEEN_BEYOND:
