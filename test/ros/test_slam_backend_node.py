@@ -79,12 +79,19 @@ def coasting_at(report: FrameReport, frame: int) -> FrameReport:
     return dataclasses.replace(report, pose=pose, coasted=True)
 
 
-def test_unequal_stamps_of_images_and_camera_info_are_a_failure(
-    node: SlamBackendNode, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("reason", "subject", "text"),
+    [
+        ("unpaired", "unpaired", "the last 12 frames were dropped"),
+        ("imu_doubt", "imu", "the IMU feels (0.0, 0.0, -9.8) m/s^2"),
+    ],
+)
+def test_inputs_that_can_not_be_right_are_failures(
+    node: SlamBackendNode, monkeypatch: pytest.MonkeyPatch, reason: str, subject: str, text: str
 ) -> None:
-    monkeypatch.setattr(SlamStage, "unpaired", "their stamps are +1.000 ms apart")
+    monkeypatch.setattr(SlamStage, reason, text)
     fly(node, 1000 * NS_PER_S, 1)
-    assert "+1.000 ms" in node.failures["unpaired"]
-    monkeypatch.setattr(SlamStage, "unpaired", "")
+    assert node.failures[subject].startswith(text)
+    monkeypatch.setattr(SlamStage, reason, "")
     fly(node, 1001 * NS_PER_S, 1)
-    assert "unpaired" not in node.failures
+    assert subject not in node.failures

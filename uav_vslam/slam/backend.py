@@ -181,10 +181,10 @@ class SlamBackend:
             if increment is not None and self._nav.state.stamp_ns != features.stamp_ns:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
             recovery = str(error)
-        is_confirmed = innovation is not None and innovation.dof > 0
-        if is_confirmed:
+        confirmed = not recovery and innovation is not None and innovation.dof > 0
+        missed = not confirmed and min(len(features), known) >= MIN_FEATURES
+        if confirmed:
             self._confirmed = self._nav
-        missed = not is_confirmed and min(len(features), known) >= MIN_FEATURES
         if readings is not None and self._doubt.add(readings, R_map_body, coasted=missed, apart_rad=step.apart_rad):
             self._nav, recovery = self._since_confirmed(), self._doubt.reason
         if recovery:
