@@ -112,9 +112,11 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
         )
     name = args.name or args.inputs[0].stem
     result = flight_result(name, tracks, fleet, truths, configs, wall_s=time.monotonic() - started, bags=bags)
-    print_summary(build_summary(result, git=None))  # first: a full disk must not cost it
-    folder = write_results(result, args.results, plot=partial(_draw, flights=flights, tracks=tracks, args=args))
-    _save_maps(tracks, folder)
+    try:
+        print_summary(build_summary(result, git=None))  # first: a full disk must not cost it
+    finally:  # nor a reader that has closed the pipe the results
+        folder = write_results(result, args.results, plot=partial(_draw, flights=flights, tracks=tracks, args=args))
+        _save_maps(tracks, folder)
     print(f"results: {folder}")
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")

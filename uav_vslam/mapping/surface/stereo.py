@@ -50,8 +50,9 @@ class PairPoints:
     share: float
 
     def above(self, low_m: float) -> "PairPoints":
-        """Return the points that are not below a height [m]: a disparity near that of infinity is far away."""
-        kept = self.points_map[:, 2] >= low_m
+        """Return the points between a height [m] and the cameras': a disparity near that of infinity is far away."""
+        height = self.points_map[:, 2]
+        kept = (height >= low_m) & (height < self.camera_map[2])
         share = self.share * float(kept.mean()) if len(kept) else 0.0
         points = self.points_map.T[:, kept].T  # each axis stays contiguous
         return dataclasses.replace(self, points_map=points, share=share)
