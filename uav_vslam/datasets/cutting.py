@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 WHAT_A_CUT_HIDES = (
     "the vehicles share lens, calibration, IMU and its biases, so errors that differ between real vehicles are common "
-    "here; each sees the ground as the other saw it minutes earlier or later, in other light, while real vehicles "
+    "here; each sees the ground as the other saw it earlier or later, in other light, while real vehicles "
     "also see each other's wind, vibration and moving shadows at one time; clocks agree and the radio is not part of "
     "the recording. It shows what common landmarks are worth, not what a fleet in the air achieves"
 )

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 SIGMAS = 3.0
 BAND_COLOURS = {"s_slam": "#e2e2e2", "c_slam": "#c2ebf2", "smoothed": "#ffe8cc"}
-LOWEST = {"s_slam": 0.5, "c_slam": 0.6, "smoothed": 0.7}  # the bands are drawn below the grid
+LOWEST, HIGHEST = 0.5, 0.9  # of the bands' order: below the grid
 AXES = ("East", "North", "Up")
 
 
@@ -62,7 +62,8 @@ def _draw(column: NDArray[Any], seconds: Array, error: Array, covariance: Array 
         if covariance is None:
             continue
         band = SIGMAS * np.sqrt(np.maximum(covariance[:, axis, axis], 0.0))
-        axes.fill_between(seconds, -band, band, color=BAND_COLOURS[name], linewidth=0, zorder=LOWEST[name])
+        order = LOWEST + (HIGHEST - LOWEST) / (1.0 + band.mean())  # the narrowest on top
+        axes.fill_between(seconds, -band, band, color=BAND_COLOURS[name], linewidth=0, zorder=order)
         for side in (-band, band):
             axes.plot(seconds, side, color=style.colour, linewidth=0.7, linestyle=":", zorder=style.order)
 
