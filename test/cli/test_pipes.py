@@ -12,19 +12,9 @@ SAMPLE = Path(__file__).parents[2] / "bags" / "sample"
 
 @pytest.mark.slow
 def test_a_run_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "uav_vslam.cli.main",
-        "run",
-        str(SAMPLE),
-        "--vehicles",
-        "uav1",
-        "--config",
-        "sample",
-    ]
-    options = ["--no-plots", "--no-maps", "--no-smoothing", "--workers", "1", "--results", str(tmp_path)]
-    process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    options = "--vehicles uav1 --config sample --no-plots --no-maps --no-smoothing --workers 1 --results"
+    command = [sys.executable, "-m", "uav_vslam.cli.main", "run", str(SAMPLE), *options.split(), str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     process.stdout.close()
     _, said = process.communicate()

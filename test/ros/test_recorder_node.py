@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
+from lone_node import lone_node  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from node_processes import Witness  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
@@ -21,18 +22,14 @@ def test_a_vehicle_that_is_no_longer_heard_is_named(
     domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder_node, "SILENCE_S", 1.0)
-    settings = ["-p", f"output:={tmp_path / 'out'}", "-p", "vehicles:=[uav1, uav2]"]
-    rclpy.init(args=["--ros-args", *settings], domain_id=domain_id)
-    recorder, executor = recorder_node.RecorderNode(), SingleThreadedExecutor()
-    executor.add_node(recorder)
     message = Odometry()
     message.header.stamp.sec = 1
 
-    def turn() -> None:
-        executor.spin_once(timeout_sec=0.01)
-
-    try:
-        with Witness(domain_id) as witness:
+    with lone_node(recorder_node.RecorderNode, domain_id) as made, Witness(domain_id) as witness:
+        recorder = made(f"output:={tmp_path / 'out'}", "vehicles:=[uav1, uav2]")
+        executor = SingleThreadedExecutor()
+        executor.add_node(recorder)
+        try:
             first, second = (
                 witness.node.create_publisher(Odometry, f"/{name}/odometry", 10) for name in ("uav1", "uav2")
             )
@@ -40,18 +37,16 @@ def test_a_vehicle_that_is_no_longer_heard_is_named(
             def both() -> None:
                 first.publish(message)
                 second.publish(message)
-                turn()
+                executor.spin_once(timeout_sec=0.01)
 
             def second_only() -> None:
                 second.publish(message)
-                turn()
+                executor.spin_once(timeout_sec=0.01)
 
             assert witness.sees(lambda: int(witness.value(RECORDER, "written") or 0) > 20, both)
             assert witness.text(RECORDER) == "recording"
             assert witness.sees(lambda: "nothing comes from uav1 for" in witness.text(RECORDER), second_only)
             assert "uav2" not in witness.text(RECORDER)
             assert witness.sees(lambda: witness.text(RECORDER) == "recording", both)
-    finally:
-        executor.shutdown()
-        recorder.destroy_node()
-        rclpy.try_shutdown()
+        finally:
+            executor.shutdown()

@@ -8,9 +8,10 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from node_processes import Witness, running  # noqa: E402
 
-from uav_vslam.cli.launch import DISCOVERY_RANGE, discovery_environment  # noqa: E402
+from uav_vslam.cli.launch import discovery_environment  # noqa: E402
 from uav_vslam.config import FleetConfig, ReplayConfig, VehicleConfig  # noqa: E402
 from uav_vslam.ros.fleet_commands import node_specs, without_parameter_services  # noqa: E402
+from uav_vslam.ros.transport import DISCOVERY_RANGE  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

@@ -9,10 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from uav_vslam.config import BackendConfig, VehicleConfig
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
+from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.types import ImuIncrement, StereoFeatures
 
 
@@ -22,6 +25,23 @@ class Flown:
 
     vehicle: SimulatedVehicle
     frames: tuple[tuple[StereoFeatures, ImuIncrement | None], ...]
+
+    def tracking_stage(self, sigma_px: float) -> SlamStage:
+        """Return a stage that has rig and start state, for points with tracks of that noise."""
+        backend = BackendConfig(sigma_px=sigma_px, track_sigma_px=2.0 * sigma_px)
+        stage = SlamStage(VehicleConfig(imu=self.vehicle.scenario.imu_config, backend=backend), vehicle="uav1")
+        stage.rig = self.vehicle.rig
+        stage.start(self.vehicle.initial)
+        return stage
+
+    def errors_and_nees(self, outputs: list[FrameOutput]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the position error [m] and NEES per axis of each frame."""
+        errors, nees = [], []
+        for pose in (output.report.pose for output in outputs):
+            error = pose.T_map_body.t - self.vehicle.true_state(pose.stamp_ns).T_map_body.t
+            errors.append(np.linalg.norm(error))
+            nees.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
+        return np.array(errors), np.array(nees)
 
 
 def _tracked(vehicle: SimulatedVehicle, sigma_px: float) -> list[StereoFeatures]:

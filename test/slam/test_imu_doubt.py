@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
+from uav_vslam.config import ImuConfig, VehicleConfig
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.slam.imu_doubt import BELIEVED_AFTER, DOUBTED_AFTER, ImuDoubt
@@ -39,13 +39,9 @@ WRONG = {
 }
 
 
-def fly(flight, wrong, frames: range) -> tuple[SlamStage, list[FrameOutput], list[str]]:
-    """Fly with wrong readings up to some frames; return the stage, its outputs, and the doubt after each."""
-    imu = flight.vehicle.scenario.imu_config
-    backend = BackendConfig(sigma_px=SIGMA_PX, track_sigma_px=2.0 * SIGMA_PX)
-    stage = SlamStage(VehicleConfig(imu=imu, backend=backend), vehicle="uav1")
-    stage.rig = flight.vehicle.rig
-    stage.start(flight.vehicle.initial)
+def fly(flight, wrong, frames: range) -> tuple[list[FrameOutput], list[str]]:
+    """Fly with wrong readings up to some frames; return the outputs, and the doubt after each."""
+    stage = flight.tracking_stage(SIGMA_PX)
     outputs, doubts = [], []
     for k, (features, increment) in enumerate(flight.frames):
         stage.add_features(features)
@@ -53,16 +49,7 @@ def fly(flight, wrong, frames: range) -> tuple[SlamStage, list[FrameOutput], lis
             stage.add_increment(wrong(increment) if k in frames else increment)
         outputs += stage.run()
         doubts.append(stage.imu_doubt)
-    return stage, outputs, doubts
-
-
-def errors_and_nees(flight, outputs: list[FrameOutput]) -> tuple[np.ndarray, np.ndarray]:
-    errors, nees = [], []
-    for pose in (output.report.pose for output in outputs):
-        error = pose.T_map_body.t - flight.vehicle.true_state(pose.stamp_ns).T_map_body.t
-        errors.append(np.linalg.norm(error))
-        nees.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
-    return np.array(errors), np.array(nees)
+    return outputs, doubts
 
 
 @pytest.mark.parametrize("kind", WRONG)
@@ -71,13 +58,13 @@ def test_an_imu_that_can_not_be_right_is_left_out_within_few_frames(flown, kind:
     ends, claimed = [], []
     for seed in SEEDS:
         flight = flown(seed, frames=FRAMES, tracked_px=SIGMA_PX)
-        _, outputs, doubts = fly(flight, WRONG[kind], range(FIRST, FRAMES))
+        outputs, doubts = fly(flight, WRONG[kind], range(FIRST, FRAMES))
         begun = next(k for k, doubt in enumerate(doubts) if doubt)
         assert FIRST + DOUBTED_AFTER - 1 <= begun <= FIRST + SLOWEST
         assert doubts[-1]
         assert outputs[begun].report.recovery == doubts[begun]
         assert not any(output.report.coasted or output.report.recovery for output in outputs[begun + 1 :])
-        errors_m, nees = errors_and_nees(flight, outputs)
+        errors_m, nees = flight.errors_and_nees(outputs)
         ends.append(errors_m[-1])
         claimed.append(nees[begun:].mean())
     assert np.sqrt(np.mean(np.square(ends))) <= 10.0
@@ -86,12 +73,12 @@ def test_an_imu_that_can_not_be_right_is_left_out_within_few_frames(flown, kind:
 
 def test_an_imu_that_is_right_again_is_believed_again(flown) -> None:
     flight = flown(310, frames=FRAMES, tracked_px=SIGMA_PX)
-    _, outputs, doubts = fly(flight, WRONG["sign"], range(FIRST, FIRST + 8))
+    outputs, doubts = fly(flight, WRONG["sign"], range(FIRST, FIRST + 8))
     assert any(doubts)
     believed = len(doubts) - doubts[::-1].index(next(doubt for doubt in doubts[::-1] if doubt))
     assert believed <= FIRST + 8 + DOUBTED_AFTER + BELIEVED_AFTER
     assert not any(output.report.coasted for output in outputs[believed:])
-    _, nees = errors_and_nees(flight, outputs)
+    _, nees = flight.errors_and_nees(outputs)
     assert nees[believed:].mean() <= 1.5
 
 

@@ -4,14 +4,12 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
-from uav_vslam.config import BackendConfig, VehicleConfig
 from uav_vslam.ins.preintegration import unknown_motion
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.imu_doubt import ImuDoubt
 from uav_vslam.slam.seen_motion import MIN_INLIERS, MotionFinder, Step
-from uav_vslam.slam.stage import FrameOutput, SlamStage
+from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.types import ImuIncrement, NavEstimate, StereoFeatures
 
 FRAMES, SIGMA_PX, FIRST = 45, 0.05, 10
@@ -20,11 +18,7 @@ SEEDS = range(300, 305)
 
 def fly(flight, lost: range = range(0)) -> list[FrameOutput]:
     """Fly without the increments of some frames."""
-    imu = flight.vehicle.scenario.imu_config
-    backend = BackendConfig(sigma_px=SIGMA_PX, track_sigma_px=2.0 * SIGMA_PX)
-    stage = SlamStage(VehicleConfig(imu=imu, backend=backend), vehicle="uav1")
-    stage.rig = flight.vehicle.rig
-    stage.start(flight.vehicle.initial)
+    stage = flight.tracking_stage(SIGMA_PX)
     outputs: list[FrameOutput] = []
     for k, (features, increment) in enumerate(flight.frames):
         stage.add_features(features)
@@ -35,16 +29,6 @@ def fly(flight, lost: range = range(0)) -> list[FrameOutput]:
     return outputs
 
 
-def errors_and_nees(flight, outputs: list[FrameOutput]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the position error [m] and NEES per axis of each frame."""
-    errors, nees = [], []
-    for pose in (output.report.pose for output in outputs):
-        error = pose.T_map_body.t - flight.vehicle.true_state(pose.stamp_ns).T_map_body.t
-        errors.append(np.linalg.norm(error))
-        nees.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)
-    return np.array(errors), np.array(nees)
-
-
 def test_four_seconds_without_any_motion_cost_little_accuracy_and_no_consistency(flown) -> None:
     """Before tracks showed the motion, single flights were 66 m off at a sigma of 3 m."""
     with_all, without, nees = [], [], []
@@ -53,10 +37,10 @@ def test_four_seconds_without_any_motion_cost_little_accuracy_and_no_consistency
         outputs = fly(flight, range(FIRST, FIRST + 28))
         assert len(outputs) == FRAMES
         assert not any(output.report.recovery or output.report.coasted for output in outputs[1:])
-        errors_m, claimed = errors_and_nees(flight, outputs)
+        errors_m, claimed = flight.errors_and_nees(outputs)
         without.append(errors_m[-1])
         nees.append(claimed)
-        with_all.append(errors_and_nees(flight, fly(flight))[0][-1])
+        with_all.append(flight.errors_and_nees(fly(flight))[0][-1])
     assert np.linalg.norm(without) <= 1.3 * np.linalg.norm(with_all)
     assert np.mean(nees) <= 1.5
     assert np.max(nees) <= 5.0

@@ -15,7 +15,6 @@ from uav_vslam.cli.arguments import MODES
 if TYPE_CHECKING:
     from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
 
-DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOG_LEVELS = ("debug", "info", "warn", "error")
 HELP = "start a fleet's node graph, one process a node"
 EXAMPLES = """examples:
@@ -178,6 +177,8 @@ def discovery_environment(given: Mapping[str, str], *, own_radio: bool) -> dict[
         given: environment of this process.
         own_radio: vehicles on other computers, if any, are on a domain of their own.
     """
+    from uav_vslam.ros.transport import DISCOVERY_RANGE
+
     return {DISCOVERY_RANGE: "LOCALHOST"} if own_radio and DISCOVERY_RANGE not in given else {}
 
 

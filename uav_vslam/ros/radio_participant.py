@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 
 from uav_vslam.config.nodes import FusionNodeConfig
 from uav_vslam.ros.params import read
-from uav_vslam.ros.transport import environment
+from uav_vslam.ros.transport import DISCOVERY_RANGE, STATIC_PEERS, environment
 
 POLL_S = 0.05  # period of serving the second context: packets come once a second
 CALLBACKS_A_TURN = 4
@@ -46,7 +46,7 @@ class Participant:
             addresses: of the other vehicles on the radio; the DDS profile decides whether multicast finds more.
         """
         self._context = Context()
-        with environment(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", ROS_STATIC_PEERS=";".join(addresses)):
+        with environment({DISCOVERY_RANGE: "SUBNET", STATIC_PEERS: ";".join(addresses)}):
             self._context.init(args=[], domain_id=domain_id)  # the process's arguments are for the vehicle's node
         self.node = Node(
             "radio",

@@ -137,12 +137,14 @@ class RecorderNode(Node):
     def _silent_vehicles(self) -> list[str]:
         """Return the vehicles that have publishers, but whose messages have ceased to come, and for how long."""
         now_s = time.monotonic()
-        publish = {one.topic_name.split("/")[1] for one in self._inputs if one.get_publisher_count()}
         return [
             f"{vehicle} for {now_s - newest_s:.0f} s"
             for vehicle, newest_s in self._newest_s.items()
-            if vehicle in publish and now_s - newest_s > SILENCE_S
+            if now_s - newest_s > SILENCE_S and self._publishes(vehicle)
         ]
+
+    def _publishes(self, vehicle: str) -> bool:
+        return any(o.topic_name.startswith(f"/{vehicle}/") and o.get_publisher_count() for o in self._inputs)
 
 
 def main(args: list[str] | None = None) -> int:

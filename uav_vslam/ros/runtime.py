@@ -292,7 +292,7 @@ def run_node(
     Args:
         factory: makes the node.
         args: command line; None for that of the process.
-        shared_memory: whether the node exchanges images, see `transport`.
+        shared_memory: whether it may use it, for images; see `transport`.
         executor_type: which executor spins it.
     """
     keep_freed_memory()
@@ -307,7 +307,7 @@ def run_node(
         signal.signal(number, stop)
     node = executor = None
     try:
-        with environment(**({} if shared_memory else udp_alone())):
+        with environment({} if shared_memory else udp_alone()):
             _initialise(args)
             node = factory()
         executor = executor_type()

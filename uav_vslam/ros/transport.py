@@ -6,14 +6,14 @@ killed while it writes to another's shared memory leaves it locked, and that one
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from uav_vslam.config import find_dds_profile
 
 PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+DISCOVERY_RANGE, STATIC_PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 
 
 def udp_alone() -> dict[str, str]:
@@ -24,7 +24,7 @@ def udp_alone() -> dict[str, str]:
     """
     images = find_dds_profile("images.xml")
     chosen = Path(os.environ.get(PROFILES_FILE) or images)  # `env.sh` names that one, for programs that aren't ours
-    own_host_only = os.environ.get(DISCOVERY_RANGE) == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS")
+    own_host_only = os.environ.get(DISCOVERY_RANGE) == "LOCALHOST" and not os.environ.get(STATIC_PEERS)
     if not own_host_only or chosen.resolve() != images.resolve():
         return {}
     # The range is the profile's: LOCALHOST would add shared memory.
@@ -32,7 +32,7 @@ def udp_alone() -> dict[str, str]:
 
 
 @contextmanager
-def environment(**variables: str) -> Iterator[None]:
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
     """Set environment variables temporarily."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
