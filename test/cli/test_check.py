@@ -132,6 +132,12 @@ def test_a_fleet_file_names_recordings_and_vehicles(flight: Path, tmp_path: Path
     assert main(["check", str(fleet), "--config", "kagaru"]) == 2
 
 
+def test_a_json_file_that_can_not_be_written_is_refused_before_the_check(flight: Path, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main(["check", str(flight), "--json", str(tmp_path / "nowhere" / "check.json")])
+    assert leaving.value.code == 2
+
+
 @pytest.mark.parametrize(("name", "said"), [("nowhere", "does not exist"), ("notes.txt", "is not a bag")])
 def test_what_is_no_bag_is_wrong_input(
     name: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -76,6 +76,7 @@ def test_check_names_each_vehicle_whose_key_is_wrong(told: Told, tmp_path: Path)
     assert "different keys" in lines["uav5"]
     assert "others may read it (mode 644)" in lines["uav2"]
     assert "a key of 5 bytes" in lines["uav3"]
+    assert lines["uav3"].count("short.key") == 1
     assert "can't be read" in lines["uav4"]
     assert "no key" in lines["uav6"]
     code, text = told("check", "fleet.yaml", "--vehicle", "uav1")

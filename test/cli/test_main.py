@@ -79,12 +79,17 @@ def test_help_lists_the_verbs_with_examples(capsys: pytest.CaptureFixture[str]) 
         assert f"\n    {verb}" in text
 
 
-@pytest.mark.parametrize("arguments", [[], ["fly"]])
-def test_no_verb_or_an_unknown_one_is_wrong_input(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "usage"),
+    [([], "usage: uav-vslam "), (["fly"], "usage: uav-vslam "), (["run", "x", "--sette"], "usage: uav-vslam run ")],
+)
+def test_no_verb_or_an_unknown_one_or_option_is_wrong_input(
+    arguments: list[str], usage: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as leaving:
         command.main(arguments)
     assert leaving.value.code == 2
-    assert "usage: uav-vslam" in capsys.readouterr().err
+    assert usage in capsys.readouterr().err
 
 
 def test_help_imports_neither_numpy_nor_ros() -> None:

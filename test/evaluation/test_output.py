@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
+import errno
 import json
 import subprocess
 
@@ -32,15 +33,19 @@ def test_latest_links_to_the_newest_and_names_never_collide(flight, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {first.name, second.name, "latest"}
 
 
-def test_latest_stays_on_a_complete_folder_when_writing_fails(flight, tmp_path):
+def test_a_folder_whose_writing_fails_says_so_by_its_name_and_latest_stays_on_a_complete_one(flight, tmp_path):
     complete = write_results(flight, tmp_path)
 
     def fail(result, folder):
-        raise RuntimeError("disk full")
+        raise OSError(errno.ENOSPC, "No space left on device", str(folder / "plan.png"))
 
-    with pytest.raises(RuntimeError):
+    with pytest.raises(OSError, match="No space left") as failed:
         write_results(flight, tmp_path, plot=fail)
+    (incomplete,) = tmp_path.glob("*.incomplete")
+    assert failed.value.filename == str(incomplete / "plan.png")
+    assert (incomplete / "summary.json").exists()
     assert (tmp_path / "latest").resolve() == complete.resolve()
+    assert {path.name for path in tmp_path.iterdir()} == {complete.name, incomplete.name, "latest"}
 
 
 def test_a_real_folder_named_latest_is_not_touched(flight, tmp_path):

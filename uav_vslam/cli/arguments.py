@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import tempfile
 from collections.abc import Mapping
@@ -71,6 +72,14 @@ def results_folder(text: str) -> Path:
     except UavVslamError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return folder
+
+
+def output_file(text: str) -> Path:
+    """Return a file that can be written: an absent one in a folder that is there, or one that may be replaced."""
+    path = Path(text)
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise argparse.ArgumentTypeError(f"{path} can't be written; name a file in a folder that is there and writable")
+    return path
 
 
 def add_datum(parser: argparse.ArgumentParser, purpose: str) -> None:

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import output_file
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.recordings import bags_and_configs
 
@@ -35,13 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/ (bags only)")
     parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the findings into a file")
+    parser.add_argument("--json", type=output_file, metavar="FILE", help="also write the findings into a file")
 
 
 def run(args: argparse.Namespace) -> int:
     """Check, print, and return whether the graph can run."""
     import cv2
 
+    from uav_vslam.evaluation.output import write_json
     from uav_vslam.inspection.report import text, tree
 
     cv2.setNumThreads(1)
@@ -49,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     judged = _judge(bags, configs)
     print("\n\n".join(text(survey, inspection) for survey, inspection in judged))
     if args.json:
-        _write_json(args.json, [tree(survey, inspection) for survey, inspection in judged])
+        write_json(args.json, {"vehicles": [tree(survey, inspection) for survey, inspection in judged]})
     return 0 if all(inspection.usable for _, inspection in judged) else CANT_RUN
 
 
@@ -77,14 +79,3 @@ def _judge(bags: tuple[Path, ...], configs: dict[str, VehicleConfig]) -> list[tu
     messages = sum(messages_to_read(recorded, name, config) for name, config in configs.items())
     with progress_bar("checking", messages) as advance:
         return [inspect_bags(bags, name, config, advance) for name, config in configs.items()]
-
-
-def _write_json(path: Path, vehicles: list[dict[str, object]]) -> None:
-    import json
-
-    from uav_vslam.errors import UavVslamError
-
-    try:
-        path.write_text(json.dumps({"vehicles": vehicles}, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UavVslamError(f"{path}: can't be written ({error.strerror}); give another --json FILE") from None

@@ -48,6 +48,7 @@ def _check(args: argparse.Namespace) -> int:
 
     reports = check_keys(load_fleet(args.fleet), args.vehicle)
     for one in reports:
-        about = " ".join(part for part in (one.file, one.fingerprint) if part)
+        file = "" if one.file in one.fault else one.file
+        about = " ".join(part for part in (file, one.fingerprint) if part)
         print(f"{one.vehicle}: {', '.join(part for part in (about, one.fault or 'good') if part)}")
     return FAULTY if any(one.fault for one in reports) else 0

@@ -58,7 +58,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     keep_freed_memory()
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        args = build_parser(arguments).parse_args(arguments)
+        args, unknown = build_parser(arguments).parse_known_args(arguments)
+        if unknown:  # argparse itself would show how to name a verb, not the verb's options
+            args.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
         return int(args.run(args))
     except UavVslamError as error:
         print(f"uav-vslam: {error}", file=sys.stderr)
@@ -107,7 +109,7 @@ def _add_verb(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]",
     subparser.formatter_class = argparse.RawDescriptionHelpFormatter
     subparser.epilog = getattr(module, "EXAMPLES", None)
     module.add_arguments(subparser)
-    subparser.set_defaults(run=module.run)
+    subparser.set_defaults(run=module.run, parser=subparser)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,9 @@ from uav_vslam.errors import ConfigError
 
 Value = typing.TypeVar("Value")
 
+# Sizes beyond which no unit in use makes sense, and squares and ratios of a few such numbers overflow or vanish.
+SMALLEST, LARGEST = 1e-12, 1e10
+
 
 @dataclass(frozen=True, slots=True)
 class Setting:
@@ -125,7 +128,9 @@ class Settings:
             try:
                 object.__setattr__(self, name, described.accepted(value))
             except ValueError:
-                refuse(name, value, described.allowed)
+                sizes = f", of a size from {SMALLEST:g} to {LARGEST:g}"
+                absurd = isinstance(value, int | float) and math.isfinite(value) and not _sensible(value)
+                refuse(name, value, described.allowed + (sizes if absurd else ""))
         self._check_together()
 
     def _check_together(self) -> None:
@@ -251,6 +256,11 @@ def _converted(value: Any, kind: Any) -> Any:
         value = float(value)  # YAML reads 1e-3 as text
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise ValueError
-    if kind is float and not math.isfinite(value):
+    if kind in (float, int) and not _sensible(value):
         raise ValueError
     return value
+
+
+def _sensible(number: float) -> bool:
+    """Whether a number is 0 or of a size in use; NaN is not."""
+    return number == 0 or SMALLEST <= abs(number) <= LARGEST

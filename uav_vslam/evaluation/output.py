@@ -105,10 +105,10 @@ def write_comparison(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: F
     Returns:
         The new folder.
     """
-    folder = _dated_folder(root, tree["comparison"])
-    write_json(folder / "comparison.json", tree)
-    if plot is not None:
-        plot(folder)
+    with _dated_folder(root, tree["comparison"]) as folder:
+        write_json(folder / "comparison.json", tree)
+        if plot is not None:
+            plot(folder)
     return folder
 
 
@@ -126,14 +126,10 @@ def latest_link(root: Path) -> Path:
 
 @contextmanager
 def new_folder(root: Path, name: str) -> Iterator[Path]:
-    """Yield a new dated folder; if filled without an error, `latest` is linked to it."""
+    """Yield a new dated folder; once it is filled, `latest` is linked to it."""
     latest = latest_link(root)
-    folder = _dated_folder(root, name)
-    try:
+    with _dated_folder(root, name) as folder:
         yield folder
-    except OSError as error:  # of a write, which knows no name
-        error.filename = error.filename or str(folder)
-        raise
     # Only renaming another link over it replaces a link atomically.
     fresh = root / f".{LATEST}_{os.getpid()}"
     fresh.unlink(missing_ok=True)
@@ -141,8 +137,17 @@ def new_folder(root: Path, name: str) -> Iterator[Path]:
     fresh.replace(latest)
 
 
-def _dated_folder(root: Path, name: str) -> Path:
-    return _make_unique(root, f"{datetime.now():%Y-%m-%d_%H%M%S}_{_file_name(name)}")
+@contextmanager
+def _dated_folder(root: Path, name: str) -> Iterator[Path]:
+    """Yield a new folder; if it can't be filled, it gets another name, so that nobody takes it for a result."""
+    folder = _make_unique(root, f"{datetime.now():%Y-%m-%d_%H%M%S}_{_file_name(name)}")
+    try:
+        yield folder
+    except BaseException as error:
+        incomplete = folder.rename(f"{folder}.incomplete")
+        if isinstance(error, OSError):  # of a write, which knows no name or the folder's former one
+            error.filename = str(error.filename or incomplete).replace(str(folder), str(incomplete))
+        raise
 
 
 def _make_unique(root: Path, stem: str) -> Path:

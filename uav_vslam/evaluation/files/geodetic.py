@@ -29,12 +29,13 @@ class Datum:
     yaw_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        limits = {"latitude": (self.latitude_deg, 90.0), "longitude": (self.longitude_deg, 180.0)}
+        limits = {"latitude": (self.latitude_deg, 90), "longitude": (self.longitude_deg, 180)}
+        limits["yaw"] = (self.yaw_deg, 360)
         for name, (value, largest) in limits.items():
             if not abs(value) <= largest:
-                raise ConfigError(f"{name} {value:g} of the datum is not within ±{largest:g} degrees; give LAT LON ALT")
-        if not np.isfinite([self.altitude_m, self.yaw_deg]).all():
-            raise ConfigError(f"altitude {self.altitude_m:g} and yaw {self.yaw_deg:g} of the datum must be finite")
+                raise ConfigError(f"{name} {value:g} of the datum is not within ±{largest} degrees; give LAT LON ALT")
+        if not np.isfinite(self.altitude_m):
+            raise ConfigError(f"altitude {self.altitude_m:g} of the datum must be finite")
 
     def figures(self) -> dict[str, float]:
         """Return what `map.json` holds of it; the yaw only of a map that is turned."""

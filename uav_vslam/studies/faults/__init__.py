@@ -27,7 +27,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 
 STUDY = Study(
     help="rendered images: cameras that fail (lost, swapped, black, blurred, frozen images), and the diagnostics",
-    takes="an hour",
+    takes="a quarter of an hour",
     examples="""examples:
   uav-vslam study faults                                    2 seeds, 7 faults and none, both front ends
   uav-vslam study faults --seeds 1 --variant frontend.method=klt
