@@ -111,6 +111,7 @@ class Marked:
 
 
 SEEN, BLANK = np.full((40, 60), 255, np.uint8), np.zeros((40, 60), np.uint8)
+SEEN_RIGHT = np.full((40, 60), 254, np.uint8)
 
 
 def looked_at(*images: tuple[np.ndarray, np.ndarray], board: Board | None = None) -> Boards:
@@ -118,7 +119,7 @@ def looked_at(*images: tuple[np.ndarray, np.ndarray], board: Board | None = None
 
 
 def test_pictures_without_a_board_are_rejected_with_the_side() -> None:
-    found = looked_at(*[(SEEN, SEEN)] * 8, (BLANK, SEEN), (SEEN, BLANK), (BLANK, BLANK))
+    found = looked_at(*[(SEEN, SEEN_RIGHT)] * 8, (BLANK, SEEN_RIGHT), (SEEN, BLANK), (BLANK, BLANK))
     assert len(found.pairs) == 8
     assert found.size == (60, 40)
     sides = ["the left image", "the right image", "both images"]
@@ -127,15 +128,20 @@ def test_pictures_without_a_board_are_rejected_with_the_side() -> None:
 
 def test_pictures_of_another_size_are_refused() -> None:
     with pytest.raises(CalibrationError, match="right picture of pair 1 is 60x30 px but the first picture 60x40"):
-        looked_at((SEEN, SEEN), (SEEN, SEEN[:30]))
+        looked_at((SEEN, SEEN_RIGHT), (SEEN, SEEN_RIGHT[:30]))
+
+
+def test_the_same_pictures_on_both_sides_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="both pictures of pair 2 are the same; name each camera's own"):
+        looked_at((SEEN, SEEN_RIGHT), (BLANK, BLANK), (SEEN, SEEN))
 
 
 def test_too_few_boards_are_refused_with_what_to_count() -> None:
     with pytest.raises(
         CalibrationError, match=r"1 of 2 pairs show the 9x6 board in both images; 8 are needed; paint it"
     ):
-        looked_at((SEEN, SEEN), (BLANK, SEEN))
+        looked_at((SEEN, SEEN_RIGHT), (BLANK, SEEN_RIGHT))
     with pytest.raises(
         CalibrationError, match="7 of 7 pairs show the 9x6 board in both images; 8 are needed; take more"
     ):
-        looked_at(*[(SEEN, SEEN)] * 7)
+        looked_at(*[(SEEN, SEEN_RIGHT)] * 7)

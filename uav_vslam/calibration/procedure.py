@@ -105,7 +105,7 @@ def find_boards(
         on_pair: called after each pair.
 
     Raises:
-        CalibrationError: pictures have different sizes, or too few show the board.
+        CalibrationError: pictures have different sizes, both of a pair are the same, or too few show the board.
     """
     pairs: list[BoardPair] = []
     rejected: list[Rejected] = []
@@ -119,6 +119,8 @@ def find_boards(
             other_sizes += [found for found in map(board.size_in, images) if found is not None]
             where = "both images" if left is right else "the left image" if left is None else "the right image"
             rejected.append(Rejected(name, f"no board found in {where}"))
+        elif np.array_equal(*images):
+            raise CalibrationError(f"both pictures of pair {name} are the same; name each camera's own")
         else:
             pairs.append(BoardPair(name, left, board.like(right, left)))
         on_pair()
@@ -248,8 +250,8 @@ def _too_few(
     other = [found for found in other_sizes if found != size]
     if not rejected:
         return f"{text}; take more pictures"
-    if pairs or not other:
+    likely = max(set(other), key=other.count, default=size)
+    if pairs or other.count(likely) < LEAST_PAIRS:  # a few may be mistaken
         return f"{text}; {board.ADVICE}"
-    likely = max(set(other), key=other.count)
     use = f"{likely[0]}x{likely[1]}"
     return f"{text}; {other.count(likely)} images show a board of {use} inner corners: use --board {use}"
