@@ -48,23 +48,31 @@ class RigConfig(Settings):
 
     flexing: bool = setting(False, "the cameras' relative attitude drifts and vibrates, so it is estimated")
     attitude_sigma_deg: float = setting(
-        0.05, "flexing: initial slow part, per axis; best set to twice the expected", unit="deg", at_least=0
+        0.05,
+        "flexing: initial slow part, per axis; best set to twice the expected",
+        unit="deg",
+        at_least=0,
+        at_most=180,
     )
-    attitude_walk_deg: float = setting(0.001, "flexing: random walk of the slow part", unit="deg/sqrt(s)", at_least=0)
+    attitude_walk_deg: float = setting(
+        0.001, "flexing: random walk of the slow part", unit="deg/sqrt(s)", at_least=0, at_most=180
+    )
     vibration_sigma_deg: float = setting(
-        0.05, "flexing: part independent in each frame, rms per axis", unit="deg", at_least=0
+        0.05, "flexing: part independent in each frame, rms per axis", unit="deg", at_least=0, at_most=180
     )
     rigid_sigma_deg: float = setting(
         2.0e-4,
         "not flexing: about the axis that changes the disparity, if the calibration is right; 0: attitude exact",
         unit="deg",
         at_least=0,
+        at_most=180,
     )
     epipolar_sigma_deg: float = setting(
         0.05,
         "not flexing: the same about the axes that don't change the disparity; each stereo pair shows such errors",
         unit="deg",
         at_least=0,
+        at_most=180,
     )
     disparity_sigma_px: float = setting(
         0.004, "constant error of the disparity, estimated, if the calibration is right; 0: none", unit="px", at_least=0
