@@ -129,7 +129,7 @@ class Settings:
                 object.__setattr__(self, name, described.accepted(value))
             except ValueError:
                 sizes = f", of a size from {SMALLEST:g} to {LARGEST:g}"
-                absurd = isinstance(value, int | float) and math.isfinite(value) and not _sensible(value)
+                absurd = isinstance(value, float) and math.isfinite(value) and not _in_use(value)
                 refuse(name, value, described.allowed + (sizes if absurd else ""))
         self._check_together()
 
@@ -256,11 +256,11 @@ def _converted(value: Any, kind: Any) -> Any:
         value = float(value)  # YAML reads 1e-3 as text
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise ValueError
-    if kind in (float, int) and not _sensible(value):
+    if kind is float and not _in_use(value):
         raise ValueError
     return value
 
 
-def _sensible(number: float) -> bool:
+def _in_use(number: float) -> bool:
     """Whether a number is 0 or of a size in use; NaN is not."""
     return number == 0 or SMALLEST <= abs(number) <= LARGEST

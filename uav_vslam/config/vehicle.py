@@ -134,7 +134,7 @@ class FrontendConfig(Settings):
     scale: float = setting(
         0.5, "sift: factor by which images are shrunk for detection (INTER_AREA)", at_least=0.1, at_most=1
     )
-    max_features: int = setting(1000, "keypoints kept per image, strongest first", at_least=1)
+    max_features: int = setting(1000, "keypoints kept per image, strongest first", at_least=1, at_most=1_000_000)
     contrast_threshold: float = setting(
         0.01, "SIFT contrast threshold (OpenCV's default 0.04 finds too little on grass)", at_least=0
     )

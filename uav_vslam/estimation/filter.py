@@ -314,8 +314,9 @@ class Filter:
         Args:
             landmarks: (M,) rows of `landmarks`, each at most once.
             pixels: (M, 4) undistorted stereo pixels.
-            linearise_at: T_map_body to linearise at instead of the mean, for a mean known to be far off. The prior is
-                then too wide to regress over, so regression uses the posterior, as in [garcia15].
+            linearise_at: T_map_body to linearise at instead of the mean, for a mean known to be far off; no effect on
+                a model that is not invariant. The prior is then too wide to regress over, so regression uses the
+                posterior, as in [garcia15].
             significance: probability with which a correct set of observations is rejected.
             weights: (M,) divide the noise variance; None for ones.
         """
