@@ -24,6 +24,10 @@ Value = typing.TypeVar("Value")
 SMALLEST, LARGEST = 1e-10, 1e10
 
 
+class _Absurd(ValueError):
+    """A number of a size that is not in use."""
+
+
 @dataclass(frozen=True, slots=True)
 class Setting:
     """The metadata of a setting.
@@ -127,10 +131,10 @@ class Settings:
             value = getattr(self, name)
             try:
                 object.__setattr__(self, name, described.accepted(value))
+            except _Absurd:
+                refuse(name, value, f"{described.allowed}, of a size from {SMALLEST:g} to {LARGEST:g}")
             except ValueError:
-                sizes = f", of a size from {SMALLEST:g} to {LARGEST:g}"
-                absurd = isinstance(value, float) and math.isfinite(value) and not _in_use(value)
-                refuse(name, value, described.allowed + (sizes if absurd else ""))
+                refuse(name, value, described.allowed)
         self._check_together()
 
     def _check_together(self) -> None:
@@ -256,11 +260,8 @@ def _converted(value: Any, kind: Any) -> Any:
         value = float(value)  # YAML reads 1e-3 as text
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise ValueError
-    if kind is float and not _in_use(value):
+    if kind is float and not math.isfinite(value):
         raise ValueError
+    if kind is float and value != 0 and not SMALLEST <= abs(value) <= LARGEST:
+        raise _Absurd
     return value
-
-
-def _in_use(number: float) -> bool:
-    """Whether a number is 0 or of a size in use; NaN is not."""
-    return number == 0 or SMALLEST <= abs(number) <= LARGEST
