@@ -119,7 +119,7 @@ def find_boards(
             other_sizes += [found for found in map(board.size_in, images) if found is not None]
             where = "both images" if left is right else "the left image" if left is None else "the right image"
             rejected.append(Rejected(name, f"no board found in {where}"))
-        elif np.array_equal(*images):
+        elif np.array_equal(images[0], images[1]):
             raise CalibrationError(f"both pictures of pair {name} are the same; name each camera's own")
         else:
             pairs.append(BoardPair(name, left, board.like(right, left)))
