@@ -2,8 +2,9 @@
 """Stamps of the IMU: what is missing, and what is stamped in bursts."""
 
 import numpy as np
+import pytest
 
-from uav_vslam.inspection.timing import check_imu_rate
+from uav_vslam.inspection.timing import check_imu_rate, check_order
 
 EVEN_NS = np.arange(2000, dtype=np.int64) * 5_000_000
 
@@ -18,3 +19,19 @@ def test_readings_that_are_stamped_in_bursts_are_not_called_missing() -> None:
 def test_readings_that_are_missing_are_counted() -> None:
     (finding,) = check_imu_rate(EVEN_NS[np.arange(2000) % 10 > 1])
     assert "398 of 1998 readings are missing" in finding.seen
+
+
+@pytest.mark.parametrize(
+    ("stamps_ns", "severity", "seen"),
+    [
+        (np.repeat(EVEN_NS, 2), "warning", "0 of 4000 stamps go backwards and 2000 repeat the one before"),
+        (np.full(2000, 7), "error", "0 of 2000 stamps go backwards and 1999 repeat the one before"),
+        (EVEN_NS[::-1], "error", "1999 of 2000 stamps go backwards and 0 repeat the one before"),
+    ],
+    ids=["recorded twice", "stand still", "backwards"],
+)
+def test_a_stream_is_useless_if_its_stamps_stand_still_or_go_back(
+    stamps_ns: np.ndarray, severity: str, seen: str
+) -> None:
+    (finding,) = check_order("IMU", stamps_ns)
+    assert (finding.severity.value, finding.seen.startswith(seen)) == (severity, True)

@@ -35,7 +35,8 @@ def check_order(name: str, stamps_ns: Stamps) -> list[Finding]:
         f"{back} of {len(stamps_ns)} stamps go backwards and {same} repeat the one before, first at message {first} "
         f"({_after_start(stamps_ns, first):.2f} s)"
     )
-    judge = error if back + same > limits.UNUSABLE_SHARE * len(steps) else warning
+    useless = back > limits.UNUSABLE_SHARE * len(steps) or same > limits.STUCK_SHARE * len(steps)
+    judge = error if useless else warning
     remedy = "such messages are dropped: fix the driver's clock, and let only one driver publish"
     return [judge(f"{name} stamps", seen, "each stamp after the one before", remedy)]
 
