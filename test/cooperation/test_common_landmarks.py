@@ -8,7 +8,14 @@ import pytest
 from scipy.stats import chi2
 
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.common_landmarks import blocks, comparable
+from uav_vslam.cooperation.common_landmarks import (
+    beyond_chance,
+    blocks,
+    comparable,
+    consistent,
+    gated,
+    ground_covariance,
+)
 from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.slam.packet import ANCHOR, DENSE, PacketPolicy, make_packet
 
@@ -99,7 +106,7 @@ def test_maps_farther_apart_than_their_uncertainty_have_no_matches(scene) -> Non
     assert scene(shift_m=15.0) == []
 
 
-@pytest.mark.parametrize(("shared", "min_common", "count"), [(2, 3, 0), (3, 3, 3), (1, 1, 1), (0, 1, 0)])
+@pytest.mark.parametrize(("shared", "min_common", "count"), [(2, 3, 0), (3, 3, 3), (2, 2, 2), (0, 1, 0)])
 def test_fewer_than_the_minimum_are_not_accepted(scene, shared: int, min_common: int, count: int) -> None:
     assert len(scene(shared=shared, config=FusionConfig(min_common=min_common))) == count
 
@@ -130,6 +137,8 @@ def test_blocks_are_a_view_by_landmark() -> None:
 # Gates against dense references, just inside and just outside: own and peer covariance and floor are of one size.
 
 FLOOR_M = 0.8
+WIDE_FLOOR = FusionConfig(floor_sigma_m=FLOOR_M)
+PAIRS = np.array([[0, 0], [1, 1]])
 BESIDE_THE_GATE = pytest.mark.parametrize(("share", "inside"), [(0.99, True), (1.01, False)])
 
 
@@ -139,15 +148,13 @@ def random_covariance(seed: int, count: int, drift_m: float) -> np.ndarray:
     return block_covariance(count, drift_m) + A @ A.T
 
 
-def shared_of(make_joint, offsets_m: np.ndarray, *, drift_m: float) -> tuple[int, np.ndarray, np.ndarray]:
-    """Return how many of N landmarks are shared with a peer that has them `offsets_m` off, and both covariances."""
+def two_maps(make_joint, offsets_m: np.ndarray, *, drift_m: float) -> tuple[np.ndarray, ...]:
+    """Return own positions and covariance of N landmarks, and those of a peer that has them `offsets_m` off."""
     count = len(offsets_m)
     at = 40.0 * np.arange(count)[:, None] * np.array([1.0, 0.5, 0.0])
     P, R = (random_covariance(seed, count, drift_m) for seed in (1, 2))
     packet = make_packet(make_joint(at + offsets_m, R, vehicle="uav2"), sequence=1, policy=WHOLE)
-    config = FusionConfig(floor_sigma_m=FLOOR_M, min_common=1)
-    pairs = associate(at, P[6:, 6:], make_joint(at, P).descriptors, packet, config=config)
-    return len(pairs), P[6:, 6:], packet.covariance
+    return at, P[6:, 6:], packet.positions, packet.covariance
 
 
 def on_the_gate(direction: np.ndarray, S: np.ndarray) -> np.ndarray:
@@ -159,16 +166,62 @@ def on_the_gate(direction: np.ndarray, S: np.ndarray) -> np.ndarray:
 @BESIDE_THE_GATE
 @pytest.mark.parametrize("direction", np.eye(3))
 def test_a_pair_is_gated_by_both_covariances_and_the_floor(make_joint, direction, share: float, inside: bool) -> None:
-    _, P, R = shared_of(make_joint, np.zeros((1, 3)), drift_m=0.3)
+    _, P, _, R = two_maps(make_joint, np.zeros((1, 3)), drift_m=0.3)
     offset = on_the_gate(direction, P + R + FLOOR_M**2 * np.eye(3))
-    assert shared_of(make_joint, share * offset[None], drift_m=0.3)[0] == inside
+    maps = two_maps(make_joint, share * offset[None], drift_m=0.3)
+    assert len(gated(PAIRS[:1], *maps, WIDE_FLOOR)) == inside
 
 
 @BESIDE_THE_GATE
 @pytest.mark.parametrize("direction", np.eye(3))
 def test_two_pairs_agree_by_the_covariance_of_their_offset(make_joint, direction, share: float, inside: bool) -> None:
     """What both landmarks share, as a large drift, is no part of the offset's error; the floor counts twice."""
-    _, P, R = shared_of(make_joint, np.zeros((2, 3)), drift_m=30.0)
+    _, P, _, R = two_maps(make_joint, np.zeros((2, 3)), drift_m=30.0)
     D = np.hstack([-np.eye(3), np.eye(3)])
     offset = on_the_gate(direction, D @ (P + R) @ D.T + 2 * FLOOR_M**2 * np.eye(3))
-    assert shared_of(make_joint, share * np.outer([-0.5, 0.5], offset), drift_m=30.0)[0] == 1 + inside
+    maps = two_maps(make_joint, share * np.outer([-0.5, 0.5], offset), drift_m=30.0)
+    assert len(consistent(PAIRS, *maps, WIDE_FLOOR)) == 1 + inside
+
+
+AREA_M2 = 100.0 * 100.0
+
+
+def horizontal(sigmas_m: list[float], drift_m: float = 0.0) -> np.ndarray:
+    """Return (2K, 2K): errors independent for each pair, and one that all share."""
+    shared = np.tile(np.eye(2), (len(sigmas_m), 1))
+    return np.diag(np.repeat(np.square(sigmas_m), 2)) + drift_m**2 * shared @ shared.T
+
+
+@pytest.mark.parametrize(
+    ("S", "kept"),
+    [
+        (horizontal([0.5] * 2, 1.0), [0, 1]),
+        (horizontal([0.5] * 2, 30.0), []),
+        (horizontal([0.5] * 6, 30.0), [0, 1, 2, 3, 4, 5]),
+        (horizontal([30.0] * 9), []),
+        (horizontal([0.5, 30.0, 0.5], 1.0), [0, 2]),
+        (np.zeros((0, 0)), []),
+    ],
+    ids=["two", "two in wide gates", "six in gates with a common error", "wide gates", "one wide gate", "none"],
+)
+def test_matches_count_if_wrong_ones_would_not_agree_as_well(S: np.ndarray, kept: list[int]) -> None:
+    assert beyond_chance(S, 10, AREA_M2, CONFIG).tolist() == kept
+
+
+def test_a_map_without_extent_proves_nothing() -> None:
+    assert len(beyond_chance(horizontal([0.1] * 5), 5, 0.0, CONFIG)) == 0
+
+
+def test_wrong_matches_that_agree_by_chance_are_not_taken() -> None:
+    """A hundred pairs of maps whose descriptors are all wrong, in gates as wide as the maps: some agree."""
+    pairs, P = np.column_stack([np.arange(COUNT)] * 2), block_covariance(COUNT, 40.0)[6:, 6:] + np.eye(3 * COUNT)
+    rng, agreeing, taken = np.random.default_rng(8), 0, 0
+    for _ in range(100):
+        own, peer = np.zeros((2, COUNT, 3))
+        own[:, :2], peer[:, :2] = rng.uniform(-50, 50, (2, COUNT, 2))
+        found = pairs[consistent(pairs, own, P, peer, P, CONFIG)]
+        S = ground_covariance(found, P, P, CONFIG)
+        agreeing += len(found) > 1
+        taken += len(beyond_chance(S, COUNT, AREA_M2, CONFIG)) > 0
+    assert agreeing > 50
+    assert taken == 0

@@ -171,10 +171,10 @@ def test_never_more_than_rate_times_time_and_burst_leaves(rate: int, burst: int,
 
 
 @given(
-    loss=st.floats(0, 1),
-    duplication=st.floats(0, 1),
+    loss=st.just(0.0) | st.floats(1e-9, 1),
+    duplication=st.just(0.0) | st.floats(1e-9, 1),
     rate=st.just(0.0) | st.floats(1, 3000),
-    jitter=st.floats(0, 2),
+    jitter=st.just(0.0) | st.floats(1e-9, 2),
     seed=st.integers(0, 2**32),
     offers=st.lists(st.tuples(st.integers(0, 2 * NS_PER_S), st.integers(0, 2000)), max_size=40),
 )

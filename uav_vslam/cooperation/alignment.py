@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from uav_vslam.cooperation.common_landmarks import blocks
+from uav_vslam.cooperation.common_landmarks import blocks, map_area
 from uav_vslam.cooperation.point_pairs import (
     FLAT_SIGMA,
     FRAME_DIM,
@@ -184,10 +184,9 @@ def log_chance(found: Alignment, relative: PointPairs) -> float:
     ground height does not discriminate. Any two of n matches give a transform, any k - 2 of the others may fit it.
     """
     n, k = len(relative), len(found.inliers)
-    spread = np.cov(relative.own[:, :2], rowvar=False)
-    map_area = 12.0 * np.sqrt(np.linalg.det(spread))  # of a rectangle with the same second moments
+    whole = map_area(relative.own)
     gates = relative.take(found.inliers).pair_covariances(found.T_own_peer.R)[:, :2, :2]
     area = np.pi * GATE * float(np.sqrt(np.linalg.det(gates)).mean())
-    p = min(1.0, area / map_area) if map_area > 0 else 1.0
+    p = min(1.0, area / whole) if whole > 0 else 1.0
     sets = gammaln(n - 1) - gammaln(k - 1) - gammaln(n - k + 1)  # log C(n - 2, k - 2)
     return float(np.log(n * (n - 1) / 2) + sets + (k - 2) * np.log(p))

@@ -2,17 +2,19 @@
 """Data association between a peer's map and ours: descriptors, then gate, then pairwise consistency of the matches.
 
 The ratio test precedes the gate, which would leave it no second neighbour. Covariance intersection protects against
-correlation, not against outliers, so the matches must be pairwise consistent, cf. [mangelson18].
+correlation, not against outliers, so the matches must be pairwise consistent, cf. [mangelson18], and closer together
+than wrong ones come by chance: in the wide gates of a map that is very uncertain, these agree, too.
 """
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import chdtri, gammaln
 
 from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.received_map import PeerLandmarks
-from uav_vslam.numerics import mahalanobis2
+from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.numerics import inverse_spd, mahalanobis2, submatrix
 from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW, in_basis, load_basis, single_distance
 from uav_vslam.vision.matching.nn_ratio import match_descriptors
@@ -21,6 +23,9 @@ Array = NDArray[np.float64]
 Pairs = NDArray[np.intp]
 
 POINT_DOF = 3
+GROUND_DOF = 2
+MAX_GATE_SHARE = 0.05  # of the map: a match whose gate covers more of it, given the others, is no evidence
+LOG_CHANCE = np.log(1e-3)  # largest expected number of sets of matches that agree as well, of wrong ones alone
 
 
 def find_common(
@@ -45,8 +50,11 @@ def find_common(
     """
     pairs = descriptor_matches(descriptors, packet, config.ratio)
     peer_positions, peer_covariance = packet.positions, packet.covariance
+    proposed = len(pairs)
     pairs = pairs[gated(pairs, positions, covariance, peer_positions, peer_covariance, config)]
-    return pairs[_consistent(pairs, positions, covariance, peer_positions, peer_covariance, config)]
+    pairs = pairs[consistent(pairs, positions, covariance, peer_positions, peer_covariance, config)]
+    S = ground_covariance(pairs, covariance, peer_covariance, config)
+    return pairs[beyond_chance(S, proposed, map_area(positions), config)]
 
 
 def gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:
@@ -93,7 +101,7 @@ def blocks(covariance: Array) -> Array:
     return covariance.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
 
 
-def _consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:
+def consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:
     """Return the largest set of pairwise consistent matches: equal offsets in both maps."""
     i, j = np.triu_indices(len(pairs), 1)
     a, b = pairs[:, 0], pairs[:, 1]
@@ -109,3 +117,55 @@ def _offset_covariance(covariance: Array, i: Pairs, j: Pairs) -> Array:
     """Return (M, 3, 3) covariances of x_j - x_i."""
     B = blocks(covariance)
     return np.asarray(B[i, i] + B[j, j] - B[i, j] - B[j, i])
+
+
+def map_area(points: Array) -> float:
+    """Return the ground area that (N, 3) points cover [m^2]: that of a rectangle with the same second moments."""
+    if len(points) <= GROUND_DOF:
+        return 0.0
+    return 12.0 * float(np.sqrt(np.linalg.det(np.cov(points[:, :GROUND_DOF], rowvar=False))))
+
+
+def ground_covariance(pairs: Pairs, P: Array, R: Array, config: FusionConfig) -> Array:
+    """Return the (2K, 2K) joint covariance of the horizontal differences of K pairs."""
+    own, peer = (landmark_rows(0, rows).reshape(-1, POINT_DOF)[:, :GROUND_DOF].ravel() for rows in pairs.T)
+    return submatrix(P, own) + submatrix(R, peer) + config.floor_sigma_m**2 * np.eye(GROUND_DOF * len(pairs))
+
+
+def beyond_chance(S: Array, proposed: int, area: float, config: FusionConfig) -> Pairs:
+    """Return the rows of those matches whose agreement wrong ones would not reach by chance, cf. [moisan04].
+
+    A wrong match is uniform over the map, so it falls into a gate with p = area of the gate / area of the map; on flat
+    ground height does not discriminate. Each match is judged given the others, then all together.
+
+    Args:
+        S: (2K, 2K) joint covariance of the matches' horizontal differences.
+        proposed: number of matches by descriptor alone.
+        area: of the map [m^2].
+        config: gate.
+    """
+    rows, gate = np.arange(len(S) // GROUND_DOF), chdtri(GROUND_DOF, 1.0 - config.gate_probability)
+    while len(rows):
+        k = np.arange(len(rows))
+        information = inverse_spd(_of_rows(S, rows), "differences of two maps").reshape(len(k), GROUND_DOF, len(k), -1)
+        gates = np.pi * gate / np.sqrt(np.linalg.det(information[k, :, k]))
+        widest = int(np.argmax(gates))
+        if gates[widest] <= MAX_GATE_SHARE * area:
+            break
+        rows = np.delete(rows, widest)
+    return rows if _log_chance(_of_rows(S, rows), proposed, area, config) <= LOG_CHANCE else rows[:0]
+
+
+def _log_chance(S: Array, proposed: int, area: float, config: FusionConfig) -> float:
+    """Return the log of the expected number of sets of wrong matches inside the joint gate; see `beyond_chance`."""
+    k = len(S) // GROUND_DOF
+    if k == 0:
+        return 0.0
+    gate = chdtri(GROUND_DOF * k, 1.0 - config.gate_probability)
+    log_volume = k * np.log(np.pi * gate) - gammaln(k + 1) + 0.5 * float(np.linalg.slogdet(S)[1])
+    sets = gammaln(proposed + 1) - gammaln(k + 1) - gammaln(proposed - k + 1)
+    return float(sets + log_volume - k * np.log(area))
+
+
+def _of_rows(S: Array, rows: Pairs) -> Array:
+    return submatrix(S, (GROUND_DOF * rows[:, None] + np.arange(GROUND_DOF)).ravel())
