@@ -195,6 +195,35 @@ def test_a_node_that_is_reset_alone_goes_on_from_the_next_correction(make: Make,
     assert node.counts["increments"] > before + 20
 
 
+def test_a_node_that_is_reset_alone_goes_on_though_the_back_end_waits_for_its_increments(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 1.0)
+    deliver(node, "slam/correction", start_at(NOW_NS + NS_PER_S))
+    rest(node, NOW_NS + NS_PER_S, 0.1)
+    node.reset()
+    before = node.counts["increments"]
+    rest(node, NOW_NS + NS_PER_S + 100_000_000, 1.0)
+    assert node._live is not None
+    assert node._live.estimate.state.stamp_ns > NOW_NS + 2 * NS_PER_S
+    assert node.counts["increments"] > before + 20
+
+
+def test_after_a_reset_a_start_state_counts_more_than_what_was_estimated_before(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 1.0)
+    deliver(node, "slam/correction", start_at(NOW_NS + NS_PER_S))
+    node.reset()
+    rest(node, NOW_NS + NS_PER_S, 1.0)
+    elsewhere = start_at(NOW_NS + 2 * NS_PER_S)
+    elsewhere.pose.position.x = 1000.0
+    deliver(node, "initial_state", elsewhere)
+    rest(node, NOW_NS + 2 * NS_PER_S, 1.0)
+    assert node._live is not None
+    assert node._live.estimate.pose.T_map_body.t[0] == pytest.approx(1000.0, abs=1.0)
+
+
 def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_covariances(make: Make) -> None:
     node = make("odometry_rate_hz:=50.0")
     edges: list[TransformStamped] = []

@@ -30,6 +30,7 @@ from uav_vslam.simulation.camera_render import RenderedFlight  # noqa: E402
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks  # noqa: E402
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle  # noqa: E402
 from uav_vslam.slam.backend import FrameReport  # noqa: E402
+from uav_vslam.slam.state_folder import state_folder  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -139,6 +140,29 @@ def test_every_parameter_is_described_and_refuses_what_is_wrong(start: Callable[
         if field:  # a node reads those of its own when it needs them
             assert getattr(getattr(node.config, section), field) == IN_RANGE[key]
         assert set_parameter(node, key, before).successful
+
+
+def test_a_node_that_is_restarted_has_the_live_settings_of_the_one_before(start: Callable[..., Any]) -> None:
+    def process(*parameters: str) -> Any:
+        rclpy.try_shutdown()
+        return start("fusion", *parameters)
+
+    first = process("fusion.silent_after_s:=3.0")
+    assert set_parameter(first, "fusion.mode", "narrowband").successful
+    restarted = process("fusion.silent_after_s:=3.0", "resume:=true")
+    assert restarted.config.fusion.mode == restarted.get_parameter("fusion.mode").value == "narrowband"
+    assert restarted.config.fusion.silent_after_s == 3.0
+    assert process().config.fusion.mode == "wideband"  # a new flight has its own
+    assert process("resume:=true").config.fusion.mode == "wideband"
+
+
+def test_live_settings_that_can_not_be_read_are_left(start: Callable[..., Any]) -> None:
+    stored = state_folder() / "uav1_fusion.json"
+    stored.parent.mkdir(parents=True, exist_ok=True)
+    for content in ("{", "[1]", '{"fusion.mode": "loud"}', '{"unknown": 1}'):
+        rclpy.try_shutdown()
+        stored.write_text(content)
+        assert start("fusion", "resume:=true").config.fusion.mode == "wideband"
 
 
 def test_values_that_do_not_go_together_are_refused_when_set(start: Callable[..., Any]) -> None:

@@ -19,6 +19,11 @@ class VehicleNodeConfig(Settings):
     autostart: bool = setting(
         True, "use messages at once; otherwise wait to be configured and activated (ros2 lifecycle)"
     )
+    resume: bool = setting(
+        False,
+        "go on from what a process that died left: live settings, the back end's checkpoint, the mapper's folder; the "
+        "launcher sets it when it restarts a node",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +40,6 @@ class BackendNodeConfig(VehicleNodeConfig):
     """Parameters of slam_backend."""
 
     session: int = setting(0, "number of this start of the vehicle; 0: above all earlier ones", at_least=0)
-    resume: bool = setting(
-        False, "go on from the checkpoint of a process that died; the launcher sets it when it restarts the node"
-    )
     checkpoint_s: float = setting(1.0, "period of checkpoints, in the time of the images", unit="s", above=0)
     map_file: str = setting("", "file that the service save_map writes and load_map reads", live=True)
 
@@ -68,9 +70,6 @@ class MapConfig(Settings):
 class MapperNodeConfig(VehicleNodeConfig):
     """Parameters of mapper."""
 
-    resume: bool = setting(
-        False, "the folder may hold the map of a process that died; the launcher sets it when it restarts the node"
-    )
     map: MapConfig = field(default_factory=MapConfig)
 
 

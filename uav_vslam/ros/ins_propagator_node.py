@@ -69,6 +69,8 @@ class InsPropagatorNode(VehicleNode):
         self._period_s = 1.0 / self.own.odometry_rate_hz if self.own.odometry_rate_hz else 0.0
         self._gaps = RecentEvents()
         self._is_reset = False  # by itself: the back end may be in flight
+        self._correction: NavigationState | None = None  # the newest
+        self._resumed = False  # from a correction of before a reset, which no newer one has confirmed
         self._transforms: list[TransformStamped] = []  # of the readings of a batch
         self._in_batch = False
         self._forget_flight()
@@ -110,11 +112,21 @@ class InsPropagatorNode(VehicleNode):
         self._corrected_ns = -1  # newest correction before the start: the back end is in flight
 
     def reset(self) -> None:
-        """Start again, at whatever stamps come next."""
+        """Start again, at whatever stamps come next.
+
+        A back end in flight makes no correction without increments: those from its newest one on.
+        """
         self._starts.clear()
         self._stamps.restart()
         self._forget_flight()
         self._is_reset = True
+        last = self._correction
+        if self.config.start.method == "given" and last is not None and self._is_recent(stamp_ns_of(last)):
+            self._on_correction(last)
+            self._resumed = True
+
+    def _is_recent(self, stamp_ns: int) -> bool:
+        return abs(self._reading_ns - stamp_ns) <= MAX_APART_S * NS_PER_S
 
     def _take_waiting(self) -> None:
         """Take the image stamps and readings that wait; be back when the reading is due that makes the next odometry.
@@ -167,6 +179,9 @@ class InsPropagatorNode(VehicleNode):
             self._batches.at_once = True  # for the readings that it may wait for
 
     def _on_initial_state(self, message: NavigationState) -> None:
+        if self._resumed:  # the whole vehicle was reset: what the back end estimated before no longer counts
+            self._resumed = False
+            self._forget_flight()
         if self._live is not None:
             self._starts.append(message)
             return
@@ -344,6 +359,7 @@ class InsPropagatorNode(VehicleNode):
 
     def _on_correction(self, message: NavigationState) -> None:
         corrected = navigation_from_msg(message)
+        self._correction, self._resumed = message, False
         if self._live is not None:
             self._live.correct(corrected)
         elif self._preintegrator is None or self._is_reset:

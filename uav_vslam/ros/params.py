@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS parameters from the configuration classes: names, types, ranges and texts have their one home in `config`."""
 
+import contextlib
+import json
 import math
 import typing
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
@@ -15,6 +18,7 @@ from uav_vslam.config.nodes import NODES
 from uav_vslam.config.settings import Setting, Settings, all_settings, build, check_names, flatten, plain, replaced
 from uav_vslam.datasets.sensor_setup import with_noise_of_files
 from uav_vslam.errors import ConfigError
+from uav_vslam.slam.state_folder import replace_file
 
 Config = typing.TypeVar("Config", bound=Settings)
 
@@ -73,6 +77,7 @@ class VehicleParameters:
             ConfigError: an unknown name, or a value that is not allowed.
         """
         self.config = with_noise_of_files(read(node, VehicleConfig))
+        self._file: Path | None = None
         self._node, self._on_change = node, on_change
         settings = all_settings(VehicleConfig)
         self._settings: Mapping[str, Setting] = {name: settings[name] for name in names}
@@ -80,6 +85,43 @@ class VehicleParameters:
         node.add_pre_set_parameters_callback(self._converted)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
+
+    def keep_live(self, path: Path, *, resume: bool) -> None:
+        """Keep live settings in a file from their first change on; `resume` takes over what a process that died left.
+
+        Call it before the node uses the configuration.
+        """
+        if resume and path.exists():
+            self._take_over(path)
+        elif not resume:
+            with contextlib.suppress(OSError):
+                path.unlink()
+        self._file = path
+
+    def _take_over(self, path: Path) -> None:
+        log = self._node.get_logger()
+        try:
+            values = json.loads(path.read_text(encoding="utf-8"))
+            changes = {name: value for name, value in values.items() if self._settings[name].live}
+            self.config = replaced(self.config, changes, where=str(path))
+        except (OSError, ValueError, KeyError, AttributeError, ConfigError) as error:
+            log.warning(f"{path}: live settings of the process before can't be taken over ({error})")
+            return
+        self._node.set_parameters([Parameter(name, value=value) for name, value in changes.items()])
+        log.warning(f"live settings as the process before had them: {changes}")
+
+    def _save_live(self) -> None:
+        if self._file is None:
+            return
+        values = flatten(self.config)
+        live = {name: plain(values[name]) for name, described in self._settings.items() if described.live}
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            replace_file(self._file, json.dumps(live).encode(), durable=False)
+        except OSError as error:
+            self._node.get_logger().warning(
+                f"{self._file}: live settings can't be stored ({error.strerror}); a restart of this node forgets them"
+            )
 
     def _converted(self, parameters: list[Parameter]) -> list[Parameter]:
         """Give values their declared types: `ros2 param set` sends 1 as an integer and 1e-3 as a text."""
@@ -101,6 +143,7 @@ class VehicleParameters:
     def _apply(self, parameters: list[Parameter]) -> None:
         before, self.config = self.config, self._with(parameters)
         if self.config != before:
+            self._save_live()
             self._on_change(self.config)
 
     def _with(self, parameters: list[Parameter]) -> VehicleConfig:

@@ -36,6 +36,7 @@ from uav_vslam.ros.params import VehicleParameters, declare, read
 from uav_vslam.ros.qos import LATCHED_BY_MANY
 from uav_vslam.ros.readiness import DiscoveryReport
 from uav_vslam.ros.transport import environment, udp_alone
+from uav_vslam.slam.state_folder import state_folder
 from uav_vslam.stamps import TimeLine
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -69,6 +70,7 @@ class VehicleNode(PausableNode):
         self.vehicle: str = self.own.vehicle or namespace
         if not self.vehicle:
             raise ConfigError(f"start it in its vehicle's namespace, as in --ros-args -r __ns:=/uav1 (node {name})")
+        self._settings.keep_live(state_folder() / f"{self.vehicle}_{name}.json", resume=self.own.resume)
         self.counts: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
         self.alarms: dict[str, str] = {}

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
+from uav_vslam.config.nodes import NODES, VehicleNodeConfig
 from uav_vslam.errors import ConfigError
 from uav_vslam.processes import exit_with_parent
 from uav_vslam.ros.fleet_commands import NodeSpec
@@ -282,7 +283,8 @@ def node_command(spec: NodeSpec, log_level: str = "") -> Command:
     name = f"{spec.namespace}/{spec.name}".strip("/")
     argv = [*find_executable(spec.executable), *spec.ros_arguments()]
     argv += ["--log-level", log_level] if log_level else []
-    resume = ("-p", "resume:=true") if spec.executable in {"slam_backend", "mapper"} else ()
+    of_vehicle = spec.executable in NODES and issubclass(NODES[spec.executable].own, VehicleNodeConfig)
+    resume = ("-p", "resume:=true") if of_vehicle else ()
     leads, optional = spec.executable == "replay", spec.executable == "recorder"
     return Command(name, argv, leads, spec.environment, resume, optional)
 
