@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from uav_vslam.config import RigConfig
 from uav_vslam.estimation.past_poses import POSE_DIM, PastPose, TrackObservation, Tracks, observe_tracks
 from uav_vslam.estimation.rig_errors import RigErrors
-from uav_vslam.estimation.track_consensus import WIDE, trusted
+from uav_vslam.estimation.track_consensus import LEAST_ASKED, WIDE, trusted
 
 VIEWS = 3
 SIGMA_PX = 0.1
@@ -60,7 +60,9 @@ def test_where_the_gate_is_wide_a_track_must_agree_with_the_others(seen: TrackOb
     passed, added = alone.gated(P, PROBABILITY)
     assert passed.all()
     assert added.min() > WIDE
-    assert trusted(alone, lambda: of(seen, slice(0)), P, PROBABILITY).all()  # without others to ask
+    few = of(seen, slice(1, LEAST_ASKED - 1))
+    assert not trusted(alone, lambda: of(seen, slice(0)), P, PROBABILITY).any()  # without others to ask
+    assert not trusted(few, lambda: alone, P, PROBABILITY).any()
     assert not trusted(alone, lambda: others, P, PROBABILITY).any()
     among_all = trusted(seen, None, P, PROBABILITY)
     assert not among_all[SLIDING]
@@ -70,4 +72,5 @@ def test_where_the_gate_is_wide_a_track_must_agree_with_the_others(seen: TrackOb
 def test_without_a_majority_the_gate_alone_decides(seen: TrackObservation) -> None:
     P, alone = covariance(seen, 1.0), of(seen, slice(0, 1))
     opposite = dataclasses.replace(alone, residual=-alone.residual)
-    assert trusted(alone, lambda: opposite, P, PROBABILITY).all()
+    same = alone.joined(alone).joined(alone)
+    assert trusted(same, lambda: opposite.joined(opposite).joined(opposite), P, PROBABILITY).all()

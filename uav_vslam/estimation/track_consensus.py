@@ -3,7 +3,8 @@
 
 While the state is uncertain, as at the start, its gate passes nearly anything. A point where the edge of a roof crosses
 something on the ground slides as the vehicle moves, though no point of the scene does. Used alone, because its track
-was the first to end, it would make the state certain and wrong, and the gate would then refuse all good tracks.
+was the first to end, or the only one under a wrong calibration, it would make the state certain and wrong, and the gate
+would then refuse all good tracks.
 """
 
 from collections.abc import Callable
@@ -17,6 +18,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 WIDE = 25.0  # variance added by the state to a track's residuals, over that of their noise; commonly below 12
+LEAST_ASKED = 5  # tracks: fewer prove nothing in a wide gate
 ROUNDS = 5  # at most: each leaves out what contradicts the tracks kept by the one before
 
 
@@ -38,6 +40,8 @@ def trusted(
     if others is not None:
         more = others()
         everyone, possible = seen.joined(more), np.append(passed, more.gated(P, probability)[0])
+    if possible.sum() < LEAST_ASKED:
+        return np.zeros_like(passed)
     kept = possible
     for _ in range(ROUNDS):
         said = everyone.chosen(kept).of_poses()
