@@ -217,3 +217,38 @@ def test_a_silent_camera_is_reported_again_after_a_reset(domain_id):
             assert "one camera is silent" in node.alarms["pairs"]
             node.reset()
             assert "pairs" not in node.alarms
+
+
+def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        deliver(node, "/tf_static", extrinsics(node))
+        for side in ("left", "right"):
+            deliver(node, f"{side}/camera_info", calibration(side))
+        used = node._rig.rig
+        zoomed = calibration("left")
+        zoomed.k[0] *= 1.1
+        for told, failing in (
+            (calibration("left"), False),
+            (zoomed, True),
+            (zoomed, True),
+            (calibration("left"), False),
+        ):
+            deliver(node, "left/camera_info", told)
+            assert ("calibration" in node.failures) == failing
+        assert node._rig.rig is used
+        moved = extrinsics(node)
+        moved.transforms[1].transform.translation.x += 0.1
+        deliver(node, "/tf_static", moved)
+        deliver(node, "left/camera_info", zoomed)
+        text = node.failures["calibration"]
+        assert f"fx {zoomed.k[0]:.2f} px, in use {used.left.fx:.2f} px" in text
+        assert "baseline" in text
+        node.reset()
+        assert "calibration" not in node.failures
+        assert node._rig.rig.left.fx == zoomed.k[0]
+        assert node._rig.rig.baseline_m != used.baseline_m
+        zoomed.k[:] = 0.0
+        deliver(node, "left/camera_info", zoomed)
+        assert node.counts["dropped/calibration"] == 1
+        assert node._rig.rig.left.fx > 0.0

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The place and calibration of a vehicle's sensors, from calibration files, camera_info and /tf_static."""
 
+import dataclasses
 from collections import deque
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
 from rclpy.callback_groups import CallbackGroup
 from sensor_msgs.msg import CameraInfo, Imu
 from tf2_msgs.msg import TFMessage
 
+from uav_vslam.datasets.frame_tree import SAME_PLACE
 from uav_vslam.datasets.messages import transforms_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
@@ -21,6 +24,7 @@ from uav_vslam.types import ImuSample
 
 MAX_WAITING = 2000  # readings held until the place of the IMU is known
 MISSING = "transform"  # key in diagnostics of transforms that are still missing
+CHANGED = "calibration"  # key of the failure that another calibration is told than the one in use
 
 
 class RigListener:
@@ -28,12 +32,14 @@ class RigListener:
 
     Where calibration files tell all, it is complete from the start, and nothing is called.
     Topics are not ordered among each other: images may arrive before their calibration.
+    A calibration that changes afterwards is a failure of the node, and used only after `restart`.
     """
 
     def __init__(self, node: VehicleNode, on_complete: Callable[[], None]) -> None:
         self._node, self._on_complete = node, lambda: None
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
         self.rig: StereoRig | None = None
+        self._told: dict[str, tuple[object, ...]] = {}  # by each camera's newest camera_info
         if self._setup.needs_infos:
             for side in SIDES:
                 topic = getattr(node.config.input.topics, f"{side}_info")
@@ -52,17 +58,43 @@ class RigListener:
         """Return the frame of the left camera; where nothing else names it, that of its images."""
         return self._setup.camera_frame("left") or of_images
 
+    def restart(self) -> None:
+        """Use the newest calibration."""
+        self.rig = self._newest() or self.rig
+        self._node.report_failure(CHANGED, "")
+
     def _on_camera(self, side: str, message: CameraInfo) -> None:
-        if side not in self._setup.cameras:
-            try:
-                self._setup.add_camera(side, message)
-            except CalibrationError as error:
-                raise InvalidMessage("calibration", str(error)) from None
-            self._assemble()
+        told = _content(message)
+        if self._told.get(side) == told and side in self._setup.cameras:
+            return
+        try:
+            self._setup.add_camera(side, message)
+        except CalibrationError as error:
+            raise InvalidMessage("calibration", str(error)) from None
+        self._told[side] = told
+        self._follow()
 
     def _on_transforms(self, message: TFMessage) -> None:
         self._setup.frames.add(transforms_of(message))
-        self._assemble()
+        self._follow()
+
+    def _follow(self) -> None:
+        """Complete the rig, or tell that another one is told than the one in use."""
+        if self.rig is None:
+            self._assemble()
+            return
+        newest = self._newest()
+        changes = _changes(self.rig, newest) if newest is not None else ""
+        text = f"the calibration has changed and is used only after a reset of all nodes: {changes}"
+        self._node.report_failure(CHANGED, text if changes else "")
+
+    def _newest(self) -> StereoRig | None:
+        if self._setup.missing_infos or self._setup.missing_transforms():
+            return None
+        try:
+            return self._setup.rig()
+        except CalibrationError:
+            return None
 
     def _assemble(self) -> None:
         if self.rig is not None or self._setup.missing_infos:
@@ -81,6 +113,25 @@ class RigListener:
         self._on_complete()
 
 
+def _content(info: CameraInfo) -> tuple[object, ...]:
+    """Return what of a camera_info makes a calibration."""
+    matrices = (bytes(matrix) for matrix in (info.k, info.d, info.r, info.p))
+    return info.header.frame_id, info.width, info.height, info.distortion_model, *matrices
+
+
+def _changes(used: StereoRig, told: StereoRig) -> str:
+    """Return in words how a rig differs from the one in use; empty if it does not."""
+    changes = []
+    for side in SIDES:
+        before, now = getattr(used, side), getattr(told, side)
+        if not all(np.array_equal(getattr(before, f.name), getattr(now, f.name)) for f in dataclasses.fields(before)):
+            changes.append(f"{side} camera {now.width}x{now.height}, fx {now.fx:.2f} px, in use {before.fx:.2f} px")
+    places = (used.T_body_left, told.T_body_left), (used.T_body_right, told.T_body_right)
+    if not all(np.allclose(before.matrix, now.matrix, atol=SAME_PLACE) for before, now in places):
+        changes.append(f"places of the cameras, baseline {told.baseline_m:.4f} m, in use {used.baseline_m:.4f} m")
+    return "; ".join(changes)
+
+
 class ImuListener:
     """Finds out where the IMU is; readings wait until then."""
 
@@ -95,6 +146,7 @@ class ImuListener:
         self._node, self._on_reading = node, on_reading
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
         self._mounting: ImuMounting | None = None
+        self._frame = ""  # of the newest reading
         self._waiting: deque[ImuSample] = deque()
         self._readings = node.listen(Imu, node.config.input.topics.imu, self._on_imu, SENSOR, raw=True, group=group)
         if self._setup.needs_imu_frame:
@@ -121,11 +173,21 @@ class ImuListener:
     def _on_imu(self, data: bytes) -> None:
         reading, frame = imu_from_data(data)
         if self._mounting is not None:
+            if frame != self._frame:
+                self._report_frame(frame)
             self._on_reading(self._mounting.to_body(reading))
             return
-        self._setup.imu_frame = frame
+        self._setup.imu_frame = self._frame = frame
         self._waiting.append(reading)
         self._locate()
+
+    def _report_frame(self, frame: str) -> None:
+        """Warn of readings of another frame than the first ones'."""
+        self._frame = frame
+        was = self._setup.imu_frame
+        text = f"IMU readings are of {frame or 'no frame'} now, and taken for those of {was or 'no frame'} as before"
+        self._node.report_alarm("imu_frame", text if frame != was else "")
+        self._node.get_logger().warning(text)
 
     def _on_transforms(self, message: TFMessage) -> None:
         if self._mounting is not None:

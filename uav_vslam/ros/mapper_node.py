@@ -69,6 +69,9 @@ class MapperNode(VehicleNode):
         another = self._new_map(beside=True)  # before anything has ended: it may be refused
         self._end_map()
         self._map, self._published_pairs = another, 0
+        self._rig.restart()
+        self._late = None
+        self._on_rig()
 
     def destroy_node(self) -> None:
         """Save the whole map, then destroy the node."""

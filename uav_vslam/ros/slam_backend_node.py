@@ -112,6 +112,7 @@ class SlamBackendNode(VehicleNode):
     def reset(self) -> None:
         """Start again in a new session, at whatever stamps come next."""
         self._clocked.reset()
+        self._rig.restart()
         self._begin_session()
 
     def _begin_session(self) -> None:

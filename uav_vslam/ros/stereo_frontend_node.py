@@ -72,6 +72,7 @@ class StereoFrontendNode(VehicleNode):
         """Forget the tracks and the images that wait."""
         self._frontend, self._alone = None, 0
         self._waiting.clear()
+        self._rig.restart()
         self._alarm({})
 
     def _on_image(self, side: str, add: AddImage, message: Image | CompressedImage) -> None:
