@@ -224,6 +224,16 @@ def test_after_a_reset_a_start_state_counts_more_than_what_was_estimated_before(
     assert node._live.estimate.pose.T_map_body.t[0] == pytest.approx(1000.0, abs=1.0)
 
 
+def test_corrections_that_come_late_are_told_until_they_are_in_time(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 4.0)
+    for lag_s, late in ((3.5, True), (2.5, True), (0.2, False)):
+        deliver(node, "slam/correction", start_at(NOW_NS + round((4.0 - lag_s) * NS_PER_S)))
+        assert ("lag" in node.alarms) == late
+        assert not late or f"{lag_s:.1f} s behind the readings" in node.alarms["lag"]
+
+
 def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_covariances(make: Make) -> None:
     node = make("odometry_rate_hz:=50.0")
     edges: list[TransformStamped] = []

@@ -16,7 +16,7 @@ from uav_vslam.config import ImuConfig  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.preintegration import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
-from uav_vslam.ros.slam_backend_node import MANY_COASTED, SlamBackendNode  # noqa: E402
+from uav_vslam.ros.slam_backend_node import MANY_BLIND, MANY_COASTED, SlamBackendNode  # noqa: E402
 from uav_vslam.slam.backend import FrameReport  # noqa: E402
 from uav_vslam.slam.stage import SlamStage  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState, PoseEstimate, StereoFeatures  # noqa: E402
@@ -62,27 +62,31 @@ def test_a_reset_begins_a_session_that_can_not_be_stored(node: SlamBackendNode) 
 
 
 def test_frames_that_coast_with_features_are_an_alarm(node: SlamBackendNode) -> None:
-    state = NavState(1000 * NS_PER_S, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
-    report = FrameReport(
-        PoseEstimate(state.stamp_ns, state.T_map_body, np.eye(6)), NavEstimate(state, np.eye(15)), 50, 0, False, None, 0
-    )
     for k in range(MANY_COASTED):
         assert "coasted" not in node.alarms
-        node._report_coasting(coasting_at(report, k))
+        node._report_coasting(coasting_at(k, features=50))
     assert f"{MANY_COASTED} frames of the last 10 s had features" in node.alarms["coasted"]
-    node._report_coasting(dataclasses.replace(coasting_at(report, 100), coasted=False))
+    node._report_coasting(dataclasses.replace(coasting_at(100, features=50), coasted=False))
     assert "coasted" not in node.alarms
 
 
-def coasting_at(report: FrameReport, frame: int) -> FrameReport:
-    pose = dataclasses.replace(report.pose, stamp_ns=report.pose.stamp_ns + frame * FRAME_NS)
-    return dataclasses.replace(report, pose=pose, coasted=True)
+def test_frames_that_coast_without_features_are_an_alarm(node: SlamBackendNode) -> None:
+    for k in range(MANY_BLIND):
+        assert "coasted" not in node.alarms
+        node._report_coasting(coasting_at(k, features=3))
+    assert f"{MANY_BLIND} frames of the last 10 s had fewer than 20 features" in node.alarms["coasted"]
+
+
+def coasting_at(frame: int, *, features: int) -> FrameReport:
+    state = NavState(1000 * NS_PER_S + frame * FRAME_NS, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
+    pose = PoseEstimate(state.stamp_ns, state.T_map_body, np.eye(6))
+    return FrameReport(pose, NavEstimate(state, np.eye(15)), features, 0, False, None, 0, coasted=True)
 
 
 @pytest.mark.parametrize(
     ("reason", "subject", "text"),
     [
-        ("unpaired", "unpaired", "the last 12 frames were dropped"),
+        ("unpaired", "unpaired", "most frames are dropped"),
         ("imu_doubt", "imu", "the IMU feels (0.0, 0.0, -9.8) m/s^2"),
     ],
 )

@@ -194,7 +194,20 @@ def test_frames_whose_stamps_are_beside_those_of_the_increments_are_told_with_th
         drain(queue)
     assert queue.unpaired >= 4
     assert queue.apart_ns == apart
-    queue.add_increment(motion(500, 600))
-    queue.add_features(frame(600))
-    assert drain(queue)[-1] == (600, 1)
+    for k in range(6, 9):
+        queue.add_increment(motion(100 * (k - 1), 100 * k))
+        queue.add_features(frame(100 * k))
+        assert drain(queue)[-1] == (100 * k, 1)
     assert queue.unpaired == 0
+
+
+def test_most_frames_without_an_increment_of_their_stamp_are_told_though_some_have_one() -> None:
+    """As where camera_info, which ends the increments, comes once a second."""
+    queue = FrameQueue(0)
+    for k in range(1, 36):
+        queue.add_features(frame(100 * k))
+        if k % 7 == 0:
+            queue.add_increment(motion(100 * (k - 7), 100 * k))
+        drain(queue)
+    assert queue.without_motion == 30
+    assert queue.unpaired >= 15

@@ -52,6 +52,7 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
 
 SILENT_NS = 2 * NS_PER_S  # of readings without a new stamp of an image
+MAX_LAG_S = 2.0  # of the back end's corrections
 SHORTEST_NS = NS_PER_S // 1000  # time between two looks at the readings
 
 
@@ -156,6 +157,13 @@ class InsPropagatorNode(VehicleNode):
         self._report_image_stamps()
         self._feed(IMU, reading.stamp_ns, reading)
         self._batches.at_once = not self._period_s or self._live is None or reading.stamp_ns < self._image_ns
+
+    def _report_lag(self, lag_s: float) -> None:
+        """Warn while the back end's corrections are late: everything after the INS is then as late."""
+        text = f"the back end's estimate is {lag_s:.1f} s behind the readings: it or the front end does not keep up"
+        if lag_s > MAX_LAG_S and "lag" not in self.alarms:
+            self.get_logger().warning(text)
+        self.report_alarm("lag", text if lag_s > MAX_LAG_S else "")
 
     def _report_image_stamps(self) -> None:
         """Warn while readings go on without new stamps of images: a camera_info that comes once, or is not stamped."""
@@ -360,6 +368,7 @@ class InsPropagatorNode(VehicleNode):
     def _on_correction(self, message: NavigationState) -> None:
         corrected = navigation_from_msg(message)
         self._correction, self._resumed = message, False
+        self._report_lag((self._reading_ns - corrected.state.stamp_ns) / NS_PER_S)
         if self._live is not None:
             self._live.correct(corrected)
         elif self._preintegrator is None or self._is_reset:

@@ -60,7 +60,7 @@ from uav_vslam_msgs.msg import FrameQuality, InsIncrement, JointInformation, Nav
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
 
 MAX_PATH = 2000  # poses in a published path
-MANY_COASTED = 5  # frames of the last `RECENT_S`
+MANY_COASTED, MANY_BLIND = 5, 30  # frames of the last `RECENT_S`; a camera may be covered for a moment
 
 
 class SlamBackendNode(VehicleNode):
@@ -72,7 +72,7 @@ class SlamBackendNode(VehicleNode):
         self._saved_ns: int | None = None
         self._clocked = ClockedStage(self._resumed() or self._fresh(), self.config, self._next_session)
         self._recoveries, self._recovery = RecentEvents(), ""
-        self._coasted, self._warned = RecentEvents(), RecentEvents()
+        self._coasted, self._blind, self._warned = RecentEvents(), RecentEvents(), RecentEvents()
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._odometry = self.advertise(Odometry, "odometry", NEWEST)
         self._paths = self.advertise(Path, "path", STATE)
@@ -235,13 +235,19 @@ class SlamBackendNode(VehicleNode):
             self.alarms.pop("warning", None)
 
     def _report_coasting(self, report: FrameReport) -> None:
-        """Warn while frames have features, but the estimate goes on by the IMU alone."""
-        recent = self._coasted.count(report.pose.stamp_ns, report.coasted and report.features >= MIN_FEATURES)
-        text = (
-            f"{recent} frames of the last {RECENT_S:g} s had features, but none where the estimate expects it: "
-            "check start state, units of the IMU, clocks and calibration"
-        )
-        self.report_alarm("coasted", text if recent >= MANY_COASTED else "")
+        """Warn while the estimate goes on by the IMU alone, though frames have features or because they have not."""
+        stamp_ns, sees = report.pose.stamp_ns, report.features >= MIN_FEATURES
+        coasted = self._coasted.count(stamp_ns, report.coasted and sees)
+        blind = self._blind.count(stamp_ns, report.coasted and not sees)
+        text = ""
+        if coasted >= MANY_COASTED:
+            text = (
+                f"{coasted} frames of the last {RECENT_S:g} s had features, but none where the estimate expects it: "
+                "check start state, units of the IMU, clocks and calibration"
+            )
+        elif blind >= MANY_BLIND:
+            text = f"{blind} frames of the last {RECENT_S:g} s had fewer than {MIN_FEATURES} features: see front end"
+        self.report_alarm("coasted", text)
 
     def _report_recoveries(self, report: FrameReport) -> None:
         """Warn while the filter has been re-initialised lately: what it claims is then no more than a guess."""

@@ -7,6 +7,7 @@ from uav_vslam.types import ImuIncrement, StereoFeatures
 
 MAX_WAITING = 100  # frames or increments waiting for their counterpart or the start; then the oldest is dropped
 MAX_AHEAD = 10  # increments that arrive and wait without any features; then the cameras count as silent
+MOST_UNPAIRED = 20  # that are counted, so that some paired frames show that all is well again
 
 
 class FrameQueue:
@@ -18,7 +19,7 @@ class FrameQueue:
         lost: images whose features did not arrive in time; replaced by an empty frame.
         without_motion: frames dropped because they are inside an increment, or because they are repeated.
         motion_refused: increments dropped because they begin before the stamp reached.
-        unpaired: frames dropped in a row because no increment ends at their stamp.
+        unpaired: frames dropped of late because no increment ends at their stamp; each paired one offsets two.
         apart_ns: of the last of those, its stamp minus that of the nearest end of an increment [ns].
     """
 
@@ -79,7 +80,7 @@ class FrameQueue:
             else:
                 increment = self._increments.popleft()
                 self._reached_ns = stamp_ns
-                self.unpaired = 0
+                self.unpaired = max(0, self.unpaired - 2)
                 return self._features.popleft(), increment
         waiting = len(self._increments)
         if min(self._ahead, waiting) <= MAX_AHEAD and waiting < MAX_WAITING:
@@ -98,7 +99,7 @@ class FrameQueue:
         """Drop the oldest frame, whose stamp is inside an increment."""
         stamp_ns = self._features.popleft().stamp_ns
         self.apart_ns = min(stamp_ns - increment.start_ns, stamp_ns - increment.stamp_ns, key=abs)
-        self.unpaired += 1
+        self.unpaired = min(self.unpaired + 1, MOST_UNPAIRED)
         self.without_motion += 1
 
     def _refuse_motion_before(self, reached_ns: int) -> None:

@@ -33,7 +33,7 @@ from uav_vslam.types import (
     StereoFeatures,
 )
 
-MANY_UNPAIRED = 10  # frames in a row without an increment of their stamp: no accident
+MANY_UNPAIRED = 10  # frames of late without an increment of their stamp: no accident
 UNKNOWN_ROTATION_RAD = 0.25  # 1 sigma about an axis: half a second without readings
 
 
@@ -147,12 +147,12 @@ class SlamStage:
 
     @property
     def unpaired(self) -> str:
-        """Why no frame of late had an increment of its stamp; empty while they have."""
+        """Why most frames of late had no increment of their stamp; empty while they have."""
         if self._queue.unpaired < MANY_UNPAIRED:
             return ""
         return (
-            f"the last {self._queue.unpaired} frames were dropped, stamped {self._queue.apart_ns / 1e6:+.3f} ms "
-            "from the increments, which end at camera_info's stamps; an image and its camera_info need the same"
+            f"most frames are dropped, stamped {self._queue.apart_ns / 1e6:+.3f} ms from the increments, which end at "
+            "camera_info's stamps: each image needs a camera_info of its own stamp"
         )
 
     @property
