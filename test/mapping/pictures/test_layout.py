@@ -2,7 +2,9 @@
 """Pictures are laid out where their similarities say; false pairs are found, and islands are told apart."""
 
 import numpy as np
+import pytest
 
+from uav_vslam.errors import PictureError
 from uav_vslam.mapping.pictures.layout import largest_part, lay_out
 from uav_vslam.mapping.pictures.pairs import MatchedPair
 
@@ -59,3 +61,26 @@ def test_the_largest_island_is_used() -> None:
     pairs, points = scene([*chain(2, 5), (6, 7)])
     assert largest_part(COUNT, pairs).tolist() == [0, 1, 2, 3, 4]
     assert lay_out(COUNT, pairs, points, SIDES).used.tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("matches", [30, 12])
+@pytest.mark.parametrize("ring", [3, 4])
+def test_a_ring_that_contradicts_itself_loses_its_weakest_pair_only(ring: int, matches: int) -> None:
+    pairs, points = scene([*chain(1, ring), (0, ring - 1)])
+    pairs[-1] = contradicting(pairs[-1], matches)
+    layout = lay_out(COUNT, pairs, points, SIDES)
+    assert layout.used.tolist() == list(range(ring))
+    assert len(layout.pairs) == ring - 1
+    if matches < 30:  # the false pair is the weakest, so the true ones are left
+        np.testing.assert_allclose(layout.shift[:ring], SHIFT[:ring], atol=1e-3)
+
+
+def test_pairs_that_all_lack_a_place_are_refused() -> None:
+    with pytest.raises(PictureError, match="no two pictures fit together"):
+        lay_out(COUNT, [], [np.zeros((0, 2))] * COUNT, SIDES)
+
+
+def contradicting(pair: MatchedPair, matches: int) -> MatchedPair:
+    """Return the pair turned by 60 degrees against the truth."""
+    c, s = 0.5, np.sqrt(0.75)
+    return MatchedPair(pair.first, pair.second, pair.rows[:matches], pair.similarity @ [[c, -s], [s, c]])

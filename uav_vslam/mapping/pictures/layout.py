@@ -16,6 +16,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.sparse.linalg import lsqr
 
+from uav_vslam.errors import PictureError
 from uav_vslam.mapping.pictures.pairs import MatchedPair
 
 Array = NDArray[np.float64]
@@ -25,6 +26,7 @@ REWEIGHTINGS = 12
 TURN_SIGMA = 0.03  # of a good pair [rad], and of the logarithm of its scale
 SHIFT_SIGMA = 0.03  # of a good pair, as a share of the picture's longest side: what tilt and relief do
 FALSE_PAIR = 8.0  # residuals above so many sigmas are of a false pair
+EQUALLY_BAD = 0.9  # of the largest residual: a ring spreads its contradiction evenly over its pairs
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +66,11 @@ def lay_out(count: int, pairs: Sequence[MatchedPair], centred_px: Sequence[Array
         pairs: matched ones.
         centred_px: per picture, (M, 2) points measured from its centre [px].
         sides_px: (N,) longest sides.
+
+    Raises:
+        PictureError: no pair is left.
     """
-    while True:
+    while pairs:
         used = largest_part(count, pairs)
         pairs = [pair for pair in pairs if pair.first in set(used.tolist())]
         turn = _turns(count, used, pairs)
@@ -75,7 +80,23 @@ def lay_out(count: int, pairs: Sequence[MatchedPair], centred_px: Sequence[Array
         good = error <= max(FALSE_PAIR, 0.5 * float(error.max()))  # the worst first: they mislead others
         if good.all():
             return Layout(used, turn, shift, tuple(pairs))
-        pairs = [pair for pair, keep in zip(pairs, good, strict=True) if keep]
+        pairs = _without_false(count, pairs, good, error)
+    raise PictureError("no two pictures fit together; a mosaic needs neighbours that overlap by half or more")
+
+
+def _without_false(
+    count: int, pairs: Sequence[MatchedPair], good: NDArray[np.bool_], error: Array
+) -> list[MatchedPair]:
+    """Return the good pairs; all but the worst one if the good ones alone would lose pictures.
+
+    Where a ring of pictures contradicts itself and nothing else holds them, all of its pairs look equally bad. Of
+    those, the one with the fewest matches goes: without it, the others agree.
+    """
+    kept = [pair for pair, keep in zip(pairs, good, strict=True) if keep]
+    if len(largest_part(count, kept)) == len(largest_part(count, pairs)):
+        return kept
+    worst = min(np.flatnonzero(error >= EQUALLY_BAD * error.max()).tolist(), key=lambda k: len(pairs[k].rows))
+    return [pair for k, pair in enumerate(pairs) if k != worst]
 
 
 def _graph(count: int, pairs: Sequence[MatchedPair]) -> csr_array:
