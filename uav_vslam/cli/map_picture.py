@@ -44,40 +44,45 @@ def write_picture_and_model(
     from uav_vslam.mapping.orthomosaic.seams import seams
     from uav_vslam.mapping.progress import counted
 
-    stamps = _key_frames(flights, grid)
+    stamps, colour = _key_frames(flights, grid)
     surface = GridHeights(grid)
+
+    def views() -> Iterator[View]:
+        return _chosen(flights, stamps, colour=colour)
+
     with TemporaryDirectory(dir=folder, prefix="tiles_") as tiles:
         with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
-            mosaic = blended_mosaic(
-                lambda: _chosen(flights, stamps), surface, m_per_px, folder=Path(tiles), on_view=advance
-            )
-            found = seams(mosaic, counted(_chosen(flights, stamps), advance)).figures()
+            mosaic = blended_mosaic(views, surface, m_per_px, folder=Path(tiles), on_view=advance)
+            found = seams(mosaic, counted(views(), advance)).figures()
         written = write_orthomosaic(mosaic, folder, datum)
-        model = write_model(surface, mosaic, folder, views=lambda: _chosen(flights, stamps), cell_m=grid.cell_m)
+        model = write_model(surface, mosaic, folder, views=views, cell_m=grid.cell_m)
     shares = {name: vehicle["share"] for name, vehicle in written.pop("vehicles").items()}
     finite = {name: value for name, value in found.items() if np.isfinite(value)}
     picture = written | {"seam_px": finite.get("median_px"), "seam_p90_px": finite.get("p90_px")}
     return {"orthomosaic": picture, "model": {key: model[key] for key in ("triangles", "bytes")}, "shares": shares}
 
 
-def _key_frames(flights: list[MappedFlight], grid: HeightGrid) -> set[tuple[str, int]]:
-    """Return vehicle and stamp of the views that the picture is made of."""
+def _key_frames(flights: list[MappedFlight], grid: HeightGrid) -> tuple[set[tuple[str, int]], bool]:
+    """Return vehicle and stamp of the views that the picture is made of, and whether any of them is in colour."""
     from uav_vslam.mapping.orthomosaic import KeyFrames
 
     ground_m = float(np.nanmedian(grid.height(grid.extent))) if grid.extent.columns else 0.0
     chosen: set[tuple[str, int]] = set()
+    colour = False
     with progress_bar("key frames", sum(len(flight) for flight in flights)) as advance:
         for flight in flights:
             keys = KeyFrames()
             for view in flight.views():
                 if keys.takes(view, ground_m):
                     chosen.add((view.vehicle, view.stamp_ns))
+                    colour |= view.image.ndim == 3
                 advance()
-    return chosen
+    return chosen, colour
 
 
-def _chosen(flights: list[MappedFlight], stamps: set[tuple[str, int]]) -> Iterator[View]:
-    """Yield the chosen views; no other images are read."""
+def _chosen(flights: list[MappedFlight], stamps: set[tuple[str, int]], *, colour: bool) -> Iterator[View]:
+    """Yield the chosen views, grey ones converted if the picture is in colour; no other images are read."""
     for flight in flights:
         name = flight.flight.vehicle
-        yield from replace(flight, poses={k: T for k, T in flight.poses.items() if (name, k) in stamps}).views()
+        views = replace(flight, poses={k: T for k, T in flight.poses.items() if (name, k) in stamps}).views()
+        yield from (view.in_colour() if colour else view for view in views)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """An image together with its camera and pose: what all mapping starts from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.vision.images import to_bgr8
 
 Image = NDArray[np.uint8]
 
@@ -29,3 +30,7 @@ class View:
     camera: PinholeCamera
     T_map_cam: Pose
     image: Image
+
+    def in_colour(self) -> "View":
+        """Return the view with a BGR image; a grey one gets equal channels."""
+        return replace(self, image=to_bgr8(self.image))

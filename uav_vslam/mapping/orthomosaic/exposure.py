@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.orthomosaic.rectification import Rectified
 
 Array = NDArray[np.float64]
@@ -97,7 +98,13 @@ class Exposure:
         Args:
             thumb: the view, rectified coarsely, on the same grid as all others.
             camera: name of the camera, by which the fall-off is shared.
+
+        Raises:
+            UavVslamError: it is grey among views in colour, or the reverse.
         """
+        channels = thumb.image.shape[-1]
+        if self._log_gains and self._log_gains[0].size != channels:
+            raise UavVslamError("the mosaic has views in grey and in colour; convert them to one kind")
         index = len(self._thumbs)
         self._thumbs.append(thumb)
         self._cameras.append(camera)
@@ -108,7 +115,7 @@ class Exposure:
                 _learn_falloff(falloff, self._thumbs[other], thumb, falloff.value)
         pairs = [pair for other in others if (pair := self._pair(other, index)) is not None]
         self._pairs += pairs
-        self._log_gains.append(self._next_gain(pairs, thumb.image.shape[-1]))
+        self._log_gains.append(self._next_gain(pairs, channels))
         return self.correction(index)
 
     def correction(self, index: int) -> Correction:

@@ -27,6 +27,9 @@ def blended_mosaic(
         m_per_px: side of a pixel [m].
         folder: for tiles that are not in use; None keeps all in memory.
         on_view: called once for each view and pass.
+
+    Raises:
+        UavVslamError: some views are grey and others in colour.
     """
     exposure = Exposure()
     useless = set()
