@@ -11,7 +11,7 @@ from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
 from uav_vslam.mapping.pictures.bundle import Scene
 from uav_vslam.mapping.pictures.lens import project
 from uav_vslam.mapping.pictures.picture import Geodetic, Picture
-from uav_vslam.mapping.pictures.placement import Placement, place
+from uav_vslam.mapping.pictures.placement import Placement, local_positions, place
 from uav_vslam.mapping.pictures.procedure import Adjusted
 from uav_vslam.mapping.pictures.tracks import Tracks
 
@@ -47,12 +47,23 @@ def flown() -> tuple[Array, Adjusted]:
     return centres, Adjusted(scene, tracks.chosen(every), np.arange(count), 0.3, np.zeros((1, 3)))
 
 
-def placed(adjusted: Adjusted, positions: Array, height_m: float | None = None) -> tuple[float, Placement]:
-    """Return the height of the result [m], and its placement, with GPS at these positions."""
-    pictures = [
-        Picture(Path(f"{k}.jpg"), WIDTH, HEIGHT, False, "camera", FOCAL_PX, float(k), Geodetic(latitude, longitude, up))
-        for k, (longitude, latitude, up) in enumerate(to_geodetic(positions, DATUM))
+def pictures_at(positions: Array, datum: Datum = DATUM) -> list[Picture]:
+    """Return pictures with GPS at these positions; without where they are NaN."""
+    geodetic = [
+        None if np.isnan(up) else Geodetic(latitude, (longitude + 180.0) % 360.0 - 180.0, up)
+        for longitude, latitude, up in to_geodetic(positions, datum)
     ]
+    return [
+        Picture(Path(f"{k}.jpg"), WIDTH, HEIGHT, False, "camera", FOCAL_PX, float(k), position)
+        for k, position in enumerate(geodetic)
+    ]
+
+
+def placed(
+    adjusted: Adjusted, positions: Array, height_m: float | None = None, datum: Datum = DATUM
+) -> tuple[float, Placement]:
+    """Return the height of the result [m], and its placement, with GPS at these positions."""
+    pictures = pictures_at(positions, datum)
     result, placement = place(adjusted, pictures, height_m=height_m, focal_known=True)
     scene = result.scene
     return float(np.median(scene.centres[:, 2]) - np.median(scene.points[:, 2])), placement
@@ -83,3 +94,49 @@ def test_a_receiver_that_is_stuck_for_most_of_the_flight_is_no_scale(flown: tupl
 def test_one_position_for_all_pictures_is_none(flown: tuple[Array, Adjusted]) -> None:
     _, placement = placed(flown[1], np.tile(flown[0][:1], (SIDE * SIDE, 1)))
     assert placement.scale == "none"
+
+
+def only(positions: Array, count: int, wrong_m: float = 0.0) -> Array:
+    """Return the positions of so many pictures, the first one wrong by so much, and NaN for the others."""
+    known = np.full_like(positions, np.nan)
+    corners = [0, SIDE - 1, SIDE * SIDE - 1, SIDE * (SIDE - 1)][:count]
+    known[corners] = positions[corners]
+    known[0, :2] += wrong_m
+    return known
+
+
+@pytest.mark.parametrize("wrong_m", [0.0, 150.0])
+def test_three_positions_give_a_scale_but_can_t_be_checked(flown: tuple[Array, Adjusted], wrong_m: float) -> None:
+    height, placement = placed(flown[1], only(gps(flown[0]), 3, wrong_m))
+    assert placement.scale == "gps"
+    assert not placement.checked
+    assert not placement.believed
+    assert placement.gps_m is not None
+    if wrong_m:  # two of three are not taken for right
+        assert np.nanmin(placement.gps_m) > 10.0
+    else:
+        assert height == pytest.approx(HEIGHT_M, rel=0.1)
+
+
+def test_four_positions_are_checked(flown: tuple[Array, Adjusted]) -> None:
+    _, placement = placed(flown[1], only(gps(flown[0]), 4))
+    assert placement.checked
+    assert placement.believed
+    _, placement = placed(flown[1], only(gps(flown[0]), 4, 150.0))
+    assert placement.checked
+    assert placement.gps_m is not None
+    assert np.nanmax(placement.gps_m) > 50.0
+
+
+def test_positions_on_both_sides_of_the_antimeridian_are_neighbours(flown: tuple[Array, Adjusted]) -> None:
+    for longitude in (179.9995, 179.9999):  # most of them lie west of it, then east
+        datum = Datum(-16.8, longitude, 20.0)
+        pictures = pictures_at(flown[0], datum)
+        assert {np.sign(each.position.longitude_deg) for each in pictures if each.position} == {-1.0, 1.0}
+        positions, found = local_positions(pictures)
+        assert found is not None
+        assert -180.0 <= found.longitude_deg <= 180.0
+        np.testing.assert_allclose(positions - positions[0], flown[0] - flown[0][0], atol=0.01)
+        height, placement = placed(flown[1], gps(flown[0]), datum=datum)
+        assert placement.believed
+        assert height == pytest.approx(HEIGHT_M, rel=0.1)

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from picture_folder import DATUM, FOCAL_PX, HEIGHT_M, PictureFlight, flight, render, write
 
 from uav_vslam.errors import PictureError
-from uav_vslam.evaluation.files.geodetic import from_geodetic, to_geodetic
+from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic, to_geodetic
 from uav_vslam.mapping.pictures.features import PictureFeatures, detect
 from uav_vslam.mapping.pictures.pairs import MatchedPair, candidates, match_all
 from uav_vslam.mapping.pictures.picture import Geodetic, Picture
+from uav_vslam.mapping.pictures.placement import Placement
 from uav_vslam.mapping.pictures.reading import read_folder
-from uav_vslam.mapping.pictures.reconstruction import Reconstruction, reconstruct
+from uav_vslam.mapping.pictures.reconstruction import Reconstruction, _about_gps, reconstruct
 
 Array = NDArray[np.float64]
 Matched = tuple[tuple[Picture, ...], list[PictureFeatures], list[MatchedPair]]
@@ -140,3 +141,10 @@ def test_pictures_without_overlap_are_named_and_left_out(tmp_path: Path) -> None
 def test_pictures_of_different_places_are_an_error(hilly: Matched) -> None:
     with pytest.raises(PictureError, match="none of the 10 pictures"):
         reconstruct(hilly[0], hilly[1], [])
+
+
+def test_positions_that_nothing_checks_are_told() -> None:
+    off = np.array([5.0, 9.2, 4.2, np.nan])
+    (text,) = _about_gps([], Placement("gps", Datum(47.0, 8.0, 400.0), off, False, ()))
+    assert text.startswith("only 3 different GPS positions: too few to check each other; scale, heading and position")
+    assert "9 m off" in text

@@ -19,9 +19,11 @@ from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.procedure import Adjusted, finish, lens_priors
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 HEIGHT_WITHOUT_SCALE = 100.0  # median height above the ground in units of the map, if nothing tells metres
 FEWEST_POSITIONS = 3
+FEWEST_CHECKED = 4  # positions that a similarity can contradict: it meets two of three, so that half of these agree
 BELIEVED_M = 6.0  # median distance up to which positions agree with the pictures: a plain receiver's worst
 WRONG_M, WRONG_SIGMAS = 10.0, 4.0  # a single position farther off, and beyond so many sigmas, is reported
 LEAST_SIGMA_M = 0.1
@@ -40,7 +42,7 @@ class Placement:
         scale: "gps", "height" (given) or "none": one unit is then a hundredth of the flight's height.
         datum: of the map's origin; None without GPS.
         gps_m: (N,) distances in the plane between the pictures' and the GPS positions [m]; NaN without. None: no GPS.
-        believed: GPS agrees with the pictures and took part in the adjustment.
+        believed: GPS agrees with the pictures and took part in the adjustment; three positions are too few to tell.
         wrong: numbers of pictures whose single position is wrong.
     """
 
@@ -50,6 +52,11 @@ class Placement:
     believed: bool
     wrong: tuple[int, ...]
 
+    @property
+    def checked(self) -> bool:
+        """There are enough positions by GPS to tell whether they agree with the pictures."""
+        return self.gps_m is not None and int(np.isfinite(self.gps_m).sum()) >= FEWEST_CHECKED
+
 
 def local_positions(pictures: Sequence[Picture]) -> tuple[Array, Datum | None]:
     """Return (N, 3) east, north, up of the pictures by GPS [m], NaN where unknown, and the origin; None without any."""
@@ -58,10 +65,22 @@ def local_positions(pictures: Sequence[Picture]) -> tuple[Array, Datum | None]:
     geodetic = [(p.longitude_deg, p.latitude_deg, p.height_m) for picture in pictures if (p := picture.position)]
     if not known:
         return positions, None
-    longitude, latitude, height = np.median(np.array(geodetic), axis=0)
-    datum = Datum(float(latitude), float(longitude), float(height))
+    longitude, latitude, height = np.median(_unwrapped(np.array(geodetic)), axis=0)
+    datum = Datum(float(latitude), float(_within_180(longitude)), float(height))
     positions[known] = from_geodetic(np.array(geodetic), datum)
     return positions, datum
+
+
+def _unwrapped(geodetic: Array) -> Array:
+    """Return (N, 3) longitude, latitude, height with longitudes near the first: they jump at the antimeridian."""
+    unwrapped = geodetic.copy()
+    unwrapped[:, 0] = geodetic[0, 0] + _within_180(geodetic[:, 0] - geodetic[0, 0])
+    return unwrapped
+
+
+def _within_180(degrees: Array) -> Array:
+    """Return angles in [-180, 180) degrees; those that are there already stay as they are."""
+    return np.where(np.abs(degrees) < 180.0, degrees, (degrees + 180.0) % 360.0 - 180.0)
 
 
 def levelled(adjusted: Adjusted) -> Adjusted:
@@ -121,7 +140,8 @@ def place(
     adjusted = _by_gps(adjusted, positions, used, height_m)
     distance = _distances(adjusted, positions, used)
     rise = np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])
-    believed = max(float(np.median(distance[used])), float(np.median(rise)) / VERTICAL_FACTOR) <= BELIEVED_M
+    off = max(float(np.median(distance[used])), float(np.median(rise)) / VERTICAL_FACTOR)
+    believed = len(used) >= FEWEST_CHECKED and off <= BELIEVED_M
     wrong: tuple[int, ...] = ()
     if believed and height_m is None:
         adjusted = _with_gps(adjusted, pictures, positions, distance[used], focal_known=focal_known)
@@ -147,8 +167,13 @@ def _without_repeats(positions: Array) -> Array:
 
 
 def plane_similarity(a: Array, b: Array) -> tuple[complex, complex]:
-    """Return complex (scale and rotation, shift) that maps (N, 2) points to others, robust to almost half of them."""
+    """Return complex (scale and rotation, shift) that maps (N, 2) points to others, robust to almost half of them.
+
+    Of three points, any two are met: these are fitted by plain least squares, as nothing tells which one is wrong.
+    """
     p, q = (points @ np.array([1.0, 1j]) for points in (a, b))
+    if len(p) < FEWEST_CHECKED:
+        return _fitted(p, q, np.ones(len(p)))
     rng = np.random.default_rng(SEED)
     i, j = rng.integers(len(p), size=(2, TRIALS))
     apart = np.abs(p[i] - p[j]) > 0.25 * np.abs(p - np.median(p.real) - 1j * np.median(p.imag)).max()
@@ -160,15 +185,20 @@ def plane_similarity(a: Array, b: Array) -> tuple[complex, complex]:
     return _refined(p, q, complex(turn[best]), complex(shift[best]))
 
 
-def _refined(p: Array, q: Array, turn: complex, shift: complex) -> tuple[complex, complex]:
+def _refined(p: Complex, q: Complex, turn: complex, shift: complex) -> tuple[complex, complex]:
     """Return the re-weighted least-squares similarity near a given one."""
     for _ in range(REWEIGHTINGS):
         error = np.abs(turn * p + shift - q)
         weight = 1.0 / (1.0 + (error / max(2.0 * float(np.median(error)), 1e-9)) ** 2)
-        p0, q0 = (weight @ points / weight.sum() for points in (p, q))
-        turn = complex((weight * np.conj(p - p0)) @ (q - q0) / (weight @ np.abs(p - p0) ** 2))
-        shift = complex(q0 - turn * p0)
+        turn, shift = _fitted(p, q, weight)
     return turn, shift
+
+
+def _fitted(p: Complex, q: Complex, weight: Array) -> tuple[complex, complex]:
+    """Return the least-squares similarity of weighted points."""
+    p0, q0 = (weight @ points / weight.sum() for points in (p, q))
+    turn = complex((weight * np.conj(p - p0)) @ (q - q0) / (weight @ np.abs(p - p0) ** 2))
+    return turn, complex(q0 - turn * p0)
 
 
 def _by_gps(adjusted: Adjusted, positions: Array, used: NDArray[np.intp], height_m: float | None) -> Adjusted:

@@ -121,11 +121,17 @@ def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[st
         )
     if placement.gps_m is None:
         return
-    if not placement.believed:
+    told = "scale, heading and position" if placement.scale == "gps" else "heading and position"
+    if not placement.checked:
+        yield (
+            f"only {np.isfinite(placement.gps_m).sum()} different GPS positions: too few to check each other; "
+            f"{told} come from a fit that is up to {np.nanmax(placement.gps_m):.0f} m off them, and may be far wrong"
+        )
+    elif not placement.believed:
         low, middle, high = np.nanpercentile(placement.gps_m, [10, 50, 90])
         yield (
             f"GPS contradicts the pictures: it is {low:.0f}–{high:.0f} m (median {middle:.0f} m) off after the best "
-            "fit; scale, heading and position come from that fit alone, and are as uncertain"
+            f"fit; {told} come from that fit alone, and are as uncertain"
         )
     if placement.wrong:
         named = [f"{pictures[k].name} ({placement.gps_m[k]:.0f} m)" for k in placement.wrong]
