@@ -146,3 +146,31 @@ def test_a_folder_without_pictures_is_an_error(tmp_path: Path) -> None:
         read_folder(tmp_path)
     with pytest.raises(PictureError, match="not a folder"):
         read_folder(tmp_path / "missing")
+
+
+FILM_MM = {
+    "one lens": ([24.0, 24.0, 24.0], 1),
+    "rounding": ([24.0, 24.01, 23.98], 1),
+    "focus": ([100.0, 100.8, 101.7], 1),
+    "two lenses": ([24.0, 240.0, 24.0], 2),
+    "a zoom": ([24.0, 35.0, 70.0], 3),
+}
+
+
+@pytest.mark.parametrize("case", FILM_MM)
+def test_a_camera_shares_a_lens_at_each_of_its_focal_lengths(case: str, tmp_path: Path) -> None:
+    films, lenses = FILM_MM[case]
+    for k, film_mm in enumerate(films):
+        tags = {0x0110: "Z30", 0x8769: {0xA405: IFDRational(round(100 * film_mm), 100)}}
+        picture(tmp_path / f"{k}.jpg", seed=k, tags=tags)
+    found = read_folder(tmp_path).pictures
+    assert len({each.camera for each in found}) == lenses
+    assert all(each.camera.startswith("Z30 64x48") for each in found)
+    assert len({each.camera for each in read_folder(tmp_path, focal_px=70.0).pictures}) == 1
+
+
+def test_pictures_without_a_focal_length_share_the_only_one(tmp_path: Path) -> None:
+    for k, film_mm in enumerate((24, None)):
+        details = {} if film_mm is None else {0xA405: film_mm}
+        picture(tmp_path / f"{k}.jpg", seed=k, tags={0x0110: "Z30", 0x8769: details})
+    assert {each.camera for each in read_folder(tmp_path).pictures} == {"Z30 64x48"}

@@ -31,7 +31,8 @@ class Picture:
         path: its file.
         width, height: of the image as it is used [px].
         turned: the stored image is turned by 90 degrees, so that it lies like the others.
-        camera: name of camera, lens and image size; pictures with the same name share a focal length and distortion.
+        camera: name of camera and image size, with the nominal focal length where one camera has several; pictures
+            with the same name share a focal length and distortion.
         focal_px: focal length by the metadata [px]; None if unknown.
         time_s: seconds since 1970 by the camera's clock, whatever its time zone; None if unknown.
         position: recorded by the camera's GPS; None if unknown.

@@ -24,6 +24,7 @@ TABLE = "gps.csv"
 NEEDED = ("file", "lat_deg", "lon_deg", "alt_m")
 FEWEST = 2
 NAMED = 5  # files that a message lists
+SAME_FOCAL = 1.02  # ratio of focal lengths by EXIF up to which one lens has them: they are rounded, and focus counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +59,9 @@ def read_folder(folder: Path, *, focal_px: float | None = None) -> Folder:
         )
     table = folder / TABLE
     positions = read_positions(table) if table.is_file() else {}
-    pictures = [_with_row(picture, positions) for picture in _lying_alike(pictures)]
     if focal_px is not None:
         pictures = [dataclasses.replace(picture, focal_px=focal_px) for picture in pictures]
+    pictures = [_with_row(picture, positions) for picture in _by_focal_length(_lying_alike(pictures))]
     texts = [*_left_out(unreadable, copies, below), *_unnamed(positions, pictures)]
     return Folder(tuple(_by_time(pictures)), tuple(texts))
 
@@ -149,6 +150,28 @@ def _lying(picture: Picture, sizes: Counter[tuple[int, int]]) -> Picture:
     width, height = across if turned else upright
     camera = f"{picture.camera or 'camera'} {width}x{height}"
     return dataclasses.replace(picture, width=width, height=height, turned=turned, camera=camera)
+
+
+def _by_focal_length(pictures: Sequence[Picture]) -> list[Picture]:
+    """Return the pictures with the focal length in the camera's name where one has several: a zoom, two lenses."""
+    nominal = {name: _nominal([p for p in pictures if p.camera == name]) for name in {p.camera for p in pictures}}
+    return [_at_focal_length(picture, nominal[picture.camera]) for picture in pictures]
+
+
+def _nominal(pictures: Sequence[Picture]) -> list[float]:
+    """Return the smallest focal length [px] of each group of pictures with about the same one, ascending."""
+    starts: list[float] = []
+    for focal in sorted(picture.focal_px for picture in pictures if picture.focal_px is not None):
+        if not starts or focal > SAME_FOCAL * starts[-1]:
+            starts.append(focal)
+    return starts
+
+
+def _at_focal_length(picture: Picture, nominal: Sequence[float]) -> Picture:
+    if len(nominal) < 2 or picture.focal_px is None:
+        return picture
+    own = max(focal for focal in nominal if focal <= picture.focal_px)
+    return dataclasses.replace(picture, camera=f"{picture.camera} at {own:.0f} px")
 
 
 def _with_row(picture: Picture, rows: dict[str, Row]) -> Picture:
