@@ -61,3 +61,10 @@ def bearings(pixels: Array, lens: Array, iterations: int = 10) -> Array:
         r2 = (xy**2).sum(axis=1, keepdims=True)
         xy = raw / (1.0 + r2 * (lens[:, 1:2] + r2 * lens[:, 2:3]))
     return np.asarray(xy)
+
+
+def fold_radius(k1: float, k2: float) -> float:
+    """Return the radius r beyond which r (1 + k1 r^2 + k2 r^4) falls: points there would be imaged where others are."""
+    squares = np.roots([5.0 * k2, 3.0 * k1, 1.0])  # of r, where the derivative is zero
+    real = squares.real[(np.abs(squares.imag) < 1e-12) & (squares.real > 0.0)]
+    return float(np.sqrt(real.min())) if len(real) else float("inf")
