@@ -174,3 +174,26 @@ def test_pictures_without_a_focal_length_share_the_only_one(tmp_path: Path) -> N
         details = {} if film_mm is None else {0xA405: film_mm}
         picture(tmp_path / f"{k}.jpg", seed=k, tags={0x0110: "Z30", 0x8769: details})
     assert {each.camera for each in read_folder(tmp_path).pictures} == {"Z30 64x48"}
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "I;16"])
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_a_tiff_of_any_orientation_is_read_with_the_size_that_it_was_listed_with(
+    orientation: int, mode: str, tmp_path: Path
+) -> None:
+    colours = {"RGB": ((40, 48, 3), np.uint8), "L": ((40, 48), np.uint8), "I;16": ((40, 48), np.uint16)}
+    shape, kind = colours[mode]
+    stored = np.zeros(shape, kind)
+    stored[:20, :16] = np.array([250, 100, 10], kind) if mode == "RGB" else 250
+    for k in range(2):
+        stored[-1, -1] = k
+        image = Image.fromarray(stored)
+        exif = image.getexif()
+        exif[0x0112] = orientation
+        image.save(tmp_path / f"{k}.tif", exif=exif)
+    upright = {1: stored, 3: np.rot90(stored, 2), 6: np.rot90(stored, -1), 8: np.rot90(stored)}[orientation]
+    for each in read_folder(tmp_path).pictures:
+        read = each.read()
+        assert read.shape == (each.height, each.width, 3)
+        expected = upright[..., ::-1] if mode == "RGB" else np.repeat(upright[..., None], 3, axis=2)
+        np.testing.assert_array_equal(read > 50, expected > 50)

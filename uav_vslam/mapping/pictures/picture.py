@@ -7,11 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as PillowImage
 
 from uav_vslam.errors import PictureError
 from uav_vslam.vision.images import to_bgr8
 
 Image = NDArray[np.uint8]
+
+TIFF, ORIENTATION, FIRST_ACROSS = {".tif", ".tiff"}, 0x0112, 5  # orientations from there on swap width and height
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +58,44 @@ class Picture:
     def read(self) -> Image:
         """Return the (H, W, 3) BGR image as the sensor lay: orientation flags, which differ by mood, are ignored.
 
+        But those of TIFF count, whose readers know no other way; sizes and `turned` are for the image so read.
+
         Raises:
             PictureError: the file is damaged or has another size than before.
         """
-        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        stored = cv2.imread(str(self.path), flags)
+        stored = _decoded(self.path)
         if stored is None:
             raise PictureError(f"{self.path} can't be decoded; is it damaged? Remove it from the folder")
         image = to_bgr8(np.rot90(stored) if self.turned else stored)
         if image.shape[:2] != (self.height, self.width):
             raise PictureError(f"{self.path} is {image.shape[1]}x{image.shape[0]}, not {self.width}x{self.height} px")
         return np.ascontiguousarray(image)
+
+
+def _decoded(path: Path) -> NDArray[np.generic] | None:
+    """Return the grey or BGR image of a file, 8 or 16 bits; None if it can't be decoded."""
+    if path.suffix.lower() in TIFF and _lies_across(path):
+        return _by_pillow(path)  # OpenCV 4 fails: it turns the image, and finds its size to be another than promised
+    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    return cv2.imread(str(path), flags)
+
+
+def _lies_across(path: Path) -> bool:
+    """Return whether a TIFF file's orientation swaps width and height."""
+    try:
+        with PillowImage.open(path) as image:
+            return int(image.getexif().get(ORIENTATION, 1)) >= FIRST_ACROSS
+    except (OSError, SyntaxError, ValueError):
+        return False  # OpenCV may know better
+
+
+def _by_pillow(path: Path) -> NDArray[np.generic] | None:
+    try:
+        # By path, Pillow maps an uncompressed grey file into memory with width and height swapped.
+        with path.open("rb") as file, PillowImage.open(file) as image:
+            image.load()  # turns it
+            if image.mode in {"L", "I;16"}:
+                return np.array(image)
+            return np.array(image.convert("RGB"))[..., ::-1]
+    except (OSError, SyntaxError, ValueError):
+        return None
