@@ -48,7 +48,9 @@ class _Chain:
 def anchored(
     smoothed: Sequence[PoseEstimate], fused: Sequence[PoseEstimate], *, memory_s: float = MEMORY_S
 ) -> list[PoseEstimate]:
-    """Return the smoothed poses, moved to where the fused ones are; those without any partner in time as they are.
+    """Return the smoothed poses, moved to where the fused ones are, each with the covariance of its correction.
+
+    All are moved, those whose stamp no fused pose has with their neighbours: the correction drifts slowly.
 
     Args:
         smoothed: own-only poses in stamp order, with covariance.

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.mapping.undistortion import Undistorter
@@ -24,8 +25,11 @@ class LeftCamera:
         """Return an image, grey or BGR, with its pose as a view.
 
         Raises:
-            InvalidMessage: the image has another shape or type.
+            InvalidMessage: the image has another size than the calibration, or a type that can't be used.
         """
+        met, wanted = pixels.shape[1::-1], (self._lens.camera.width, self._lens.camera.height)
+        if met != wanted:  # undistortion would stretch it without a word
+            raise InvalidMessage("image_size", f"left image is {met} px but its calibration is for {wanted} px")
         image = to_bgr8(pixels) if pixels.ndim == 3 and pixels.shape[2] == 3 else to_grey8(pixels)
         T_map_cam = T_map_body @ self._T_body_left
         return View(self._vehicle, stamp_ns, self._lens.camera, T_map_cam, self._lens.apply(image))
@@ -43,7 +47,7 @@ def flight_views(
         images: stamps [ns] and pixels of the left camera, grey or BGR; those without a pose are left out.
 
     Raises:
-        InvalidMessage: an image has another shape or type.
+        InvalidMessage: an image has another size than the calibration, or a type that can't be used.
     """
     camera = LeftCamera(vehicle, rig)
     for stamp_ns, pixels in images:

@@ -37,7 +37,7 @@ class LatePoses:
         """Return the view of that stamp; None if its image is not there. Older images are given up.
 
         Raises:
-            InvalidMessage: the image has another shape or type than the camera.
+            InvalidMessage: the image has another size than the calibration, or a type that can't be used.
         """
         while self._images and next(iter(self._images)) < stamp_ns:
             self._images.popitem(last=False)
