@@ -5,6 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyproj
 import pytest
 import tifffile
 from geotiff import place
@@ -33,6 +34,18 @@ def test_a_pixel_of_a_geotiff_is_where_the_datum_puts_it(tmp_path: Path, datum: 
     north_m = np.deg2rad(found[1] - lat) * 6.38e6
     assert np.hypot(east_m, north_m) < 0.001 + height_m * 2300.0 / 6.3e6  # what is higher is projected outwards
     np.testing.assert_array_equal(tifffile.imread(path)[RASTER.rows - 1 - row, column, :3], IMAGE[row, column, ::-1])
+
+
+@pytest.mark.parametrize(("height_m", "off_m"), [(0.0, 0.0), (100.0, 0.078), (-100.0, 0.078)])
+def test_five_kilometres_away_only_the_height_above_the_datum_counts(
+    tmp_path: Path, height_m: float, off_m: float
+) -> None:
+    far = Raster(0.5, -7100, 7000, 64, 64)
+    path = write_picture(tmp_path / "far", np.zeros((*far.shape, 3), np.uint8), far, TURNED)
+    lon, lat, _ = to_geodetic(np.array([[far.x[20], far.y[20], height_m]]), TURNED)[0]
+    found = place(path, far.rows - 1 - 20, 20)
+    _, _, distance_m = pyproj.Geod(ellps="WGS84").inv(lon, lat, *found)
+    assert distance_m == pytest.approx(off_m, abs=0.003)
 
 
 def test_without_a_datum_a_world_file_places_the_picture(tmp_path: Path) -> None:

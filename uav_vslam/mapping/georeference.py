@@ -2,8 +2,9 @@
 """Rasters as files that a GIS puts in their place.
 
 With a datum, a file is a GeoTIFF in a transverse Mercator projection of its own, centred on the datum, whose scale is
-that of the datum's altitude: within 5 km of it, map and projection agree to a millimetre in the plane, so that no pixel
-has to be resampled. A map that is turned against north gets a turned grid. Without a datum, coordinates are those of
+that of the datum's altitude: there, map and projection agree to 2 mm in the plane within 5 km, so that no pixel has to
+be resampled. The place of ground above or below is off in proportion to its height over the earth's radius: at 5 km, by
+8 cm for each 100 m. A map that is turned against north gets a turned grid. Without a datum, coordinates are those of
 the map frame. Files have north first; arrays here have south first, as `Raster` has it.
 """
 
