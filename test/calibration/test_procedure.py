@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from board_scene import HEIGHT, WIDTH, corner_pairs, imaged, rig_of
+from board_scene import HEIGHT, WIDTH, corner_pairs, grid_of, imaged, rig_of
 
 from uav_vslam.calibration.boards import Board, Chessboard, Corners
 from uav_vslam.calibration.bundle import BoardPair
@@ -95,13 +95,13 @@ def test_coverage_counts_the_cells_with_a_corner() -> None:
 
 
 class Marked:
-    """A board that is found where the image's first pixel is bright."""
+    """A board that is found where the image's first pixel is bright; the second one counts its corners."""
 
     ADVICE = "paint it"
     columns, rows, square_m = 9, 6, 0.03
 
     def detect(self, image: np.ndarray) -> Corners | None:
-        return Corners(np.zeros((1, 3)), np.zeros((1, 2))) if image[0, 0] else None
+        return Corners(grid_of(BOARD)[: image[0, 1]], np.zeros((image[0, 1], 2))) if image[0, 0] else None
 
     def size_in(self, image: np.ndarray) -> None:
         return None
@@ -110,8 +110,8 @@ class Marked:
         return corners
 
 
-SEEN, BLANK = np.full((40, 60), 255, np.uint8), np.zeros((40, 60), np.uint8)
-SEEN_RIGHT = np.full((40, 60), 254, np.uint8)
+SEEN, SEEN_RIGHT, BLANK = np.full((40, 60), 54, np.uint8), np.full((40, 60), 53, np.uint8), np.zeros((40, 60), np.uint8)
+ONE_ROW = np.full((40, 60), 9, np.uint8)
 
 
 def looked_at(*images: tuple[np.ndarray, np.ndarray], board: Board | None = None) -> Boards:
@@ -124,6 +124,35 @@ def test_pictures_without_a_board_are_rejected_with_the_side() -> None:
     assert found.size == (60, 40)
     sides = ["the left image", "the right image", "both images"]
     assert [pair.reason for pair in found.rejected] == [f"no board found in {side}" for side in sides]
+
+
+def test_pictures_whose_corners_do_not_tell_the_pose_are_rejected_with_the_side() -> None:
+    found = looked_at(*[(SEEN, SEEN_RIGHT)] * 8, (ONE_ROW, SEEN_RIGHT), (SEEN, ONE_ROW), (ONE_ROW, ONE_ROW + 1))
+    assert len(found.pairs) == 8
+    sides = ["the left image", "the right image", "both images"]
+    assert [pair.name for pair in found.rejected] == ["8", "9", "10"]
+    for pair, side in zip(found.rejected, sides, strict=True):
+        assert pair.reason.startswith(f"the corners found in {side} lie in one line")
+
+
+ROW, NEXT = list(range(9)), 9  # corners of the board's first row, and the first one of the second
+
+
+@pytest.mark.parametrize(
+    ("chosen", "told"),
+    [
+        ([], False),
+        ([0, 1, NEXT], False),
+        (ROW, False),
+        ([*ROW, NEXT], False),
+        ([0, 10, 20, 30, 40], False),  # a diagonal
+        ([*ROW, NEXT, NEXT + 1], True),
+        ([0, 1, NEXT, NEXT + 1], True),
+        ([8, NEXT, 45, 53], True),
+    ],
+)
+def test_corners_tell_the_pose_if_two_lie_beside_any_line(chosen: list[int], told: bool) -> None:
+    assert Corners(grid_of(BOARD)[chosen], np.zeros((len(chosen), 2))).tell_pose == told
 
 
 def test_pictures_of_another_size_are_refused() -> None:

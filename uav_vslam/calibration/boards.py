@@ -19,6 +19,7 @@ Image = NDArray[np.uint8]
 
 SMALLEST = 3  # corners along a side that OpenCV's chessboard detector needs
 LEAST_SHARE = 0.3  # of a ChArUco board's corners: fewer do not tell its pose well
+HOMOGRAPHY_RANK, LEAST_SINGULAR = 8, 1e-6  # of the equations for a homography; the least value relative to the largest
 LEAST_REACH, LARGEST_REACH = 2, 5  # pixels each way in which a corner is refined
 BLURRED = 1.5  # pixels over which an edge reaches
 SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-3)
@@ -36,6 +37,26 @@ class Corners:
 
     points_board: Array
     pixels: Array
+
+    @property
+    def tell_pose(self) -> bool:
+        """Whether they fix the board's pose: four or more, and more than one beside those in any line.
+
+        That is so if they fix a homography: the linear equations for its nine numbers then have rank 8.
+        """
+        if 2 * len(self.points_board) < HOMOGRAPHY_RANK:
+            return False
+        xy = self.points_board[:, :2] - self.points_board[:, :2].mean(axis=0)
+        x, y = xy.T / max(float(np.abs(xy).max()), 1e-12)
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        A = np.vstack(
+            [
+                np.stack([x, y, one, zero, zero, zero, -x * x, -x * y, -x], axis=1),
+                np.stack([zero, zero, zero, x, y, one, -x * y, -y * y, -y], axis=1),
+            ]
+        )
+        singular = np.linalg.svd(A, compute_uv=False)
+        return bool(singular[HOMOGRAPHY_RANK - 1] > LEAST_SINGULAR * singular[0])
 
 
 class Board(Protocol):

@@ -117,16 +117,22 @@ def find_boards(
         left, right = (board.detect(image) for image in images)
         if left is None or right is None:
             other_sizes += [found for found in map(board.size_in, images) if found is not None]
-            where = "both images" if left is right else "the left image" if left is None else "the right image"
-            rejected.append(Rejected(name, f"no board found in {where}"))
+            rejected.append(Rejected(name, f"no board found in {_where(left is None, right is None)}"))
         elif np.array_equal(images[0], images[1]):
             raise CalibrationError(f"both pictures of pair {name} are the same; name each camera's own")
+        elif not (left.tell_pose and right.tell_pose):
+            where = _where(not left.tell_pose, not right.tell_pose)
+            rejected.append(Rejected(name, f"the corners found in {where} lie in one line: they don't tell a pose"))
         else:
             pairs.append(BoardPair(name, left, board.like(right, left)))
         on_pair()
     if size is None or len(pairs) < LEAST_PAIRS:
         raise CalibrationError(_too_few(pairs, rejected, board, other_sizes))
     return Boards(pairs, rejected, size)
+
+
+def _where(in_left: bool, in_right: bool) -> str:
+    return "both images" if in_left and in_right else "the left image" if in_left else "the right image"
 
 
 def calibrate(boards: Boards, lens: Lens) -> StereoCalibration:
