@@ -99,6 +99,28 @@ def test_a_shells_patterns_are_split_by_folder_where_names_do_not_tell_the_camer
     assert len(result) == 12
 
 
+SWAPPED = {
+    "words": ("left{}.png", "right{}.png"),
+    "letters": ("{}_L.png", "{}_R.png"),
+    "cameras": ("cam0_{}.png", "cam1_{}.png"),
+    "folders": ("left/{}.png", "right/{}.png"),
+    "folders of cameras": ("cam0/data/{}.png", "cam1/data/{}.png"),
+    "both": ("cam0/left{}.png", "cam1/right{}.png"),
+}
+
+
+@pytest.mark.parametrize("case", SWAPPED)
+def test_a_shells_patterns_may_name_the_right_camera_first(case: str, tmp_path: Path) -> None:
+    left, right = (pictures(tmp_path, *(name.format(k) for k in range(10, 14))) for name in SWAPPED[case])
+    assert found(*right, *left) == found(*left, *right)
+    assert list(found(*right, *left).left) == left
+
+
+def test_names_that_tell_the_cameras_but_no_sides_leave_the_order(tmp_path: Path) -> None:
+    left, right = (pictures(tmp_path, *(f"{name}{k}.png" for k in range(10, 14))) for name in ("right", "cam0_"))
+    assert list(found(*left, *right).left) == left
+
+
 def test_pictures_that_could_be_of_one_pair_are_refused(tmp_path: Path) -> None:
     left, right = (pictures(tmp_path, f"day1/{side}1.png", f"day2/{side}1.png") for side in ("left", "right"))
     with pytest.raises(CalibrationError, match=r"day1/left1\.png and .*day2/left1\.png could both be of pair '1'"):

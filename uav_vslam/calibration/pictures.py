@@ -159,23 +159,40 @@ def _key(path: Path) -> str:
     return SIDE_WORDS.sub("", path.stem).strip("_-. ")
 
 
-def _side_words(path: Path) -> str:
-    return " ".join(SIDE_WORDS.findall(path.stem)).lower()
+def _side_words(name: str) -> str:
+    return " ".join(SIDE_WORDS.findall(name)).lower()
 
 
 def _sides_among(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Return the files of two cameras, told by the words in their names or by their folders; the first is left."""
-    for camera_of in (_side_words, lambda path: str(path.parent)):
+    """Return the files of two cameras, told by the words in their names or by their folders.
+
+    Left is which the words say, or the lower number; if they say nothing, the camera of the first file.
+    """
+    for camera_of in (lambda path: _side_words(path.stem), lambda path: str(path.parent)):
         cameras: dict[str, list[Path]] = {}
         for path in files:
             cameras.setdefault(camera_of(path), []).append(path)
         if len(cameras) == 2:
-            left, right = cameras.values()
-            return left, right
+            (first, left), (second, right) = cameras.items()
+            return (right, left) if _swapped(first, second) else (left, right)
     raise CalibrationError(
         f"neither names nor folders tell the two cameras of {len(files)} pictures; give two patterns in quotes: "
         "'LEFT*.png' 'RIGHT*.png'"
     )
+
+
+def _swapped(first: str, second: str) -> bool:
+    """Return whether the first of two cameras is the right one, by the words in which their names differ."""
+    words = zip(_side_words(first).split(), _side_words(second).split(), strict=False)
+    places = [(_place(one), _place(other)) for one, other in words if one != other]
+    return bool(places) and all(one[0] == other[0] and one > other for one, other in places)
+
+
+def _place(word: str) -> tuple[str, int]:
+    """Return what kind of word tells the side, and which side: cam0 is left of cam1."""
+    if word[-1].isdigit():
+        return "number", int(word[-1])
+    return "side", int(word.startswith("r"))
 
 
 def _files_like(pattern: str) -> list[Path]:
