@@ -14,6 +14,7 @@ from uav_vslam.mapping.view import View
 
 Array = NDArray[np.float64]
 
+MOST_VIEWS = np.iinfo(np.uint16).max  # that are counted
 EDGE_POINTS = 5  # of each side of an image
 HEIGHT_STEPS = 3  # fixed-point steps from the ray to the surface
 FLATTEST_RAY = 0.2  # least fall of a ray of depth one; flatter ones are cut
@@ -46,7 +47,7 @@ class Overlap:
         return Raster.covering(np.vstack(corners), grid.cell_m)
 
     def count(self, grid: HeightGrid, raster: Raster) -> NDArray[np.uint16]:
-        """Return the (rows, columns) number of views that show each cell of a window."""
+        """Return the (rows, columns) number of views that show each cell of a window, `MOST_VIEWS` at most."""
         count = np.zeros(raster.shape, np.uint16)
         if 0 in raster.shape:
             return count
@@ -55,7 +56,7 @@ class Overlap:
             outline = Raster.covering(footprint(camera, T_map_cam, height, raster), raster.cell_m)
             part = outline.intersection(raster)
             cut = part.within(raster)
-            count[cut] += _shown(camera, T_map_cam, part, height[cut])
+            count[cut] += _shown(camera, T_map_cam, part, height[cut]) & (count[cut] < MOST_VIEWS)
         return count
 
     def gsd_m(self, grid: HeightGrid, raster: Raster) -> float:

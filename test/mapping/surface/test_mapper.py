@@ -4,6 +4,7 @@ import pytest
 from rendered_views import ALTITUDE_M, ground, view
 from scipy.ndimage import binary_dilation
 
+from uav_vslam.mapping import overlap as overlap_module
 from uav_vslam.mapping.overlap import Overlap
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import MOST_VIEWS, SurfaceMapper
@@ -124,3 +125,13 @@ def test_the_footprint_count_is_that_of_the_geometry() -> None:
     assert count.sum() == pytest.approx(6 * area, rel=0.03)
     assert count.max() == 6
     assert overlap.gsd_m(grid, grid.extent) == pytest.approx(ALTITUDE_M / camera.fx, rel=0.01)
+
+
+def test_a_cell_that_is_seen_ever_again_does_not_start_from_zero(
+    flight: tuple[HeightGrid, SurfaceMapper, Overlap], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grid, _, overlap = flight
+    raster = overlap.extent(grid)
+    full = overlap.count(grid, raster)
+    monkeypatch.setattr(overlap_module, "MOST_VIEWS", 3)
+    np.testing.assert_array_equal(overlap.count(grid, raster), np.minimum(full, 3))
