@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from uav_vslam.errors import WorkerEnded
 from uav_vslam.processes import worker_pool
 from waiting import wait_for
 
@@ -61,3 +62,8 @@ def test_each_worker_calls_the_initializer_first(capfd: pytest.CaptureFixture[st
     with worker_pool(1, print, "begun") as pool:
         assert pool.submit(len, "four").result() == 4
     assert capfd.readouterr().out.strip() == "begun"
+
+
+def test_a_worker_that_the_system_ends_is_told() -> None:
+    with pytest.raises(WorkerEnded, match="memory is short: use --workers 1"), worker_pool(1) as pool:
+        pool.submit(os.kill, pool.submit(os.getpid).result(), signal.SIGKILL).result()

@@ -35,6 +35,10 @@ class PictureError(UavVslamError):
     """A picture or the table of positions beside it can't be used, or the pictures do not determine a mosaic."""
 
 
+class WorkerEnded(UavVslamError):
+    """A process that shared the work was ended by the system: no fault of the input, so the command exits with 1."""
+
+
 class MapError(UavVslamError):
     """A saved map is missing, damaged or does not suit the flight."""
 

@@ -8,9 +8,11 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any
 
+from uav_vslam.errors import WorkerEnded
 from uav_vslam.memory import keep_freed_memory
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -35,15 +37,21 @@ def worker_pool(
     Args:
         workers: processes.
         initializer, args: called first in each worker, with these arguments.
+
+    Raises:
+        WorkerEnded: the system has ended a worker.
     """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, _initialize, (os.getpid(), initializer, args)) as pool:
         try:
             yield pool
-        except BaseException:
+        except BaseException as error:
             for process in multiprocessing.active_children():
                 process.terminate()
             pool.shutdown(wait=False, cancel_futures=True)
+            if isinstance(error, BrokenProcessPool):
+                text = "a worker process was ended by the system, which does so where memory is short: use --workers 1"
+                raise WorkerEnded(text) from None
             raise
 
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from uav_vslam import __version__
-from uav_vslam.errors import UavVslamError
+from uav_vslam.errors import UavVslamError, WorkerEnded
 from uav_vslam.memory import keep_freed_memory
 
 VERBS = (
@@ -64,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(args.run(args))
     except UavVslamError as error:
         print(f"uav-vslam: {error}", file=sys.stderr)
-        return WRONG_INPUT
+        return FAILURE if isinstance(error, WorkerEnded) else WRONG_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # the reader closed the pipe; Python would raise again while it flushes at exit
