@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uav_vslam.evaluation.files.geodetic import Datum
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.surface.grid import HeightGrid
-    from uav_vslam.mapping.surface.mapper import SurfaceMapper
+    from uav_vslam.mapping.surface.mapper import SMALL_CELLS, SurfaceMapper
 
 FOLDER, TILES, PICTURE = "map", "tiles", "height.png"
 HELP = "map the surface that was flown over: run recordings, or take a results folder, and read the images again"
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     cells = write_map(flights, folder / FOLDER, args.cell, datum)
     print(f"map: {folder / FOLDER}\npage: {write_page([folder])}")
     if cells == 0:
-        print("uav-vslam: nothing was mapped: no two views show one surface below the cameras", file=sys.stderr)
+        print("uav-vslam: nothing was mapped: no two views show the surface below the cameras", file=sys.stderr)
     return code if cells else max(code, 1)
 
 
@@ -104,6 +104,9 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: D
     write_json(folder / FIGURES, tree)
     _draw(grid, overlap, folder)
     print_map(tree, _times_ms(mapper))
+    if mapper.least_cell_m:
+        text = f"{mapper.refused[SMALL_CELLS]} pairs have pixels too large for cells of {cell_m:g} m"
+        print(f"uav-vslam: warning: {text}; use --cell {mapper.least_cell_m:.2g}", file=sys.stderr)
     return int(tree["surface"]["cells"])
 
 

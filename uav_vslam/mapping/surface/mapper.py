@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.mapping.surface.grid import HeightGrid
-from uav_vslam.mapping.surface.ground_search import search_ground
+from uav_vslam.mapping.surface.ground_search import LEAST_BASELINE_M, search_ground
 from uav_vslam.mapping.surface.prepared import PreparedView
 from uav_vslam.mapping.surface.rectification import Depths, rectify
 from uav_vslam.mapping.surface.samples import sample
@@ -27,16 +27,20 @@ FLATTEST_RAY = 0.3  # least fall of a ray of depth one that is followed to the g
 FOOTPRINT = (16, 12)  # points across and down an image that stand for its footprint
 FOOTPRINT_POINTS = FOOTPRINT[0] * FOOTPRINT[1]
 MOST_VIEWS = 64  # kept as partners of later ones
+CELL_PIXELS = 2.0  # side of a cell in pixels on the ground that gives `samples.LEAST_POINTS`
+FEWEST_PIXELS = 1.5  # below it hardly a cell has so many
+SMALL_CELLS = "cells smaller than pixels"  # reason for a refusal
 LEAST_SHARE = 0.25  # of the common ground that a good pair matches
 RANGE_PERCENTILES = (1.0, 50.0, 99.0)
-SEARCHED_VIEWS = 4  # kept while the ground is not found
+SEARCHED_VIEWS = 8  # kept while the ground is not found
+FARTHEST_SEARCHED_M = 100.0  # of them from the newest
 
 
 @dataclass(slots=True)
 class _Lane:
     """The latest views of one vehicle, where it last saw the ground, and the view of the latest pair."""
 
-    views: deque[PreparedView] = field(default_factory=lambda: deque(maxlen=MOST_VIEWS))
+    views: deque[PreparedView] = field(default_factory=deque)
     ground: Depths | None = None
     last_pair: PreparedView | None = None
 
@@ -49,6 +53,7 @@ class SurfaceMapper:
         views: taken, by vehicle.
         pairs: matched.
         refused: pairs that were not, by reason.
+        least_cell_m: side of cells with which no pair would have been refused for `SMALL_CELLS`; 0 if none was [m].
         seconds: processor time by stage.
     """
 
@@ -57,6 +62,7 @@ class SurfaceMapper:
         self.views: Counter[str] = Counter()
         self.pairs = 0
         self.refused: Counter[str] = Counter()
+        self.least_cell_m = 0.0
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._settings = settings or SurfaceSettings()
         self._lanes: defaultdict[str, _Lane] = defaultdict(_Lane)
@@ -70,8 +76,10 @@ class SurfaceMapper:
         lane = self._lanes[view.vehicle]
         if lane.ground is None:
             self._find_ground(lane, prepared)
-        lane.views.append(prepared)
-        if lane.ground is not None:
+        if lane.ground is None:
+            lane.views.append(prepared)
+        else:
+            self._keep(lane, prepared, lane.ground)
             self._pair_up(lane, prepared, lane.ground)
 
     def ground_m(self, vehicle: str) -> float | None:
@@ -93,9 +101,22 @@ class SurfaceMapper:
             lane.ground = search_ground(earlier, view, self._settings)
             if lane.ground is not None:
                 break
-        while len(lane.views) >= SEARCHED_VIEWS and lane.ground is None:
-            lane.views.popleft()
+        if lane.ground is None and len(lane.views) >= SEARCHED_VIEWS:
+            del lane.views[most_dispensable([_apart(earlier, view) for earlier in lane.views])]
         self._count("search", started)
+
+    def _keep(self, lane: _Lane, view: PreparedView, ground: Depths) -> None:
+        """Keep a view as a partner of later ones, unless the last one kept is nearly where it is.
+
+        So `MOST_VIEWS` reach as far as pairs do, however slow the flight is.
+        """
+        spacing_m = self._settings.longest_ratio * _above(view, ground) / MOST_VIEWS
+        if lane.views and _apart(lane.views[-1], view) < spacing_m:
+            return
+        lane.views.append(view)
+        while len(lane.views) > MOST_VIEWS:
+            self._complete(lane, lane.views[0])
+            lane.views.popleft()
 
     def _pair_up(self, lane: _Lane, view: PreparedView, ground: Depths) -> None:
         settings, height_m = self._settings, _above(view, ground)
@@ -154,6 +175,11 @@ class SurfaceMapper:
         if pair is None:
             self.refused["geometry"] += 1
             return
+        pixel_m = _above(right, ground) / pair.focal_px
+        if self.grid.cell_m < FEWEST_PIXELS * pixel_m:
+            self.refused[SMALL_CELLS] += 1
+            self.least_cell_m = max(self.least_cell_m, CELL_PIXELS * pixel_m)
+            return
         points = match(pair, settings).above(searched.low_m)  # whole steps of disparities reach further
         started = self._count("match", started)
         if points.share < LEAST_SHARE:
@@ -170,6 +196,19 @@ class SurfaceMapper:
         now = time.process_time()
         self.seconds[stage] += now - started
         return now
+
+
+def most_dispensable(distances_m: list[float]) -> int:
+    """Return which of some views, oldest first, to give up, by their distances from the newest.
+
+    Those that are left are the farther apart the farther away they are: whatever baseline the ground needs, some pair
+    comes near it.
+    """
+    far_m, *_ = distances_m = [max(distance, LEAST_BASELINE_M) for distance in distances_m]
+    if far_m > FARTHEST_SEARCHED_M:
+        return 0
+    ratios = [before / after for before, after in zip(distances_m, [*distances_m[2:], LEAST_BASELINE_M], strict=False)]
+    return 1 + int(np.argmin(ratios[: len(distances_m) - 1]))
 
 
 def _ground_of(points: PairPoints) -> Depths:
