@@ -128,7 +128,7 @@ def smooth_track(track: VehicleTrack, rig: StereoRig, config: VehicleConfig) -> 
         flight = FilteredFlight.of_outputs(track.start, track.outputs, track.features)
         found = smooth(flight, rig, config, track.saved_map)
         track.smoothed, track.saved_map = [estimate.pose for estimate in found.estimates], found.saved_map
-    except (FilterDivergence, np.linalg.LinAlgError) as error:
+    except (FilterDivergence, np.linalg.LinAlgError, MemoryError) as error:
         track.warnings.append(f"the flight could not be smoothed: {error}")
 
 
