@@ -91,12 +91,12 @@ class VehicleParameters:
 
         Call it before the node uses the configuration.
         """
-        if resume and path.exists():
-            self._take_over(path)
-        elif not resume:
-            with contextlib.suppress(OSError):
-                path.unlink()
         self._file = path
+        if resume:
+            self._take_over(path)
+            return
+        with contextlib.suppress(OSError):
+            path.unlink()
 
     def _take_over(self, path: Path) -> None:
         log = self._node.get_logger()
@@ -104,6 +104,8 @@ class VehicleParameters:
             values = json.loads(path.read_text(encoding="utf-8"))
             changes = {name: value for name, value in values.items() if self._settings[name].live}
             self.config = replaced(self.config, changes, where=str(path))
+        except FileNotFoundError:  # nothing was changed
+            return
         except (OSError, ValueError, KeyError, AttributeError, ConfigError) as error:
             log.warning(f"{path}: live settings of the process before can't be taken over ({error})")
             return

@@ -2,12 +2,19 @@
 """Files that outlive a process: where they are, and how they are replaced."""
 
 import os
+import tempfile
 from pathlib import Path
 
 
 def state_folder() -> Path:
     """Return the user's state folder, by the XDG base directory specification."""
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "uav_vslam"
+    given = os.environ.get("XDG_STATE_HOME")
+    if given:
+        return Path(given) / "uav_vslam"
+    try:
+        return Path.home() / ".local" / "state" / "uav_vslam"
+    except RuntimeError:  # a container's user without a home
+        return Path(tempfile.gettempdir()) / "uav_vslam"
 
 
 def replace_file(path: Path, content: bytes, *, durable: bool = True) -> None:
