@@ -77,6 +77,7 @@ class VehicleParameters:
             ConfigError: an unknown name, or a value that is not allowed.
         """
         self.config = with_noise_of_files(read(node, VehicleConfig))
+        self._launched = flatten(self.config)
         self._file: Path | None = None
         self._node, self._on_change = node, on_change
         settings = all_settings(VehicleConfig)
@@ -116,10 +117,10 @@ class VehicleParameters:
         if self._file is None:
             return
         values = flatten(self.config)
-        live = {name: plain(values[name]) for name, described in self._settings.items() if described.live}
+        changed = {name: plain(values[name]) for name in self._settings if values[name] != self._launched[name]}
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(self._file, json.dumps(live).encode(), durable=False)
+            replace_file(self._file, json.dumps(changed).encode(), durable=False)
         except OSError as error:
             self._node.get_logger().warning(
                 f"{self._file}: live settings can't be stored ({error.strerror}); a restart of this node forgets them"
