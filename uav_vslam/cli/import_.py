@@ -108,12 +108,13 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: options exclude each other.
     """
     from uav_vslam.datasets.importing.problems import Problems
-    from uav_vslam.datasets.importing.source import write_source
+    from uav_vslam.datasets.importing.source import configuration_file, write_source
     from uav_vslam.datasets.unfinished import require_new
     from uav_vslam.errors import ConfigError
 
     if args.zstd and args.storage != "mcap":
         raise ConfigError(f"--zstd compresses mcap files; leave it out, or --storage {args.storage}")
+    kept = configuration_file(args.out).exists()  # before any work: it may be refused
     if require_new(args.out):
         _warn(f"{args.out}.partial, left by an import that was cut short, is removed; starting again")
     problems = Problems(_warn)
@@ -130,6 +131,8 @@ def run(args: argparse.Namespace) -> int:
     size_mb = sum(file.stat().st_size for file in args.out.iterdir()) / 1e6
     print(f"{args.out}: {written} image pairs of {source.flight.vehicle}, {size_mb:.1f} MB")
     _report(args.out, source, problems)
+    if config and kept:
+        print(f"note: {config} was there already and is kept")
     if config:
         print(f"run it: {shlex.join(['uav-vslam', 'run', str(args.out), '--config', str(config)])}")
     return 0

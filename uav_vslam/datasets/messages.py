@@ -159,6 +159,14 @@ def decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
         return None
 
 
+def decodable(data: NDArray[np.uint8]) -> bool:
+    """Return whether an encoded image can be decoded; grey and reduced, as that is the fastest that reads it all."""
+    try:
+        return cv2.imdecode(data, cv2.IMREAD_REDUCED_GRAYSCALE_2) is not None
+    except cv2.error:
+        return False
+
+
 def camera_of(info: Any) -> PinholeCamera:
     """Return the intrinsics of a CameraInfo.
 

@@ -4,6 +4,7 @@
 import itertools
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -46,7 +47,7 @@ def write_sequence(
         rows = [f"{s},{s}.png" for s in stamps]
         (mav0 / camera / "data.csv").write_text("\n".join(["#timestamp [ns],filename", *rows]) + "\n")
         for s in stamps:
-            (mav0 / camera / "data" / f"{s}.png").write_bytes(f"{camera} {s}".encode())
+            cv2.imwrite(str(mav0 / camera / "data" / f"{s}.png"), np.full((48, 64), s % 251 + number, np.uint8))
     (mav0 / "imu0").mkdir()
     readings = [f"{ms * 1_000_000},0.01,0.0,0.0,0.0,0.0,9.81" for ms in range(0, 400, 5)]
     (mav0 / "imu0" / "data.csv").write_text("\n".join(["#header", *readings]))
@@ -57,12 +58,13 @@ def write_sequence(
 
 
 def test_a_sequence_starts_at_the_first_image_with_ground_truth(tmp_path: Path) -> None:
-    flight = read_euroc(write_sequence(tmp_path / "mav0"), vehicle="uav3").flight
+    mav0 = write_sequence(tmp_path / "mav0")
+    flight = read_euroc(mav0, vehicle="uav3").flight
     frames = list(flight.frames)
     assert [f.stamp_ns for f in frames] == [200_000_000, 300_000_000]
     assert isinstance(frames[0], SourceFrame)
-    assert frames[0].left.content == b"cam0 200000000"
-    assert frames[0].right.content == b"cam1 200000000"
+    assert frames[0].left.content == (mav0 / "cam0" / "data" / "200000000.png").read_bytes()
+    assert frames[0].right.content == (mav0 / "cam1" / "data" / "200000000.png").read_bytes()
     assert flight.initial is not None
     state = flight.initial.state
     assert state.stamp_ns == 200_000_000

@@ -121,13 +121,35 @@ def test_files_that_ros_knows_are_copied_and_others_keep_their_pixels(
         np.testing.assert_array_equal(frame.left.content, pixels)
 
 
-def test_a_picture_that_turns_out_to_be_none_is_left_out(tmp_path: Path) -> None:
-    path = tmp_path / "picture.pgm"
+@pytest.mark.parametrize("name", ["picture.pgm", "picture.jpg", "picture.PNG"])
+def test_a_picture_that_turns_out_to_be_none_is_left_out(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
     path.write_bytes(b"P5 no more")
     problems = Problems()
     picture = Picture(7, path)
     assert list(frames(paired([picture], [picture], problems), problems)) == []
     assert problems.counts == {"missing pictures": 2}
+    assert problems.lines[0] == f"{path}: can't be decoded"
+
+
+def test_a_list_without_names_makes_no_recording(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    listed = mav0 / "cam0" / "data.csv"
+    listed.write_text("\n".join(line.partition(",")[0] for line in listed.read_text().splitlines()))
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 2
+    assert f"{listed}:2: '100000000' is not 'stamp,filename'" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mav0"]
+
+
+def test_a_data_set_whose_pictures_are_all_broken_makes_no_recording(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in (mav0 / "cam1" / "data").iterdir():
+        path.write_bytes(path.read_bytes()[:20])
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 2
+    assert "none of 5 image pairs can be read" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mav0"]
 
 
 def test_only_pairs_that_were_written_are_counted(
@@ -184,12 +206,25 @@ def test_a_start_between_quaternions_of_opposite_sign_has_their_attitude(mav0: P
     np.testing.assert_allclose(flight.initial.state.T_map_body.R, expected, atol=1e-12)
 
 
-def test_the_written_configuration_is_the_formats_and_one_that_is_there_is_kept(mav0: Path, tmp_path: Path) -> None:
+def test_the_written_configuration_is_the_formats_and_one_that_is_there_is_kept(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
     assert load_vehicle(tmp_path / "out.yaml") == load_vehicle(Path(__file__).parents[3] / "config" / "euroc.yaml")
     (tmp_path / "mine.yaml").write_text("# mine\n")
+    capsys.readouterr()
     assert main(["import", "euroc", str(mav0), str(tmp_path / "mine")]) == 0
     assert (tmp_path / "mine.yaml").read_text() == "# mine\n"
+    assert f"{tmp_path / 'mine.yaml'} was there already and is kept" in capsys.readouterr().out
+
+
+def test_a_folder_in_place_of_the_configuration_is_refused_before_the_data_set_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out.yaml").mkdir()
+    assert main(["import", "euroc", str(tmp_path / "nowhere"), str(tmp_path / "out")]) == 2
+    assert f"{tmp_path / 'out.yaml'}: is no file" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["out.yaml"]
 
 
 def test_an_import_that_was_cut_short_starts_again(

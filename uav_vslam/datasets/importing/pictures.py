@@ -13,7 +13,7 @@ import numpy as np
 from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import DISORDERED, UNREADABLE, numbered_lines
-from uav_vslam.datasets.messages import decoded
+from uav_vslam.datasets.messages import decodable, decoded
 from uav_vslam.stamps import nearest
 
 COPIED = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
@@ -56,6 +56,8 @@ def read_list(path: Path, folder: Path, problems: Problems) -> list[Picture]:
     for line, text in numbered_lines(path):
         stamp, _, name = text.partition(",")
         try:
+            if not name.strip():
+                raise ValueError
             listed.append((int(stamp), folder / name.strip(), line))
         except ValueError:
             problems.add(UNREADABLE, path, f"{text!r} is not 'stamp,filename'", line=line)
@@ -129,10 +131,13 @@ def _image(picture: Picture, problems: Problems, encoding: str) -> SourceImage |
         problems.add(MISSING, path, f"can't be read ({error.strerror})")
         return None
     fmt = COPIED.get(path.suffix.lower(), "")
-    if fmt:
-        return SourceImage(picture.stamp_ns, data, fmt, encoding)
-    pixels = decoded(np.frombuffer(data, np.uint8))
-    if pixels is None:
+    content = _copied(data) if fmt else decoded(np.frombuffer(data, np.uint8))
+    if content is None:
         problems.add(MISSING, path, "can't be decoded")
         return None
-    return SourceImage(picture.stamp_ns, pixels, encoding=encoding)
+    return SourceImage(picture.stamp_ns, content, fmt, encoding)
+
+
+def _copied(data: bytes) -> bytes | None:
+    """Return a file's bytes if they can be decoded: nobody could read the recording otherwise."""
+    return data if decodable(np.frombuffer(data, np.uint8)) else None

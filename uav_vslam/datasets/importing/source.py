@@ -11,6 +11,7 @@ import yaml
 from uav_vslam.config import difference_file, find_config, load_vehicle, replaced
 from uav_vslam.datasets.flight_writer import FlightRecording, write_flights
 from uav_vslam.datasets.unfinished import unfinished
+from uav_vslam.errors import BagError
 
 IN_FLIGHT = {"start.method": "in_flight"}  # settings of a recording without ground truth
 
@@ -43,6 +44,8 @@ def write_source(
 ) -> Path | None:
     """Record a data set, and write OUT.yaml unless it is there.
 
+    A data set of which no image pair can be read makes no recording.
+
     Args:
         source: the data set.
         out: bag folder to make.
@@ -54,16 +57,38 @@ def write_source(
         The configuration file, None if the graph can't run the recording.
 
     Raises:
-        BagError: `out` exists or can't be made.
+        BagError: `out` exists or can't be made, or no image pair can be read.
     """
+    written = 0
+
+    def counted() -> None:
+        nonlocal written
+        written += 1
+        if on_frame is not None:
+            on_frame()
+
     with unfinished(out) as folder:
-        write_flights(folder, [source.flight], storage=storage, zstd=zstd, on_frame=on_frame)
+        write_flights(folder, [source.flight], storage=storage, zstd=zstd, on_frame=counted)
+        if not written:
+            raise BagError(f"{out}: not made, as none of {source.frame_count} image pairs can be read")
     return write_configuration(source, out) if source.runnable else None
+
+
+def configuration_file(out: Path) -> Path:
+    """Return OUT.yaml, which is absent or a file.
+
+    Raises:
+        BagError: something else has its place.
+    """
+    path = out.with_name(f"{out.name}.yaml")
+    if path.exists() and not path.is_file():
+        raise BagError(f"{path}: is no file, and the configuration is written there; remove it, or choose another OUT")
+    return path
 
 
 def write_configuration(source: Source, out: Path) -> Path:
     """Write OUT.yaml, a parameter file for `uav-vslam run OUT --config OUT.yaml`; one that is there is kept."""
-    path = out.with_name(f"{out.name}.yaml")
+    path = configuration_file(out)
     if not path.exists():
         base = load_vehicle(find_config(source.base) if source.base else None)
         config = replaced(base, dict(source.settings), where=str(path))
