@@ -24,9 +24,9 @@ EXAMPLES = """examples:
   uav-vslam import FORMAT --help                     what one format needs
 
 OUT becomes the bag and OUT.yaml its configuration; a file that is there already is kept. Images of jpeg and png files
-are recorded byte for byte, lens distortion included. What can't be read is left out, told with file and line, counted,
-and listed in OUT.warnings.txt. The bag grows in OUT.partial: an import that was cut short leaves no OUT, and starts
-again.
+are recorded byte for byte, lens distortion included. What can't be read is left out and lines out of order are sorted
+in, told with file and line, counted, and listed in OUT.warnings.txt. The bag grows in OUT.partial: an import that was
+cut short leaves no OUT, and starts again.
 """
 FORMATS = {
     "euroc": "a sequence in EuRoC's ASL layout",
@@ -139,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report(out: Path, source: Source, problems: Problems) -> None:
-    """Print what the user should know, and list what was left out in a file."""
+    """Print what the user should know, and list what was left out or sorted in in a file."""
     for note in source.notes:
         print(f"note: {note}")
     for text in source.warnings:
@@ -147,7 +147,10 @@ def _report(out: Path, source: Source, problems: Problems) -> None:
     if problems.lines:
         listed = out.with_name(f"{out.name}.warnings.txt")
         listed.write_text("\n".join(problems.lines) + "\n", encoding="utf-8")
-        print(f"left out: {problems.summary()}; listed in {listed}")
+        summaries = {"left out": problems.summary(), "sorted in": problems.mended_summary()}
+        for what, summary in summaries.items():
+            if summary:
+                print(f"{what}: {summary}; listed in {listed}")
 
 
 def _warn(text: str) -> None:

@@ -90,6 +90,56 @@ def test_rows_out_of_order_are_sorted_in_and_told(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.stamps_ns, [10, 20, 30, 40])
     np.testing.assert_array_equal(table.values[:, 0], [1, 2, 3, 4])
     assert [text.split(": ")[0].removeprefix(f"{path}:") for text in problems.lines] == ["2", "3", "4"]
+    assert problems.summary() == "1 lines that repeat a stamp"
+    assert problems.mended_summary() == "2 lines out of order"
+
+
+def test_what_is_sorted_in_is_not_counted_as_left_out(
+    mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (mav0 / "imu0" / "data.csv").write_text("\n".join([IMU[1], IMU[0], *IMU[2:]]))
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert f"sorted in: 1 lines out of order; listed in {tmp_path / 'out.warnings.txt'}" in said
+    assert "left out" not in said
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_line(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_bytes(b"\xef\xbb\xbf#stamp,value\n10,1\n")
+    problems = Problems()
+    assert len(read_table(path, 1, problems)) == 1
+    assert problems.lines == []
+
+
+@pytest.mark.parametrize("stamp", ["-5", str(2**31 * 1_000_000_000), "1" + "0" * 400])
+def test_lines_whose_stamps_ros_can_not_hold_are_left_out(
+    stamp: str, mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, values in (("imu0", "0,0,0,0,0,9.81"), ("state_groundtruth_estimate0", "1,2,3,1,0,0,0" + ",0" * 9)):
+        with (mav0 / name / "data.csv").open("a") as stream:
+            stream.write(f"{stamp},{values}\n")
+    with (mav0 / "cam0" / "data.csv").open("a") as stream:
+        stream.write(f"{stamp},350000000.png\n")
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
+    said = capsys.readouterr()
+    assert "left out: 3 lines that can't be read;" in said.out
+    assert said.err.count("the stamp is not within 0 and 2^31 s") == 3
+    assert open_flight(tmp_path / "out", "uav1").frame_count == 5
+
+
+def test_truth_whose_quaternion_is_none_is_left_out_and_rounding_is_not(mav0: Path, tmp_path: Path) -> None:
+    path = mav0 / "state_groundtruth_estimate0" / "data.csv"
+    rows = truth_rows()
+    for k, quaternion in enumerate(("0,0,0,0", "0.5,0.5,0.5,0.3", "0.71,0,0,0.71"), 12):
+        rows[k] = rows[k].replace(",1,0,0,0,4", f",{quaternion},4")
+    path.write_text("\n".join(rows))
+    problems = Problems()
+    truth = list(read_euroc(mav0, problems=problems).flight.truth)
+    assert len(truth) == len(rows) - 2
+    assert [text.split(": ")[0] for text in problems.lines] == [f"{path}:13", f"{path}:14"]
+    assert "the quaternion's norm is 0, not 1" in problems.lines[0]
+    np.testing.assert_allclose(truth[12].T_world_body.R @ truth[12].T_world_body.R.T, np.eye(3), atol=1e-12)
 
 
 def test_pictures_pair_with_the_nearest_within_the_tolerance() -> None:

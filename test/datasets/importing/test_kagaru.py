@@ -29,7 +29,9 @@ from uav_vslam.datasets.bag import BagFlight, open_flight
 from uav_vslam.datasets.importing.axes import rotation_to_enu, rotation_to_flu
 from uav_vslam.datasets.importing.columns import Clock
 from uav_vslam.datasets.importing.kagaru import read_kagaru
-from uav_vslam.datasets.importing.kagaru_settings import read_settings
+from uav_vslam.datasets.importing.kagaru_log import read_motion
+from uav_vslam.datasets.importing.kagaru_settings import LogSettings, read_settings
+from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.errors import BagError, CalibrationError, ConfigError
 from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic, to_geodetic
 from uav_vslam.types import ImuSample, StereoFrame
@@ -200,6 +202,7 @@ def test_stamps_may_be_in_the_names_of_the_pictures(flight: Flight, tmp_path: Pa
         ({"cameras": {"bayr": "rggb"}}, ConfigError, "did you mean cameras.bayer"),
         ({"log": {"gyro": ["Gyr_X", "Gyr_Y"]}}, ConfigError, "3 columns"),
         ({"log": {"gyro": ["a", "b", "c"]}}, ConfigError, r"xsens.csv: no column 'a'; it has Time, Gyr_X"),
+        ({"log": {"time_offset_s": 3e9}}, ConfigError, "log.time_offset_s = 3000000000.0 is not allowed"),
         ({"log": {"world_axes": "NEU"}}, ConfigError, "three right-handed directions"),
         ({"log": {"file": "none.csv"}}, BagError, "none.csv: can't be read"),
         ({"cameras": {"left": {"images": "nowhere/*.png"}}}, BagError, "no picture nowhere"),
@@ -239,6 +242,17 @@ def test_broken_lines_of_the_log_are_left_out_and_named(flight: Flight, tmp_path
     assert len(readings) == len(flight.vehicle.imu.stamps_ns) - 1
 
 
+def test_rows_of_the_truth_without_a_valid_quaternion_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "truth.txt").write_text("0 0 0 0 1 0 0 0\n1 0 0 0 0 0 0 0\n2 0 0 0 0 0 0 1\n")
+    columns = ["2", "3", "4"], ["5", "6", "7", "8"]
+    log = LogSettings(file="truth.txt", position=columns[0], attitude=columns[1], position_kind="local")
+    problems = Problems()
+    found = read_motion(tmp_path, log, (), problems)
+    assert found is not None
+    assert found[0].stamps_ns.tolist() == [0, 2_000_000_000]
+    assert problems.lines == [f"{tmp_path / 'truth.txt'}:2: the quaternion's norm is 0, not 1"]
+
+
 def test_the_layout_that_we_ship_is_valid() -> None:
     layout, run = read_settings(OURS)
     assert layout.cameras.bayer == "rggb"
@@ -258,8 +272,11 @@ def test_axes_are_right_handed_and_what_their_letters_say() -> None:
 def test_stamps_of_seconds_since_1970_keep_their_nanoseconds() -> None:
     assert Clock(("1",), ("s",), 0).stamp_ns(["1283212800.123456789"]) == 1_283_212_800_123_456_789
     assert Clock(("1", "2"), ("s", "ns"), -7).stamp_ns(["1283212800", "123456789"]) == 1_283_212_800_123_456_782
-    with pytest.raises(ValueError, match="no time"):
-        Clock(("1",), ("s",), 0).stamp_ns(["soon"])
+    for text in ("soon", "nan", "inf", "1e999999"):
+        with pytest.raises(ValueError, match=r"time|NaN"):
+            Clock(("1",), ("s",), 0).stamp_ns([text])
+    with pytest.raises(ValueError, match="as ROS stamps are"):
+        Clock(("1",), ("s",), -1).stamp_ns(["0"])
 
 
 def test_geodetic_positions_come_back_and_north_is_along_y() -> None:

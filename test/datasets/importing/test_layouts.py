@@ -2,6 +2,7 @@
 """A flight written as TUM-VI or KITTI have it comes back: calibration, stamps, pixels, readings, truth and start."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from uav_vslam.cli.main import main
 from uav_vslam.config import load_vehicle
 from uav_vslam.datasets.bag import BagFlight, open_flight
 from uav_vslam.datasets.importing.kitti import T_FLU_OPTICAL, read_kitti
+from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.rosbag import topics_of
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
@@ -220,6 +222,46 @@ def test_a_missing_picture_and_a_broken_row_of_kitti_are_told(
     assert "times.txt:6: picture" in said.err
     assert "timestamps.txt:8: 0000000007.txt: 3 numbers, not 20" in said.err
     assert found.frame_count == len(rectified.frames) - 1
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("calib.txt", r"P0: \S+", "P0: 0.0", "calib.txt: P0 is no K [I | t] with focal lengths above 0"),
+        ("times.txt", r"\n\S+\n$", "\n1e300\n", "times.txt:24: '1e300' is no time"),
+        ("times.txt", r"\n\S+\n$", "\n3e9\n", "times.txt:24: '3e9' is no time"),
+    ],
+)
+def test_what_is_wrong_in_a_kitti_sequence_is_one_line(
+    file: str, old: str, new: str, message: str, rectified: Flight, tmp_path: Path, capsys: Capsys
+) -> None:
+    sequence, _ = write_kitti(rectified, tmp_path / "kitti")
+    path = sequence / file
+    path.write_text(re.sub(old, new, path.read_text()))
+    assert main(["import", "kitti", str(sequence), str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_a_raw_drive_of_a_single_reading_is_refused(rectified: Flight, tmp_path: Path, capsys: Capsys) -> None:
+    sequence, oxts = write_kitti(rectified, tmp_path / "kitti")
+    (oxts / "timestamps.txt").write_text((oxts / "timestamps.txt").read_text().splitlines()[0] + "\n")
+    assert main(["import", "kitti", str(sequence), str(tmp_path / "out"), "--oxts", str(oxts)]) == 2
+    error = capsys.readouterr().err
+    assert "a single reading" in error
+    assert error.count("\n") == 1
+
+
+def test_poses_of_kitti_that_are_no_rotation_are_left_out(rectified: Flight, tmp_path: Path) -> None:
+    sequence, _ = write_kitti(rectified, tmp_path / "kitti")
+    path = sequence.parents[1] / "poses" / "03.txt"
+    lines = path.read_text().splitlines()
+    lines[3], lines[5] = "1 0 0 0 0 1 0 0 0 0 2 0", "0 1 0 0 1 0 0 0 0 0 1 0"  # a scale, and a reflection
+    path.write_text("\n".join(lines))
+    problems = Problems()
+    assert len(list(read_kitti(sequence, problems=problems).flight.truth)) == len(lines) - 2
+    assert [text.split(": ")[0] for text in problems.lines] == [f"{path}:4", f"{path}:6"]
 
 
 def ate_m(bag: Path, config: Path, results: Path) -> float:

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text files whose columns are named by a header line or counted from 1, with stamps in any unit."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.tables import UNREADABLE, Table, numbered_lines, numbers, read_text, table_of
+from uav_vslam.datasets.importing.tables import (
+    UNREADABLE,
+    Table,
+    in_range,
+    numbered_lines,
+    numbers,
+    read_text,
+    table_of,
+)
 from uav_vslam.errors import ConfigError
 
 UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
@@ -88,17 +96,24 @@ class Clock:
         """Return the stamp [ns] of the columns' texts, without loss of digits.
 
         Raises:
-            ValueError: one is no number.
+            ValueError: one is no number, or ROS can't hold the stamp.
         """
         try:
             parts = [Decimal(text) * UNITS_NS[unit] for text, unit in zip(texts, self.units, strict=True)]
-            return round(sum(parts, Decimal(0))) + self.offset_ns
-        except (InvalidOperation, OverflowError):
+            return in_range(round(sum(parts, Decimal(0))) + self.offset_ns)
+        except ArithmeticError:  # of Decimal: neither a number nor of a size in use
             raise ValueError(f"{', '.join(texts)} is no time") from None
 
 
-def read_columns(file: TextFile, clock: Clock, names: Sequence[str], problems: Problems) -> Table:
-    """Read stamps and some columns of numbers; rows that lack one are left out.
+def read_columns(
+    file: TextFile,
+    clock: Clock,
+    names: Sequence[str],
+    problems: Problems,
+    *,
+    check: Callable[[list[float]], None] | None = None,
+) -> Table:
+    """Read stamps and some columns of numbers; rows that lack one, or fail a check by ValueError, are left out.
 
     Raises:
         BagError: the file can't be read, or has no valid row.
@@ -109,7 +124,10 @@ def read_columns(file: TextFile, clock: Clock, names: Sequence[str], problems: P
     for line, fields in file.rows():
         try:
             stamp = clock.stamp_ns([fields[k] for k in time_at])
-            rows.append((stamp, line, numbers([fields[k] for k in value_at])))
+            values = numbers([fields[k] for k in value_at])
+            if check is not None:
+                check(values)
+            rows.append((stamp, line, values))
         except (IndexError, ValueError) as error:
             wrong = f"only {len(fields)} columns" if isinstance(error, IndexError) else str(error)
             problems.add(UNREADABLE, file.path, wrong, line=line)

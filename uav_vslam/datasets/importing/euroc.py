@@ -13,7 +13,7 @@ from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_sample
 from uav_vslam.datasets.importing.pictures import PicturePair, frames, paired, read_list
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.source import Source
-from uav_vslam.datasets.importing.tables import read_table, read_text
+from uav_vslam.datasets.importing.tables import read_table, read_text, require_unit
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -45,7 +45,7 @@ def read_euroc(
     right, T_body_right = _camera(mav0 / "cam1")
     imu = read_table(mav0 / "imu0" / "data.csv", 6, problems)
     truth_file = mav0 / TRUTH_FOLDER / "data.csv"
-    truth = Motion(read_table(truth_file, 16, problems), truth_file)
+    truth = Motion(read_table(truth_file, 16, problems, check=lambda row: require_unit(row[3:7])), truth_file)
     pairs, notes = covered_pairs(asl_pairs(mav0, problems), truth)
     if not pairs:
         raise BagError(f"{mav0}: no pair of images with equal stamps is covered by ground truth; check data.csv")

@@ -14,7 +14,7 @@ from uav_vslam.datasets.importing.columns import read_columns
 from uav_vslam.datasets.importing.kagaru_settings import LogSettings
 from uav_vslam.datasets.importing.motion import Motion, motion_of_poses
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.tables import Table
+from uav_vslam.datasets.importing.tables import Table, require_unit
 from uav_vslam.errors import ConfigError
 from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic
 from uav_vslam.geometry.rotation import (
@@ -70,7 +70,8 @@ def read_motion(
         return None
     file = log.text_file(folder / log.file)
     columns = [*log.position, *log.attitude, *log.velocity]
-    table = read_columns(file, log.clock, columns, problems)
+    check = _check_quaternion if len(log.attitude) == 4 else None
+    table = read_columns(file, log.clock, columns, problems, check=check)
     position, rest = table.values[:, :3], table.values[:, 3:]
     attitude, velocity = rest[:, : len(log.attitude)], rest[:, len(log.attitude) :]
     R_enu_given = rotation_to_enu(log.world_axes)
@@ -90,6 +91,10 @@ def read_motion(
         gap_ns=NAVIGATION_GAP_NS,
     )
     return motion, origin
+
+
+def _check_quaternion(row: list[float]) -> None:
+    require_unit(row[3:7])  # after the position
 
 
 def _rotations(attitude: Array, log: LogSettings) -> Array:

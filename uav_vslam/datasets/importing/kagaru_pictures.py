@@ -71,10 +71,12 @@ def _stamped_by_name(files: list[Path], cameras: CamerasSettings, folder: Path, 
     listed: list[tuple[int, Path, int]] = []
     for path in files:
         found = NUMBER.findall(path.stem)
-        if found:
+        try:
+            if not found:
+                raise ValueError("no number in its name")
             listed.append((cameras.clock.stamp_ns(found[-1:]), path, 0))
-        else:
-            problems.add(UNREADABLE, path, "no number in its name")
+        except ValueError as error:
+            problems.add(UNREADABLE, path, str(error))
     return existing(listed, folder, problems)
 
 

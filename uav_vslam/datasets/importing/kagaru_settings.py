@@ -9,6 +9,7 @@ from typing import Any
 from uav_vslam.config.files import read_yaml
 from uav_vslam.config.settings import Settings, build, flattened, refuse, setting
 from uav_vslam.datasets.importing.columns import DELIMITERS, UNITS_NS, Clock, TextFile
+from uav_vslam.datasets.importing.tables import LATEST_S
 from uav_vslam.errors import ConfigError
 from uav_vslam.types import NS_PER_S
 
@@ -23,7 +24,7 @@ class _TimedSettings(Settings):
     header_line: int = setting(0, "line with the names of the columns, from 1; 0: none", at_least=0)
     time_columns: tuple[str, ...] = setting(("1",), "columns that add up to the stamp, by name or number from 1")
     time_units: tuple[str, ...] = setting(("s",), f"unit of each of them: {', '.join(UNITS_NS)}")
-    time_offset_s: float = setting(0.0, "added to the stamps", unit="s")
+    time_offset_s: float = setting(0.0, "added to the stamps", unit="s", at_least=-LATEST_S, at_most=LATEST_S)
 
     def _check_together(self) -> None:
         if len(self.time_units) != len(self.time_columns) or not set(self.time_units) <= set(UNITS_NS):

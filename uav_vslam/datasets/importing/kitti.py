@@ -18,8 +18,9 @@ from uav_vslam.datasets.importing.kitti_oxts import OXTS_NOISE, OxtsRecording
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
 from uav_vslam.datasets.importing.pictures import Picture, PicturePair, existing, frames, paired
 from uav_vslam.datasets.importing.problems import Problems
+from uav_vslam.datasets.importing.rigs import is_rotation
 from uav_vslam.datasets.importing.source import Source
-from uav_vslam.datasets.importing.tables import UNREADABLE, numbered_lines, numbers, table_of
+from uav_vslam.datasets.importing.tables import UNREADABLE, in_range, numbered_lines, numbers, table_of
 from uav_vslam.datasets.messages import decoded
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
@@ -121,8 +122,8 @@ def _times(path: Path) -> NDArray[np.int64]:
     stamps = []
     for line, text in numbered_lines(path):
         try:
-            stamps.append(round(numbers([text])[0] * NS_PER_S))
-        except ValueError:  # leaving one out would shift all later pictures
+            stamps.append(in_range(round(numbers([text])[0] * NS_PER_S)))
+        except (ValueError, OverflowError):  # leaving one out would shift all later pictures
             raise BagError(f"{path}:{line}: {text!r} is no time; download the file again") from None
     if not stamps or np.any(np.diff(stamps) <= 0):
         raise BagError(f"{path}: {len(stamps)} times, which must increase; download the file again")
@@ -151,7 +152,10 @@ def _rig(calibration: _Calibration, cameras: tuple[int, int], first: PicturePair
         if pixels is None:
             raise BagError(f"{picture.path}: can't be decoded, and the image size must be known; download it again")
         P = calibration.projections[number]
-        K, t_cam_cam0 = P[:, :3], np.linalg.solve(P[:, :3], P[:, 3])
+        K = P[:, :3]
+        if np.any(np.tril(K, -1)) or np.any(K.diagonal() <= 0.0):
+            raise CalibrationError(f"{calibration.path}: P{number} is no K [I | t] with focal lengths above 0")
+        t_cam_cam0 = np.linalg.solve(K, P[:, 3])
         camera = PinholeCamera(pixels.shape[1], pixels.shape[0], K[0, 0], K[1, 1], K[0, 2], K[1, 2])
         sides.append((camera, T_body_cam0 @ Pose(np.eye(3), np.asarray(-t_cam_cam0, float))))
     (left, T_body_left), (right, T_body_right) = sides
@@ -171,6 +175,8 @@ def _truth(
             row = numbers(text.split())
             if len(row) != 12 or k >= len(stamps_ns):
                 raise ValueError(f"{len(row)} numbers in row {k + 1} of {len(stamps_ns)}")
+            if not is_rotation(np.array(row).reshape(3, 4)[:, :3]):
+                raise ValueError("its first three columns are no rotation")
             rows.append((int(stamps_ns[k]), line, row))
         except ValueError as error:
             problems.add(UNREADABLE, path, f"a row must be a 3x4 pose of a picture ({error})", line=line)

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, motion_of_poses
 from uav_vslam.datasets.importing.pictures import PicturePair
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.tables import UNREADABLE, Table, numbered_lines, numbers, read_text, table_of
+from uav_vslam.datasets.importing.tables import (
+    UNREADABLE,
+    Table,
+    in_range,
+    numbered_lines,
+    numbers,
+    read_text,
+    table_of,
+)
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_from_rpy
@@ -133,13 +141,15 @@ def read_oxts(
     for k, (line, text) in enumerate(numbered_lines(listed)):
         path = folder / "data" / f"{k:010d}.txt"
         try:
-            row = numbers(path.read_text(encoding="utf-8").split()[:COLUMNS])
+            row = numbers(path.read_text(encoding="utf-8-sig").split()[:COLUMNS])
             if len(row) < COLUMNS:
                 raise ValueError(f"{len(row)} numbers, not {COLUMNS}")
             rows.append((_stamp_ns(text), line, row))
         except (OSError, ValueError) as error:
             problems.add(UNREADABLE, listed, f"{path.name}: {error}", line=line)
     table = table_of(rows, COLUMNS, listed, problems)
+    if len(table) < 2:
+        raise BagError(f"{listed}: a single reading can be used, which covers no picture; give the whole drive")
     pictures = image_times or folder.parent / "image_00" / "timestamps.txt"
     stamps = np.array([_picture_stamp_ns(pictures, *numbered) for numbered in numbered_lines(pictures)], np.int64)
     date_folder = folder.resolve().parents[1]
@@ -171,7 +181,7 @@ def _stamp_ns(text: str) -> int:
     """Return "2011-10-03 12:55:34.997992704" in nanoseconds."""
     seconds, _, fraction = text.strip().partition(".")
     whole = datetime.strptime(seconds, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
-    return int(whole.timestamp()) * NS_PER_S + int(fraction.ljust(9, "0")[:9] or 0)
+    return in_range(int(whole.timestamp()) * NS_PER_S + int(fraction.ljust(9, "0")[:9] or 0))
 
 
 def _T_velo_imu(path: Path) -> Pose:

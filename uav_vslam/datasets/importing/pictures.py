@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.tables import DISORDERED, UNREADABLE, numbered_lines
+from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, in_range, numbered_lines
 from uav_vslam.datasets.messages import decodable, decoded
 from uav_vslam.stamps import nearest
 
@@ -57,10 +57,10 @@ def read_list(path: Path, folder: Path, problems: Problems) -> list[Picture]:
         stamp, _, name = text.partition(",")
         try:
             if not name.strip():
-                raise ValueError
-            listed.append((int(stamp), folder / name.strip(), line))
-        except ValueError:
-            problems.add(UNREADABLE, path, f"{text!r} is not 'stamp,filename'", line=line)
+                raise ValueError("it has no name")
+            listed.append((in_range(int(stamp)), folder / name.strip(), line))
+        except ValueError as error:
+            problems.add(UNREADABLE, path, f"{text!r} is not 'stamp,filename' ({error})", line=line)
     return existing(listed, path, problems)
 
 
@@ -76,7 +76,7 @@ def existing(listed: Iterable[tuple[int, Path, int]], source: Path, problems: Pr
             wrong = "is empty" if path.name in sizes[folder] else "does not exist"
             problems.add(MISSING, source, f"picture {path} {wrong}", line=line)
         elif stamp in kept:
-            problems.add(DISORDERED, source, f"the stamp {stamp} ns is used twice; {path.name} is left out", line=line)
+            problems.add(REPEATED, source, f"the stamp {stamp} ns is used twice; {path.name} is left out", line=line)
         else:
             kept[stamp] = Picture(stamp, path)
     return [kept[stamp] for stamp in sorted(kept)]

@@ -59,10 +59,15 @@ def turned(rig: StereoRig, R_body_imu: NDArray[np.float64]) -> StereoRig:
     return StereoRig(rig.left, rig.right, T_body_imu @ rig.T_body_left, T_body_imu @ rig.T_body_right)
 
 
+def is_rotation(R: NDArray[np.float64]) -> bool:
+    """Return whether a (3, 3) matrix is a rotation, but for the rounding of a text file."""
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= ORTHOGONAL and np.linalg.det(R) > 0)
+
+
 def _pose(numbers: Sequence[float], name: str) -> Pose:
     if len(numbers) != 16:
         raise ConfigError(f"{name} has {len(numbers)} numbers; give a 4x4 matrix by rows")
     pose = Pose.from_matrix(np.array(numbers).reshape(4, 4))
-    if np.abs(pose.R @ pose.R.T - np.eye(3)).max() > ORTHOGONAL or np.linalg.det(pose.R) < 0:
+    if not is_rotation(pose.R):
         raise CalibrationError(f"{name} is no rotation and translation; give a 4x4 matrix by rows")
     return pose

@@ -2,7 +2,7 @@
 """Text files of numbers with a stamp in each row; a row that can't be read is reported and left out."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.errors import BagError
+from uav_vslam.types import NS_PER_S
 
 Array = NDArray[np.float64]
 
-UNREADABLE, DISORDERED = "lines that can't be read", "lines out of order"
+UNREADABLE, REPEATED, SORTED_IN = "lines that can't be read", "lines that repeat a stamp", "lines out of order"
+LATEST_S = 2**31 - 1  # seconds of a ROS stamp, which are signed and 32 bits
+NORM_OFF = 0.01  # of a quaternion with two decimals; more is no rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +44,7 @@ def read_text(path: Path) -> str:
         BagError: it can't be read.
     """
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
+        return path.read_text(encoding="utf-8-sig", errors="replace")  # editors may write a byte order mark
     except OSError as error:
         raise BagError(f"{path}: can't be read ({error.strerror})") from None
 
@@ -69,13 +72,38 @@ def numbers(fields: Sequence[str]) -> list[float]:
     return values
 
 
-def read_table(path: Path, columns: int, problems: Problems) -> Table:
+def in_range(stamp_ns: int) -> int:
+    """Return a stamp [ns] that ROS can hold.
+
+    Raises:
+        ValueError: it is another one.
+    """
+    if not 0 <= stamp_ns < (LATEST_S + 1) * NS_PER_S:
+        raise ValueError("the stamp is not within 0 and 2^31 s, as ROS stamps are")
+    return stamp_ns
+
+
+def require_unit(quaternion: Sequence[float]) -> None:
+    """Refuse a quaternion that rounding can't have made of one of unit length.
+
+    Raises:
+        ValueError: it is one.
+    """
+    norm = math.hypot(*quaternion)
+    if abs(norm - 1.0) > NORM_OFF:
+        raise ValueError(f"the quaternion's norm is {norm:g}, not 1")
+
+
+def read_table(
+    path: Path, columns: int, problems: Problems, *, check: Callable[[list[float]], None] | None = None
+) -> Table:
     """Read a csv file whose rows hold a stamp [ns] and numbers; more columns are ignored.
 
     Args:
         path: the file.
         columns: how many numbers are needed.
         problems: is told of rows that are left out.
+        check: raises ValueError for numbers that are not valid.
 
     Raises:
         BagError: the file can't be read or has no valid row.
@@ -84,9 +112,11 @@ def read_table(path: Path, columns: int, problems: Problems) -> Table:
     for line, text in numbered_lines(path):
         fields = text.split(",")
         try:
-            stamp, values = int(fields[0]), numbers(fields[1 : 1 + columns])
+            stamp, values = in_range(int(fields[0])), numbers(fields[1 : 1 + columns])
             if len(values) < columns:
                 raise ValueError(f"it has {len(values)}")
+            if check is not None:
+                check(values)
         except ValueError as error:
             problems.add(UNREADABLE, path, f"a row must hold a stamp and {columns} numbers ({error})", line=line)
             continue
@@ -104,10 +134,11 @@ def table_of(rows: Iterable[tuple[int, int, list[float]]], columns: int, path: P
     newest: int | None = None
     for stamp, line, values in rows:
         if stamp in kept:
-            problems.add(DISORDERED, path, f"the stamp {stamp} ns is used twice; this row is left out", line=line)
+            problems.add(REPEATED, path, f"the stamp {stamp} ns is used twice; this row is left out", line=line)
             continue
         if newest is not None and stamp < newest:
-            problems.add(DISORDERED, path, f"the stamp {stamp} ns is before the previous one; sorted in", line=line)
+            text = f"the stamp {stamp} ns is before the previous one; sorted in"
+            problems.add(SORTED_IN, path, text, line=line, left_out=False)
         kept[stamp] = values
         newest = stamp if newest is None else max(newest, stamp)
     if not kept:

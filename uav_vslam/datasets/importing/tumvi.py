@@ -16,7 +16,7 @@ from uav_vslam.datasets.importing.pictures import frames, shifted
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import rig_of_files
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
-from uav_vslam.datasets.importing.tables import read_table
+from uav_vslam.datasets.importing.tables import read_table, require_unit
 from uav_vslam.errors import BagError, CalibrationError
 
 TRUTH_FILE = "mav0/mocap0/data.csv"
@@ -98,5 +98,5 @@ def _calibration_files(folder: Path) -> tuple[Path, ...]:
 def _truth(path: Path, problems: Problems) -> Motion | None:
     if not path.is_file():
         return None
-    table = read_table(path, 7, problems)
+    table = read_table(path, 7, problems, check=lambda row: require_unit(row[3:7]))
     return motion_of_poses(table.stamps_ns, table.values[:, :3], table.values[:, 3:7], source=path)
