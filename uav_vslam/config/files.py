@@ -102,7 +102,7 @@ def load_resolved(path: Path) -> dict[str, VehicleConfig]:
     for nodes, inner in read_yaml(path).items():
         name = str(nodes).removeprefix("/").removesuffix(ALL_NODES)
         if not isinstance(inner, dict) or not isinstance(inner.get(PARAMETERS), dict):
-            raise ConfigError(f"{path}: {nodes!r} holds no '{PARAMETERS}:'; name a folder that run or launch wrote")
+            raise ConfigError(f"{path}: {nodes!r} holds no '{PARAMETERS}:'; name a folder that run or demo wrote")
         found[name] = build(VehicleConfig, dict(flattened(inner[PARAMETERS])), where=str(path))
     return found
 

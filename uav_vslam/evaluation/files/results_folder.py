@@ -33,8 +33,8 @@ def read_results(folder: Path) -> dict[str, Tracks]:
             found.setdefault(name["vehicle"], {})[name["track"]] = read_trajectory(source)
     if not found:
         raise TrajectoryFileError(
-            f"{folder} holds no trajectories such as uav1_s_slam.tum; name a folder that run, launch or demo wrote, or "
-            "the trajectory files themselves"
+            f"{folder} holds no trajectories such as uav1_s_slam.tum; name a folder that run or demo wrote, or the "
+            "trajectory files themselves"
         )
     return {
         vehicle: {track: tracks[track] for track in ALL_TRACKS if track in tracks} for vehicle, tracks in found.items()
