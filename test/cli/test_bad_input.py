@@ -348,6 +348,28 @@ def test_wrong_paths_and_numbers_are_told(
     assert said in refused(capsys, *(paths.get(argument, argument) for argument in arguments))
 
 
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--map", "FILE/map"], "map/uav1: can't be made"),
+        (["--map", "/proc/map"], "/proc/map/uav1: can't be made"),
+        (["--record", "FILE/bag"], "bag: can't be made"),
+        (["--record", "FOLDER"], "folder exists already"),
+    ],
+)
+def test_places_that_can_not_be_made_are_told_before_a_fleet_starts(
+    options: list[str], said: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("no folder")
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(f"vehicles: {{uav1: {{}}}}\nreplay: {{bags: [{good}]}}\n")
+    paths = [text.replace("FILE", f"{tmp_path}/file").replace("FOLDER", f"{tmp_path}/folder") for text in options]
+    assert said in refused(capsys, "launch", fleet, *paths)
+    assert {path.name for path in tmp_path.iterdir()} == {"folder", "file", "fleet.yaml"}
+
+
 def test_a_truncated_bag_is_run_up_to_the_damage(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, "run", cut, "--results", tmp_path, "--no-plots")
     assert f"bag {cut / 'flight.mcap'} is damaged" in line

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from uav_vslam.cli.launch import launch
+from uav_vslam.cli.launch import _remove_leftovers, launch
 from uav_vslam.config import FleetConfig, ReplayConfig
 from uav_vslam.ros import shared_memory
 from uav_vslam.ros.shared_memory import FOLDER, SETTLED_S, remove_leftovers
@@ -126,6 +126,16 @@ def test_a_port_goes_with_its_semaphore_and_a_lock_made_for_it_goes_too(
     monkeypatch.setattr(shared_memory, "_mapped", lambda _: {"fastrtps_port7412"})
     assert remove_leftovers(tmp_path).names == ("fastrtps_port7410",)
     assert {path.name for path in tmp_path.iterdir()} == {"fastrtps_port7412", "sem.fastrtps_port7412_mutex"}
+
+
+@pytest.mark.parametrize(("size_bytes", "told"), [(8192, ""), (3_000_000, "3 MB of ")])
+def test_a_launch_tells_of_what_it_freed_unless_it_is_next_to_nothing(
+    size_bytes: int, told: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shared_memory, "remove_leftovers", lambda: shared_memory.Removed(("one",), size_bytes))
+    _remove_leftovers()
+    error = capfd.readouterr().err
+    assert error.startswith(f"uav-vslam: {told}") if told else not error
 
 
 def test_where_there_is_no_shared_memory_nothing_is_removed(tmp_path: Path) -> None:

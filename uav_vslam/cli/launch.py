@@ -154,6 +154,7 @@ def launch(
     from uav_vslam.ros.supervisor import ESCALATION, SAVING, Supervisor, node_command
 
     check_domain(domain_id)
+    _check_places(record, maps, fleet.chosen(vehicles))
     bag = str(record) if record else ""
     specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, record=bag, maps=maps)
     if not parameter_services:
@@ -168,6 +169,19 @@ def launch(
     escalation = SAVING if maps else ESCALATION
     supervisor = Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line, escalation=escalation)
     return supervisor.run(commands)
+
+
+def _check_places(record: Path | None, maps: str, vehicles: Collection[str]) -> None:
+    """Refuse folders that can't be made before anything is started: nodes would fail one by one."""
+    from uav_vslam.datasets.unfinished import require_place
+    from uav_vslam.errors import BagError
+
+    if record is not None:
+        if record.exists():
+            raise BagError(f"{record} exists already; remove it, or choose another name for --record")
+        require_place(record)
+    for name in vehicles if maps else ():
+        require_place(Path(maps) / name)
 
 
 def discovery_environment(given: Mapping[str, str], *, own_radio: bool) -> dict[str, str]:
@@ -187,8 +201,8 @@ def _remove_leftovers() -> None:
     from uav_vslam.ros.shared_memory import FOLDER, remove_leftovers
 
     removed = remove_leftovers()
-    if removed.names:
-        size_mb = removed.size_bytes / 1e6
+    size_mb = removed.size_bytes / 1e6
+    if size_mb >= 0.5:  # not "0 MB"
         print(f"uav-vslam: {size_mb:.0f} MB of {FOLDER} that killed processes had left are free again", file=sys.stderr)
 
 

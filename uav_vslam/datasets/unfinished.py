@@ -4,10 +4,12 @@
 Work that was cut short starts again.
 """
 
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from uav_vslam.errors import BagError
 
@@ -35,6 +37,20 @@ def require_new(out: Path) -> bool:
     except OSError as error:
         raise BagError(f"{out}: can't be made ({error.strerror}); choose another place") from None
     return left
+
+
+def require_place(folder: Path) -> None:
+    """See whether a folder can be made, or written to where it is there already; nothing is left of the trial.
+
+    Raises:
+        BagError: it can't.
+    """
+    there = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    try:
+        with TemporaryFile(dir=there):  # permissions tell nothing of file systems that are read-only
+            pass
+    except OSError as error:
+        raise BagError(f"{folder}: can't be made ({there}: {error.strerror}); choose another place") from None
 
 
 @contextmanager
