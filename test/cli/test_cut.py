@@ -2,6 +2,7 @@
 """`uav-vslam cut` makes a bag that `run` takes as it is, and says what it did."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,15 @@ def test_a_cut_runs_as_it_is(bag: Path, tmp_path: Path, capsys: pytest.CaptureFi
         assert summary["vehicles"][name]["frames_processed"] >= 11
         assert summary["vehicles"][name]["s_slam"]["ate_m"] < 0.5  # the start's sigma is 0.05 m and 0.1 m/s over 1.5 s
     assert sum(vehicle["link"]["packets_used"] for vehicle in summary["vehicles"].values()) > 0
+
+
+def test_the_command_that_is_printed_can_be_pasted(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "two legs"
+    assert main(["cut", str(bag), str(out), *LEGS]) == 0
+    command = capsys.readouterr().out.splitlines()[-1].removeprefix(f"{out}: ")
+    assert shlex.split(command) == ["uav-vslam", "run", str(out / "fleet.yaml")]
 
 
 def test_legs_are_found(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         write_cut(args.out, flight, started.vehicles, config, advance, with_truth=not args.trajectory)
     print("\n".join(cut_lines(cut)))
     print(f"A cut hides: {WHAT_A_CUT_HIDES}.")
-    print(f"{args.out}: uav-vslam run {args.out / FLEET_FILE}")
+    print(f"{args.out}: {shlex.join(['uav-vslam', 'run', str(args.out / FLEET_FILE)])}")
     return 0
 
 
