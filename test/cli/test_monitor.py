@@ -37,6 +37,13 @@ def test_wrong_arguments_are_refused_in_one_line(capsys: pytest.CaptureFixture[s
     assert "nowhere.yaml" in refused(capsys, "monitor", "nowhere.yaml")
 
 
+def test_a_name_that_no_vehicle_can_have_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main(["monitor", "--vehicles", "a b", "--once"])
+    assert leaving.value.code == 2
+    assert "'a b' is no ROS namespace" in capsys.readouterr().err
+
+
 def test_ctrl_c_ends_it_without_a_traceback(domain_id: int) -> None:
     command = [sys.executable, "-m", "uav_vslam.cli.main", "monitor", "--every", "0.1", "--domain", str(domain_id)]
     with subprocess.Popen(

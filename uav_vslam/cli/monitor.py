@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.arguments import namespace
+
 if TYPE_CHECKING:
     from uav_vslam.monitor import Fleet
     from uav_vslam.ros.fleet_monitor import GraphListener
@@ -26,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     who = parser.add_mutually_exclusive_group()
     who.add_argument("fleet", type=Path, nargs="?", metavar="FLEET.yaml", help="watch the vehicles of this file")
-    who.add_argument("--vehicles", nargs="+", metavar="NAME", default=[], help="watch these (default: all heard)")
+    who.add_argument(
+        "--vehicles", nargs="+", type=namespace, metavar="NAME", default=[], help="watch these (default: all heard)"
+    )
     parser.add_argument("--once", action="store_true", help="print one table and exit: 1 if nothing was heard, else 0")
     parser.add_argument(
         "--wait", type=seconds, default=5.0, metavar="S", help="with --once: after S seconds (default 5)"
