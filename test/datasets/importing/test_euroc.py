@@ -74,6 +74,18 @@ def test_a_sequence_starts_at_the_first_image_with_ground_truth(tmp_path: Path) 
     np.testing.assert_allclose(state.accel_bias, [0.1, 0.2, 0.3])
 
 
+def test_only_images_between_the_first_and_the_last_reading_count(tmp_path: Path) -> None:
+    mav0 = write_sequence(tmp_path / "mav0", image_ns=(200, 300, 350))
+    readings = (mav0 / "imu0" / "data.csv").read_text().splitlines()
+    (mav0 / "imu0" / "data.csv").write_text("\n".join(readings[45:65]))  # 220 to 315 ms
+    source = read_euroc(mav0)
+    assert [f.stamp_ns for f in source.flight.frames] == [300_000_000]
+    assert source.notes == ("2 image pairs before or after the IMU's readings are left out",)
+    (mav0 / "imu0" / "data.csv").write_text("\n".join(readings[1:10]))
+    with pytest.raises(BagError, match=r"no pair of images .* is covered by IMU readings and ground truth"):
+        read_euroc(mav0)
+
+
 def test_calibration_is_read_with_all_its_terms(tmp_path: Path) -> None:
     rig = read_euroc(write_sequence(tmp_path / "mav0")).flight.rig
     assert (rig.left.width, rig.left.height, rig.left.fx, rig.left.cy) == (64, 48, 50.0, 24.0)

@@ -14,6 +14,7 @@ from uav_vslam.config import load_vehicle
 from uav_vslam.datasets.bag import BagFlight, open_flight
 from uav_vslam.datasets.importing.kitti import T_FLU_OPTICAL, read_kitti
 from uav_vslam.datasets.importing.problems import Problems
+from uav_vslam.datasets.importing.tumvi import read_tumvi
 from uav_vslam.datasets.rosbag import topics_of
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
@@ -222,6 +223,25 @@ def test_a_missing_picture_and_a_broken_row_of_kitti_are_told(
     assert "times.txt:6: picture" in said.err
     assert "timestamps.txt:8: 0000000007.txt: 3 numbers, not 20" in said.err
     assert found.frame_count == len(rectified.frames) - 1
+
+
+def test_images_of_tumvi_without_readings_are_left_out(fisheye: Flight, tmp_path: Path) -> None:
+    folder = write_tumvi(fisheye, tmp_path / "tumvi")
+    path = folder / "mav0" / "imu0" / "data.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[: len(lines) // 2]))
+    source = read_tumvi(folder)
+    assert 0 < source.frame_count < len(fisheye.frames)
+    left_out = len(fisheye.frames) - source.frame_count
+    assert f"{left_out} image pairs before or after the IMU's readings are left out" in source.notes
+
+
+def test_pictures_of_kitti_beyond_its_times_are_counted(rectified: Flight, tmp_path: Path, capsys: Capsys) -> None:
+    sequence, _ = write_kitti(rectified, tmp_path / "kitti")
+    path = sequence / "times.txt"
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:-3]))
+    assert main(["import", "kitti", str(sequence), str(tmp_path / "out")]) == 0
+    assert "warning: 6 pictures are beyond the 21 lines of times.txt, and left out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from pathlib import Path
 from uav_vslam.datasets.calibration_files import parse_calibration, yaml_tree
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples
-from uav_vslam.datasets.importing.pictures import PicturePair, frames, paired, read_list
+from uav_vslam.datasets.importing.pictures import PicturePair, frames, paired, pairs_with_readings, read_list
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.source import Source
 from uav_vslam.datasets.importing.tables import read_table, read_text, require_unit
@@ -26,7 +26,7 @@ MODEL = "radial-tangential"  # the distortion model of the sequences
 def read_euroc(
     mav0: Path, *, vehicle: str = "uav1", sigma: InitialSigma | None = None, problems: Problems | None = None
 ) -> Source:
-    """Read a sequence; it starts at the first image pair with ground truth.
+    """Read a sequence; it starts at the first image pair with readings and ground truth.
 
     Args:
         mav0: the folder that holds cam0, cam1, imu0 and the ground truth.
@@ -35,7 +35,7 @@ def read_euroc(
         problems: is told of what is left out.
 
     Raises:
-        BagError: a file is missing or malformed, no images pair up, or none has ground truth.
+        BagError: a file is missing or malformed, no images pair up, or none has readings and ground truth.
         CalibrationError: the cameras' calibrations contradict each other.
     """
     problems = problems or Problems()
@@ -46,9 +46,12 @@ def read_euroc(
     imu = read_table(mav0 / "imu0" / "data.csv", 6, problems)
     truth_file = mav0 / TRUTH_FOLDER / "data.csv"
     truth = Motion(read_table(truth_file, 16, problems, check=lambda row: require_unit(row[3:7])), truth_file)
-    pairs, notes = covered_pairs(asl_pairs(mav0, problems), truth)
+    pairs, without = pairs_with_readings(asl_pairs(mav0, problems), imu)
+    pairs, outside = covered_pairs(pairs, truth)
     if not pairs:
-        raise BagError(f"{mav0}: no pair of images with equal stamps is covered by ground truth; check data.csv")
+        raise BagError(
+            f"{mav0}: no pair of images with equal stamps is covered by IMU readings and ground truth; check data.csv"
+        )
     flight = FlightRecording(
         vehicle=vehicle,
         rig=StereoRig(left, right, T_body_left, T_body_right),
@@ -57,7 +60,7 @@ def read_euroc(
         frames=frames(pairs, problems),
         initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()),
     )
-    return Source(flight, len(pairs), base="euroc", notes=notes)
+    return Source(flight, len(pairs), base="euroc", notes=without + outside)
 
 
 def asl_pairs(mav0: Path, problems: Problems) -> list[PicturePair]:

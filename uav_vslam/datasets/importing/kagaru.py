@@ -15,7 +15,7 @@ from uav_vslam.datasets.importing.kagaru_log import contradictions, read_imu, re
 from uav_vslam.datasets.importing.kagaru_pictures import encoding_of, read_pairs
 from uav_vslam.datasets.importing.kagaru_settings import read_settings
 from uav_vslam.datasets.importing.motion import InitialSigma, imu_samples
-from uav_vslam.datasets.importing.pictures import frames, shifted
+from uav_vslam.datasets.importing.pictures import frames, pairs_with_readings, shifted
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import rig_of_files, rig_of_values, turned
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
@@ -52,9 +52,8 @@ def read_kagaru(
     rig = turned(rig, rotation_to_flu(layout.log.body_axes))
     imu = read_imu(folder, layout.log, problems)
     pairs = shifted(read_pairs(folder, layout.cameras, problems), offset_ns)
-    first, last = imu.stamps_ns[[0, -1]].tolist()
-    flown = [pair for pair in pairs if first < pair.stamp_ns <= last]
-    notes = [f"{len(pairs) - len(flown)} image pairs before or after the log are left out"] if flown != pairs else []
+    flown, without = pairs_with_readings(pairs, imu)
+    notes = list(without)
     found = read_motion(folder, layout.navigation, layout.datum, problems)
     truth = found[0] if found else None
     if found and found[1]:

@@ -100,7 +100,8 @@ def read_kitti(
     if truth is None:
         notes += ("no poses of this sequence: nothing can be evaluated",)
     settings = {**SETTINGS, **(OXTS_NOISE if oxts else {})}
-    return Source(flight, len(pairs), settings=settings, notes=notes, runnable=oxts is not None)
+    warnings = _beyond_times(sequence, cameras, len(stamps_ns))
+    return Source(flight, len(pairs), settings=settings, notes=notes, warnings=warnings, runnable=oxts is not None)
 
 
 def _read_calibration(path: Path, problems: Problems) -> _Calibration:
@@ -140,6 +141,13 @@ def _pairs(
         sides.append(existing(listed, sequence / "times.txt", problems))
     left, right = sides
     return paired(left, right, problems)
+
+
+def _beyond_times(sequence: Path, cameras: tuple[int, int], times: int) -> tuple[str, ...]:
+    """Return in words how many pictures have no time: a download that was cut short, or another sequence's file."""
+    names = (path.stem for camera in cameras for path in (sequence / f"image_{camera}").glob("*.png"))
+    count = sum(name.isdecimal() and int(name) >= times for name in names)
+    return (f"{count} pictures are beyond the {times} lines of times.txt, and left out",) if count else ()
 
 
 def _rig(calibration: _Calibration, cameras: tuple[int, int], first: PicturePair, T_body_cam0: Pose) -> StereoRig:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, motion_of_poses
-from uav_vslam.datasets.importing.pictures import PicturePair
+from uav_vslam.datasets.importing.pictures import PicturePair, pairs_with_readings
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import (
     UNREADABLE,
@@ -82,16 +82,14 @@ class OxtsRecording:
 
     def covered(self, pairs: list[PicturePair]) -> tuple[list[PicturePair], tuple[str, ...]]:
         """Return the pairs between the first and the last reading, and notes."""
-        first, last = self.imu.stamps_ns[[0, -1]].tolist()
-        kept = [pair for pair in pairs if first < pair.stamp_ns <= last]
+        kept, outside = pairs_with_readings(pairs, self.imu)
         notes = []
         if len(pairs) < len(self.picture_stamps_ns):
             notes.append(
                 f"the raw drive has {len(self.picture_stamps_ns)} pictures from the first one on, and the sequence "
                 f"{len(pairs)}: if that does not begin with the first, give --first-frame"
             )
-        if len(kept) < len(pairs):
-            notes.append(f"{len(pairs) - len(kept)} image pairs before or after the IMU's readings are left out")
+        notes.extend(outside)
         period_ns = float(np.median(np.diff(self.imu.stamps_ns)))
         if period_ns > SLOW_NS:
             rate = NS_PER_S / period_ns

@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, in_range, numbered_lines
+from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, Table, in_range, numbered_lines
 from uav_vslam.datasets.messages import decodable, decoded
 from uav_vslam.stamps import nearest
 
@@ -98,6 +98,14 @@ def paired(
         for k in (k for k in range(len(side)) if k not in used):
             problems.add(UNPAIRED, side[k].path, f"no picture of the other camera within {tolerance_ns / 1e6:g} ms")
     return [PicturePair(left[i], right[j]) for i, j in zip(chosen, partners, strict=True)]
+
+
+def pairs_with_readings(pairs: list[PicturePair], imu: Table) -> tuple[list[PicturePair], tuple[str, ...]]:
+    """Return the pairs between the first and the last reading, and a note if there are others."""
+    first, last = imu.stamps_ns[[0, -1]].tolist()
+    kept = [pair for pair in pairs if first < pair.stamp_ns <= last]
+    outside = len(pairs) - len(kept)
+    return kept, (f"{outside} image pairs before or after the IMU's readings are left out",) if outside else ()
 
 
 def shifted(pairs: list[PicturePair], offset_ns: int) -> list[PicturePair]:

@@ -12,7 +12,7 @@ from uav_vslam.datasets.calibration_files import read_calibration
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.euroc import asl_pairs, covered_pairs
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
-from uav_vslam.datasets.importing.pictures import frames, shifted
+from uav_vslam.datasets.importing.pictures import frames, pairs_with_readings, shifted
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import rig_of_files
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
@@ -38,7 +38,7 @@ def read_tumvi(
     calibration: tuple[Path, ...] = (),
     problems: Problems | None = None,
 ) -> Source:
-    """Read a sequence; it starts at the first image pair with ground truth, if there is any.
+    """Read a sequence; it starts at the first image pair with readings and, if there is any, ground truth.
 
     Args:
         folder: that holds mav0.
@@ -55,8 +55,8 @@ def read_tumvi(
     files = calibration or _calibration_files(folder)
     rig, offset_ns = rig_of_files(files)
     imu = read_table(folder / "mav0" / "imu0" / "data.csv", 6, problems)
-    pairs = shifted(asl_pairs(folder / "mav0", problems), offset_ns)
-    notes = [f"calibration: {', '.join(map(str, files))}"]
+    pairs, without = pairs_with_readings(shifted(asl_pairs(folder / "mav0", problems), offset_ns), imu)
+    notes = [f"calibration: {', '.join(map(str, files))}", *without]
     truth = _truth(folder / TRUTH_FILE, problems)
     if truth:
         pairs, outside = covered_pairs(pairs, truth)
@@ -64,7 +64,9 @@ def read_tumvi(
     else:
         notes.append(f"no {TRUTH_FILE}: start.method is in_flight, and nothing can be evaluated")
     if not pairs:
-        raise BagError(f"{folder}: no pictures pair up, or none is covered by ground truth; check data.csv")
+        raise BagError(
+            f"{folder}: no pictures pair up, or none is covered by readings and ground truth; check data.csv"
+        )
     if offset_ns:
         notes.append(f"images are stamped {offset_ns / 1e6:+.3f} ms, the clock offset that the calibration tells")
     flight = FlightRecording(
