@@ -44,8 +44,14 @@ def lengths_m(text: str) -> tuple[float, ...]:
 
 
 def positive_number(text: str) -> float:
-    """Return a number above zero."""
-    return _above_zero(text, "a number above 0")
+    """Return a number above zero, of a size whose square neither vanishes nor overflows."""
+    from uav_vslam.config.settings import LARGEST, SMALLEST
+
+    wanted = "a number above 0"
+    number = _above_zero(text, wanted)
+    if not SMALLEST <= number <= LARGEST:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}, of a size from {SMALLEST:g} to {LARGEST:g}")
+    return number
 
 
 def namespace(text: str) -> str:

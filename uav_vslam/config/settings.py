@@ -11,7 +11,7 @@ import difflib
 import functools
 import math
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -212,21 +212,32 @@ def build(cls: type[Value], values: Mapping[str, Any], *, where: str) -> Value:
         raise ConfigError(f"{where}: {error}") from None
 
 
-def check_names(values: Mapping[str, Any], *classes: type, where: str) -> None:
-    """Refuse names that are settings of none of the classes."""
+def check_names(values: Mapping[str, Any], *classes: type, where: str, beside: Collection[str] = ()) -> None:
+    """Refuse names that are settings of none of the classes.
+
+    Args:
+        values: by dotted name.
+        classes: whose settings are allowed.
+        where: file, for the error.
+        beside: keys of the same file that are read apart, for the error.
+
+    Raises:
+        ConfigError: a name is unknown, with the nearest known one or all of the top level.
+    """
     known = {name for cls in classes for name in all_settings(cls)}
     parts = {name.partition(".")[0] for name in known if "." in name}
     for name, value in values.items():
         if name in parts and value not in (None, {}):
             raise ConfigError(f"{where}: {name} must hold keys and values, not {value!r}")
         if name not in known | parts:
-            raise ConfigError(f"{where}: unknown key {name}; {_hint(name, known, parts)}")
+            raise ConfigError(f"{where}: unknown key {name}; {_hint(name, known, parts | set(beside))}")
 
 
 def _hint(name: str, known: set[str], parts: set[str]) -> str:
     same_end = [key for key in sorted(known) if key.endswith(f".{name}")]
+    top = parts | {key for key in known if "." not in key}
     near = difflib.get_close_matches(name, sorted(known | parts), n=1) or same_end
-    return f"did you mean {near[0]}?" if near else f"known keys: {', '.join(sorted(parts or known))}"
+    return f"did you mean {near[0]}?" if near else f"known keys: {', '.join(sorted(top))}"
 
 
 def _built(cls: type, values: Mapping[str, Any], prefix: str) -> Any:

@@ -228,6 +228,23 @@ def test_what_is_wrong_in_a_layout_is_named(
         list(read_kagaru(folder, tmp_path / "layout.yaml").flight.frames)
 
 
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ({"xyzzy": 1}, "known keys: base, calibration, cameras, datum, log, run, start_sigma, truth"),
+        ({"datum": [1.0, 2.0]}, r"layout.yaml: datum = \[1.0, 2.0\] is not allowed; use latitude, longitude"),
+        ({"start_sigma": [1.0, 1.0]}, r"start_sigma = \[1.0, 1.0\] is not allowed; use 5 numbers above 0"),
+        ({"start_sigma": [0, 1, 1, 1, 1]}, "use 5 numbers above 0"),
+        ({"start_sigma": [1e-300, 1, 1, 1, 1]}, "of a size from 1e-10"),
+    ],
+)
+def test_what_is_wrong_at_the_top_of_a_layout_is_named(edit: dict[str, object], said: str, tmp_path: Path) -> None:
+    path = tmp_path / "layout.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(OURS.read_text()) | edit))
+    with pytest.raises(ConfigError, match=said):
+        read_settings(path)
+
+
 def test_broken_lines_of_the_log_are_left_out_and_named(flight: Flight, tmp_path: Path, capsys: Capsys) -> None:
     folder = write_kagaru(flight, tmp_path / "data")
     lines = (folder / "xsens.csv").read_text().splitlines()

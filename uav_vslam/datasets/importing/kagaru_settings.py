@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from uav_vslam.config.files import read_yaml
-from uav_vslam.config.settings import Settings, build, flattened, refuse, setting
+from uav_vslam.config.settings import Settings, build, check_names, flattened, refuse, setting
 from uav_vslam.datasets.importing.columns import DELIMITERS, UNITS_NS, Clock, TextFile
 from uav_vslam.datasets.importing.tables import LATEST_S
 from uav_vslam.errors import ConfigError
@@ -121,6 +121,12 @@ class KagaruSettings(Settings):
     )
     base: str = setting("", "name of one of our configurations that suits the flight; empty: the defaults")
 
+    def _check_together(self) -> None:
+        if len(self.start_sigma) != 5 or min(self.start_sigma) <= 0.0:
+            refuse("start_sigma", list(self.start_sigma), "5 numbers above 0")
+        if len(self.datum) not in (0, 3):
+            refuse("datum", list(self.datum), "latitude, longitude and altitude, or []")
+
     @property
     def navigation(self) -> LogSettings:
         """The log that holds the ground truth."""
@@ -141,9 +147,8 @@ def read_settings(path: Path) -> tuple[KagaruSettings, dict[str, Any]]:
     if not isinstance(run, Mapping):
         raise ConfigError(f"{path}: run must hold settings of a vehicle, such as imu: {{gyro_noise: 1e-3}}")
     values = {name: _as_columns(name, value) for name, value in flattened(tree)}
+    check_names(values, KagaruSettings, beside=("run",), where=str(path))
     layout = build(KagaruSettings, values, where=str(path))
-    if len(layout.start_sigma) != 5 or len(layout.datum) not in (0, 3):
-        raise ConfigError(f"{path}: start_sigma needs 5 numbers, and datum 3 or none")
     return layout, dict(flattened(run))
 
 
