@@ -101,9 +101,9 @@ def paired(
 
 
 def pairs_with_readings(pairs: list[PicturePair], imu: Table) -> tuple[list[PicturePair], tuple[str, ...]]:
-    """Return the pairs between the first and the last reading, and a note if there are others."""
+    """Return the pairs from the first to the last reading, and a note if there are others."""
     first, last = imu.stamps_ns[[0, -1]].tolist()
-    kept = [pair for pair in pairs if first < pair.stamp_ns <= last]
+    kept = [pair for pair in pairs if first <= pair.stamp_ns <= last]
     outside = len(pairs) - len(kept)
     return kept, (f"{outside} image pairs before or after the IMU's readings are left out",) if outside else ()
 
