@@ -84,7 +84,7 @@ def test_a_value_in_range_is_taken_as_the_declared_type(name: str, given: Any, v
         ("inner.width_m", -0.1, "a number of at least 0 and below 10 [m]"),
         ("inner.width_m", 10.0, "a number of at least 0 and below 10 [m]"),
         ("inner.width_m", math.nan, "a number of at least 0 and below 10 [m]"),
-        ("inner.share", "1e-300", "a number above 0 and at most 1, of a size from 1e-10 to 1e+10"),
+        ("inner.share", "1e-300", "a number above 0 and at most 1, of a size from 1e-12 to 1e+10"),
         ("inner.count", 0, "a whole number of at least 1"),
         ("inner.count", 2.0, "a whole number of at least 1"),
         ("inner.count", True, "a whole number of at least 1"),

@@ -21,7 +21,7 @@ from uav_vslam.errors import ConfigError
 Value = typing.TypeVar("Value")
 
 # Sizes beyond which no unit in use makes sense, and squares and ratios of a few such numbers overflow or vanish.
-SMALLEST, LARGEST = 1e-10, 1e10
+SMALLEST, LARGEST = 1e-12, 1e10
 
 
 class _Absurd(ValueError):

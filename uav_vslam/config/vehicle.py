@@ -7,6 +7,7 @@ from uav_vslam.config.imu import ImuConfig
 from uav_vslam.config.input import InputConfig
 from uav_vslam.config.settings import Settings, refuse, setting
 
+LEAST_DISPARITY_SIGMA_PX = 1e-6  # a smaller one makes the information singular to working precision
 START_METHODS = ("given", "static", "in_flight", "map")
 
 
@@ -88,6 +89,10 @@ class RigConfig(Settings):
     )
 
     def _check_together(self) -> None:
+        if 0.0 < self.disparity_sigma_px < LEAST_DISPARITY_SIGMA_PX:
+            refuse(
+                "disparity_sigma_px", self.disparity_sigma_px, f"0 for none, or at least {LEAST_DISPARITY_SIGMA_PX:g}"
+            )
         if self.disparity_sigma_px > self.miscalibrated_sigma_px:
             refuse(
                 "miscalibrated_sigma_px",

@@ -24,7 +24,7 @@ Pairs = NDArray[np.intp]
 
 POINT_DOF = 3
 GROUND_DOF = 2
-MAX_GATE_SHARE = 0.05  # of the map: a match whose gate covers more of it, given the others, is no evidence
+MAX_GATE_SHARE = 0.5  # of the map: a match whose gate covers more of it, given the others, is no evidence
 LOG_CHANCE = np.log(1e-3)  # largest expected number of sets of matches that agree as well, of wrong ones alone
 
 
