@@ -13,7 +13,7 @@ from uav_vslam.cli.main import main
     [
         (["--vehicle", "1 bad"], "'1 bad' is no ROS namespace"),
         (["--initial-sigma", "0", "0", "0", "0", "0"], "'0' is not a number above 0"),
-        (["--initial-sigma", "1e-300", "1", "1", "1", "1"], "'1e-300' is not a number above 0, of a size from 1e-10"),
+        (["--initial-sigma", "1e-300", "1", "1", "1", "1"], "'1e-300' is not a number above 0, of a size from 1e-12"),
     ],
 )
 def test_a_wrong_value_is_refused(

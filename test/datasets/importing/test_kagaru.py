@@ -235,7 +235,7 @@ def test_what_is_wrong_in_a_layout_is_named(
         ({"datum": [1.0, 2.0]}, r"layout.yaml: datum = \[1.0, 2.0\] is not allowed; use latitude, longitude"),
         ({"start_sigma": [1.0, 1.0]}, r"start_sigma = \[1.0, 1.0\] is not allowed; use 5 numbers above 0"),
         ({"start_sigma": [0, 1, 1, 1, 1]}, "use 5 numbers above 0"),
-        ({"start_sigma": [1e-300, 1, 1, 1, 1]}, "of a size from 1e-10"),
+        ({"start_sigma": [1e-300, 1, 1, 1, 1]}, "of a size from 1e-12"),
     ],
 )
 def test_what_is_wrong_at_the_top_of_a_layout_is_named(edit: dict[str, object], said: str, tmp_path: Path) -> None:
