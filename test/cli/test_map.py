@@ -98,6 +98,16 @@ def test_a_flight_that_has_been_run_gives_the_same_map(
         assert picture.pages[0].geotiff_tags["ProjNatOriginLatGeoKey"] == -28.2325
 
 
+def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--config", "sample", "--no-plots", "--workers", "1", "--results", str(tmp_path)]
+    assert main(["map", str(bag), *options, "--cell", "0.1"]) == 1
+    said = capsys.readouterr().err
+    assert "pairs have pixels too large for cells of 0.1 m; use --cell 0." in said
+    assert "nothing was mapped" in said
+
+
 @pytest.mark.parametrize(
     ("change", "words", "message"),
     [

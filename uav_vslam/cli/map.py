@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uav_vslam.evaluation.files.geodetic import Datum
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.surface.grid import HeightGrid
-    from uav_vslam.mapping.surface.mapper import SMALL_CELLS, SurfaceMapper
+    from uav_vslam.mapping.surface.mapper import SurfaceMapper
 
 FOLDER, TILES, PICTURE = "map", "tiles", "height.png"
 HELP = "map the surface that was flown over: run recordings, or take a results folder, and read the images again"
@@ -85,7 +85,7 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: D
     from uav_vslam.mapping.overlap import Overlap
     from uav_vslam.mapping.progress import counted
     from uav_vslam.mapping.surface.grid import HeightGrid
-    from uav_vslam.mapping.surface.mapper import SurfaceMapper
+    from uav_vslam.mapping.surface.mapper import SMALL_CELLS, SurfaceMapper
     from uav_vslam.mapping.surface_files import FIGURES, write_surface
     from uav_vslam.report.map_table import print_map
 
