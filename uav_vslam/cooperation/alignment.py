@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
-from uav_vslam.cooperation.common_landmarks import blocks, map_area
+from uav_vslam.cooperation.common_landmarks import blocks, log_sets, map_area
 from uav_vslam.cooperation.point_pairs import (
     FLAT_SIGMA,
     FRAME_DIM,
@@ -188,5 +187,4 @@ def log_chance(found: Alignment, relative: PointPairs) -> float:
     gates = relative.take(found.inliers).pair_covariances(found.T_own_peer.R)[:, :2, :2]
     area = np.pi * GATE * float(np.sqrt(np.linalg.det(gates)).mean())
     p = min(1.0, area / whole) if whole > 0 else 1.0
-    sets = gammaln(n - 1) - gammaln(k - 1) - gammaln(n - k + 1)  # log C(n - 2, k - 2)
-    return float(np.log(n * (n - 1) / 2) + sets + (k - 2) * np.log(p))
+    return float(np.log(n * (n - 1) / 2) + log_sets(n - 2, k - 2) + (k - 2) * np.log(p))

@@ -162,9 +162,13 @@ def _log_chance(S: Array, proposed: int, area: float, config: FusionConfig) -> f
     if k == 0:
         return 0.0
     gate = chdtri(GROUND_DOF * k, 1.0 - config.gate_probability)
-    log_volume = k * np.log(np.pi * gate) - gammaln(k + 1) + 0.5 * float(np.linalg.slogdet(S)[1])
-    sets = gammaln(proposed + 1) - gammaln(k + 1) - gammaln(proposed - k + 1)
-    return float(sets + log_volume - k * np.log(area))
+    log_volume = k * float(np.log(np.pi * gate)) - float(gammaln(k + 1)) + 0.5 * float(np.linalg.slogdet(S)[1])
+    return log_sets(proposed, k) + log_volume - k * float(np.log(area))
+
+
+def log_sets(n: int, k: int) -> float:
+    """Return the log of the number of sets of k out of n."""
+    return float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1))
 
 
 def _of_rows(S: Array, rows: Pairs) -> Array:
