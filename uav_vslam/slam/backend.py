@@ -91,6 +91,33 @@ class FrameReport:
     smoothed: PoseEstimate | None = None
 
 
+@dataclass(slots=True)
+class _Outcome:
+    """What the filter has made of a frame, as far as it got; see `FrameReport` for what has the same name there.
+
+    Attributes:
+        matches: landmarks that corrected the state.
+        known: landmarks and tracks that the frame could have shown.
+    """
+
+    known: int
+    matches: Matches = field(default_factory=Matches.none)
+    innovation: Innovation | None = None
+    as_calibrated: NavEstimate | None = None
+    rig_evidence: float = 0.0
+    disparity: DisparityEstimate | None = None
+    closures: int = 0
+    sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    late_sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    smoothed: PoseEstimate | None = None
+    recovery: str = ""
+
+    def give_up(self) -> None:
+        """Forget what has corrected a state that is re-initialised."""
+        self.matches, self.closures, self.as_calibrated = Matches.none(), 0, None
+        self.sightings = self.sightings[:0]
+
+
 class SlamBackend:
     """A filter, its landmark map, and the frame loop."""
 
@@ -112,6 +139,7 @@ class SlamBackend:
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
         self._motion, self._doubt = MotionFinder(), ImuDoubt(config.imu.gravity)
+        self._nav = initial
         self._confirmed = initial  # the newest estimate that an image has confirmed
         self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
         self._increment: ImuIncrement | None = None  # the newest
@@ -150,71 +178,83 @@ class SlamBackend:
             ValueError: the increment does not span estimate to frame.
         """
         self._check_joins(features.stamp_ns, increment)
-        step, readings, R_map_body = self._step(increment, features), increment, self.nav.state.T_map_body.R
+        R_map_body = self.nav.state.T_map_body.R
+        step = self._step(increment, features)
+        self._increment, features = step.increment, step.features
+        outcome = self._estimate(step)
+        confirmed = not outcome.recovery and outcome.innovation is not None and outcome.innovation.dof > 0
+        if confirmed:
+            self._confirmed = self._nav
+        missed = not confirmed and min(len(features), outcome.known) >= MIN_FEATURES
+        if increment is not None and self._doubt.add(increment, R_map_body, coasted=missed, apart_rad=step.apart_rad):
+            self._nav, outcome.recovery = self._since_confirmed(), self._doubt.reason
+        if outcome.recovery:
+            outcome.give_up()
+            self._recover()
+            if self._doubt.reason:  # the motion from here on is that of the tracks
+                self._window.add_frame(self._filter, features)
+        added = self._add_landmarks(outcome.matches, features)
+        self._postponed = None if self._filter.can_add_landmarks else features
+        self._frame += len(features) > 0  # a frame without features says nothing about landmarks
+        return self._report(step, outcome, added)
+
+    def _estimate(self, step: Step) -> _Outcome:
+        """Move the filter to a frame and correct it; where it fails, propagate the estimate by the IMU alone."""
         increment, features, is_seen = step.increment, step.features, step.tracks > 0
-        self._increment = increment
-        known = len(self._map)
-        matches, innovation, closures, evidence, disparity = Matches.none(), None, 0, 0.0, None
-        sightings, late, smoothed = np.zeros((0, 2), np.intp), np.zeros((0, 2), np.intp), None
-        as_calibrated = None
+        outcome = _Outcome(known=len(self._map))
         try:
             if increment is not None:
-                late = self._new_sightings(self._add_postponed(increment))
+                outcome.late_sightings = self._new_sightings(self._add_postponed(increment))
                 self._filter.predict(increment)
             self._window.add_frame(self._filter, features)
             self._window.finish(self._filter, self._map, self._frame, self._new_landmarks, everything=is_seen)
-            matches, innovation, closures = self._correct(features, by_landmarks=not is_seen)
+            outcome.matches, outcome.innovation, outcome.closures = self._correct(features, by_landmarks=not is_seen)
             if increment is not None and lacks_readings(increment):
                 self._judges_disparity = False
             if self._judges_disparity:
                 self._judge_disparity()
-            present = self._window.present(self._filter, self._map)
-            self._nav, innovation = present.filter.nav_estimate(), present.innovation or innovation
-            as_calibrated = present.filter.nav_estimate(as_calibrated=True)
-            sightings = np.vstack([self._sightings(matches), self._track_sightings(present, features)])
-            smoothed = self._window.leaving(present.filter)
+            self._take_present(outcome, features)
             self._remove_landmarks()
-            evidence, disparity = self._filter.rig_evidence(), self._filter.disparity
-            known = max(known, self._window.followed)
-            recovery = self._health.check(innovation, features=len(features), known=known)
+            outcome.rig_evidence, outcome.disparity = self._filter.rig_evidence(), self._filter.disparity
+            outcome.known = max(outcome.known, self._window.followed)
+            outcome.recovery = self._health.check(outcome.innovation, features=len(features), known=outcome.known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
             if increment is not None and self._nav.state.stamp_ns != features.stamp_ns:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
-            recovery = str(error)
-        confirmed = not recovery and innovation is not None and innovation.dof > 0
-        missed = not confirmed and min(len(features), known) >= MIN_FEATURES
-        if confirmed:
-            self._confirmed = self._nav
-        if readings is not None and self._doubt.add(readings, R_map_body, coasted=missed, apart_rad=step.apart_rad):
-            self._nav, recovery = self._since_confirmed(), self._doubt.reason
-        if recovery:
-            matches, closures, sightings, as_calibrated = Matches.none(), 0, sightings[:0], None
-            self._recover()
-            if self._doubt.reason:  # the motion from here on is that of the tracks
-                self._window.add_frame(self._filter, features)
-        associated = 0 if recovery else len(sightings) + step.tracks
-        added = self._add_landmarks(matches, features)
-        self._postponed = None if self._filter.can_add_landmarks else features
-        self._frame += len(features) > 0  # a frame without features says nothing about landmarks
+            outcome.recovery = str(error)
+        return outcome
+
+    def _take_present(self, outcome: _Outcome, features: StereoFeatures) -> None:
+        """Set the estimate to that of the filter and its tracks together."""
+        present = self._window.present(self._filter, self._map)
+        self._nav = present.filter.nav_estimate()
+        outcome.innovation = present.innovation or outcome.innovation
+        outcome.as_calibrated = present.filter.nav_estimate(as_calibrated=True)
+        outcome.sightings = np.vstack([self._sightings(outcome.matches), self._track_sightings(present, features)])
+        outcome.smoothed = self._window.leaving(present.filter)
+
+    def _report(self, step: Step, outcome: _Outcome, added: NDArray[np.intp]) -> FrameReport:
+        """Report a frame from whose rows `added` landmarks were added."""
+        associated = 0 if outcome.recovery else len(outcome.sightings) + step.tracks
         return FrameReport(
             pose=self._nav.pose,
             nav=self._nav,
-            features=len(features),
+            features=len(step.features),
             associated=associated,
-            relocalised=matches.relocalised,
-            innovation=innovation,
+            relocalised=outcome.matches.relocalised,
+            innovation=outcome.innovation,
             landmarks=len(self._map),
-            recovery=recovery,
-            as_calibrated=as_calibrated,
-            rig_evidence=evidence,
-            disparity=disparity,
-            closures=closures,
-            tracked=self._continued(features),
-            coasted=increment is not None and associated == 0,
+            recovery=outcome.recovery,
+            as_calibrated=outcome.as_calibrated,
+            rig_evidence=outcome.rig_evidence,
+            disparity=outcome.disparity,
+            closures=outcome.closures,
+            tracked=self._continued(step.features),
+            coasted=step.increment is not None and associated == 0,
             gate_probability=self._config.gate_probability,
-            smoothed=smoothed,
-            sightings=np.vstack([sightings, self._new_sightings(added)]),
-            late_sightings=late,
+            smoothed=outcome.smoothed,
+            sightings=np.vstack([outcome.sightings, self._new_sightings(added)]),
+            late_sightings=outcome.late_sightings,
         )
 
     def configure(self, config: VehicleConfig) -> None:
