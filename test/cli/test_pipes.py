@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A reader that goes away costs what it would have read, not the results."""
+"""A reader that goes away, or has no such character, costs what it would have read, not the results."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -20,3 +21,13 @@ def test_a_run_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
     _, said = process.communicate()
     assert b"Traceback" not in said
     assert (tmp_path / "latest" / "summary.json").is_file(), said.decode()
+
+
+def test_a_terminal_without_a_character_shows_the_rest_of_the_table(tmp_path: Path) -> None:
+    track = tmp_path / "track.tum"
+    track.write_text("".join(f"{0.1 * k} {k} {0.5 * k} 0 0 0 0 1\n" for k in range(20)))
+    options = ["evaluate", str(track), "--truth", str(track), "--no-plots", "--results", str(tmp_path / "results")]
+    command = [sys.executable, "-m", "uav_vslam.cli.main", *options]
+    environment = {**os.environ, "PYTHONIOENCODING": "latin-1"}
+    done = subprocess.run(command, env=environment, capture_output=True, check=True)
+    assert "written to" in done.stdout.decode("latin-1")

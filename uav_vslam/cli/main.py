@@ -8,6 +8,7 @@ imported, and the verbs themselves import late, so that `--help` is quick.
 import argparse
 import errno
 import importlib
+import io
 import keyword
 import os
 import sys
@@ -56,6 +57,8 @@ DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     keep_freed_memory()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal without a character still shows the rest of the table
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
         args, unknown = build_parser(arguments).parse_known_args(arguments)
