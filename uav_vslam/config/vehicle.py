@@ -227,6 +227,9 @@ class BackendConfig(Settings):
         above=0,
         live=True,
     )
+    track_noise_from_images: bool = setting(
+        True, "window: take the scatter of the tracks about their epipolar lines where it is 1.5 times as large"
+    )
     landmark_views: int = setting(
         3, "window: frames that must have shown a track's point to make it a landmark", at_least=2
     )

@@ -122,9 +122,13 @@ class StereoRig:
 
     def epipolar_distance(self, pixels: ArrayLike) -> Array:
         """Return (N,) distances [px] of right pixels from the epipolar lines of the left ones, for (N, 4) pixels."""
+        return np.abs(self.epipolar_offset(pixels))
+
+    def epipolar_offset(self, pixels: ArrayLike) -> Array:
+        """Return the same distances, with opposite signs on either side of the line."""
         z = np.asarray(pixels, dtype=float).reshape(-1, 4)
         ones = np.ones((len(z), 1))
         lines = np.hstack([z[:, :2], ones]) @ self.fundamental.T
         return np.asarray(
-            np.abs(np.einsum("ni,ni->n", np.hstack([z[:, 2:], ones]), lines)) / np.linalg.norm(lines[:, :2], axis=1)
+            np.einsum("ni,ni->n", np.hstack([z[:, 2:], ones]), lines) / np.linalg.norm(lines[:, :2], axis=1)
         )

@@ -90,7 +90,7 @@ class Scenario:
             )
         if not 0.05 <= self.scale <= 1.0:
             raise ConfigError(f"scenario scale {self.scale} is not allowed; use 0.05 to 1")
-        for name in ("blur_px", "noise_sigma", "vibration_deg"):
+        for name in ("contrast", "blur_px", "noise_sigma", "vibration_deg"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ConfigError(f"scenario {name} {getattr(self, name)} is not allowed; use a number of at least 0")
 

@@ -28,6 +28,7 @@ from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
 from uav_vslam.slam.matches import Matches
 from uav_vslam.slam.recovery import reinitialised
 from uav_vslam.slam.seen_motion import MotionFinder, Step
+from uav_vslam.slam.track_noise import TrackNoise
 from uav_vslam.slam.track_window import Present, TrackWindow
 from uav_vslam.types import (
     NS_PER_S,
@@ -139,6 +140,7 @@ class SlamBackend:
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
         self._motion, self._doubt = MotionFinder(), ImuDoubt(config.imu.gravity)
+        self._track_noise = TrackNoise(rig)
         self._nav = initial
         self._confirmed = initial  # the newest estimate that an image has confirmed
         self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
@@ -154,6 +156,12 @@ class SlamBackend:
     def nav(self) -> NavEstimate:
         """The newest estimate."""
         return self._nav
+
+    @property
+    def track_sigma_px(self) -> float:
+        """Standard deviation of a tracked point's right pixel about its left one, as configured or as measured [px]."""
+        configured_px = self._config.track_sigma_px
+        return self._track_noise.sigma_px(configured_px) if self._config.track_noise_from_images else configured_px
 
     @property
     def landmarks(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
@@ -179,6 +187,7 @@ class SlamBackend:
         """
         self._check_joins(features.stamp_ns, increment)
         R_map_body = self.nav.state.T_map_body.R
+        self._track_noise.add(features)
         step = self._step(increment, features)
         self._increment, features = step.increment, step.features
         outcome = self._estimate(step)
@@ -202,6 +211,7 @@ class SlamBackend:
         """Move the filter to a frame and correct it; where it fails, propagate the estimate by the IMU alone."""
         increment, features, is_seen = step.increment, step.features, step.tracks > 0
         outcome = _Outcome(known=len(self._map))
+        self._filter.track_sigma_px = self.track_sigma_px
         try:
             if increment is not None:
                 outcome.late_sightings = self._new_sightings(self._add_postponed(increment))
@@ -262,7 +272,6 @@ class SlamBackend:
         self._vehicle_config, self._config = config, config.backend
         self._matcher.configure(config.backend)
         self._filter.sigma_px = config.backend.sigma_px
-        self._filter.track_sigma_px = config.backend.track_sigma_px
         self._window.configure(config.backend)
 
     def joint_information(self) -> JointInformation:

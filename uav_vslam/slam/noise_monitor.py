@@ -1,15 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tells when readings are noisier than configured, see `ins.white_noise`."""
+"""Tells when readings or tracks are noisier than configured, see `ins.white_noise` and `slam.track_noise`."""
 
-from uav_vslam.config import ImuConfig
+from uav_vslam.config import VehicleConfig
 from uav_vslam.types import ImuIncrement
 
 
 class NoiseMonitor:
-    """Watches the increments and warns once of each sensor."""
+    """Watches increments and tracks and warns once of each sensor."""
 
-    def __init__(self, imu: ImuConfig) -> None:
+    def __init__(self, config: VehicleConfig) -> None:
+        imu, self._track_sigma_px = config.imu, config.backend.track_sigma_px
         self._configured = {"imu.gyro_noise": imu.gyro_noise, "imu.accel_noise": imu.accel_noise}
+
+    def add_tracks(self, sigma_px: float) -> str:
+        """Add the measured noise of the tracks and return a warning, normally empty."""
+        if sigma_px <= self._track_sigma_px:
+            return ""
+        configured_px, self._track_sigma_px = self._track_sigma_px, float("inf")
+        return (
+            f"tracked points are {sigma_px:.2f} px off their epipolar lines, {sigma_px / configured_px:.1f} times "
+            "backend.track_sigma_px, and are weighted so: the images are noisy, blurred or of weak texture"
+        )
 
     def add(self, increment: ImuIncrement) -> str:
         """Add an increment and return a warning, normally empty."""

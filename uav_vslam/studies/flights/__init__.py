@@ -15,6 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vehicles", type=int, default=2, metavar="N", help="of each flight (default 2)")
     parser.add_argument("--pattern", default="leg", metavar="NAME", help="of the flight path (default leg)")
     parser.add_argument("--rate", type=float, default=7.14, metavar="HZ", help="of the images (default 7.14)")
+    parser.add_argument("--contrast", type=float, default=1.0, metavar="C", help="of the ground in them (default 1)")
+    parser.add_argument("--blur", type=float, default=1.0, metavar="PX", help="of them, by motion [px] (default 1)")
     text = f"classes of inertial unit (default {' '.join(GRADES)})"
     parser.add_argument("--no-smoothing", action="store_true", help="do not smooth each whole flight afterwards")
     parser.add_argument("--imu", nargs="+", default=list(GRADES), metavar="NAME", help=text)
@@ -40,6 +42,7 @@ STUDY = Study(
   uav-vslam study flights --seeds 1 --frames 60
   uav-vslam study flights --seeds 6 --vehicles 1                    one vehicle on its own
   uav-vslam study flights --seeds 3 --vehicles 1 --frames 300 --rate 20 --imu adis16480
+  uav-vslam study flights --seeds 6 --vehicles 1 --contrast 0.2 --blur 4      faint images
   uav-vslam study flights --seeds 6 --vehicles 1 --variant backend.sigma_px=0.3 --variant backend.sigma_px=0.15
 
 Times are per frame of one vehicle. Variants share the images, and the features where the front end is the same.

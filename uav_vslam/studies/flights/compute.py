@@ -26,13 +26,22 @@ def scenario_of(args: argparse.Namespace) -> Scenario:
     Raises:
         ConfigError: a pattern is not known, or a number out of range.
     """
-    return Scenario(frames=args.frames, vehicles=args.vehicles, pattern=args.pattern, frame_rate_hz=args.rate)
+    return Scenario(
+        frames=args.frames,
+        vehicles=args.vehicles,
+        pattern=args.pattern,
+        frame_rate_hz=args.rate,
+        contrast=args.contrast,
+        blur_px=args.blur,
+    )
 
 
 def notes(scenario: Scenario) -> dict[str, str]:
     """Return what was flown and what the figures mean."""
     flown = f"pattern {scenario.pattern}, {scenario.frames} rendered frames at {scenario.frame_rate_hz:g} Hz"
-    return {"Flights": f"{flown}, {scenario.vehicles} vehicle(s); the condition is the class of inertial unit"} | NOTES
+    seen = f"contrast {scenario.contrast:g}, motion blur {scenario.blur_px:g} px"
+    vehicles = f"{scenario.vehicles} vehicle(s)"
+    return {"Flights": f"{flown}, {seen}, {vehicles}; the condition is the class of inertial unit"} | NOTES
 
 
 def methods(

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The noise of tracks is measured across epipolar lines, and a flight with noisier tracks stays as good and honest."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.estimation.past_poses import OFFSET
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_exp
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.slam.noise_monitor import NoiseMonitor
+from uav_vslam.slam.stage import SlamStage
+from uav_vslam.slam.track_noise import FRAMES, LEAST_POINTS, NOISE_RATIO, TrackNoise
+from uav_vslam.types import StereoFeatures
+
+CONFIGURED_PX = 0.07
+
+
+def frame(rig: StereoRig, sigma_px: float, *, count: int = 200, seed: int = 0, tracked: bool = True) -> StereoFeatures:
+    """Return points at 20 to 80 m, the right pixel off from the left one as a track's is."""
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(20.0, 80.0, (count, 1))
+    at = rng.uniform([0, 0], [rig.left.width, rig.left.height], (count, 2))
+    pixels = rig.project(rig.left.bearings(at) * depth)
+    pixels[:, 2:] += rng.normal(0.0, sigma_px * np.hypot(1.0, OFFSET), (count, 2))
+    tracks = np.arange(1, count + 1, dtype=np.uint32) if tracked else np.zeros(count, np.uint32)
+    return StereoFeatures(seed, pixels.astype(np.float32), np.zeros((count, 8), np.uint8), tracks)
+
+
+def measured(rig: StereoRig, frames: list[StereoFeatures]) -> float:
+    noise = TrackNoise(rig)
+    for features in frames:
+        noise.add(features)
+    return noise.sigma_px(CONFIGURED_PX)
+
+
+@pytest.fixture
+def rig(flown) -> StereoRig:
+    return flown(3, tracked_px=0.05).vehicle.rig
+
+
+@pytest.mark.parametrize("sigma_px", [0.15, 0.4])
+def test_noisier_tracks_are_measured(rig: StereoRig, sigma_px: float) -> None:
+    frames = [frame(rig, sigma_px, seed=seed) for seed in range(FRAMES)]
+    assert measured(rig, frames) == pytest.approx(sigma_px, rel=0.05)
+
+
+def test_what_is_configured_counts_where_tracks_are_hardly_noisier(rig: StereoRig) -> None:
+    for sigma_px in (0.3 * CONFIGURED_PX, CONFIGURED_PX, 0.9 * NOISE_RATIO * CONFIGURED_PX):
+        assert measured(rig, [frame(rig, sigma_px, seed=seed) for seed in range(FRAMES)]) == CONFIGURED_PX
+
+
+def test_a_wrong_calibration_is_no_noise(rig: StereoRig) -> None:
+    """A right camera turned by 0.05 degrees moves the epipolar lines by about a pixel."""
+    turned = Pose(so3_exp(np.radians([0.05, 0.03, 0.05])), np.zeros(3))
+    believed = dataclasses.replace(rig, T_body_right=rig.T_body_right @ turned)
+    frames = [frame(rig, CONFIGURED_PX, seed=seed) for seed in range(FRAMES)]
+    assert np.median(believed.epipolar_distance(frames[0].pixels)) > 10.0 * CONFIGURED_PX
+    assert measured(believed, frames) == CONFIGURED_PX
+
+
+def test_false_matches_and_frames_with_few_tracks_do_not_count(rig: StereoRig) -> None:
+    frames = [frame(rig, CONFIGURED_PX, seed=seed) for seed in range(FRAMES)]
+    for features in frames:
+        features.pixels[::10, 3] += 1.5
+    few = frame(rig, 2.0, count=LEAST_POINTS - 1)
+    assert measured(rig, [*frames, few, frame(rig, 2.0, tracked=False)]) == CONFIGURED_PX
+
+
+def flights(flown, configured_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
+    """Return last position errors [m] and NEES per axis of flights with tracks of 0.25 px, and all warnings."""
+    errors, nees, warnings = [], [], []
+    for seed in range(20):
+        flight = flown(100 + seed, tracked_px=0.25 / np.sqrt(2.0))
+        backend = BackendConfig(sigma_px=0.25, track_sigma_px=configured_px)
+        stage = SlamStage(VehicleConfig(imu=flight.vehicle.scenario.imu_config, backend=backend), vehicle="uav1")
+        stage.rig = flight.vehicle.rig
+        stage.start(flight.vehicle.initial)
+        outputs = []
+        for features, increment in flight.frames:
+            if increment is not None:
+                stage.add_increment(increment)
+            stage.add_features(features)
+            outputs.extend(stage.run())
+        assert len(outputs) == len(flight.frames)
+        error, consistency = flight.errors_and_nees(outputs)
+        errors.append(error[-1])
+        nees.append(consistency[-1])
+        warnings.extend(text for output in outputs for text in output.warnings)
+    return np.array(errors), np.array(nees), warnings
+
+
+def test_a_flight_with_noisier_tracks_is_as_good_as_if_that_were_configured(flown) -> None:
+    told, _, _ = flights(flown, 0.25)
+    errors, nees, warnings = flights(flown, CONFIGURED_PX)
+    assert np.sqrt(np.mean(errors**2)) < 1.1 * np.sqrt(np.mean(told**2))
+    assert nees.mean() < 1.39  # chi-square of 60 degrees of freedom, 97.5 %
+    assert not any("calibration" in text for text in warnings)
+
+
+def test_noisier_tracks_are_named_once() -> None:
+    monitor = NoiseMonitor(VehicleConfig(backend=BackendConfig(track_sigma_px=CONFIGURED_PX)))
+    said = [monitor.add_tracks(sigma_px) for sigma_px in (CONFIGURED_PX, 0.21, 0.3)]
+    assert said[0] == said[2] == ""
+    assert "0.21 px off their epipolar lines, 3.0 times backend.track_sigma_px" in said[1]
