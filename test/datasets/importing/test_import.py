@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.cli.main import main
-from uav_vslam.config import load_vehicle
+from uav_vslam.config import find_config, load_vehicle
 from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.importing.euroc import read_euroc
 from uav_vslam.datasets.importing.motion import motion_of_poses
@@ -256,11 +256,21 @@ def test_a_start_between_quaternions_of_opposite_sign_has_their_attitude(mav0: P
     np.testing.assert_allclose(flight.initial.state.T_map_body.R, expected, atol=1e-12)
 
 
+def test_keyframes_far_apart_are_not_tracked(mav0: Path, tmp_path: Path) -> None:
+    for cam in ("cam0", "cam1"):
+        listed = (mav0 / cam / "data.csv").read_text().splitlines()
+        (mav0 / cam / "data.csv").write_text("\n".join([listed[0], listed[1], listed[-1]]) + "\n")
+    assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
+    config = load_vehicle(tmp_path / "out.yaml")
+    assert config == load_vehicle(find_config("euroc"))
+    assert config.frontend.method == "sift"
+
+
 def test_the_written_configuration_is_the_formats_and_one_that_is_there_is_kept(
     mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["import", "euroc", str(mav0), str(tmp_path / "out")]) == 0
-    assert load_vehicle(tmp_path / "out.yaml") == load_vehicle(Path(__file__).parents[3] / "config" / "euroc.yaml")
+    assert load_vehicle(tmp_path / "out.yaml") == load_vehicle(find_config("euroc_video"))
     (tmp_path / "mine.yaml").write_text("# mine\n")
     capsys.readouterr()
     assert main(["import", "euroc", str(mav0), str(tmp_path / "mine")]) == 0

@@ -5,7 +5,10 @@ Layout: `mav0/{cam0,cam1,imu0,state_groundtruth_estimate0}/{data.csv,sensor.yaml
 byte for byte, lens distortion included. The world's z is up; gravity there is 9.81 m/s^2.
 """
 
+import math
 from pathlib import Path
+
+import numpy as np
 
 from uav_vslam.datasets.calibration_files import parse_calibration, yaml_tree
 from uav_vslam.datasets.flight_writer import FlightRecording
@@ -18,9 +21,11 @@ from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.types import NS_PER_S
 
 TRUTH_FOLDER = "state_groundtruth_estimate0"
 MODEL = "radial-tangential"  # the distortion model of the sequences
+TRACKED_S = 0.2  # usual time between images below which points can be tracked
 
 
 def read_euroc(
@@ -60,7 +65,8 @@ def read_euroc(
         frames=frames(pairs, problems),
         initial=truth.start(pairs[0].stamp_ns, sigma or InitialSigma()),
     )
-    return Source(flight, len(pairs), base="euroc", notes=without + outside)
+    base = "euroc_video" if _usual_gap_s(pairs) < TRACKED_S else "euroc"
+    return Source(flight, len(pairs), base=base, notes=without + outside)
 
 
 def asl_pairs(mav0: Path, problems: Problems) -> list[PicturePair]:
@@ -74,6 +80,12 @@ def covered_pairs(pairs: list[PicturePair], truth: Motion) -> tuple[list[Picture
     covered = [pair for pair in pairs if truth.covers(pair.stamp_ns)]
     outside = len(pairs) - len(covered)
     return covered, (f"{outside} image pairs before or after the ground truth are left out",) if outside else ()
+
+
+def _usual_gap_s(pairs: list[PicturePair]) -> float:
+    """Return the median time between pictures [s]; infinity for a single pair."""
+    gaps_ns = np.diff([pair.stamp_ns for pair in pairs])
+    return float(np.median(gaps_ns)) / NS_PER_S if len(gaps_ns) else math.inf
 
 
 def _camera(folder: Path) -> tuple[PinholeCamera, Pose]:
