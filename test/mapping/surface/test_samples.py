@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from uav_vslam.mapping.surface.samples import CellSamples, sample
 from uav_vslam.mapping.surface.stereo import PairPoints
 
-CAMERA = np.array([5.0, 5.0, 70.0])
+CAMERA, DOWN = np.array([5.0, 5.0, 70.0]), np.array([0.0, 0.0, -1.0])
 
 
 def cloud(height, *, step_m: float = 0.1) -> PairPoints:
     """Return points over 10 x 10 m at the heights of a function of x, y."""
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.05, 10.0, step_m), np.arange(0.05, 10.0, step_m)))
     points = np.column_stack([x, y, height(x, y) + np.zeros_like(x)]).astype(np.float32)
-    return PairPoints(points, CAMERA, noise_m=0.1, pose_m=0.02, share=1.0)
+    return PairPoints(points, CAMERA, DOWN, fall_m=70.0, noise_m=0.1, pose_m=0.02, share=1.0)
 
 
 def heights(samples: CellSamples | None) -> np.ndarray:
@@ -56,7 +58,7 @@ def test_a_lone_pit_is_dropped_and_a_lone_post_is_kept() -> None:
 def test_cells_with_few_points_stay_unknown() -> None:
     points = cloud(lambda x, y: 0.0 * x)
     kept = (points.points_map[:, 0] < 9.0) | (np.arange(len(points.points_map)) % 7 == 0)
-    thin = PairPoints(points.points_map[kept], CAMERA, 0.1, 0.02, 1.0)
+    thin = PairPoints(points.points_map[kept], CAMERA, DOWN, 70.0, 0.1, 0.02, 1.0)
     assert np.isnan(heights(sample(thin, 0.5))[:, 18:]).all()
     assert np.isfinite(heights(sample(thin, 0.5))[:, :18]).all()
 
@@ -69,6 +71,15 @@ def test_sigma_holds_the_shared_part_and_grows_with_the_spread() -> None:
     assert np.median(rough.sigma) > 2.0 * np.median(flat.sigma)
 
 
+def test_sigma_grows_with_depth_and_fall() -> None:
+    points = cloud(lambda x, y: 0.0 * x)
+    oblique = np.array([0.0, -0.6, -0.8])
+    far = sample(replace(points, camera_map=np.array([5.0, 75.0, 70.0]), depth_map=oblique), 0.5)
+    assert far is not None
+    away = 75.0 - far.raster.y[far.rows]
+    assert far.sigma == pytest.approx(np.hypot(0.02, 0.1 / np.sqrt(2.0)) * (0.6 * away + 56.0) / 70.0, rel=1e-5)
+
+
 def test_the_view_angle_is_that_from_the_vertical() -> None:
     found = sample(cloud(lambda x, y: 0.0 * x), 0.5)
     assert found is not None
@@ -77,4 +88,4 @@ def test_the_view_angle_is_that_from_the_vertical() -> None:
 
 
 def test_no_points_give_no_samples() -> None:
-    assert sample(PairPoints(np.zeros((0, 3), np.float32), CAMERA, 0.1, 0.02, 0.0), 0.5) is None
+    assert sample(PairPoints(np.zeros((0, 3), np.float32), CAMERA, DOWN, 70.0, 0.1, 0.02, 0.0), 0.5) is None

@@ -11,9 +11,9 @@ from uav_vslam.mapping.surface.stereo import PairPoints, match, sigmas_m
 SETTINGS = SurfaceSettings(scale=1.0)
 
 
-def points(last: int = 4, relief_m: float = 2.0) -> PairPoints:
-    left, right = (PreparedView.of(view(k, relief_m), 1.0) for k in (0, last))
-    pair = rectify(left, right, Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2)
+def points(last: int = 4, relief_m: float = 2.0, bank_deg: float = 0.0) -> PairPoints:
+    left, right = (PreparedView.of(view(k, relief_m, bank_deg), 1.0) for k in (0, last))
+    pair = rectify(left, right, Depths(-8.0, 0.0, 8.0), most=160, overlap=0.2)
     assert pair is not None
     return match(pair, SETTINGS)
 
@@ -36,6 +36,17 @@ def test_a_shorter_baseline_is_claimed_and_found_to_be_worse() -> None:
     near, far = points(2), points(4)
     assert near.noise_m == pytest.approx(2.0 * far.noise_m, rel=0.05)
     assert np.percentile(np.abs(errors(near, 2.0)), 68) > 1.5 * np.percentile(np.abs(errors(far, 2.0)), 68)
+
+
+def test_oblique_views_are_claimed_to_be_worse_the_farther_they_look() -> None:
+    """Heights err by depth times fall: with the same noise everywhere, far points were over-confident by twice."""
+    found = points(bank_deg=45.0)
+    points_map, error = found.points_map.astype(float), np.abs(errors(found, 2.0))
+    claimed = found.noise_m * found.lever(points_map)
+    far = claimed > np.percentile(claimed, 75.0)
+    assert np.percentile(error[far], 68) > 2.0 * found.noise_m
+    assert 0.3 < np.percentile(error[far] / claimed[far], 68) < 1.2
+    assert 0.3 < np.percentile(error[~far] / claimed[~far], 68) < 1.2
 
 
 def test_heights_have_no_terraces_at_whole_disparities() -> None:
@@ -79,6 +90,7 @@ def test_points_below_the_searched_heights_and_above_the_cameras_are_dropped() -
     """One of 14 km made a raster of gigabytes."""
     near = [[0.0, 0.0, 1.0], [1.0, 1.0, 2.0], [2.0, 2.0, -3.0]]
     points = np.array([*near, [9000.0, 0.0, -2000.0], [3687.0, 1931.0, 14239.0]], np.float32)
-    kept = PairPoints(points, np.array([0.0, 0.0, 70.0]), 0.1, 0.1, 0.8).above(-3.0)
+    down = np.array([0.0, 0.0, -1.0])
+    kept = PairPoints(points, np.array([0.0, 0.0, 70.0]), down, 70.0, 0.1, 0.1, 0.8).above(-3.0)
     np.testing.assert_array_equal(kept.points_map, near)
     assert kept.share == pytest.approx(0.48)

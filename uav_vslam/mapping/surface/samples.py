@@ -70,7 +70,9 @@ def sample(points: PairPoints, cell_m: float) -> CellSamples | None:
     rows, columns = np.divmod(owner[fits], raster.columns)
     sound = _sound(raster, rows, columns, height)
     rows, columns, height, spread, size = (each[sound] for each in (rows, columns, height, spread, size))
-    sigma = np.sqrt(points.pose_m**2 + np.maximum(points.noise_m, spread) ** 2 / INDEPENDENT)
+    lever = points.lever(np.column_stack([raster.x[columns], raster.y[rows], height]))
+    noise_m = np.maximum(lever * points.noise_m, spread)
+    sigma = np.sqrt((lever * points.pose_m) ** 2 + noise_m**2 / INDEPENDENT)
     across = np.hypot(raster.x[columns] - points.camera_map[0], raster.y[rows] - points.camera_map[1])
     angle = np.arctan2(across, points.camera_map[2] - height)
     return CellSamples(

@@ -38,16 +38,28 @@ class PairPoints:
     Attributes:
         points_map: (N, 3) surface points, each axis contiguous [m].
         camera_map: (3,) middle of the two cameras [m].
-        noise_m: standard deviation of the height of one point, from its disparity, at the median height.
-        pose_m: standard deviation of the height that all points share, from the motion between the views.
+        depth_map: (3,) direction of depth.
+        fall_m: of the median point below the cameras.
+        noise_m: standard deviation of the height of a point at that fall and as great a depth, from its disparity.
+        pose_m: standard deviation of the height that all points share, from the motion between the views; there too.
         share: of the common window for which a disparity was found.
     """
 
     points_map: Floats
     camera_map: Array
+    depth_map: Array
+    fall_m: float
     noise_m: float
     pose_m: float
     share: float
+
+    def lever(self, points_map: Array) -> Array:
+        """Return how many times larger than `noise_m` and `pose_m` the errors of (N, 3) points' heights are.
+
+        A depth Z errs by Z^2, and the height by the share of it that is the fall H: by Z H.
+        """
+        apart = points_map - self.camera_map
+        return np.asarray((apart @ self.depth_map) * -apart[:, 2] / self.fall_m**2)
 
     def above(self, low_m: float) -> "PairPoints":
         """Return the points between a height [m] and the cameras': a disparity near that of infinity is far away."""
@@ -71,7 +83,8 @@ def match(pair: RectifiedPair, settings: SurfaceSettings) -> PairPoints:
     below_m = middle[2] - float(np.median(points[::SPARSE, 2])) if len(points) else 1.0
     noise_m, pose_m = sigmas_m(pair, below_m, settings)
     common = int(np.count_nonzero(inside[0] & inside[1]))
-    return PairPoints(points, middle, noise_m, pose_m, len(points) / max(common, 1))
+    share = len(points) / max(common, 1)
+    return PairPoints(points, middle, pair.R_map_rect[:, 2], below_m, noise_m, pose_m, share)
 
 
 def sigmas_m(pair: RectifiedPair, depth_m: float, settings: SurfaceSettings) -> tuple[float, float]:
