@@ -66,6 +66,14 @@ def test_the_table_takes_precedence_and_gives_the_order(tmp_path: Path) -> None:
     assert found[1].position.latitude_deg == 30.1
 
 
+def test_latitude_and_longitude_zero_in_the_table_are_no_position(tmp_path: Path) -> None:
+    """Five such rows of 20 were reported as positions that are wrong by 6 332 km."""
+    for k, name in enumerate("ab"):
+        picture(tmp_path / f"{name}.png", seed=k)
+    (tmp_path / "gps.csv").write_text(TABLE + "a.png,30.1,-98.1,350,\nb.png,0.0,0.0,0.0,\n")
+    assert [each.position is None for each in read_folder(tmp_path).pictures] == [False, True]
+
+
 def test_copies_and_damaged_files_are_left_out_by_name(tmp_path: Path) -> None:
     for k, name in enumerate("ab"):
         picture(tmp_path / f"{name}.png", seed=k)

@@ -74,17 +74,18 @@ def clock_s(text: Any, subseconds: Any = None) -> float | None:
 
 
 def position_of(tags: Tags) -> Geodetic | None:
-    """Return the position of a GPS directory; None unless latitude, longitude and altitude are there."""
+    """Return the position of a GPS directory; None unless latitude, longitude and altitude are there and set."""
     latitude, longitude = _degrees(tags.get(LATITUDE)), _degrees(tags.get(LONGITUDE))
     altitude = _number(tags.get(ALTITUDE))
-    if latitude is None or longitude is None or altitude is None or (latitude == 0.0 and longitude == 0.0):
+    if latitude is None or longitude is None or altitude is None:
         return None
     below = tags.get(ALTITUDE_REF) in (1, b"\x01")
-    return Geodetic(
+    position = Geodetic(
         -latitude if tags.get(LATITUDE_REF) == "S" else latitude,
         -longitude if tags.get(LONGITUDE_REF) == "W" else longitude,
         -altitude if below else altitude,
     )
+    return None if position.unset else position
 
 
 def _number(value: Any) -> float | None:

@@ -25,6 +25,11 @@ class Geodetic:
     longitude_deg: float
     height_m: float
 
+    @property
+    def unset(self) -> bool:
+        """0, 0 is what receivers write that know no position yet."""
+        return self.latitude_deg == 0.0 and self.longitude_deg == 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class Picture:

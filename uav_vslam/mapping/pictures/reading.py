@@ -2,7 +2,8 @@
 """A folder's pictures in the order of time, and the table of positions that may lie beside them.
 
 `gps.csv` has a header and one row a picture. Columns: `file`; `lat_deg`, `lon_deg` (WGS 84, degrees); `alt_m` [m]; and
-optionally `datetime` as in EXIF, "2014:10:19 13:21:23". It takes precedence over EXIF.
+optionally `datetime` as in EXIF, "2014:10:19 13:21:23". It takes precedence over EXIF;
+latitude and longitude 0 stand for no position.
 """
 
 import csv
@@ -74,7 +75,7 @@ def _files(folder: Path) -> list[Path]:
 class Row:
     """A row of the table."""
 
-    position: Geodetic
+    position: Geodetic | None
     time_s: float | None
 
 
@@ -100,7 +101,8 @@ def _row(row: dict[str, str], where: str) -> Row:
         raise PictureError(f"{where}: lat_deg, lon_deg, alt_m are {values}; each must be a number") from None
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(height) < 1e5):
         raise PictureError(f"{where}: {latitude}, {longitude}, {height} is no WGS 84 position")
-    return Row(Geodetic(latitude, longitude, height), clock_s(row.get("datetime")))
+    position = Geodetic(latitude, longitude, height)
+    return Row(None if position.unset else position, clock_s(row.get("datetime")))
 
 
 def _opened(files: Sequence[Path]) -> tuple[list[Picture], list[Path]]:
@@ -178,7 +180,7 @@ def _with_row(picture: Picture, rows: dict[str, Row]) -> Picture:
     row = rows.get(picture.name)
     if row is None:
         return picture
-    return dataclasses.replace(picture, position=row.position, time_s=row.time_s or picture.time_s)
+    return dataclasses.replace(picture, position=row.position or picture.position, time_s=row.time_s or picture.time_s)
 
 
 def _by_time(pictures: Sequence[Picture]) -> list[Picture]:
