@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rendered_views import pose, view
@@ -38,9 +40,19 @@ def test_a_point_is_in_one_row_of_both_windows_and_its_disparity_gives_it_back(b
         disparity[v, u] = d
         chosen = np.zeros(disparity.shape, bool)
         chosen[v, u] = True
-        back = rectified.points_map(rectified.depth_m(disparity), chosen)[0]
+        back = rectified.points_map(disparity, chosen)[0]
         nearest = np.abs(points - back).max(axis=1).min()
         assert nearest < 0.1  # within half a pixel on the ground, as pixels are whole
+
+
+def test_pixels_at_infinity_that_are_not_chosen_do_no_harm() -> None:
+    """With a whole-numbered shift, the matcher's mark of an unknown disparity can be that of infinity."""
+    rectified = replace(pair(), shift_px=14.0)
+    disparity = np.full(rectified.size[::-1], -14.0, np.float32)
+    disparity[0, :3] = 0.0
+    points = rectified.points_map(disparity, disparity == 0.0)
+    assert points.shape == (3, 3)
+    assert np.isfinite(points).all()
 
 
 def test_the_reference_height_has_no_disparity_and_the_searched_heights_have_room() -> None:

@@ -68,21 +68,18 @@ class RectifiedPair:
         left = self._warped(self.left, 0.0)
         return left, self._warped(self.right, self.shift_px)
 
-    def depth_m(self, disparity_px: Floats) -> Floats:
-        """Return depths of disparities of the windows [px]."""
-        return np.float32(self.focal_px * self.baseline_m) / (disparity_px + np.float32(self.shift_px))
-
-    def points_map(self, depth_m: Floats, chosen: NDArray[np.bool_]) -> Floats:
+    def points_map(self, disparity_px: Floats, chosen: NDArray[np.bool_]) -> Floats:
         """Return (N, 3) points in the map frame [m] of some pixels of the left window, each axis contiguous.
 
         Args:
-            depth_m: (H, W) of the window.
-            chosen: (H, W) which.
+            disparity_px: (H, W) of the window.
+            chosen: (H, W) which; each lies in front of the camera.
         """
         width, height = self.size
         x = ((np.arange(width) + self.corner_px[0]) / self.focal_px).astype(np.float32)
         y = ((np.arange(height) + self.corner_px[1]) / self.focal_px).astype(np.float32)[:, None]
-        depth, (row, column) = depth_m[chosen], np.nonzero(chosen)
+        depth = np.float32(self.focal_px * self.baseline_m) / (disparity_px[chosen] + np.float32(self.shift_px))
+        row, column = np.nonzero(chosen)
         R, t = self.R_map_rect.astype(np.float32), self.left.T_map_cam.t.astype(np.float32)
         points = np.empty((3, len(depth)), np.float32)
         for axis in range(3):

@@ -78,7 +78,8 @@ def match(pair: RectifiedPair, settings: SurfaceSettings) -> PairPoints:
     good = (disparity >= pair.first) & (disparity + pair.shift_px > 0.0) & inside[0]
     smooth = [cv2.GaussianBlur(image, (0, 0), SMOOTHED_PX) for image in (left, right)]
     disparity, good = _refined(disparity, good, smooth[0], np.where(inside[1], smooth[1], 0))
-    points = pair.points_map(pair.depth_m(disparity), good)
+    good &= disparity + pair.shift_px > 0.0  # a step may lead past infinity
+    points = pair.points_map(disparity, good)
     middle = 0.5 * (pair.left.T_map_cam.t + pair.right.T_map_cam.t)
     below_m = middle[2] - float(np.median(points[::SPARSE, 2])) if len(points) else 1.0
     noise_m, pose_m = sigmas_m(pair, below_m, settings)
