@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
+from uav_vslam.geometry.rotation import rotation_from_rpy
 from uav_vslam.mapping.pictures.bundle import Scene
 from uav_vslam.mapping.pictures.lens import project
 from uav_vslam.mapping.pictures.picture import Geodetic, Picture
@@ -126,6 +127,39 @@ def test_four_positions_are_checked(flown: tuple[Array, Adjusted]) -> None:
     assert placement.checked
     assert placement.gps_m is not None
     assert np.nanmax(placement.gps_m) > 50.0
+
+
+def slope_errors(adjusted: Adjusted, positions: Array, heights_m: Array) -> tuple[Array, Placement]:
+    """Return errors of the centres' heights [m], up to a common one, with GPS at these positions; and the placement."""
+    result, placement = place(adjusted, pictures_at(positions), height_m=None, focal_known=True)
+    error = result.scene.centres[:, 2] - heights_m
+    return error - np.median(error), placement
+
+
+@pytest.mark.parametrize("slope_deg", [3.0, 15.0])
+def test_on_a_hillside_the_positions_tell_the_slope(flown: tuple[Array, Adjusted], slope_deg: float) -> None:
+    """Level ground was believed: heights wrong by metres at the edges, and above 5 degrees GPS was said to be wrong."""
+    hill = flown[0] @ rotation_from_rpy(np.deg2rad(slope_deg), 0.0, 0.5).T
+    errors, placement = slope_errors(flown[1], gps(hill, 0.5), hill[:, 2])
+    assert placement.believed
+    assert placement.wrong == ()
+    assert np.abs(errors).max() < 1.0
+
+
+def test_a_strip_tells_the_slope_along_itself_only(flown: tuple[Array, Adjusted]) -> None:
+    strip = np.where(np.arange(SIDE * SIDE)[:, None] % SIDE == 0, flown[0], np.nan)
+    along, across = (flown[0] @ rotation_from_rpy(*np.deg2rad(turn), 0.0).T for turn in ((12.0, 0.0), (0.0, 12.0)))
+    for hill, heights_m in ((along, along[:, 2]), (across, flown[0][:, 2])):
+        errors, placement = slope_errors(flown[1], gps(np.where(np.isnan(strip), np.nan, hill), 0.1), heights_m)
+        assert placement.believed
+        assert np.abs(errors).max() < 1.0
+
+
+def test_altitudes_that_drift_by_most_of_the_height_are_no_slope(flown: tuple[Array, Adjusted]) -> None:
+    drifting = gps(flown[0]) + np.outer(np.arange(SIDE * SIDE), [0.0, 0.0, 2.0])
+    errors, placement = slope_errors(flown[1], drifting, flown[0][:, 2])
+    assert not placement.believed
+    assert np.abs(errors).max() < 0.5
 
 
 def test_positions_on_both_sides_of_the_antimeridian_are_neighbours(flown: tuple[Array, Adjusted]) -> None:

@@ -3,8 +3,8 @@
 
 Pictures alone leave a similarity open. The plane through the ground's points is made level. If GPS is there, scale, yaw
 and position follow from the similarity in the plane that brings half of the positions nearest, whatever the others are
-(least median of squares [rousseeuw84], then re-weighted). How far the positions then lie from the pictures' tells
-whether they can be believed; if so, they enter a last adjustment.
+(least median of squares [rousseeuw84], then re-weighted), and the ground's slope from their heights. How far the
+positions then lie from the pictures' tells whether they can be believed; if so, they enter a last adjustment.
 """
 
 from collections.abc import Sequence
@@ -29,6 +29,9 @@ WRONG_M, WRONG_SIGMAS = 10.0, 4.0  # a single position farther off, and beyond s
 LEAST_SIGMA_M = 0.1
 VERTICAL_FACTOR = 1.5  # altitudes by GPS are worse than positions
 LEVEL_SIGMA_RAD = 0.01  # positions that tell the level worse than this leave it to the ground
+GROUND_SLOPE = 0.05  # standard deviation of the ground's slope on average, against which positions weigh
+STEEPEST = 0.3  # slope that positions can make; if more, rather they drift
+LEVELLINGS = 4  # each leaves the square of the slope
 TRIALS = 3000
 SEED = 3
 REWEIGHTINGS = 30
@@ -137,11 +140,11 @@ def place(
         size = HEIGHT_WITHOUT_SCALE if height_m is None else height_m
         adjusted = replace(adjusted, scene=transformed(adjusted.scene, size, np.eye(3), np.zeros(3)))
         return adjusted, Placement("none" if height_m is None else "height", None, None, False, ())
-    adjusted = _by_gps(adjusted, positions, used, height_m)
+    level = _by_gps(adjusted, positions, used, height_m)
+    adjusted = _by_gps(_sloping(adjusted, positions, used), positions, used, height_m)
+    believed = len(used) >= FEWEST_CHECKED and _off_m(adjusted, positions, used) <= BELIEVED_M
+    adjusted = adjusted if believed else level
     distance = _distances(adjusted, positions, used)
-    rise = np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])
-    off = max(float(np.median(distance[used])), float(np.median(rise)) / VERTICAL_FACTOR)
-    believed = len(used) >= FEWEST_CHECKED and off <= BELIEVED_M
     wrong: tuple[int, ...] = ()
     if believed and height_m is None:
         adjusted = _with_gps(adjusted, pictures, positions, distance[used], focal_known=focal_known)
@@ -214,6 +217,55 @@ def _by_gps(adjusted: Adjusted, positions: Array, used: NDArray[np.intp], height
     return replace(adjusted, scene=transformed(adjusted.scene, scale, R, t))
 
 
+def _sloping(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> Adjusted:
+    """Return the levelled scene turned so that the pictures rise as the positions do; level where these do not tell.
+
+    The last adjustment could not do it: beside thousands of points, positions hardly resist a turn.
+    """
+    turned = adjusted
+    for _ in range(LEVELLINGS):
+        placed = _by_gps(turned, positions, used, None)
+        sigma = _gps_sigma(_distances(placed, positions, used)[used])
+        rise = _rise(placed.scene.centres[used], positions[used], sigma, _ground_slope(placed))
+        up = np.array([-rise[0], -rise[1], 1.0])
+        R = _rotation_to_up(up / np.linalg.norm(up)).T
+        turned = replace(placed, scene=transformed(placed.scene, 1.0, R, np.zeros(3)))
+    if np.linalg.norm(_ground_slope(turned)) > STEEPEST:
+        return adjusted
+    height = float(np.median(turned.scene.centres[adjusted.used, 2]) - np.median(turned.scene.points[:, 2]))
+    return replace(turned, scene=transformed(turned.scene, 1.0 / height, np.eye(3), np.zeros(3)))
+
+
+def _ground_slope(adjusted: Adjusted) -> Array:
+    """Return the (2,) gradient of the ground on average."""
+    normal, _ = ground_plane(adjusted.scene.points)
+    return np.asarray(-normal[:2] / normal[2])
+
+
+def _rise(centres: Array, positions: Array, sigma_m: float, ground_slope: Array) -> Array:
+    """Return the (2,) gradient to add to the centres' heights: to meet the positions', and for level ground."""
+    plane, rise = centres[:, :2] - centres[:, :2].mean(axis=0), positions[:, 2] - centres[:, 2]
+    resistance = VERTICAL_FACTOR * sigma_m / GROUND_SLOPE  # of level ground, beside positions of weight one
+    weight = np.ones(len(rise))
+    for _ in range(REWEIGHTINGS):
+        A = np.vstack([weight[:, None] * np.column_stack([np.ones(len(rise)), plane]), resistance * np.eye(3)[1:]])
+        x = np.linalg.lstsq(A, np.append(weight * rise, -resistance * ground_slope), rcond=None)[0]
+        error = np.abs(rise - x[0] - plane @ x[1:])
+        weight = 1.0 / np.sqrt(1.0 + (error / max(2.0 * float(np.median(error)), 1e-9)) ** 2)
+    return np.asarray(x[1:])
+
+
+def _off_m(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> float:
+    """Return how far the positions typically are from the pictures' [m], an error of height counting less."""
+    rise = np.abs(adjusted.scene.centres[used, 2] - positions[used, 2])
+    return max(float(np.median(_distances(adjusted, positions, used)[used])), float(np.median(rise)) / VERTICAL_FACTOR)
+
+
+def _gps_sigma(distances: Array) -> float:
+    """Return the standard deviation of GPS along an axis that its distances show [m]."""
+    return max(LEAST_SIGMA_M, float(np.median(distances)) / 1.1774)  # of a Rayleigh distribution
+
+
 def _distances(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> Array:
     """Return (N,) distances in the plane, NaN for pictures not used."""
     distance = np.full(len(positions), np.nan)
@@ -225,7 +277,7 @@ def _with_gps(
     adjusted: Adjusted, pictures: Sequence[Picture], positions: Array, distance: Array, *, focal_known: bool
 ) -> Adjusted:
     """Adjust again with GPS, whose standard deviation is what its distances show."""
-    sigma = max(LEAST_SIGMA_M, float(np.median(distance)) / 1.1774)  # of a Rayleigh distribution
+    sigma = _gps_sigma(distance)
     level_known = _level_sigma(positions, sigma) <= LEVEL_SIGMA_RAD
     vertical = VERTICAL_FACTOR * sigma if level_known else 1e6
     lenses, lens_sigmas = lens_priors(pictures, known=focal_known)
