@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from flown_scene import Scene, waves
+from flown_scene import Scene, patches, waves
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
@@ -89,6 +89,28 @@ def test_pixels_come_from_the_view_from_straight_above() -> None:
     assert np.mean(picture.labels[row] == nearest) > 0.95
     changes = np.count_nonzero(np.diff(picture.labels[row][picture.seen[row]]))
     assert changes == 2  # three pieces, not shattered
+
+
+def test_a_view_from_higher_up_counts_less_where_the_mosaic_shows_more_than_it() -> None:
+    low, high = PLAIN.view((0.0, 0.0, 30.0)), PLAIN.view((5.0, 0.0, 90.0))
+    for fine, first in ((M_PER_PX, 0), (M_PER_PX, 1)):
+        mosaic = Orthomosaic(PLAIN, fine)
+        for view in (low, high)[:: 1 - 2 * first]:
+            mosaic.add(view)
+        picture = mosaic.picture()
+        x, y = np.meshgrid(picture.raster.x, picture.raster.y)
+        below = (np.abs(x) < 9.0) & (np.abs(y) < 6.0)  # the higher one is as straight above, on the right
+        assert (picture.labels[below] == first).all()
+
+
+def test_a_blurred_view_gives_way_to_sharp_ones() -> None:
+    scene = Scene(colour=patches(0.3))
+    views = [scene.view((x, 0.0, 30.0)) for x in (0.0, 4.0, 8.0, 12.0, 16.0)]
+    views[2] = replace(views[2], image=cv2.GaussianBlur(views[2].image, (0, 0), 2.5))
+    picture = blended_mosaic(lambda: views, scene, M_PER_PX).picture()
+    assert not (picture.labels == 2).any()
+    picture = blended_mosaic(lambda: views[2:3], scene, M_PER_PX).picture()
+    assert picture.seen.any()  # better than none
 
 
 def test_a_frame_touches_as_many_tiles_over_a_large_map_as_over_a_small_one(tmp_path: Path) -> None:

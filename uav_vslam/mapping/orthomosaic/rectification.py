@@ -63,6 +63,7 @@ def rectify(
     if not score.any():
         return None
     ground_m_per_px = float(np.median(depth[score > 0])) / view.camera.fx
+    score *= np.float32(min(1.0, m_per_px / ground_m_per_px))  # from higher up, or smaller: coarser than the mosaic
     del depth, tangent2, heights  # each is as large as a channel of the image
     image = _drawn(view.image, u, v, ground_m_per_px * OVERSAMPLING / m_per_px)
     radius2 = ((u - view.camera.cx) / view.camera.fx) ** 2 + ((v - view.camera.cy) / view.camera.fy) ** 2
