@@ -12,7 +12,7 @@ from uav_vslam.geometry.rotation import rotation_from_rpy
 from uav_vslam.mapping.pictures.bundle import Scene
 from uav_vslam.mapping.pictures.lens import project
 from uav_vslam.mapping.pictures.picture import Geodetic, Picture
-from uav_vslam.mapping.pictures.placement import Placement, local_positions, place
+from uav_vslam.mapping.pictures.placement import HEIGHT_WITHOUT_SCALE, Placement, local_positions, place
 from uav_vslam.mapping.pictures.procedure import Adjusted
 from uav_vslam.mapping.pictures.tracks import Tracks
 
@@ -127,6 +127,17 @@ def test_four_positions_are_checked(flown: tuple[Array, Adjusted]) -> None:
     assert placement.checked
     assert placement.gps_m is not None
     assert np.nanmax(placement.gps_m) > 50.0
+
+
+@pytest.mark.parametrize("height_m", [None, 45.0])
+def test_positions_in_a_wrong_order_give_no_scale(flown: tuple[Array, Adjusted], height_m: float | None) -> None:
+    """The best fit of such positions shrinks the flight to a point: 2 instead of 50 m above the ground."""
+    mixed = flown[0][np.random.default_rng(3).permutation(SIDE * SIDE)]
+    height, placement = placed(flown[1], mixed, height_m)
+    assert placement.unrelated
+    assert placement.datum is None
+    assert placement.scale == ("none" if height_m is None else "height")
+    assert height == pytest.approx(height_m or HEIGHT_WITHOUT_SCALE, rel=0.02)
 
 
 def slope_errors(adjusted: Adjusted, positions: Array, heights_m: Array) -> tuple[Array, Placement]:

@@ -143,6 +143,12 @@ def test_pictures_of_different_places_are_an_error(hilly: Matched) -> None:
         reconstruct(hilly[0], hilly[1], [])
 
 
+def test_positions_of_other_pictures_are_told() -> None:
+    first, second = _about_gps([], Placement("none", None, None, False, (), unrelated=True))
+    assert "as if its positions were those of others" in first
+    assert second.startswith("no GPS positions that agree, so the scale is arbitrary")
+
+
 def test_positions_that_nothing_checks_are_told() -> None:
     off = np.array([5.0, 9.2, 4.2, np.nan])
     (text,) = _about_gps([], Placement("gps", Datum(47.0, 8.0, 400.0), off, False, ()))

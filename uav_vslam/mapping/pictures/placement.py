@@ -26,6 +26,7 @@ FEWEST_POSITIONS = 3
 FEWEST_CHECKED = 4  # positions that a similarity can contradict: it meets two of three, so that half of these agree
 BELIEVED_M = 6.0  # median distance up to which positions agree with the pictures: a plain receiver's worst
 WRONG_M, WRONG_SIGMAS = 10.0, 4.0  # a single position farther off, and beyond so many sigmas, is reported
+LEAST_SPREAD = 0.5  # of the fitted pictures to that of the positions; if less, they agree by chance only
 LEAST_SIGMA_M = 0.1
 VERTICAL_FACTOR = 1.5  # altitudes by GPS are worse than positions
 LEVEL_SIGMA_RAD = 0.01  # positions that tell the level worse than this leave it to the ground
@@ -47,6 +48,7 @@ class Placement:
         gps_m: (N,) distances in the plane between the pictures' and the GPS positions [m]; NaN without. None: no GPS.
         believed: GPS agrees with the pictures and took part in the adjustment; three positions are too few to tell.
         wrong: numbers of pictures whose single position is wrong.
+        unrelated: there is GPS, but it is not used: its positions could as well be those of other pictures.
     """
 
     scale: str
@@ -54,6 +56,7 @@ class Placement:
     gps_m: Array | None
     believed: bool
     wrong: tuple[int, ...]
+    unrelated: bool = False
 
     @property
     def checked(self) -> bool:
@@ -132,18 +135,19 @@ def place(
         height_m: the flight's median height above the ground, given by the user; it takes precedence over GPS's scale.
         focal_known: focal lengths are given by the user.
     """
-    adjusted = levelled(adjusted)
+    flat = levelled(adjusted)
     recorded, datum = local_positions(pictures)
     positions = _without_repeats(recorded)
-    used = adjusted.used[np.isfinite(positions[adjusted.used]).all(axis=1)]
+    used = flat.used[np.isfinite(positions[flat.used]).all(axis=1)]
     if datum is None or len(used) < FEWEST_POSITIONS:
-        size = HEIGHT_WITHOUT_SCALE if height_m is None else height_m
-        adjusted = replace(adjusted, scene=transformed(adjusted.scene, size, np.eye(3), np.zeros(3)))
-        return adjusted, Placement("none" if height_m is None else "height", None, None, False, ())
-    level = _by_gps(adjusted, positions, used, height_m)
-    adjusted = _by_gps(_sloping(adjusted, positions, used), positions, used, height_m)
-    believed = len(used) >= FEWEST_CHECKED and _off_m(adjusted, positions, used) <= BELIEVED_M
-    adjusted = adjusted if believed else level
+        return _without_gps(flat, height_m, unrelated=False)
+    adjusted = _by_gps(_sloping(flat, positions, used), positions, used, height_m)
+    checked = len(used) >= FEWEST_CHECKED
+    believed = checked and _off_m(adjusted, positions, used) <= BELIEVED_M
+    if checked and not believed and _shrunken(flat, positions[used], used):
+        return _without_gps(flat, height_m, unrelated=True)
+    if not believed:
+        adjusted = _by_gps(flat, positions, used, height_m)
     distance = _distances(adjusted, positions, used)
     wrong: tuple[int, ...] = ()
     if believed and height_m is None:
@@ -155,6 +159,21 @@ def place(
     adjusted = replace(adjusted, scene=transformed(adjusted.scene, 1.0, np.eye(3), np.array([0.0, 0.0, -ground])))
     datum = replace(datum, altitude_m=datum.altitude_m + ground)
     return adjusted, Placement("gps" if height_m is None else "height", datum, distance, believed, wrong)
+
+
+def _without_gps(adjusted: Adjusted, height_m: float | None, *, unrelated: bool) -> tuple[Adjusted, Placement]:
+    """Return the levelled scene in a size that is given, or arbitrary."""
+    size = HEIGHT_WITHOUT_SCALE if height_m is None else height_m
+    adjusted = replace(adjusted, scene=transformed(adjusted.scene, size, np.eye(3), np.zeros(3)))
+    return adjusted, Placement("none" if height_m is None else "height", None, None, False, (), unrelated)
+
+
+def _shrunken(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> bool:
+    """Return whether the best fit makes the flight much smaller than the positions are spread, as chance does."""
+    centres = adjusted.scene.centres[used, :2]
+    turn, _ = plane_similarity(centres, positions[:, :2])
+    spread, wanted = (np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1)) for p in (centres, positions[:, :2]))
+    return bool(abs(turn) * spread < LEAST_SPREAD * wanted)
 
 
 def _without_repeats(positions: Array) -> Array:

@@ -114,9 +114,15 @@ def _about_focal(pictures: Sequence[Picture], adjusted: Adjusted) -> Iterator[st
 
 
 def _about_gps(pictures: Sequence[Picture], placement: Placement) -> Iterator[str]:
-    if placement.scale == "none":
+    if placement.unrelated:
         yield (
-            "no GPS positions, so the scale is arbitrary: one unit of the map is a hundredth of the flight's height; "
+            "GPS contradicts the pictures as if its positions were those of others, and is not used; "
+            "are they in the right order?"
+        )
+    if placement.scale == "none":
+        missing = "no GPS positions that agree" if placement.unrelated else "no GPS positions"
+        yield (
+            f"{missing}, so the scale is arbitrary: one unit of the map is a hundredth of the flight's height; "
             "--height gives metres"
         )
     if placement.gps_m is None:
