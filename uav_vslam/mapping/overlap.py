@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.mapping.image_border import image_border
 from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.view import View
@@ -94,7 +95,7 @@ def footprint(camera: PinholeCamera, T_map_cam: Pose, height: NDArray[np.floatin
         height: (rows, columns) surface over the window [m], without gaps; beyond its edge it goes on level.
         raster: the window.
     """
-    rays = camera.bearings(_border(camera)) @ T_map_cam.R.T
+    rays = camera.bearings(image_border(camera, EDGE_POINTS)) @ T_map_cam.R.T
     fall = np.maximum(-rays[:, 2], FLATTEST_RAY)
     ground = np.full(len(rays), float(np.median(height)))
     for _ in range(HEIGHT_STEPS + 1):
@@ -102,12 +103,3 @@ def footprint(camera: PinholeCamera, T_map_cam: Pose, height: NDArray[np.floatin
         row, column = (np.rint(index).astype(int) for index in raster.index(points))
         ground = height[row.clip(0, raster.rows - 1), column.clip(0, raster.columns - 1)]
     return np.asarray(points)
-
-
-def _border(camera: PinholeCamera) -> Array:
-    """Return (N, 2) pixels around the image, in order."""
-    share = np.linspace(0.0, 1.0, EDGE_POINTS, endpoint=False)
-    zero, one = np.zeros(EDGE_POINTS), np.ones(EDGE_POINTS)
-    u = np.concatenate([share, one, 1.0 - share, zero])
-    v = np.concatenate([zero, share, one, 1.0 - share])
-    return np.stack([u * (camera.width - 1.0), v * (camera.height - 1.0)], axis=-1)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.mapping.image_border import image_border
 from uav_vslam.mapping.orthomosaic.heights import Heights
 from uav_vslam.mapping.raster import Raster
 
@@ -22,7 +23,7 @@ def outline(camera: PinholeCamera, T_map_cam: Pose, height_m: float) -> Array:
 
     Rays flatter than `LARGEST_TANGENT` end there, so that an oblique view has a bounded footprint.
     """
-    rays_map = camera.bearings(_border(camera)) @ T_map_cam.R.T
+    rays_map = camera.bearings(image_border(camera, BORDER_RAYS)) @ T_map_cam.R.T
     tangents = rays_map[:, :2] / np.maximum(-rays_map[:, 2:], 1e-6)
     lengths = np.linalg.norm(tangents, axis=1, keepdims=True)
     tangents *= np.minimum(1.0, LARGEST_TANGENT / np.maximum(lengths, 1e-12))
@@ -58,13 +59,3 @@ def _known(heights: NDArray[np.float32]) -> NDArray[np.float32]:
 def _finer(raster: Raster, cell_m: float) -> Raster:
     west, south, east, north = raster.bounds_m
     return Raster.covering([[west, south], [east - 1e-6, north - 1e-6]], cell_m)
-
-
-def _border(camera: PinholeCamera) -> Array:
-    """Return (N, 2) pixels around the edge of the image, in order."""
-    s = np.arange(BORDER_RAYS) / BORDER_RAYS
-    w, h = camera.width - 0.5, camera.height - 0.5
-    top = np.stack([-0.5 + s * (w + 0.5), np.full_like(s, -0.5)], axis=1)
-    right = np.stack([np.full_like(s, w), -0.5 + s * (h + 0.5)], axis=1)
-    corners = np.array([w - 0.5, h - 0.5])
-    return np.concatenate([top, right, corners - top, corners - right])
