@@ -29,6 +29,15 @@ def test_the_cost_of_each_node_is_a_ratio_to_a_bare_one_in_the_same_run(capsys: 
     assert rows["at rest", "ins_propagator"][1:] == ["–"] * 4
 
 
+@pytest.mark.ros
+def test_the_latencies_of_the_nodes_have_their_unit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("uav_vslam.ros.node_cost.node_costs", lambda seconds: iter(()))
+    assert main(["bench", "--nodes", "2"]) == 0
+    assert capsys.readouterr().out.count("[ms]") == 2
+
+
 @pytest.mark.slow
 def test_the_quick_bench_measures_every_stage_and_writes_the_study(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

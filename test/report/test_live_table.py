@@ -49,6 +49,10 @@ def test_each_figure_is_in_its_row(width: int) -> None:
         assert radio[3:] == ["(6.00", "with", "headers)", "uav2", "1.30", "9", "6", "2", "11", "1.5"]
 
 
+def test_what_is_sent_has_a_unit_as_what_is_received_has() -> None:
+    assert shown(flying(), 80).count("[kB/s]") == 2
+
+
 def test_nodes_that_are_well_are_counted_and_drops_named() -> None:
     text = shown(flying())
     assert "all 2 nodes heard are well" in text

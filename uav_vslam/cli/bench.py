@@ -57,13 +57,14 @@ def _print_nodes(seconds: int) -> None:
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
+    from rich.text import Text
 
     from uav_vslam.ros.node_cost import IMU_RATES_HZ, NODES, node_costs
 
     table = Table("IMU [Hz]")
     table.add_column("Node", no_wrap=True)
     for heading in ("Cores", "Ratio", "Odometry [Hz]", "p50 [ms]", "p99 [ms]"):
-        table.add_column(heading, justify="right")
+        table.add_column(Text(heading), justify="right")  # in a str, [ms] would be markup
     with Progress(transient=True) as progress:
         costs = node_costs(seconds)
         for one in progress.track(costs, total=len(IMU_RATES_HZ) * len(NODES), description="measuring"):

@@ -49,9 +49,9 @@ def new_table(labels: Iterable[str], titles: Iterable[str]) -> Table:
     """Return a table without rows: columns of labels, which are folded where they are too long, and of figures."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1), collapse_padding=True)
     for label in labels:
-        table.add_column(label, overflow="fold")
+        table.add_column(Text(label), overflow="fold")  # in a str, [m] would be markup
     for title in titles:
-        table.add_column(Text(title, justify="right"), justify="right", no_wrap=True)  # in a str, [m] would be markup
+        table.add_column(Text(title, justify="right"), justify="right", no_wrap=True)
     return table
 
 
