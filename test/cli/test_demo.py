@@ -16,3 +16,13 @@ def test_the_demo_flies_both_vehicles_and_reports_on_them(tmp_path: Path, capsys
     assert {name: figures["frames_processed"] for name, figures in vehicles.items()} == {"uav1": 64, "uav2": 64}
     assert all(figures["c_slam"]["ate_m"] < figures["ins"]["ate_m"] for figures in vehicles.values())
     assert "start yaw" in capsys.readouterr().out
+
+
+@pytest.mark.ros
+def test_a_demo_that_is_interrupted_has_not_failed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for code, told in ((130, False), (1, True)):
+        monkeypatch.setattr("uav_vslam.cli.launch.launch", lambda *_, code=code, **__: code)
+        assert main(["demo"]) == code
+        assert ("the node graph failed" in capsys.readouterr().err) == told

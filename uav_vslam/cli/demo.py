@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import signal
 import sys
 import tempfile
 import time
@@ -58,6 +59,8 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
     with claimed_domain() as domain_id:
         print(f"starting {', '.join(fleet.vehicles)} and their replay on ROS domain {domain_id}", flush=True)
         code = launch(fleet, record=estimates, log_dir=folder / "log", domain_id=domain_id, on_line=on_line)
+    if code == 128 + signal.SIGINT:  # the user's wish, no failure
+        return code
     if code != 0:
         hint = "; see --verbose" if args.keep is None else f"; each process's output is in {folder / 'log'}"
         print(f"uav-vslam: the node graph failed (exit code {code}){hint}", file=sys.stderr)
