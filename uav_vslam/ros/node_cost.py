@@ -28,6 +28,7 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg
 from uav_vslam.ros.domain import claimed_domain
+from uav_vslam.ros.log_folder import log_folder
 from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, SENSOR, STATE
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
@@ -177,7 +178,8 @@ class _Source:
 @contextmanager
 def _source(domain_id: int) -> Iterator[_Source]:
     context = Context()
-    context.init(args=[], domain_id=domain_id)
+    with log_folder():
+        context.init(args=[], domain_id=domain_id)
     node, executor = Node("sensors", context=context, namespace="/uav1"), SingleThreadedExecutor(context=context)
     executor.add_node(node)
     try:

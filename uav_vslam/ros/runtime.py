@@ -32,6 +32,7 @@ from uav_vslam.ros.executor import LeanExecutor
 from uav_vslam.ros.health import DROPPED, RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
+from uav_vslam.ros.log_folder import log_folder
 from uav_vslam.ros.params import VehicleParameters, declare, read
 from uav_vslam.ros.qos import LATCHED_BY_MANY
 from uav_vslam.ros.readiness import DiscoveryReport
@@ -335,12 +336,13 @@ def _initialise(args: list[str] | None) -> None:
     """Initialise ROS.
 
     Raises:
-        ConfigError: an argument or a parameter file can't be parsed.
+        ConfigError: an argument or a parameter file can't be parsed, or the logs can't be kept.
     """
     rcl = rclpy.logging.get_logger("rcl")
     rcl.set_level(LoggingSeverity.FATAL)  # it would say on a line of its own that it can't
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        with log_folder():
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         text = re.sub(r"(, at \S+\.c\w*:\d+|\s)+", lambda found: " " if found[0].isspace() else "", str(error))
         raise ConfigError(f"{text.strip()}; correct the command line or the file that it names") from None

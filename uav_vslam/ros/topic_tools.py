@@ -14,6 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.ros.domain import check_domain
+from uav_vslam.ros.log_folder import log_folder
 
 LONGEST = 8  # elements of an array that are printed
 SPIN_S = 0.1
@@ -42,11 +43,12 @@ def observer(domain_id: int | None, name: str = "uav_vslam_topic") -> Iterator[O
     """Join a ROS domain as an observer of that node name.
 
     Raises:
-        ConfigError: no ROS domain has that number.
+        ConfigError: no ROS domain has that number, or ROS can't keep its logs.
     """
     check_domain(domain_id)
     context = rclpy.Context()
-    context.init(domain_id=domain_id)
+    with log_folder():
+        context.init(domain_id=domain_id)
     node = Observer(context, name)
     try:
         yield node
