@@ -10,7 +10,7 @@ from rich.console import Console
 
 from uav_vslam.evaluation.comparison import Run, compare, pair_run
 from uav_vslam.report.comparison_plot import comparison_plot, write_comparison_plot
-from uav_vslam.report.comparison_table import print_comparison
+from uav_vslam.report.comparison_table import NOTES, print_comparison
 
 
 @pytest.fixture
@@ -31,6 +31,22 @@ def printed(runs, **settings):
     stream = io.StringIO()
     print_comparison(compare(runs, name="test", git=None, **settings), Console(file=stream))
     return stream.getvalue()
+
+
+@pytest.mark.parametrize("width", [40, 80])
+def test_a_narrow_terminal_shows_each_figure_in_full_and_beside_its_run(runs, width):
+    tree, stream, narrow = compare(runs, name="test", git=None), io.StringIO(), io.StringIO()
+    print_comparison(tree, Console(file=stream))
+    print_comparison(tree, Console(file=narrow, force_terminal=True, color_system=None, width=width))
+    tables = narrow.getvalue().split(NOTES)[0]
+    assert "…" not in tables
+    assert max(map(len, tables.splitlines())) <= width
+    for name in ("uav1 S-SLAM", "uav2 C-SLAM"):
+        wide, parts = (
+            [cell for line in text.splitlines() if line.startswith(f"   {name} ") for cell in line.split()[2:]]
+            for text in (stream.getvalue(), tables)
+        )
+        assert [cell for cell in parts if cell != "%"] == [cell for cell in wide if cell != "%"]
 
 
 def test_each_run_has_its_row_below_the_name_of_its_folder(runs):

@@ -15,6 +15,7 @@ from uav_vslam.report.layout import (
     ate_title,
     figure_text,
     new_table,
+    print_table,
     wide,
 )
 
@@ -28,9 +29,9 @@ mean error of the motion over segments, per distance."""
 def print_comparison(tree: Figures, console: Console | None = None) -> None:
     """Print the tables of a `comparison.compare` result, and what their columns mean."""
     console = wide(console)
-    console.print(error_table(tree))
-    console.print(relative_table(tree))
-    console.print(drift_table(tree))
+    print_table(error_table(tree), console)
+    print_table(relative_table(tree), console)
+    print_table(drift_table(tree), console)
     console.print(NOTES, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -55,7 +56,7 @@ def relative_table(tree: Figures) -> Table:
 
 def drift_table(tree: Figures) -> Table:
     """Return two rows per run, for translation and rotation, with a column per length of the segments."""
-    table = new_table(["Run"], ("Drift", "mean", *(f"{length_m:g} m" for length_m in tree["segments_m"])))
+    table = new_table(["Run", "Drift"], ("mean", *(f"{length_m:g} m" for length_m in tree["segments_m"])))
     for run, label in _labelled(tree, table):
         drifts = [run["rpe"], *run["rpe_by_segment"]]
         moved = [figure_text(drift["translation_percent"]) for drift in drifts]

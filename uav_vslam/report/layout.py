@@ -6,12 +6,15 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.measure import Measurement
+from rich.table import Column, Table
 from rich.text import Text
 
 from uav_vslam.evaluation.scores import DIRECTIONS, RELATIVE_LENGTHS_M, relative_key
 
 WIDTH = 120  # where the output is no terminal
+LABEL_WIDTH = 20  # labels are folded to that much before figures go into another table
+BOUNDLESS = 10_000
 ABSENT = "–"
 ALIGNMENT_TITLES = {
     "none": "unaligned",
@@ -53,6 +56,34 @@ def new_table(labels: Iterable[str], titles: Iterable[str]) -> Table:
     for title in titles:
         table.add_column(Text(title, justify="right"), justify="right", no_wrap=True)
     return table
+
+
+def print_table(table: Table, console: Console) -> None:
+    """Print a table of `new_table`, in parts with the same labels, one below another, where it is too wide."""
+    labels = [column for column in table.columns if not column.no_wrap]
+    figures = [column for column in table.columns if column.no_wrap]
+    while figures:
+        count = len(figures)
+        while count > 1 and _width(_part(table, [*labels, *figures[:count]], LABEL_WIDTH), console) > console.width:
+            count -= 1
+        console.print(_part(table, [*labels, *figures[:count]]))
+        figures = figures[count:]
+
+
+def _part(table: Table, columns: list[Column], label_width: int | None = None) -> Table:
+    """Return the table with these of its columns only; labels have a width of at most `label_width`."""
+    part = new_table((), ())
+    for one in columns:
+        width = None if one.no_wrap else label_width
+        part.add_column(one.header, justify=one.justify, overflow=one.overflow, no_wrap=one.no_wrap, max_width=width)
+    for row, *cells in zip(table.rows, *(one.cells for one in columns), strict=True):
+        part.add_row(*cells, end_section=row.end_section)
+    return part
+
+
+def _width(table: Table, console: Console) -> int:
+    """Return how wide a table is where nothing limits it."""
+    return Measurement.get(console, console.options.update(max_width=BOUNDLESS), table).maximum
 
 
 def figure_text(value: Any) -> str:

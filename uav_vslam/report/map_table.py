@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.console import Console
 
-from uav_vslam.report.layout import figure_text, new_table, wide
+from uav_vslam.report.layout import figure_text, new_table, print_table, wide
 
 
 def print_map(tree: Mapping[str, Any], times_ms: Mapping[str, float], console: Console | None = None) -> None:
@@ -28,7 +28,7 @@ def print_map(tree: Mapping[str, Any], times_ms: Mapping[str, float], console: C
     figures = (tree["cell_m"], tree["gsd_m"], 100.0 * surface["coverage"], 100.0 * surface["filled"])
     texts = map(figure_text, (*figures, surface.get("median_sigma_m"), low_m, high_m))
     table.add_row(", ".join(tree["vehicles"]), str(views), *texts)
-    console.print(table)
+    print_table(table, console)
     refused = ", ".join(f"{reason} {count}" for reason, count in surface["refused_pairs"].items()) or "none"
     console.print(f"pairs of views: {surface['pairs']}; refused: {refused}", markup=False, highlight=False)
     stages = ", ".join(f"{stage} {ms:.1f}" for stage, ms in times_ms.items())

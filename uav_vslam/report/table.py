@@ -6,7 +6,7 @@ from rich.table import Table
 
 from uav_vslam.evaluation.scores import ATE_KEYS
 from uav_vslam.evaluation.summary import TRACKS, Figures
-from uav_vslam.report.layout import NEES_TITLES, RELATIVE_TITLES, ate_title, figure_text, new_table, wide
+from uav_vslam.report.layout import NEES_TITLES, RELATIVE_TITLES, ate_title, figure_text, new_table, print_table, wide
 from uav_vslam.report.quality_lines import quality_lines
 
 NAMES = {"ins": "INS", "s_slam": "S-SLAM", "c_slam": "C-SLAM", "smoothed": "smoothed"}
@@ -21,9 +21,9 @@ def print_summary(summary: Figures, console: Console | None = None) -> None:
     """Print the tables of a `build_summary` result, and lines about each vehicle's radio link and quality."""
     console = wide(console)
     console.print(_title(summary), style="bold", markup=False, highlight=False, soft_wrap=True)
-    console.print(summary_table(summary))
+    print_table(summary_table(summary), console)
     if is_scored(summary):
-        console.print(relative_table(summary))
+        print_table(relative_table(summary), console)
     for name, vehicle in summary["vehicles"].items():
         for line in (link_line(name, vehicle), *(f"  {line}" for line in quality_lines(vehicle))):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
