@@ -167,7 +167,16 @@ def test_equal_names_of_folders_are_told_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "message"), [("summary.json", "{", "is no JSON"), ("config.yaml", "a: [", "is no")]
+    ("name", "text", "message"),
+    [
+        ("summary.json", "{", "is no JSON"),
+        ("summary.json", "[1, 2]", "holds no figures"),
+        ("summary.json", "{}", "lists no vehicles"),  # of another program
+        ("summary.json", '{"vehicles": {"uav1": 3}}', "lists no vehicles"),
+        ("config.yaml", "a: [", "is no"),
+        ("config.yaml", "3", "is no"),
+        ("uav1_frames.csv", "", "is empty"),  # the disk was full
+    ],
 )
 def test_a_damaged_file_is_named(tmp_path: Path, name: str, text: str, message: str) -> None:
     folder = write_bare(tmp_path)

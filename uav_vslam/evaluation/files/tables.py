@@ -16,12 +16,12 @@ def read_columns(path: Path) -> dict[str, list[str]]:
     """Return the cells of each column by its title, all of equal length.
 
     Raises:
-        TrajectoryFileError: a row has another number of cells than the title.
+        TrajectoryFileError: the file is empty, or a row has another number of cells than the title.
     """
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
     if not rows:
-        return {}
+        raise TrajectoryFileError(f"{path} is empty; was the run interrupted?")
     for number, row in enumerate(rows, 1):
         if len(row) != len(rows[0]):
             raise TrajectoryFileError(

@@ -70,10 +70,13 @@ def read_flight(folder: Path, label: str) -> FlightFiles:
         UavVslamError: the folder holds no flight, or a file is damaged.
     """
     summary = read_json(folder / "summary.json")
+    vehicles_of = summary.get("vehicles")
+    if not isinstance(vehicles_of, dict) or not all(isinstance(figures, dict) for figures in vehicles_of.values()):
+        raise UavVslamError(f"{folder / 'summary.json'} lists no vehicles; name a folder that run or demo wrote")
     tracks = read_results(folder)
     vehicles = {
         name: VehicleFiles(name, figures, tracks.get(name, {}), _tables(folder, name), folder)
-        for name, figures in summary["vehicles"].items()
+        for name, figures in vehicles_of.items()
     }
     firsts = [
         int(track.stamps_ns[0])
@@ -88,7 +91,7 @@ def read_json(path: Path) -> Figures:
     """Read a tree.
 
     Raises:
-        UavVslamError: the file is missing or is no JSON.
+        UavVslamError: the file is missing, is no JSON, or holds no tree.
     """
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
@@ -96,13 +99,15 @@ def read_json(path: Path) -> Figures:
         raise UavVslamError(f"{path} can't be read: {error.strerror}; name a folder of results") from None
     except ValueError as error:
         raise UavVslamError(f"{path} is no JSON: {error}; was the run interrupted?") from None
-    return dict(tree)
+    if not isinstance(tree, dict):
+        raise UavVslamError(f"{path} holds no figures by name; name a folder of results")
+    return tree
 
 
 def _config(path: Path) -> Figures:
     try:
         return dict(yaml.safe_load(path.read_text(encoding="utf-8")) or {}) if path.exists() else {}
-    except (yaml.YAMLError, ValueError) as error:
+    except (yaml.YAMLError, ValueError, TypeError) as error:
         raise UavVslamError(f"{path} is no configuration: {error}; restore or remove it") from None
 
 
