@@ -11,7 +11,7 @@ import pytest
 
 from uav_vslam.errors import ConfigError
 from uav_vslam.ros import domain
-from uav_vslam.ros.domain import MAX_DOMAIN_ID, claimed_domain
+from uav_vslam.ros.domain import MAX_DOMAIN_ID, check_domain, claimed_domain
 from waiting import wait_for
 
 HOLDER = """
@@ -62,3 +62,17 @@ def test_if_all_domains_are_in_use_the_error_names_the_remedy(monkeypatch: pytes
     monkeypatch.setattr(domain, "MAX_DOMAIN_ID", 2)
     with ExitStack() as claims, pytest.raises(ConfigError, match="give one with --domain"):
         list(map(claims.enter_context, (claimed_domain() for _ in range(3))))
+
+
+@pytest.mark.parametrize("text", ["abc", "300", "-1", "1.5"])
+def test_an_environment_with_a_domain_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(ConfigError, match=f"ROS_DOMAIN_ID={text} in the environment is not allowed"):
+        check_domain(None)
+    check_domain(7)  # takes its place
+
+
+@pytest.mark.parametrize("text", ["", "0", "150", " 5"])
+def test_what_ros_can_use_is_left_alone(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    check_domain(None)

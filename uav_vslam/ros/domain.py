@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from uav_vslam.errors import ConfigError
 
 MAX_DOMAIN_ID = 101  # above, DDS ports collide with those that Linux gives to clients
+HIGHEST_DOMAIN_ID = 232  # of which DDS can compute ports
 
 
 def check_domain(domain_id: int | None) -> None:
@@ -17,8 +18,16 @@ def check_domain(domain_id: int | None) -> None:
     Raises:
         ConfigError: it is not.
     """
-    if domain_id is not None and not 0 <= domain_id <= MAX_DOMAIN_ID:
+    if domain_id is None:
+        _check_environment(os.environ.get("ROS_DOMAIN_ID", "").strip())
+    elif not 0 <= domain_id <= MAX_DOMAIN_ID:
         raise ConfigError(f"--domain {domain_id} is not allowed; use 0 to {MAX_DOMAIN_ID}")
+
+
+def _check_environment(text: str) -> None:
+    """Refuse a number at which ROS or DDS would fail, and a negative one, which ROS takes for 0."""
+    if text and not (text.isdecimal() and int(text) <= HIGHEST_DOMAIN_ID):
+        raise ConfigError(f"ROS_DOMAIN_ID={text} in the environment is not allowed; use 0 to {MAX_DOMAIN_ID}")
 
 
 @contextmanager

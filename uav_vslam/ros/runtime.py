@@ -28,6 +28,7 @@ from uav_vslam.config import VehicleConfig, idle_settings
 from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.memory import keep_freed_memory
+from uav_vslam.ros.domain import check_domain
 from uav_vslam.ros.executor import LeanExecutor
 from uav_vslam.ros.health import DROPPED, RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
@@ -336,8 +337,9 @@ def _initialise(args: list[str] | None) -> None:
     """Initialise ROS.
 
     Raises:
-        ConfigError: an argument or a parameter file can't be parsed, or the logs can't be kept.
+        ConfigError: an argument or a parameter file can't be parsed, logs can't be kept, or there is no such domain.
     """
+    check_domain(None)
     rcl = rclpy.logging.get_logger("rcl")
     rcl.set_level(LoggingSeverity.FATAL)  # it would say on a line of its own that it can't
     try:
