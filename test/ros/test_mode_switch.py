@@ -9,6 +9,8 @@ from collections.abc import Iterator
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS")
+from command import refused
+
 from uav_vslam.cli.arguments import MODES
 from uav_vslam.cli.main import main
 from uav_vslam.config.vehicle import MODE_BUDGETS
@@ -50,3 +52,21 @@ def test_an_unknown_mode_is_refused_before_the_vehicle_is_looked_for(capsys: pyt
 def test_a_vehicle_that_is_not_there_is_named(domain_id: int, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["mode", "uav9", "none", "--domain", str(domain_id), "--wait", "0.5"]) == 2
     assert "is uav9 flying" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("vehicle", "wait"), [("a b", "1"), ("/", "1"), ("uav1", "nan"), ("uav1", "-1")])
+def test_a_name_or_a_time_that_cannot_be_is_refused(
+    vehicle: str, wait: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["mode", vehicle, f"--wait={wait}"])
+    assert "is no ROS namespace" in (error := capsys.readouterr().err) or "is not a time in seconds above 0" in error
+
+
+@pytest.mark.parametrize("topic", ["/a b", "/", "a//b", "/1x"])
+@pytest.mark.parametrize("action", ["echo", "hz"])
+def test_a_name_that_no_topic_can_have_is_refused_in_one_line(
+    action: str, topic: str, domain_id: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    error = refused(capsys, "topic", action, topic, "--wait", "0.1", "--domain", str(domain_id))
+    assert f"{topic!r} is no topic: topic name must not" in error

@@ -3,7 +3,7 @@
 
 import argparse
 
-from uav_vslam.cli.arguments import MODES
+from uav_vslam.cli.arguments import MODES, namespace, positive_seconds
 
 HELP = "read or switch the communication mode of a flying vehicle"
 EXAMPLES = """examples:
@@ -14,10 +14,17 @@ EXAMPLES = """examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument("vehicle", metavar="VEHICLE", help="its name")
+    parser.add_argument("vehicle", type=_vehicle, metavar="VEHICLE", help="its name")
     parser.add_argument("mode", nargs="?", choices=MODES, help="new mode; without it the present one is printed")
     parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
-    parser.add_argument("--wait", type=float, default=5.0, metavar="S", help="time to find the vehicle [s] (default 5)")
+    parser.add_argument(
+        "--wait", type=positive_seconds, default=5.0, metavar="S", help="time to find the vehicle [s] (default 5)"
+    )
+
+
+def _vehicle(text: str) -> str:
+    """Return a vehicle's name, which may be given as its namespace, with slashes."""
+    return namespace(text.strip("/"))
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,6 +4,8 @@
 import argparse
 from typing import Any
 
+from uav_vslam.cli.arguments import positive_seconds
+
 HELP = "list, print or measure live topics"
 EXAMPLES = """examples:
   uav-vslam topic list
@@ -30,7 +32,7 @@ def _add_options(parser: argparse.ArgumentParser, *, domain: Any, wait: Any) -> 
     """Declare where to look and for how long, with these defaults."""
     parser.add_argument("--domain", type=int, default=domain, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
     parser.add_argument(
-        "--wait", type=float, default=wait, metavar="S", help="time to discover the graph [s] (default 2)"
+        "--wait", type=positive_seconds, default=wait, metavar="S", help="time to discover the graph [s] (default 2)"
     )
 
 

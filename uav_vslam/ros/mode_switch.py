@@ -36,7 +36,7 @@ def switch_mode(node: Observer, vehicle: str, mode: str, *, wait_s: float) -> No
 
 
 def _call(node: Observer, vehicle: str, kind: Any, name: str, request: Any, wait_s: float) -> Any:
-    service = f"/{vehicle.strip('/')}/fusion/{name}"
+    service = f"/{vehicle}/fusion/{name}"
     client = node.create_client(kind, service)
     try:
         if not node.spin_until(client.service_is_ready, wait_s):

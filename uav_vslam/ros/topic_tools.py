@@ -8,9 +8,11 @@ from importlib import import_module
 from typing import Any
 
 import rclpy
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.ros.domain import check_domain
@@ -122,9 +124,14 @@ def _subscribe(node: Observer, topic: str, callback: Callable[[Any], None], *, w
     """Subscribe with the QoS that the publishers offer.
 
     Raises:
-        UavVslamError: the topic has no publisher, or its type is not installed.
+        UavVslamError: no topic can have that name, or it has no publisher, or its type is not installed.
     """
     absolute = topic if topic.startswith("/") else f"/{topic}"
+    try:
+        validate_full_topic_name(absolute)
+    except InvalidTopicNameException as error:
+        reason = str(error).splitlines()[0].removeprefix("Invalid topic name: ").rstrip(":")
+        raise UavVslamError(f"{topic!r} is no topic: {reason}") from None
     if not node.spin_until(lambda: node.count_publishers(absolute) > 0, wait_s):
         raise UavVslamError(f"{absolute}: no publisher; see `uav-vslam topic list` and check ROS_DOMAIN_ID")
     offers = [info.qos_profile for info in node.get_publishers_info_by_topic(absolute)]
