@@ -172,3 +172,19 @@ def test_what_holds_no_pictures_is_told(tmp_path: Path) -> None:
         found(tmp_path / "left*", tmp_path / "right*")
     with pytest.raises(BagError, match="does not exist"):
         found(tmp_path / "nowhere")
+
+
+def test_one_camera_named_as_both_is_refused(tmp_path: Path) -> None:
+    bag = recorded(tmp_path / "bag", *TOPICS)
+    with pytest.raises(CalibrationError, match=f"{TOPICS[0]} is named as left and as right"):
+        pictures_of([bag], topics=(TOPICS[0], TOPICS[0]), most=99)
+    for name in ("left1.png", "left2.png"):
+        (tmp_path / name).touch()
+    with pytest.raises(CalibrationError, match=r"left1\.png is named as left and as right"):
+        pictures_of([f"{tmp_path}/left*.png", f"{tmp_path}/left*.png"], most=99)
+
+
+def test_a_topic_without_images_is_refused() -> None:
+    sample = str(Path(__file__).parents[2] / "bags" / "sample")
+    with pytest.raises(CalibrationError, match=r"/uav1/imu/data_raw is of sensor_msgs/msg/Imu, no images"):
+        pictures_of([sample], topics=("/uav1/left/image_raw", "/uav1/imu/data_raw"), most=99)

@@ -121,8 +121,10 @@ def paired(left: Sequence[Path], right: Sequence[Path]) -> FilePictures:
     If no names have anything in common, files pair up in sorted order.
 
     Raises:
-        CalibrationError: files have no partner, or several that could be it.
+        CalibrationError: files have no partner, or several that could be it, or are of both cameras.
     """
+    if both := sorted(set(left) & set(right)):
+        raise CalibrationError(f"{both[0]} is named as left and as right; name the pictures of both cameras")
     by_key = _by_key(left, right)
     if not by_key[0].keys() & by_key[1].keys():
         by_key = [{f"{k:03}": path for k, path in enumerate(sorted(files), 1)} for files in (left, right)]
@@ -236,4 +238,9 @@ def _of_bag(path: Path, topics: Sequence[str] | None, most: int) -> BagPictures:
             f"bag {path} has {'no ' + ' and '.join(missing) if missing else 'several vehicles'}; name the images by "
             f"--topics; it has {', '.join(images) or 'none'}"
         )
+    if left == right:
+        raise CalibrationError(f"{left} is named as left and as right; name the images of both cameras by --topics")
+    for topic in (left, right):
+        if recorded[topic].msgtype not in IMAGE_TYPES:
+            raise CalibrationError(f"{topic} is of {recorded[topic].msgtype}, no images; name others by --topics")
     return BagPictures((path,), (left, right), recorded[left].count, most)
