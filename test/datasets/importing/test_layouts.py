@@ -244,6 +244,17 @@ def test_pictures_of_kitti_beyond_its_times_are_counted(rectified: Flight, tmp_p
     assert "warning: 6 pictures are beyond the 21 lines of times.txt, and left out" in capsys.readouterr().err
 
 
+def test_poses_of_kitti_that_are_fewer_than_its_pictures_are_told(
+    rectified: Flight, tmp_path: Path, capsys: Capsys
+) -> None:
+    sequence, _ = write_kitti(rectified, tmp_path / "kitti")
+    path = sequence.parents[1] / "poses" / f"{sequence.name}.txt"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[:5] + lines[6:]))  # nothing tells that the sixth is missing
+    assert main(["import", "kitti", str(sequence), str(tmp_path / "out")]) == 0
+    assert f"{path} has 23 rows for 24 pictures" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [

@@ -100,7 +100,7 @@ def read_kitti(
     if truth is None:
         notes += ("no poses of this sequence: nothing can be evaluated",)
     settings = {**SETTINGS, **(OXTS_NOISE if oxts else {})}
-    warnings = _beyond_times(sequence, cameras, len(stamps_ns))
+    warnings = _beyond_times(sequence, cameras, len(stamps_ns)) + _too_few_poses(_poses_file(sequence), len(stamps_ns))
     return Source(flight, len(pairs), settings=settings, notes=notes, warnings=warnings, runnable=oxts is not None)
 
 
@@ -170,11 +170,24 @@ def _rig(calibration: _Calibration, cameras: tuple[int, int], first: PicturePair
     return StereoRig(left, right, T_body_left, T_body_right)
 
 
+def _poses_file(sequence: Path) -> Path:
+    return sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
+
+
+def _too_few_poses(path: Path, times: int) -> tuple[str, ...]:
+    """Return what to say about rows that are missing: nobody can tell which, so that the others may be misplaced."""
+    rows = len(list(numbered_lines(path))) if path.is_file() else 0
+    if not 0 < rows < times:
+        return ()
+    text = f"{path} has {rows} rows for {times} pictures, and they count for the first ones"
+    return (f"{text}; if a row before the last is missing, all after it are wrong",)
+
+
 def _truth(
     sequence: Path, stamps_ns: NDArray[np.int64], T_body_cam0: Pose, T_world_first: Pose, problems: Problems
 ) -> Motion | None:
     """Return the motion of the body; None if the sequence has no poses."""
-    path = sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
+    path = _poses_file(sequence)
     if not path.is_file():
         return None
     rows: list[tuple[int, int, list[float]]] = []
