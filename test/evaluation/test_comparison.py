@@ -70,6 +70,12 @@ def test_a_single_pose_has_an_error_but_no_drift(truth, estimate):
     assert (found["rpe"]["translation_percent"], found["rpe_by_segment"]) == (None, [])
 
 
+def test_an_alignment_that_one_pose_does_not_determine_is_no_success(truth, estimate):
+    ate_m = figures(estimate.select(np.arange(1)), truth)["ate_m"]
+    assert {name for name in ALIGNMENTS if ate_m[name] is None} == set(ALIGNMENTS) - {"none"}  # it was 0.000 m
+    assert None not in figures(estimate.select(np.arange(2)), truth)["ate_m"].values()
+
+
 def test_no_common_time_is_told_with_both_spans(truth, estimate):
     with pytest.raises(TrajectoryFileError, match=r"b: no pose has ground truth: its stamps are 17000\d+.* same clock"):
         pair_run(Run("b", "", later(estimate, 100.0), truth))

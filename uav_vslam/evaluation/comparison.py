@@ -113,6 +113,7 @@ def aligned_positions(run: PairedRun, alignment: str) -> Array:
 
 def _figures(run: PairedRun, lengths_m: Sequence[float]) -> Figures:
     absolute = {name: absolute_error(run.estimate, run.truth, alignment=name) for name in ALIGNMENTS}
+    determined = {"none"} if len(run.estimate) == 1 else set(ALIGNMENTS)  # a single pose can be moved onto any other
     errors = segment_errors(run.estimate, run.truth, lengths_m)
     values = nees(run.estimate, run.truth)
     position = summarise(values.position) if values else None
@@ -123,7 +124,7 @@ def _figures(run: PairedRun, lengths_m: Sequence[float]) -> Figures:
         "poses": len(run.run.estimate),
         "poses_with_truth": len(run.estimate),
         "distance_m": float(run.flown_m[-1]),
-        "ate_m": {name: error.ate_m for name, error in absolute.items() if error},
+        "ate_m": {name: error.ate_m if name in determined else None for name, error in absolute.items() if error},
         "end_m": {name: error.end_m for name, error in absolute.items() if error},
         "height_rms_m": absolute["none"].height_rms_m if absolute["none"] else None,
         "rotation_rms_deg": {name: math.degrees(error.rotation_rms_rad) for name, error in absolute.items() if error},
