@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Symmetric positive definite linear algebra by Cholesky factors."""
+"""Symmetric positive definite linear algebra by Cholesky factors, and robust statistics."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from uav_vslam.errors import FilterDivergence
 
 Array = NDArray[np.float64]
 
+NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 SMALL_TRIANGLE = 80  # rows up to which LAPACK inverts a triangle as fast as the halving does
 
 
@@ -112,3 +113,8 @@ def marginalise_information(
     Y_kept = submatrix(Y, keep)
     subtract_product(Y_kept, W)
     return Y_kept, log_det_of(L)
+
+
+def robust_sigma(residuals: Array) -> float:
+    """Return the standard deviation of normal residuals of mean zero by their median absolute value."""
+    return NORMAL_MAD * float(np.median(np.abs(residuals)))

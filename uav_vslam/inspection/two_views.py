@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.numerics import robust_sigma
 from uav_vslam.vision.pnp import pnp_ransac
 
 Array = NDArray[np.float64]
@@ -58,7 +59,7 @@ def motion_between(start: Array, end: Array, rig: StereoRig) -> Motion | None:
             return None
         pose, points[keep], covariance, residual_px = _adjusted(points[keep], start[keep], end[keep], pose, rig)
         worst = np.abs(residual_px).max(axis=1)
-        typical = 1.4826 * float(np.median(np.abs(residual_px)))
+        typical = robust_sigma(residual_px)
         keep[keep] = worst <= OUTLIER_SIGMAS * max(typical, 0.05)
     sigma = np.sqrt([np.linalg.eigvalsh(covariance[rows, rows])[-1] for rows in (slice(0, 3), slice(3, 6))])
     return Motion(pose, float(sigma[0]), float(sigma[1]))

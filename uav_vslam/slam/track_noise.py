@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.estimation.past_poses import OFFSET
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.numerics import robust_sigma
 from uav_vslam.types import StereoFeatures
 
 Array = NDArray[np.float64]
@@ -21,7 +22,6 @@ Array = NDArray[np.float64]
 LEAST_POINTS = 30  # a frame
 FRAMES = 20  # averaged
 NOISE_RATIO = 1.5  # measured over configured; below it, what is configured counts
-NORMAL_SHARE = 1.4826  # median distance of a normal distribution, as its standard deviation
 
 
 class TrackNoise:
@@ -40,7 +40,7 @@ class TrackNoise:
         off = self._rig.epipolar_offset(pixels)
         off = off - smooth @ np.linalg.lstsq(smooth, off, rcond=None)[0]
         freedom = 1.0 - smooth.shape[1] / len(off)
-        variance = (NORMAL_SHARE * float(np.median(np.abs(off)))) ** 2 / freedom
+        variance = robust_sigma(off) ** 2 / freedom
         self._frames = min(self._frames + 1, FRAMES)
         self._variance_px2 += (variance - self._variance_px2) / self._frames
 

@@ -17,6 +17,7 @@ from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic
 from uav_vslam.mapping.pictures.bundle import Priors, Scene
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.procedure import Adjusted, finish, lens_priors
+from uav_vslam.numerics import robust_sigma
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -153,7 +154,7 @@ def place(
     if believed and height_m is None:
         adjusted = _with_gps(adjusted, pictures, positions, distance[used], focal_known=focal_known)
         distance = _distances(adjusted, recorded, adjusted.used)
-        bound = max(WRONG_M, WRONG_SIGMAS * 1.4826 * float(np.median(distance[used])))
+        bound = max(WRONG_M, WRONG_SIGMAS * robust_sigma(distance[used]))
         wrong = tuple(int(k) for k in adjusted.used if distance[k] > bound)
     ground = float(np.median(adjusted.scene.points[:, 2]))
     adjusted = replace(adjusted, scene=transformed(adjusted.scene, 1.0, np.eye(3), np.array([0.0, 0.0, -ground])))

@@ -20,6 +20,7 @@ from uav_vslam.mapping.pictures.layout import Layout
 from uav_vslam.mapping.pictures.lens import TYPICAL_FOCAL, camera_of
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.tracks import Tracks, strongest
+from uav_vslam.numerics import robust_sigma
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -141,11 +142,6 @@ def finish(scene: Scene, tracks: Tracks, priors: Priors, side_px: float) -> Adju
 def no_positions(lenses: Array, lens_sigmas: Array, count: int) -> Priors:
     """Return priors of the lenses alone."""
     return Priors(lenses, lens_sigmas, np.full((count, 3), np.nan), np.ones(3))
-
-
-def robust_sigma(residuals: Array) -> float:
-    """Return the standard deviation of (M, 2) errors by their median absolute value."""
-    return 1.4826 * float(np.median(np.abs(residuals)))
 
 
 def without_false(scene: Scene, tracks: Tracks, most_px: float) -> tuple[Scene, Tracks]:

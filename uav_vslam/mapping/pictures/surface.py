@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from uav_vslam.errors import PictureError
 from uav_vslam.mapping.raster import Raster
+from uav_vslam.numerics import NORMAL_MAD
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ def without_outliers(points: Array) -> Array:
         return points
     near = cKDTree(points[:, :2]).query(points[:, :2], NEIGHBOURS + 1)[1]
     apart = np.abs(points[:, 2] - np.median(points[near[:, 1:], 2], axis=1))
-    spread = 1.4826 * np.median(np.abs(points[near, 2] - np.median(points[near, 2], axis=1)[:, None]), axis=1)
+    spread = NORMAL_MAD * np.median(np.abs(points[near, 2] - np.median(points[near, 2], axis=1)[:, None]), axis=1)
     typical = float(np.median(spread))
     return np.asarray(points[apart <= OUTLIER * np.maximum(spread, typical)])
 

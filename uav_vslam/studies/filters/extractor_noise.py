@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_vslam.config import FrontendConfig, VehicleConfig
+from uav_vslam.numerics import robust_sigma
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.extracted_flights import rendered_flight, shown_at
 from uav_vslam.vision.matching import match_descriptors
 
 FRAMES = 6
 WRONG_PX = 8.0  # a match farther from its true position is an outlier
-NORMAL_MAD = 1.4826  # of a normal distribution's standard deviation to its median absolute deviation
 SQRT2 = float(np.sqrt(2.0))  # an error between two images has the noise of both
 
 
@@ -47,6 +47,6 @@ def measure(extractor: str, seed: int, *, frames: int = FRAMES) -> ExtractorNois
     right = np.linalg.norm(error, axis=1) <= WRONG_PX
     return ExtractorNoise(
         points=float(np.mean([len(features) for features in seen])),
-        sigma_px=float(NORMAL_MAD * np.median(np.abs(error[right])) / SQRT2),
+        sigma_px=robust_sigma(error[right]) / SQRT2,
         wrong_share=float(1.0 - right.mean()),
     )
