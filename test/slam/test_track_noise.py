@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uav_vslam.config import BackendConfig, VehicleConfig
+from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
 from uav_vslam.estimation.past_poses import OFFSET
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.slam.noise_monitor import NoiseMonitor
-from uav_vslam.slam.stage import SlamStage
+from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.slam.track_noise import FRAMES, LEAST_POINTS, NOISE_RATIO, TrackNoise
-from uav_vslam.types import StereoFeatures
+from uav_vslam.types import ImuIncrement, StereoFeatures
 
 CONFIGURED_PX = 0.07
 
@@ -71,6 +71,13 @@ def test_false_matches_and_frames_with_few_tracks_do_not_count(rig: StereoRig) -
     assert measured(rig, [*frames, few, frame(rig, 2.0, tracked=False)]) == CONFIGURED_PX
 
 
+def processed(stage: SlamStage, features: StereoFeatures, increment: ImuIncrement | None) -> list[FrameOutput]:
+    if increment is not None:
+        stage.add_increment(increment)
+    stage.add_features(features)
+    return list(stage.run())
+
+
 def flights(flown, configured_px: float) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
     """Return last position errors [m] and NEES per axis of flights with tracks of 0.25 px, and all warnings."""
     errors, nees, warnings = [], [], []
@@ -81,11 +88,8 @@ def flights(flown, configured_px: float) -> tuple[NDArray[np.float64], NDArray[n
         stage.rig = flight.vehicle.rig
         stage.start(flight.vehicle.initial)
         outputs = []
-        for features, increment in flight.frames:
-            if increment is not None:
-                stage.add_increment(increment)
-            stage.add_features(features)
-            outputs.extend(stage.run())
+        for one in flight.frames:
+            outputs.extend(processed(stage, *one))
         assert len(outputs) == len(flight.frames)
         error, consistency = flight.errors_and_nees(outputs)
         errors.append(error[-1])
@@ -103,7 +107,19 @@ def test_a_flight_with_noisier_tracks_is_as_good_as_if_that_were_configured(flow
 
 
 def test_noisier_tracks_are_named_once() -> None:
-    monitor = NoiseMonitor(VehicleConfig(backend=BackendConfig(track_sigma_px=CONFIGURED_PX)))
-    said = [monitor.add_tracks(sigma_px) for sigma_px in (CONFIGURED_PX, 0.21, 0.3)]
+    monitor = NoiseMonitor(ImuConfig())
+    said = [monitor.add_tracks(sigma_px, configured_px=CONFIGURED_PX) for sigma_px in (CONFIGURED_PX, 0.21, 0.3)]
     assert said[0] == said[2] == ""
     assert "0.21 px off their epipolar lines, 3.0 times backend.track_sigma_px" in said[1]
+
+
+def test_a_noise_that_is_configured_in_flight_is_not_taken_for_a_measured_one(flown) -> None:
+    flight = flown(100, tracked_px=0.05)
+    stage = flight.tracking_stage(0.05)
+    warnings = []
+    for number, one in enumerate(flight.frames):
+        if number == 5:
+            backend = BackendConfig(sigma_px=0.05, track_sigma_px=0.5)
+            stage.configure(VehicleConfig(imu=flight.vehicle.scenario.imu_config, backend=backend))
+        warnings.extend(text for output in processed(stage, *one) for text in output.warnings)
+    assert not any("epipolar" in text for text in warnings)

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tells when readings or tracks are noisier than configured, see `ins.white_noise` and `slam.track_noise`."""
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import ImuConfig
 from uav_vslam.types import ImuIncrement
 
 
 class NoiseMonitor:
     """Watches increments and tracks and warns once of each sensor."""
 
-    def __init__(self, config: VehicleConfig) -> None:
-        imu, self._track_sigma_px = config.imu, config.backend.track_sigma_px
+    def __init__(self, imu: ImuConfig) -> None:
+        self._watching_tracks = True
         self._configured = {"imu.gyro_noise": imu.gyro_noise, "imu.accel_noise": imu.accel_noise}
 
-    def add_tracks(self, sigma_px: float) -> str:
-        """Add the measured noise of the tracks and return a warning, normally empty."""
-        if sigma_px <= self._track_sigma_px:
+    def add_tracks(self, sigma_px: float, *, configured_px: float) -> str:
+        """Add the noise that tracks have now and return a warning, normally empty."""
+        if not self._watching_tracks or sigma_px <= configured_px:
             return ""
-        configured_px, self._track_sigma_px = self._track_sigma_px, float("inf")
+        self._watching_tracks = False
         return (
             f"tracked points are {sigma_px:.2f} px off their epipolar lines, {sigma_px / configured_px:.1f} times "
             "backend.track_sigma_px, and are weighted so: the images are noisy, blurred or of weak texture"

@@ -97,7 +97,7 @@ class SlamStage:
         self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
         self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
-        self._noise_monitor = NoiseMonitor(config)
+        self._noise_monitor = NoiseMonitor(config.imu)
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
@@ -314,7 +314,8 @@ class SlamStage:
         self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
-        noisy = [self._noise_monitor.add_tracks(self._backend.track_sigma_px)]
+        configured_px = self._config.backend.track_sigma_px
+        noisy = [self._noise_monitor.add_tracks(self._backend.track_sigma_px, configured_px=configured_px)]
         if increment is not None:
             noisy.append(self._noise_monitor.add(increment))
         warnings = [text for text in (*noisy, *self._warnings(report, dead_reckoned)) if text]
