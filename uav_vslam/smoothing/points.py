@@ -45,14 +45,18 @@ def residual_px(sightings: Sightings, cameras: Cameras, points: Array, noise: Pi
 def fitting(
     sightings: Sightings, cameras: Cameras, points: Array, noise: PixelNoise, *, probability: float
 ) -> NDArray[np.bool_]:
-    """Return which points have two views or more that are not wrong, and pass the chi-square gate on those."""
+    """Return which points have enough views that are not wrong, and pass the chi-square gate on those.
+
+    Two views are enough, and one of a revisited landmark: it ties its state to the landmark's other views.
+    """
     misfit = linearise(sightings, cameras, points, noise).misfit
     right, count = misfit <= noise.cut**2, len(points)
     views = np.bincount(sightings.points, weights=right, minlength=count)
     of_views = np.bincount(sightings.points, weights=misfit * right, minlength=count)
     total = of_views + points[:, 3:] ** 2 @ noise.prior_information
     freedom = np.maximum(4.0 * views - 3.0, 1.0)
-    return np.asarray((views > 1) & (total <= 2.0 * gammaincinv(0.5 * freedom, probability)))
+    enough = views >= np.where(sightings.landmarks >= 0, 1, 2)
+    return np.asarray(enough & (total <= 2.0 * gammaincinv(0.5 * freedom, probability)))
 
 
 def ties(rows: Rows, points: Array, landmarks: Array, sigma_m: Array) -> Ties:
