@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`evaluate` on trajectory files and results folders of a made-up flight."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from command import refused
 from made_up_flight import FLIGHT, TRUTH, VEHICLE
 
 from uav_vslam.cli.main import main
+from uav_vslam.evaluation.clock_offset import later
 from uav_vslam.evaluation.files.writing import write_csv, write_kitti, write_tum
 from uav_vslam.evaluation.output import write_results
 from uav_vslam.evaluation.summary import build_summary
@@ -92,6 +94,21 @@ def test_poses_without_truth_are_counted(files: dict[str, Path], tmp_path: Path,
     assert "s_slam: 100 of 200 poses have ground truth; only they count" in capsys.readouterr().err
 
 
+def test_another_clock_of_the_truth_is_named_and_its_offset_taken(tmp_path: Path, capsys) -> None:
+    t = (TRUTH.stamps_ns - TRUTH.stamps_ns[0]) * 1e-9
+    there_and_back = dataclasses.replace(TRUTH, positions=np.outer(np.cos(t), [30.0, 5.0, 0.0]))
+    estimate = write_tum(there_and_back, tmp_path / "mine.tum")
+    truth = write_csv(later(there_and_back, -0.4), tmp_path / "truth.csv")
+    (unaware,) = evaluate(tmp_path / "unaware", estimate, "--truth", truth)["runs"]
+    assert unaware["ate_m"]["none"] > 5.0
+    assert unaware["clock_offset"]["offset_s"] == pytest.approx(0.4, abs=0.001)
+    assert "mine: the clock of the ground truth seems to be off: with +0.400 s" in capsys.readouterr().err
+    (aware,) = evaluate(tmp_path / "aware", estimate, "--truth", truth, "--truth-offset", "0.4")["runs"]
+    assert aware["ate_m"]["none"] < 1e-6
+    assert aware["clock_offset"] is None
+    assert "clock" not in capsys.readouterr().err
+
+
 def test_what_can_not_be_evaluated_is_refused_in_one_line(files, results: Path, tmp_path: Path, capsys) -> None:
     assert "s_slam.tum needs a ground truth; give --truth" in refused(capsys, "evaluate", files["tum"])
     (tmp_path / "folder").mkdir()
@@ -104,6 +121,14 @@ def test_what_can_not_be_evaluated_is_refused_in_one_line(files, results: Path, 
     (tmp_path / "flight.mcap").touch()
     error = refused(capsys, "evaluate", files["tum"], tmp_path / "flight.mcap", "--truth", files["truth"])
     assert "flight.mcap is a bag" in error
+
+
+@pytest.mark.parametrize("offset", ["nan", "1e300", "soon"])
+def test_an_offset_that_no_clock_has_is_refused(offset: str, capsys) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        main(["evaluate", "nowhere", "--truth-offset", offset])
+    assert leaving.value.code == 2
+    assert "is not a time in seconds" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", [["--segments", "10,-5"], ["--segments", "x"], ["--max-gap", "0"]])

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 MODES = ("wideband", "narrowband", "none")  # the names in config.vehicle.MODE_BUDGETS
+MOST_OFFSET_S = 1e9  # between two clocks, one of which may count from its own start
 
 
 def first_given(options: Mapping[str, object]) -> str:
@@ -36,6 +37,17 @@ def non_negative(text: str) -> int:
 def positive_seconds(text: str) -> float:
     """Return a duration above zero [s]."""
     return _above_zero(text, "a time in seconds above 0")
+
+
+def clock_offset_s(text: str) -> float:
+    """Return a difference of two clocks [s], of either sign."""
+    try:
+        offset = float(text)
+    except ValueError:
+        offset = float("nan")
+    if not abs(offset) <= MOST_OFFSET_S:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds, of at most {MOST_OFFSET_S:g}")
+    return offset
 
 
 def lengths_m(text: str) -> tuple[float, ...]:

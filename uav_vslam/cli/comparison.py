@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from uav_vslam.evaluation.comparison import PairedRun, Run
+    from uav_vslam.evaluation.comparison import Figures, PairedRun, Run
     from uav_vslam.evaluation.trajectory import Trajectory
 
 
@@ -31,23 +31,28 @@ def compare_files(args: argparse.Namespace) -> int:
     tree = compare(runs, name=name, git=git_revision(), lengths_m=args.segments)
     plot = partial(write_comparison_plot, runs, alignment=args.alignment, title=name)
     print_comparison(tree)
+    _report_offsets(tree)
     folder = write_comparison(tree, args.results, plot=None if args.no_plots else plot)
     print(f"written to {folder}")
     return 0
 
 
 def _runs(args: argparse.Namespace) -> list[Run]:
+    from dataclasses import replace
+
+    from uav_vslam.evaluation.clock_offset import later
     from uav_vslam.evaluation.files.reading import read_trajectory
 
     truth = None
     if args.truth is not None:
         truth = read_trajectory(args.truth, times=args.times, numbered=True)
     names = unique_names(args.inputs)
-    return [
+    runs = [
         run
         for path, name in zip(args.inputs, names, strict=True)
         for run in (_of_folder(path, name, truth) if path.is_dir() else _of_file(path, name, truth, args.times))
     ]
+    return [replace(run, truth=later(run.truth, args.truth_offset)) for run in runs]
 
 
 def _of_file(path: Path, name: str, truth: Trajectory | None, times: Path | None) -> list[Run]:
@@ -87,6 +92,15 @@ def unique_names(paths: list[Path]) -> list[str]:
     full = [path.resolve().name if path.is_dir() else f"{path.parent.name}/{path.name}" for path in paths]
     numbered = [f"{number} {name}" for number, name in enumerate(short, 1)]
     return next((names for names in (short, full) if len(set(names)) == len(names)), numbered)
+
+
+def _report_offsets(tree: Figures) -> None:
+    from uav_vslam.evaluation.clock_offset import ClockOffset
+
+    for run in tree["runs"]:
+        if run["clock_offset"]:
+            label = f"{run['source']} {run['track']}".rstrip()
+            print(f"uav-vslam: warning: {label}: {ClockOffset(**run['clock_offset'])}", file=sys.stderr)
 
 
 def _report_partial(run: PairedRun) -> None:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import first_given, lengths_m, positive_seconds, results_folder
+from uav_vslam.cli.arguments import clock_offset_s, first_given, lengths_m, positive_seconds, results_folder
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.result import FlightResult
@@ -49,6 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-gap", type=positive_seconds, metavar="S", help="of the truth, to interpolate (default 0.5)"
     )
+    parser.add_argument(
+        "--truth-offset",
+        type=clock_offset_s,
+        metavar="S",
+        default=0.0,
+        help="added to the stamps of the truth, where its clock was another (files, results folders)",
+    )
     parser.add_argument("--name", help="of the results (default: name of the first bag, or comparison)")
     parser.add_argument(
         "--alignment",
@@ -72,8 +79,8 @@ def run(args: argparse.Namespace) -> int:
         raise BagError(
             f"{bags[0]} is a bag, which is evaluated with other bags only; run it, and give the folder of the results"
         )
-    useless = {"--times": args.times, "--segments": args.segments, "--max-gap": args.max_gap}
-    if given := first_given(useless):
+    options = ("--times", "--segments", "--max-gap", "--truth-offset")
+    if given := first_given({name: getattr(args, name[2:].replace("-", "_")) for name in options}):
         raise ConfigError(f"{given} serves files and results folders; evaluate {bags[0]} without, then its results")
     return evaluate(args)
 

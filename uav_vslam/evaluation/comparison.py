@@ -4,6 +4,7 @@
 Truth and estimate must be poses of the same body frame; nothing estimates a lever arm between two frames.
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import TrajectoryFileError
 from uav_vslam.evaluation.alignment import ALIGNMENTS
+from uav_vslam.evaluation.clock_offset import clock_offset
 from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import MAX_GAP_S, pair_with_truth
 from uav_vslam.evaluation.plain import plain
@@ -118,6 +120,7 @@ def _figures(run: PairedRun, lengths_m: Sequence[float]) -> Figures:
     values = nees(run.estimate, run.truth)
     position = summarise(values.position) if values else None
     rotation = summarise(values.rotation) if values else None
+    offset = clock_offset(run.estimate, run.run.truth)
     return {
         "source": run.run.source,
         "track": run.run.track,
@@ -133,6 +136,7 @@ def _figures(run: PairedRun, lengths_m: Sequence[float]) -> Figures:
         "rpe_by_segment": [_drift(error) for error in errors],
         "nees_position": position.mean if position else None,
         "nees_rotation": rotation.mean if rotation else None,
+        "clock_offset": dataclasses.asdict(offset) if offset else None,
     }
 
 

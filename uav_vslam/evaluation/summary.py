@@ -5,12 +5,14 @@ Everything is scored at the stamps of the own-only track, so that all estimates 
 times: the INS is interpolated to them, the fused and the smoothed track have them.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
+from uav_vslam.evaluation.clock_offset import clock_offset
 from uav_vslam.evaluation.pairing import MAX_GAP_S
 from uav_vslam.evaluation.plain import plain
 from uav_vslam.evaluation.quality import claimed_figures, quality_figures
@@ -53,6 +55,7 @@ def build_summary(result: FlightResult, *, git: str | None, alignment: str = "no
 def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
     ins, _ = interpolate(vehicle.ins, vehicle.s_slam.stamps_ns, max_gap_s=MAX_GAP_S)
     distance_m = _distance(vehicle)
+    offset = None if vehicle.truth is None else clock_offset(vehicle.s_slam, vehicle.truth)
     return {
         "distance_m": distance_m,
         "frames_in": vehicle.frames_in,
@@ -65,6 +68,7 @@ def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
         "c_slam": _optional(vehicle.c_slam, vehicle, alignment, distance_m),
         "smoothed": _optional(vehicle.smoothed, vehicle, alignment, distance_m),
         "quality": quality_figures(vehicle),
+        "clock_offset": dataclasses.asdict(offset) if offset else None,
         "link": _link(vehicle.link),
     }
 

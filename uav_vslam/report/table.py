@@ -4,6 +4,7 @@
 from rich.console import Console
 from rich.table import Table
 
+from uav_vslam.evaluation.clock_offset import ClockOffset
 from uav_vslam.evaluation.scores import ATE_KEYS
 from uav_vslam.evaluation.summary import TRACKS, Figures
 from uav_vslam.report.layout import NEES_TITLES, RELATIVE_TITLES, ate_title, figure_text, new_table, print_table, wide
@@ -27,6 +28,9 @@ def print_summary(summary: Figures, console: Console | None = None) -> None:
     for name, vehicle in summary["vehicles"].items():
         for line in (link_line(name, vehicle), *(f"  {line}" for line in quality_lines(vehicle))):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
+        if vehicle["clock_offset"]:
+            text = f"  {ClockOffset(**vehicle['clock_offset'])}"
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def is_scored(summary: Figures) -> bool:
