@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uav_vslam.vision.tracking.flow import FlowImage, shift_between, track_coarsely, track_points
+from uav_vslam.vision.tracking.flow import FlowImage, shift_between, track_coarsely, track_points, track_turning
 
 Array = NDArray[np.float64]
 Pair = tuple[FlowImage, FlowImage]
@@ -51,6 +51,23 @@ def test_coarse_tracking_is_right_within_half_a_pixel(pair: Pair, pixels: Array)
     assert np.percentile(np.abs(there - pixels - SHIFT_PX), 95) < COARSE_PRECISION_PX
 
 
+@pytest.mark.parametrize("degrees, scale", [(6.0, 1.0), (-12.0, 1.05), (0.0, 1.1)])
+def test_ground_that_turns_or_comes_nearer_does_not_slide(texture_image, pixels, degrees, scale) -> None:
+    image = texture_image(400, 500)
+    motion = cv2.getRotationMatrix2D((250.0, 200.0), degrees, scale)
+    second = FlowImage.of(
+        cv2.warpAffine(image, motion, (500, 400), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    )
+    pixels = pixels[np.linalg.norm(pixels - [250.0, 200.0], axis=1) < 140.0]  # seen in both
+    true = pixels @ motion[:, :2].T + motion[:, 2]
+    there, tracked = track_turning(FlowImage.of(image), second, pixels, true + 0.5)
+    assert tracked.mean() > 0.95
+    turned_px = np.sqrt(np.mean((there - true)[tracked] ** 2))
+    there, tracked = track_points(FlowImage.of(image), second, pixels, true + 0.5)
+    assert turned_px < PRECISION_PX
+    assert turned_px < 0.5 * np.sqrt(np.mean((there - true)[tracked] ** 2))
+
+
 def test_points_that_left_the_image_are_not_tracked(pair: Pair) -> None:
     pixels = np.array([[488.0, 200.0], [250.0, 200.0], [250.0, 10.0]])
     _, tracked = track_points(*pair, pixels, pixels + SHIFT_PX)
@@ -64,7 +81,7 @@ def test_points_without_a_counterpart_are_not_tracked(pair: Pair, pixels: Array)
 
 
 def test_no_points_are_tracked_to_none(pair: Pair) -> None:
-    there, tracked = track_points(*pair, np.zeros((0, 2)), np.zeros((0, 2)))
+    there, tracked = track_turning(*pair, np.zeros((0, 2)), np.zeros((0, 2)))
     assert there.shape == (0, 2)
     assert tracked.shape == (0,)
 

@@ -31,6 +31,9 @@ FAR_PX = 30.0  # a point guessed farther outside the image has left it
 NEAR_PX = 1.0  # a point found within it of its guess did not need the pyramid
 MAX_RETURN_PX = 0.4  # largest forward-backward error of a tracked point
 BORDER_PX = 8.0  # half a window: closer to the border the window is outside the image
+LEAST_TURN = (
+    0.035  # [rad], 2 degrees, or change of scale: below it, interpolating the image costs more than turning it gains
+)
 SHIFT_STEP_PX = 2  # of the coarse image
 _FINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
 _COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
@@ -41,10 +44,12 @@ class FlowImage:
     """An image without its local mean, at two resolutions.
 
     Attributes:
-        full: (H, W).
-        coarse: about (H / 4, W / 4).
+        grey: (H, W) as it was.
+        full: (H, W) without the mean.
+        coarse: about (H / 4, W / 4), too.
     """
 
+    grey: Grey
     full: Grey
     coarse: Grey
 
@@ -53,12 +58,33 @@ class FlowImage:
         """Subtract its local mean from an (H, W) image, and add middle grey."""
         mean = cv2.blur(image, (MEAN_WINDOW_PX, MEAN_WINDOW_PX))
         full = np.asarray(cv2.addWeighted(image, 1.0, mean, -1.0, MIDDLE_GREY), np.uint8)
-        return FlowImage(full, quarter(full))
+        return FlowImage(image, full, quarter(full))
+
+    def warped(self, similarity: Array) -> "FlowImage":
+        """Return the image moved by a (2, 3) similarity of pixels; its local mean is that where it has moved."""
+        size = self.grey.shape[::-1]
+        moved = cv2.warpAffine(self.grey, similarity, size, borderMode=cv2.BORDER_REFLECT_101)
+        return FlowImage.of(np.asarray(moved, np.uint8))
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Height and width at full resolution [px]."""
         return self.full.shape
+
+
+def track_turning(first: FlowImage, second: FlowImage, pixels: Array, guess: Array) -> tuple[Array, Mask]:
+    """Track points between images that may be turned about the optical axis; arguments and result as `track_points`.
+
+    Lucas-Kanade moves a window, but does not turn it: over ground that turns by 5 degrees between two images, points
+    slide by 0.19 px, and on in the next image. So the first image is turned, and scaled, as the guess says: 0.02 px.
+    """
+    if len(pixels) == 0:
+        return track_points(first, second, pixels, guess)
+    similarity = _similarity(pixels, guess)
+    if np.linalg.norm(similarity[:, :2] - np.eye(2), axis=0)[0] < LEAST_TURN:
+        return track_points(first, second, pixels, guess)
+    moved = pixels @ similarity[:, :2].T + similarity[:, 2]
+    return track_points(first.warped(similarity), second, moved, guess)
 
 
 def track_points(first: FlowImage, second: FlowImage, pixels: Array, guess: Array) -> tuple[Array, Mask]:
@@ -111,6 +137,15 @@ def inside(pixels: NDArray[np.floating], shape: tuple[int, ...], border_px: floa
     """Return which (N, 2) pixels are inside an image of (height, width), by default with their window."""
     high = np.array([shape[1], shape[0]]) - 1 - border_px
     return np.asarray(((pixels >= border_px) & (pixels <= high)).all(axis=1))
+
+
+def _similarity(pixels: Array, guess: Array) -> Array:
+    """Return the (2, 3) rotation, scale and shift from (N, 2) pixels to their guess, by least squares."""
+    centre, moved = pixels.mean(axis=0), guess.mean(axis=0)
+    z, w = (points @ np.array([1.0, 1.0j]) for points in (pixels - centre, guess - moved))
+    a = np.vdot(z, w) / max(np.vdot(z, z).real, 1.0)
+    A = np.array([[a.real, -a.imag], [a.imag, a.real]])
+    return np.column_stack([A, moved - A @ centre])
 
 
 def _distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -20,7 +20,7 @@ from uav_vslam.types import NS_PER_S, StereoFeatures, StereoFrame
 from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.images import to_grey8
-from uav_vslam.vision.tracking.flow import FlowImage, shift_between, track_points
+from uav_vslam.vision.tracking.flow import FlowImage, shift_between, track_points, track_turning
 from uav_vslam.vision.tracking.prediction import FlowModel, by_homography, in_right_image
 from uav_vslam.vision.tracking.refill import Refill
 from uav_vslam.vision.tracking.tracks import Tracks
@@ -100,9 +100,9 @@ class TrackingFrontend(Frontend):
         for predict in predictions:
             better = by_homography(before, left, pixels, predict())
             if better is not None:
-                return track_points(before, left, pixels, better)
+                return track_turning(before, left, pixels, better)
         # Near structure, or little texture: the points decide.
-        tracked = [track_points(before, left, pixels, predict()) for predict in predictions]
+        tracked = [track_turning(before, left, pixels, predict()) for predict in predictions]
         return max(tracked, key=lambda found: int(found[1].sum()))
 
     def _join(self, found: Keypoints | None) -> None:
