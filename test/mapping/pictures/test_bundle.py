@@ -8,13 +8,14 @@ import pytest
 
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.mapping.pictures.bundle import POSE, Bundle, Priors, Scene
+from uav_vslam.mapping.pictures.lens import PARAMETERS
 from uav_vslam.mapping.pictures.tracks import Tracks
 
 CAMERAS, POINTS = 6, 120
 NOISE_PX = 0.3
-LENS = np.array([[np.log(1000.0), -0.05, 0.01]])
+LENS = np.array([[np.log(1000.0), -0.05, 0.01, 0.004, -0.006]])
 NO_POSITIONS = np.full((CAMERAS, 3), np.nan)
-LOOSE = Priors(LENS, np.array([[0.3, 0.1, 0.1]]), NO_POSITIONS, np.ones(3))
+LOOSE = Priors(LENS, np.array([[0.3, 0.1, 0.1, 0.01, 0.01]]), NO_POSITIONS, np.ones(3))
 
 
 def true_scene(rng: np.random.Generator) -> Scene:
@@ -35,7 +36,7 @@ def disturbed(scene: Scene, rng: np.random.Generator, size: float = 1.0) -> Scen
         scene,
         R_cam_map=so3_exp(size * rng.normal(0.0, 0.05, (CAMERAS, 3))) @ scene.R_cam_map,
         centres=scene.centres + size * rng.normal(0.0, 0.05, (CAMERAS, 3)),
-        lenses=scene.lenses + size * np.array([[0.1, 0.05, -0.01]]),
+        lenses=scene.lenses + size * np.array([[0.1, 0.05, -0.01, 0.003, 0.002]]),
         points=scene.points + size * rng.normal(0.0, 0.05, (POINTS, 3)),
     )
 
@@ -58,7 +59,7 @@ def test_the_gradient_is_the_numerical_one_of_the_cost(with_positions: bool) -> 
     bundle = Bundle(observed(truth, rng), priors, huber_px=40.0, noise_px=1000.0)  # so that the priors weigh, too
     gradient = bundle._normal(scene).gradient
     still = np.zeros((POINTS, 3))
-    for k in (0, 4, POSE + 2, POSE + 5, *range(POSE * CAMERAS, POSE * CAMERAS + 3)):
+    for k in (0, 4, POSE + 2, POSE + 5, *range(POSE * CAMERAS, POSE * CAMERAS + PARAMETERS)):
         step = 1e-7 * np.eye(len(gradient))[k]
         costs = [bundle.cost(bundle._moved(scene, sign * step, still)) for sign in (1.0, -1.0)]
         assert (costs[0] - costs[1]) / 2e-7 == pytest.approx(gradient[k], rel=1e-4, abs=1.0)
@@ -73,6 +74,27 @@ def test_poses_and_lens_are_recovered() -> None:
     assert np.all(np.abs(found.lenses - LENS) < 4.0 * sigmas)
     assert sigmas[0, 0] < 0.005
     assert aligned_error(found, truth) < 0.004  # a thousandth of the height is about a pixel
+
+
+def lens_errors(seed: int, within_picture_px: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return (5,) errors of a lens and their standard deviations; each picture may have a twist of its own [px]."""
+    rng = np.random.default_rng(seed)
+    truth = true_scene(rng)
+    tracks = observed(truth, rng)
+    twist = rng.normal(0.0, within_picture_px, (CAMERAS, 2))[tracks.picture] * np.sin(tracks.pixels / 150.0)
+    bundle = Bundle(replace(tracks, pixels=tracks.pixels + twist), LOOSE, huber_px=5.0, noise_px=NOISE_PX)
+    found = bundle.adjust(truth)
+    return (found.lenses - LENS)[0], bundle.lens_sigmas(found)[0]
+
+
+@pytest.mark.parametrize("within_picture_px", [0.0, 1.0])
+def test_the_lens_errs_as_its_standard_deviation_says(within_picture_px: float) -> None:
+    """Independent noise, and errors that the points of a picture share."""
+    runs = [lens_errors(seed, within_picture_px) for seed in range(20)]
+    errors, sigmas = (np.array(each) for each in zip(*runs, strict=True))
+    ratio = np.sqrt(((errors / sigmas) ** 2).mean(axis=0))
+    assert np.all(ratio > 0.5)
+    assert np.all(ratio < 1.5)
 
 
 def test_false_observations_do_not_pull() -> None:
@@ -102,7 +124,9 @@ def test_a_wrong_position_loses_its_pull() -> None:
 def test_a_given_focal_length_stays() -> None:
     rng = np.random.default_rng(6)
     truth = true_scene(rng)
-    held = replace(LOOSE, lenses=LENS + np.array([[0.02, 0.0, 0.0]]), lens_sigmas=np.array([[0.0, 0.1, 0.1]]))
+    held = replace(
+        LOOSE, lenses=LENS + np.array([[0.02, 0, 0, 0, 0]]), lens_sigmas=np.array([[0.0, 0.1, 0.1, 0.01, 0.01]])
+    )
     start = replace(disturbed(truth, rng), lenses=held.lenses.copy())
     found = Bundle(observed(truth, rng), held, huber_px=2.0).adjust(start)
     assert found.lenses[0, 0] == held.lenses[0, 0]

@@ -29,7 +29,7 @@ def border() -> np.ndarray:
 
 @pytest.mark.parametrize(("k1", "k2"), [(-0.2, 0.0), (-0.1, 0.0), (0.0, 0.0), (0.1, 0.0), (-0.3, 0.1)])
 def test_the_ground_that_a_lens_shows_is_counted(k1: float, k2: float) -> None:
-    camera = camera_of(np.array([np.log(FOCAL_PX), k1, k2]), WIDTH, HEIGHT)
+    camera = camera_of(np.array([np.log(FOCAL_PX), k1, k2, 0.0, 0.0]), WIDTH, HEIGHT)
     counts = view_counts(LEVEL, [(camera, DOWN)])
     x, y = UP_M * camera.bearings(camera.undistort(border()))[:, :2].T
     outlined_m2 = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
@@ -40,7 +40,7 @@ def test_the_ground_that_a_lens_shows_is_counted(k1: float, k2: float) -> None:
 def test_a_model_that_folds_back_shows_nothing_from_beyond_its_fold() -> None:
     assert fold_radius(-0.2, 0.0) == pytest.approx(np.sqrt(1.0 / 0.6))
     assert fold_radius(0.1, 0.0) == fold_radius(0.0, 0.0) == np.inf
-    camera = camera_of(np.array([np.log(FOCAL_PX), -0.2, 0.0]), WIDTH, HEIGHT)
+    camera = camera_of(np.array([np.log(FOCAL_PX), -0.2, 0.0, 0.0, 0.0]), WIDTH, HEIGHT)
     x, y = np.meshgrid(RASTER.x, RASTER.y)
     beyond = np.hypot(x, y) > UP_M * fold_radius(-0.2, 0.0)
     assert beyond.any()
@@ -48,5 +48,5 @@ def test_a_model_that_folds_back_shows_nothing_from_beyond_its_fold() -> None:
 
 
 def test_what_is_behind_a_camera_is_not_counted() -> None:
-    camera = camera_of(np.array([np.log(FOCAL_PX), -0.1, 0.0]), WIDTH, HEIGHT)
+    camera = camera_of(np.array([np.log(FOCAL_PX), -0.1, 0.0, 0.0, 0.0]), WIDTH, HEIGHT)
     assert not view_counts(LEVEL, [(camera, Pose(np.eye(3), DOWN.t))]).any()

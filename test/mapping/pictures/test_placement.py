@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
 from uav_vslam.geometry.rotation import rotation_from_rpy
 from uav_vslam.mapping.pictures.bundle import Scene
-from uav_vslam.mapping.pictures.lens import project
+from uav_vslam.mapping.pictures.lens import PARAMETERS, project
 from uav_vslam.mapping.pictures.picture import Geodetic, Picture
 from uav_vslam.mapping.pictures.placement import HEIGHT_WITHOUT_SCALE, Placement, local_positions, place
 from uav_vslam.mapping.pictures.procedure import Adjusted
@@ -33,7 +33,7 @@ def flown() -> tuple[Array, Adjusted]:
     x, y = np.meshgrid(SPACING_M * np.arange(SIDE), SPACING_M * np.arange(SIDE))
     centres = np.column_stack([x.ravel(), y.ravel(), HEIGHT_M + rng.normal(0, 2, count)])
     ground = np.column_stack([rng.uniform(-25, 85, (1500, 2)), rng.normal(0, 1.5, 1500)])
-    R, lens = np.tile(np.diag([1.0, -1.0, -1.0]), (count, 1, 1)), np.array([[np.log(FOCAL_PX), 0, 0]])
+    R, lens = np.tile(np.diag([1.0, -1.0, -1.0]), (count, 1, 1)), np.array([[np.log(FOCAL_PX), 0, 0, 0, 0]])
     pictures, points, pixels = [], [], []
     for k in range(count):
         seen = project((ground - centres[k]) @ R[k].T, np.repeat(lens, len(ground), 0))
@@ -45,7 +45,7 @@ def flown() -> tuple[Array, Adjusted]:
     tracks = Tracks(np.array(pictures)[order], np.array(points)[order], np.vstack(pixels)[order], len(ground))
     every = np.ones(len(order), bool)
     scene = Scene(R, SCALE * centres, lens, np.zeros(count, int), SCALE * ground[tracks.of(every)])
-    return centres, Adjusted(scene, tracks.chosen(every), np.arange(count), 0.3, np.zeros((1, 3)))
+    return centres, Adjusted(scene, tracks.chosen(every), np.arange(count), 0.3, np.zeros((1, PARAMETERS)))
 
 
 def pictures_at(positions: Array, datum: Datum = DATUM) -> list[Picture]:

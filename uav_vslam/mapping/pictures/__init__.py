@@ -9,7 +9,7 @@ retrieval    which pictures look alike, by VLAD
 pairs        candidates for matching, and matching with a geometric check
 layout       pictures laid out flat: the similarity chain that starts everything
 tracks       one ground point in many pictures
-lens         focal length and radial distortion of pictures from one camera
+lens         focal length, principal point and radial distortion of pictures from one camera
 bundle       least squares over poses, points and lenses
 procedure    adjustment in rounds: outliers out, lost pictures in
 datum        the result's frame: levelled by the ground, scaled and placed by GPS if that agrees

@@ -33,7 +33,7 @@ class Scene:
     Attributes:
         R_cam_map: (N, 3, 3) attitudes.
         centres: (N, 3) camera centres in the map frame.
-        lenses: (G, 3) log f, k1, k2 of each camera.
+        lenses: (G, 5) parameters of each camera's lens, as in `lens`.
         lens_of: (N,) camera of each picture.
         points: (P, 3) in the map frame.
     """
@@ -59,8 +59,8 @@ class Priors:
     """What is known beside the pictures.
 
     Attributes:
-        lenses: (G, 3) expected log f, k1, k2.
-        lens_sigmas: (G, 3) standard deviations; 0 holds a parameter fixed.
+        lenses: (G, 5) expected parameters.
+        lens_sigmas: (G, 5) standard deviations; 0 holds a parameter fixed.
         positions: (N, 3) camera centres by GPS; NaN rows are unknown.
         position_sigmas: (3,) of an agreeing position.
     """
@@ -130,21 +130,52 @@ class Bundle:
         return float(cost + 0.5 * self._variance * prior)
 
     def lens_sigmas(self, scene: Scene) -> Array:
-        """Return (G, 3) standard deviations of an adjusted scene's lenses, by pictures and priors, in any frame."""
+        """Return (G, 5) standard deviations of an adjusted scene's lenses: the larger of two."""
+        return np.asarray(np.maximum(*self.lens_sigmas_of_two_kinds(scene)))
+
+    def lens_sigmas_of_two_kinds(self, scene: Scene) -> tuple[Array, Array]:
+        """Return (G, 5) standard deviations of an adjusted scene's lenses, by pictures and priors, in any frame.
+
+        Once for independent errors, whose variance the residuals show after the degrees of freedom that
+        the fit took; once for errors that are one within a picture, as an incomplete lens or a bent image makes them
+        (a sandwich estimator with pictures as clusters [liang86]).
+        """
         normal = self._normal(scene)
-        S = _reduced(normal, _inverse(normal.V))[0]
+        V_inverse = _inverse(normal.V)
+        S, WV = _reduced(normal, V_inverse)
+        own = POSE * len(scene.centres)
+        columns, free = self._lens_covariance(scene, S)
+        residuals, F, E = self._weighted(scene)
+        freedom = residuals.size / max(residuals.size - free - 3 * self._tracks.count, 1)
+        variance = freedom * float((residuals**2).mean())
+        independent = variance * np.diag(columns[own:])
+        point = (WV.T @ columns).reshape(len(V_inverse), 3, -1)
+        moved = (F @ columns).reshape(*residuals.shape, -1) - E @ point[self._tracks.point]
+        by_picture = np.zeros((len(scene.centres), columns.shape[1]))
+        np.add.at(by_picture, self._tracks.picture, np.einsum("mi,mik->mk", residuals, moved))
+        stiff = self._variance / np.where(self._held, 1.0, self._priors.lens_sigmas.ravel()) ** 2
+        prior = self._variance * (stiff[:, None] * columns[own:] ** 2)[~self._held].sum(axis=0)
+        together = prior + freedom * (by_picture**2).sum(axis=0)
+        return np.sqrt(independent).reshape(-1, PARAMETERS), np.sqrt(together).reshape(-1, PARAMETERS)
+
+    @property
+    def _held(self) -> NDArray[np.bool_]:
+        """(5G,) which parameters of the lenses stay."""
+        return np.asarray(self._priors.lens_sigmas.ravel() == 0.0)
+
+    def _lens_covariance(self, scene: Scene, S: Array) -> tuple[Array, int]:
+        """Return the lenses' columns of S^-1 over all cameras, zero for what is held; and the number of free rows."""
         own = POSE * len(scene.centres)
         far = int(np.argmax(np.linalg.norm(scene.centres - scene.centres[0], axis=1)))
         axis = int(np.argmax(np.abs(scene.centres[far] - scene.centres[0])))
         held = [*range(POSE), POSE * far + 3 + axis]  # a frame and a scale, on which the lenses do not depend
-        held += (own + np.flatnonzero(self._priors.lens_sigmas.ravel() == 0.0)).tolist()
+        held += (own + np.flatnonzero(self._held)).tolist()
         free = np.setdiff1d(np.flatnonzero(np.diag(S) > 0.0), held)
         scale = np.sqrt(np.diag(S)[free])
         values, vectors = np.linalg.eigh(S[np.ix_(free, free)] / np.outer(scale, scale))
-        inverse = (vectors / np.maximum(values, TINY)) @ vectors.T / np.outer(scale, scale)
-        sigma = np.zeros(len(S))
-        sigma[free] = np.sqrt(self._variance * np.diag(inverse))
-        return sigma[own:].reshape(-1, PARAMETERS)
+        inverse = np.zeros_like(S)
+        inverse[np.ix_(free, free)] = (vectors / np.maximum(values, TINY)) @ vectors.T / np.outer(scale, scale)
+        return inverse[:, own:], len(free)
 
     def _differences(self, scene: Scene) -> tuple[NDArray[np.bool_], Array]:
         """Return which positions are known, and (N, 3) differences to them in sigmas."""
@@ -157,11 +188,8 @@ class Bundle:
         return np.asarray(np.where(sigma > 0.0, difference, 0.0))
 
     def _normal(self, scene: Scene) -> _Normal:
-        residuals = scene.residuals(self._tracks)
-        error = np.linalg.norm(residuals, axis=1)
-        root = np.sqrt(np.minimum(1.0, self._huber_px / np.maximum(error, TINY)))
-        F, E = self._jacobians(scene, root)
-        r = (root[:, None] * residuals).ravel()
+        residuals, F, E = self._weighted(scene)
+        r = residuals.ravel()
         V = np.add.reduceat(np.einsum("mki,mkj->mij", E, E), self._starts, axis=0)
         point_gradient = np.add.reduceat(np.einsum("mki,mk->mi", E, r.reshape(-1, 2)), self._starts, axis=0)
         mixed = csr_array(F.T @ _spread(E, self._tracks.point, self._tracks.count))
@@ -169,8 +197,15 @@ class Bundle:
         diagonal, extra = self._prior_terms(scene)
         return _Normal(csr_array(U + _diagonal(diagonal)), V, mixed, gradient + extra, point_gradient)
 
+    def _weighted(self, scene: Scene) -> tuple[Array, csr_array, Array]:
+        """Return (M, 2) residuals and the Jacobians over cameras and points, with the roots of Huber's weights."""
+        residuals = scene.residuals(self._tracks)
+        error = np.linalg.norm(residuals, axis=1)
+        root = np.sqrt(np.minimum(1.0, self._huber_px / np.maximum(error, TINY)))
+        return root[:, None] * residuals, *self._jacobians(scene, root)
+
     def _jacobians(self, scene: Scene, root: Array) -> tuple[csr_array, Array]:
-        """Return the weighted Jacobian over the cameras (2M, 6N + 3G) and (M, 2, 3) blocks over the points."""
+        """Return the weighted Jacobian over the cameras (2M, 6N + 5G) and (M, 2, 3) blocks over the points."""
         tracks, count = self._tracks, len(scene.centres)
         inside = scene.in_camera(tracks)
         lens_of = scene.lens_of[tracks.picture]

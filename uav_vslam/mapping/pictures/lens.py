@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lens with one focal length and radial distortion around the image's centre, and its derivatives.
+"""A lens with one focal length, a principal point and radial distortion around it, and its derivatives.
 
-A point (x, y, 1) at r^2 = x^2 + y^2 is imaged at f (1 + k1 r^2 + k2 r^4) (x, y) from the centre. The parameters are
-(log f, k1, k2): the logarithm keeps f positive, and gives its uncertainty as a share.
+A point (x, y, 1) at r^2 = x^2 + y^2 is imaged at f ((1 + k1 r^2 + k2 r^4) (x, y) + (px, py)) from the image's centre.
+The parameters are (log f, k1, k2, px, py): the logarithm keeps f positive, and gives its uncertainty as a share.
 """
 
 import numpy as np
@@ -12,21 +12,21 @@ from uav_vslam.geometry.camera import PinholeCamera
 
 Array = NDArray[np.float64]
 
-PARAMETERS = 3
+PARAMETERS = 5
 TYPICAL_FOCAL = 0.85  # of the image's longest side, for a camera of which nothing is known: 61 degrees across
 LEAST_DEPTH = 1e-6
 
 
 def project(points_cam: Array, lens: Array) -> Array:
-    """Return (M, 2) pixels from the image's centre of (M, 3) points in the camera, through (M, 3) lens parameters."""
+    """Return (M, 2) pixels from the image's centre of (M, 3) points in the camera, through (M, 5) lens parameters."""
     xy = points_cam[:, :2] / _depth(points_cam)[:, None]
     r2 = (xy**2).sum(axis=1)
     radial = 1.0 + r2 * (lens[:, 1] + r2 * lens[:, 2])
-    return np.asarray((np.exp(lens[:, 0]) * radial)[:, None] * xy)
+    return np.asarray(np.exp(lens[:, :1]) * (radial[:, None] * xy + lens[:, 3:]))
 
 
 def project_jacobians(points_cam: Array, lens: Array) -> tuple[Array, Array]:
-    """Return d(pixels)/d(point): (M, 2, 3), and d(pixels)/d(log f, k1, k2): (M, 2, 3)."""
+    """Return d(pixels)/d(point): (M, 2, 3), and d(pixels)/d(lens): (M, 2, 5)."""
     depth = _depth(points_cam)
     xy = points_cam[:, :2] / depth[:, None]
     r2 = (xy**2).sum(axis=1)
@@ -36,8 +36,11 @@ def project_jacobians(points_cam: Array, lens: Array) -> tuple[Array, Array]:
     xy_by_point = np.zeros((len(xy), 2, 3))
     xy_by_point[:, 0, 0] = xy_by_point[:, 1, 1] = 1.0 / depth
     xy_by_point[:, :, 2] = -xy / depth[:, None]
-    by_lens = (f[:, None] * xy)[:, :, None] * np.stack([radial, r2, r2**2], axis=1)[:, None, :]
-    return by_xy @ xy_by_point, by_lens
+    by_lens = np.zeros((len(xy), 2, PARAMETERS))
+    by_lens[:, :, 0] = radial[:, None] * xy + lens[:, 3:]
+    by_lens[:, :, 1], by_lens[:, :, 2] = r2[:, None] * xy, (r2**2)[:, None] * xy
+    by_lens[:, :, 3:] = np.eye(2)
+    return by_xy @ xy_by_point, f[:, None, None] * by_lens
 
 
 def _depth(points_cam: Array) -> Array:
@@ -47,15 +50,16 @@ def _depth(points_cam: Array) -> Array:
 
 
 def camera_of(lens: Array, width: int, height: int) -> PinholeCamera:
-    """Return the camera of (3,) parameters; pixel centres are whole numbers."""
+    """Return the camera of (5,) parameters; pixel centres are whole numbers."""
     f = float(np.exp(lens[0]))
     distortion = np.array([lens[1], lens[2], 0.0, 0.0, 0.0])
-    return PinholeCamera(width, height, f, f, 0.5 * (width - 1), 0.5 * (height - 1), distortion)
+    cx, cy = 0.5 * (width - 1) + f * float(lens[3]), 0.5 * (height - 1) + f * float(lens[4])
+    return PinholeCamera(width, height, f, f, cx, cy, distortion)
 
 
 def bearings(pixels: Array, lens: Array, iterations: int = 10) -> Array:
     """Return (M, 2) x, y of rays (x, y, 1) through (M, 2) pixels from the image's centre, by fixed-point iteration."""
-    raw = pixels / np.exp(lens[:, :1])
+    raw = pixels / np.exp(lens[:, :1]) - lens[:, 3:]
     xy = raw.copy()
     for _ in range(iterations):
         r2 = (xy**2).sum(axis=1, keepdims=True)

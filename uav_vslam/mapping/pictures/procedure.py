@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from uav_vslam.errors import PictureError
 from uav_vslam.mapping.pictures.bundle import Bundle, Priors, Scene
 from uav_vslam.mapping.pictures.layout import Layout
-from uav_vslam.mapping.pictures.lens import TYPICAL_FOCAL, camera_of
+from uav_vslam.mapping.pictures.lens import PARAMETERS, TYPICAL_FOCAL, camera_of
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.tracks import Tracks, strongest
 from uav_vslam.numerics import robust_sigma
@@ -27,6 +27,7 @@ Rows = NDArray[np.intp]
 
 PER_PICTURE = 600  # points that each picture asks for
 EXIF_SIGMA, UNKNOWN_SIGMA, DISTORTION_SIGMA = 0.05, 0.35, 0.1
+PRINCIPAL_SIGMA = 3e-3  # of the principal point along an axis, as a share of the picture's longest side
 ROUNDS = (1e-2, 4e-3, 1.5e-3)  # Huber's bound / side
 FINAL_HUBER = 6e-4
 REJECT = 4.0  # robust sigmas above which an observation is false
@@ -44,7 +45,7 @@ class Adjusted:
         tracks: observations kept, in pixels from the images' centres; numbers of pictures are the folder's.
         used: numbers of the pictures that have a pose, ascending.
         noise_px: robust standard deviation of the reprojection errors, per axis.
-        lens_sigmas: (G, 3) of log f, k1, k2.
+        lens_sigmas: (G, 5) of the lenses' parameters.
     """
 
     scene: Scene
@@ -61,20 +62,21 @@ def cameras_of(pictures: Sequence[Picture]) -> tuple[list[str], Rows]:
 
 
 def lens_priors(pictures: Sequence[Picture], *, known: bool) -> tuple[Array, Array]:
-    """Return expected (G, 3) log f, k1, k2, and their standard deviations.
+    """Return expected (G, 5) lens parameters, and their standard deviations.
 
     Args:
         pictures: all of them.
-        known: the focal length is given by the user and stays.
+        known: the focal length is given by the user and stays; the rest of the lens is estimated as ever.
     """
     names, lens_of = cameras_of(pictures)
-    expected, sigma = np.zeros((len(names), 3)), np.full((len(names), 3), DISTORTION_SIGMA)
+    expected, sigma = np.zeros((len(names), PARAMETERS)), np.full((len(names), PARAMETERS), DISTORTION_SIGMA)
     for g in range(len(names)):
         own = [picture for picture, lens in zip(pictures, lens_of, strict=True) if lens == g]
         focal = [picture.focal_px for picture in own if picture.focal_px is not None]
         side = max(own[0].width, own[0].height)
         expected[g, 0] = np.log(np.median(focal) if focal else TYPICAL_FOCAL * side)
         sigma[g, 0] = 0.0 if known else EXIF_SIGMA if focal else UNKNOWN_SIGMA
+        sigma[g, 3:] = PRINCIPAL_SIGMA * side / np.exp(expected[g, 0])
     return expected, sigma
 
 
@@ -129,13 +131,22 @@ def adjust(pictures: Sequence[Picture], layout: Layout, tracks: Tracks, *, focal
 
 
 def finish(scene: Scene, tracks: Tracks, priors: Priors, side_px: float) -> Adjusted:
-    """Adjust once more with the tightest kernel."""
+    """Adjust once more with the tightest kernel, then with priors that weigh as the errors are correlated.
+
+    Against thousands of points a prior counts for nothing, but where the points of a picture err together, as by a bent
+    image, they tell as little of the lens as a few.
+    """
     used = np.unique(tracks.picture)
     if len(used) < 2:
         raise PictureError("fewer than two pictures fit together; are they of one place, and do they overlap by half?")
     noise = robust_sigma(scene.residuals(tracks))
     bundle = Bundle(tracks, priors, huber_px=FINAL_HUBER * side_px, noise_px=noise)
     scene = bundle.adjust(scene)
+    independent, together = bundle.lens_sigmas_of_two_kinds(scene)
+    grown = float(np.max(together / np.where(independent > 0.0, independent, np.inf)))
+    if grown > 1.0:
+        bundle = Bundle(tracks, priors, huber_px=FINAL_HUBER * side_px, noise_px=grown * noise)
+        scene = bundle.adjust(scene)
     return Adjusted(scene, tracks, used, robust_sigma(scene.residuals(tracks)), bundle.lens_sigmas(scene))
 
 
@@ -174,7 +185,7 @@ def _placed(scene: Scene, tracks: Tracks, picture: int, size: tuple[int, int]) -
     if len(own) < FEWEST_POINTS:
         return None
     camera = camera_of(scene.lenses[scene.lens_of[picture]], *size)
-    pixels = tracks.pixels[own] + [camera.cx, camera.cy]
+    pixels = tracks.pixels[own] + 0.5 * (np.array(size) - 1.0)
     found, turn, shift, inliers = cv2.solvePnPRansac(
         scene.points[tracks.point[own]], pixels, camera.K, camera.distortion, reprojectionError=PNP_SHARE * max(size)
     )
