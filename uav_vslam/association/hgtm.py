@@ -24,15 +24,12 @@ TOLERANCE_SHARE = 0.01  # of their extent, in addition: the ground is not flat, 
 SCALES = (0.5, 2.0)  # plausible scales of the image relative to the prediction
 
 
-def same_shapes(
-    expected: Array, observed: Array, *, neighbours: int = NEIGHBOURS, tolerance: float = TOLERANCE_PX
-) -> Rows:
+def same_shapes(expected: Array, observed: Array, *, tolerance: float = TOLERANCE_PX) -> Rows:
     """Return the matches whose hyperedges all have equal shapes on both sides; matches without hyperedges are dropped.
 
     Args:
         expected: (N, 2) predicted pixels of the landmarks [px], or points of another plane in its own unit.
         observed: (N, 2) pixels of the matched features, in the same unit.
-        neighbours: K.
         tolerance: largest residual of three points after a similarity fit, in the same unit.
 
     Returns:
@@ -40,7 +37,7 @@ def same_shapes(
     """
     left = np.arange(len(observed))
     while True:
-        triples = left[hyperedges(observed[left], neighbours)]
+        triples = left[hyperedges(observed[left], NEIGHBOURS)]
         wrong = ~_similar(expected[triples], observed[triples], tolerance)
         if not wrong.any():
             return np.unique(triples)

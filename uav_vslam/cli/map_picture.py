@@ -23,12 +23,7 @@ PASSES = 3  # over the key frames: brightness, picture, seams and walls
 
 
 def write_picture_and_model(
-    flights: list[MappedFlight],
-    grid: HeightGrid,
-    folder: Path,
-    datum: Datum | None,
-    *,
-    m_per_px: float = M_PER_PX,
+    flights: list[MappedFlight], grid: HeightGrid, folder: Path, datum: Datum | None
 ) -> dict[str, Any]:
     """Write the orthomosaic and the model; return their parts of `map.json`.
 
@@ -52,7 +47,7 @@ def write_picture_and_model(
 
     with TemporaryDirectory(dir=folder, prefix="tiles_") as tiles:
         with progress_bar("orthomosaic", PASSES * len(stamps)) as advance:
-            mosaic = blended_mosaic(views, surface, m_per_px, folder=Path(tiles), on_view=advance)
+            mosaic = blended_mosaic(views, surface, M_PER_PX, folder=Path(tiles), on_view=advance)
             found = seams(mosaic, counted(views(), advance)).figures()
         written = write_orthomosaic(mosaic, folder, datum)
         model = write_model(surface, mosaic, folder, views=views, cell_m=grid.cell_m)

@@ -72,21 +72,21 @@ def normalised(error: Array, covariance: Array) -> Array:
     return np.where(definite, np.sum(whitened**2, axis=1) / DOF, np.nan)
 
 
-def summarise(values: Array, *, skip: int = SKIPPED_KEYFRAMES) -> NeesSummary:
-    """Return the mean of (N,) NEES after the first `skip`, and the last value."""
-    counted = values[skip:]
+def summarise(values: Array) -> NeesSummary:
+    """Return the mean of (N,) NEES after the first `SKIPPED_KEYFRAMES`, and the last value."""
+    counted = values[SKIPPED_KEYFRAMES:]
     mean = float(np.mean(counted)) if len(counted) else float("nan")
     end = float(values[-1]) if len(values) else float("nan")
     return NeesSummary(mean, end, int(np.isnan(values).sum()))
 
 
-def chi_square_band(runs: int, *, probability: float = 0.95, dof: int = DOF) -> tuple[float, float]:
-    """Return the two-sided band for the mean of `runs` independent NEES / dof of a consistent filter.
+def chi_square_band(runs: int, *, probability: float = 0.95) -> tuple[float, float]:
+    """Return the two-sided band for the mean of `runs` independent NEES / DOF of a consistent filter.
 
-    The sum over runs is chi-square with runs * dof degrees of freedom. Keyframes of one run are correlated: the band
+    The sum over runs is chi-square with runs * DOF degrees of freedom. Keyframes of one run are correlated: the band
     holds for one keyframe over many runs, not for the mean over a run.
     """
-    low, high = chi_square_bands(np.array(runs * dof), probability=probability)
+    low, high = chi_square_bands(np.array(runs * DOF), probability=probability)
     return float(low), float(high)
 
 

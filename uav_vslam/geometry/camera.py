@@ -17,6 +17,7 @@ from uav_vslam.errors import CalibrationError
 Array = NDArray[np.float64]
 
 COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}  # of each model, named as in CameraInfo
+UNDISTORT_ITERATIONS = 20
 UNDISTORTED_PX = 1e-3  # largest reprojection error of a converged solution
 MAX_RAY = 10.0  # tangent of the largest angle from the axis that a pinhole can stand for, 84 degrees
 OPENCV_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
@@ -104,7 +105,7 @@ class PinholeCamera:
         yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         return np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], axis=-1)
 
-    def undistort(self, pixels: ArrayLike, iterations: int = 20) -> Array:
+    def undistort(self, pixels: ArrayLike) -> Array:
         """Map (..., 2) raw pixels to the ideal pinhole's; a row is NaN where nothing is imaged there.
 
         `plumb_bob` by fixed-point iteration of `distort`, and Newton's method where that diverges, in the corners of
@@ -117,11 +118,11 @@ class PinholeCamera:
             return self._undistort_by_opencv(raw)
         ideal = raw.copy()
         with np.errstate(over="ignore", invalid="ignore"):
-            for _ in range(iterations):
+            for _ in range(UNDISTORT_ITERATIONS):
                 ideal = ideal + (raw - self.distort(ideal))
             lost = ~(np.abs(raw - self.distort(ideal)).max(axis=-1) <= UNDISTORTED_PX)
             if lost.any():
-                ideal[lost] = self._undistort_by_newton(raw[lost], iterations)
+                ideal[lost] = self._undistort_by_newton(raw[lost])
         return ideal
 
     def _equidistant_scale(self, radius: Array) -> Array:
@@ -145,10 +146,10 @@ class PinholeCamera:
         ideal[~found] = np.nan
         return ideal
 
-    def _undistort_by_newton(self, raw: Array, iterations: int) -> Array:
+    def _undistort_by_newton(self, raw: Array) -> Array:
         """Return (N, 2) undistorted pixels of raw ones; NaN where there is none or the distortion model folds over."""
         ideal = raw.copy()
-        for _ in range(iterations):
+        for _ in range(UNDISTORT_ITERATIONS):
             a, b, d = self._distortion_jacobian(ideal)
             u, v = np.moveaxis((raw - self.distort(ideal)) / [self.fx, self.fy], -1, 0)
             step = np.stack([d * u - b * v, a * v - b * u], axis=-1) / (a * d - b * b)[:, None]

@@ -42,7 +42,7 @@ def ate_title(alignment: str) -> str:
     return f"ATE [m]\n{ALIGNMENT_TITLES[alignment]}"
 
 
-def wide(console: Console | None) -> Console:
+def wide(console: Console | None = None) -> Console:
     """Return a console that is wide enough for the tables, unless it is a terminal."""
     console = console or Console()
     return console if console.is_terminal else Console(file=console.file, width=WIDTH)

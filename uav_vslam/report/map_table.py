@@ -4,14 +4,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
-
 from uav_vslam.report.layout import figure_text, new_table, print_table, wide
 
 
-def print_map(tree: Mapping[str, Any], times_ms: Mapping[str, float], console: Console | None = None) -> None:
+def print_map(tree: Mapping[str, Any], times_ms: Mapping[str, float]) -> None:
     """Print the content of `map.json` and the processor time for a frame flown [ms], by stage."""
-    console = wide(console)
+    console = wide()
     surface, views = tree["surface"], sum(vehicle["views"] for vehicle in tree["vehicles"].values())
     columns = (
         "Views",

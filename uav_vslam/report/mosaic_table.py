@@ -10,14 +10,14 @@ from rich.text import Text
 Figures = dict[str, Any]
 
 
-def print_mosaic(figures: Figures, console: Console | None = None) -> None:
+def print_mosaic(figures: Figures) -> None:
     """Print the figures of mosaic.json."""
     table = Table(show_header=False)
     table.add_column()
     table.add_column(justify="right")
     for name, value in rows(figures):
         table.add_row(Text(name), Text(value))
-    (console or Console()).print(table)
+    Console().print(table)
 
 
 def rows(figures: Figures) -> list[tuple[str, str]]:

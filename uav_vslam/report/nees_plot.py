@@ -40,10 +40,10 @@ def nees_plot(result: FlightResult) -> Figure | None:
     return figure
 
 
-def draw_band(axes: Axes, *, runs: int = 1, label: str = "95 % of a consistent filter") -> None:
+def draw_band(axes: Axes, *, runs: int = 1) -> None:
     """Draw where 95 % of a consistent filter's NEES lie, as a mean over so many independent runs, and its mean 1."""
     low, high = chi_square_band(runs)
-    axes.axhspan(low, high, color=BAND, linewidth=0, zorder=0, label=label)
+    axes.axhspan(low, high, color=BAND, linewidth=0, zorder=0, label="95 % of a consistent filter")
     axes.axhline(1.0, color="#888888", linewidth=0.8, zorder=1)
     clean(axes)
 

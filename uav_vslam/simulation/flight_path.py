@@ -19,6 +19,7 @@ KNOT_RATE_HZ = 50.0  # twelve knots to the fastest vibration's period
 MARGIN_S = 1.0  # motion is defined this long before the first and after the last frame
 ROLL_IN_S = 2.0  # a turn's yaw rate is smoothed over this time
 CIRCUIT_LEG_M = 750.0
+BANK_DEG = 25.0  # of the patterns' turns
 GRAVITY = 9.80665  # for the bank of a coordinated turn only [m/s^2]
 
 
@@ -60,14 +61,14 @@ def leg_pattern(duration_s: float, speed: float, *, turn_deg: float = 15.0) -> l
 
 
 def lawnmower_pattern(
-    duration_s: float, speed: float, *, leg_m: float = 300.0, spacing_m: float = 25.0, bank_deg: float = 25.0
+    duration_s: float, speed: float, *, leg_m: float = 300.0, spacing_m: float = 25.0
 ) -> list[Segment]:
     """Parallel legs `spacing_m` apart, so that neighbours overlap and places are revisited.
 
     A plain half turn would put the next leg two turn radii away; the bulb turn (away by alpha, back by pi + 2 alpha,
     away by alpha, with cos alpha = (r + d/2) / 2r) puts it at any smaller distance d.
     """
-    radius = speed**2 / (GRAVITY * np.tan(np.deg2rad(bank_deg)))
+    radius = _turn_radius_m(speed)
     alpha = np.arccos(min(1.0, (radius + 0.5 * spacing_m) / (2.0 * radius)))
     leg = Segment(leg_m / speed, 0.0)
 
@@ -80,11 +81,9 @@ def lawnmower_pattern(
     return _repeat([leg, *bulb(1.0), leg, *bulb(-1.0)], duration_s)
 
 
-def racetrack_pattern(
-    duration_s: float, speed: float, *, leg_m: float = 300.0, bank_deg: float = 25.0
-) -> list[Segment]:
+def racetrack_pattern(duration_s: float, speed: float, *, leg_m: float = 300.0) -> list[Segment]:
     """Two legs joined by left half turns, flown repeatedly over the same ground."""
-    radius = speed**2 / (GRAVITY * np.tan(np.deg2rad(bank_deg)))
+    radius = _turn_radius_m(speed)
     return _repeat([Segment(leg_m / speed, 0.0), Segment(np.pi * radius / speed, np.pi)], duration_s)
 
 
@@ -93,14 +92,16 @@ def circuit_pattern(duration_s: float, speed: float) -> list[Segment]:
     return racetrack_pattern(duration_s, speed, leg_m=CIRCUIT_LEG_M)
 
 
-def parting_pattern(
-    duration_s: float, speed: float, *, together_s: float = 60.0, bank_deg: float = 25.0
-) -> list[Segment]:
+def parting_pattern(duration_s: float, speed: float, *, together_s: float = 60.0) -> list[Segment]:
     """One straight leg, then a quarter turn to the left, apart from the others; see `MIRRORED`."""
-    radius = speed**2 / (GRAVITY * np.tan(np.deg2rad(bank_deg)))
+    radius = _turn_radius_m(speed)
     turn = Segment(0.5 * np.pi * radius / speed, 0.5 * np.pi)
     away_s = max(duration_s - together_s - turn.duration_s, 0.0) + 2.0 * MARGIN_S
     return [Segment(together_s, 0.0), turn, Segment(away_s, 0.0)]
+
+
+def _turn_radius_m(speed: float) -> float:
+    return float(speed**2 / (GRAVITY * np.tan(np.deg2rad(BANK_DEG))))
 
 
 PATTERNS: dict[str, Callable[[float, float], list[Segment]]] = {

@@ -23,7 +23,6 @@ class Trajectory:
 
     Attributes:
         start_ns: stamp of t_s = 0 [ns].
-        t_min_s, t_max_s: the interval in which the motion is defined [s].
     """
 
     def __init__(self, start_ns: int, times_s: ArrayLike, positions_world: ArrayLike, rpy: ArrayLike) -> None:
@@ -37,7 +36,6 @@ class Trajectory:
         """
         times = np.asarray(times_s, dtype=float)
         self.start_ns = start_ns
-        self.t_min_s, self.t_max_s = float(times[0]), float(times[-1])
         self._position: BSpline = make_interp_spline(times, np.asarray(positions_world, dtype=float), k=SPLINE_DEGREE)
         self._velocity, self._acceleration = self._position.derivative(1), self._position.derivative(2)
         self._rpy: BSpline = make_interp_spline(times, np.asarray(rpy, dtype=float), k=SPLINE_DEGREE)

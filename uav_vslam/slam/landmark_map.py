@@ -14,9 +14,9 @@ LONG_FRAMES = 30  # a landmark unseen for longer closes a loop when it is observ
 class LandmarkMap:
     """Identifiers, descriptors and history, kept consistent with the filter by `append` and `remove`."""
 
-    def __init__(self, descriptor_size: int = 128) -> None:
+    def __init__(self) -> None:
         self.ids: NDArray[np.uint32] = np.zeros(0, np.uint32)
-        self.descriptors: NDArray[np.uint8] = np.zeros((0, descriptor_size), np.uint8)
+        self.descriptors: NDArray[np.uint8] = np.zeros((0, 128), np.uint8)  # as long as the first that come
         self.statistics = DescriptorStatistics.of(self.descriptors)
         self.born: Rows = np.zeros(0, np.intp)  # frame number of the first observation
         self.seen: Rows = np.zeros(0, np.intp)  # frame number of the last observation

@@ -105,16 +105,9 @@ def with_imu_edge(message: Any, vehicle: str = "uav1", T_body_imu: Pose = UPSIDE
     return message
 
 
-def kalibr_of(
-    bag: Path,
-    folder: Path,
-    *,
-    vehicle: str = "uav1",
-    timeshift_s: float = 0.0,
-    T_body_imu: Pose | None = None,
-) -> Path:
+def kalibr_of(bag: Path, folder: Path, *, timeshift_s: float = 0.0, T_body_imu: Pose | None = None) -> Path:
     """Write the recorded calibration as Kalibr does, whose body is the IMU."""
-    return write_kalibr(open_flight(bag, vehicle).rig, folder, timeshift_s=timeshift_s, T_body_imu=T_body_imu)
+    return write_kalibr(open_flight(bag, "uav1").rig, folder, timeshift_s=timeshift_s, T_body_imu=T_body_imu)
 
 
 def write_kalibr(rig: StereoRig, folder: Path, *, timeshift_s: float = 0.0, T_body_imu: Pose | None = None) -> Path:

@@ -26,24 +26,20 @@ NEIGHBOURS = 8  # K
 def cds_nn(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
     """Match the connected dominating set of `a` by mutual nearest descriptors."""
     rows = dominating_points(a.pixels)
-    pairs = nn_mutual(_chosen(a, rows), b, ratio)
+    pairs = nn_mutual(a.chosen(rows), b, ratio)
     return np.column_stack([rows[pairs[:, 0]], pairs[:, 1]])
 
 
 def cds_gtm(a: Keypoints, b: Keypoints, ratio: float) -> NDArray[np.intp]:
     """Match the connected dominating set of `a` by mutual nearest descriptors and graph transformation."""
     rows = dominating_points(a.pixels)
-    pairs = gtm(_chosen(a, rows), b, ratio)
+    pairs = gtm(a.chosen(rows), b, ratio)
     return np.column_stack([rows[pairs[:, 0]], pairs[:, 1]])
 
 
-def _chosen(keypoints: Keypoints, rows: Rows) -> Keypoints:
-    return Keypoints(keypoints.pixels[rows], keypoints.responses[rows], keypoints.descriptors[rows])
-
-
-def dominating_points(pixels: NDArray[np.floating], *, neighbours: int = NEIGHBOURS) -> Rows:
+def dominating_points(pixels: NDArray[np.floating]) -> Rows:
     """Return the ascending rows of a connected dominating set of the neighbourhood graph of (N, 2) pixels."""
-    return connected_dominating_set(neighbourhood_graph(pixels, neighbours))
+    return connected_dominating_set(neighbourhood_graph(pixels, NEIGHBOURS))
 
 
 def neighbourhood_graph(points: NDArray[np.floating], neighbours: int) -> csr_array:
