@@ -88,7 +88,7 @@ def read_kitti(
         raise BagError(f"{sequence}: no pictures of image_{cameras[0]} and image_{cameras[1]} pair up, or none has IMU")
     T_body_cam0 = oxts.T_body_cam0(calibration.T_cam0_velo) if oxts else T_FLU_OPTICAL
     T_world_first = oxts.pose_at(int(stamps_ns[0])) if oxts else Pose.identity()
-    truth = _truth(sequence, stamps_ns, T_body_cam0, T_world_first, problems)
+    truth, warnings = _truth(sequence, stamps_ns, T_body_cam0, T_world_first, problems)
     flight = FlightRecording(
         vehicle=vehicle,
         rig=_rig(calibration, cameras, pairs[0], T_body_cam0),
@@ -100,7 +100,7 @@ def read_kitti(
     if truth is None:
         notes += ("no poses of this sequence: nothing can be evaluated",)
     settings = {**SETTINGS, **(OXTS_NOISE if oxts else {})}
-    warnings = _beyond_times(sequence, cameras, len(stamps_ns)) + _too_few_poses(_poses_file(sequence), len(stamps_ns))
+    warnings = _beyond_times(sequence, cameras, len(stamps_ns)) + warnings
     return Source(flight, len(pairs), settings=settings, notes=notes, warnings=warnings, runnable=oxts is not None)
 
 
@@ -170,28 +170,16 @@ def _rig(calibration: _Calibration, cameras: tuple[int, int], first: PicturePair
     return StereoRig(left, right, T_body_left, T_body_right)
 
 
-def _poses_file(sequence: Path) -> Path:
-    return sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
-
-
-def _too_few_poses(path: Path, times: int) -> tuple[str, ...]:
-    """Return what to say about rows that are missing: nobody can tell which, so that the others may be misplaced."""
-    rows = len(list(numbered_lines(path))) if path.is_file() else 0
-    if not 0 < rows < times:
-        return ()
-    text = f"{path} has {rows} rows for {times} pictures, and they count for the first ones"
-    return (f"{text}; if a row before the last is missing, all after it are wrong",)
-
-
 def _truth(
     sequence: Path, stamps_ns: NDArray[np.int64], T_body_cam0: Pose, T_world_first: Pose, problems: Problems
-) -> Motion | None:
-    """Return the motion of the body; None if the sequence has no poses."""
-    path = _poses_file(sequence)
+) -> tuple[Motion | None, tuple[str, ...]]:
+    """Return the motion of the body, None if the sequence has no poses, and a warning if rows are missing."""
+    path = sequence.resolve().parents[1] / "poses" / f"{sequence.resolve().name}.txt"
     if not path.is_file():
-        return None
+        return None, ()
+    lines = list(numbered_lines(path))
     rows: list[tuple[int, int, list[float]]] = []
-    for k, (line, text) in enumerate(numbered_lines(path)):
+    for k, (line, text) in enumerate(lines):
         try:
             row = numbers(text.split())
             if len(row) != 12 or k >= len(stamps_ns):
@@ -207,4 +195,8 @@ def _truth(
     poses = [T_world_cam0 @ Pose(M[:, :3], M[:, 3]) @ T_cam0_body for M in table.values.reshape(-1, 3, 4)]
     quaternions = quaternion_wxyz_from_rotation(np.array([pose.R for pose in poses]))
     positions = np.array([pose.t for pose in poses])
-    return motion_of_poses(table.stamps_ns, positions, quaternions, source=path, gap_ns=POSE_GAP_NS)
+    motion = motion_of_poses(table.stamps_ns, positions, quaternions, source=path, gap_ns=POSE_GAP_NS)
+    if len(lines) >= len(stamps_ns):
+        return motion, ()
+    text = f"{path} has {len(lines)} rows for {len(stamps_ns)} pictures, and they count for the first ones"
+    return motion, (f"{text}; if a row before the last is missing, all after it are wrong",)
