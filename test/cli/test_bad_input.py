@@ -256,8 +256,8 @@ def test_what_a_fleet_file_says_itself_is_not_taken_from_the_command_line(
         (["run", "bag", "--workers", "0"], "'0' is not a count of at least 1"),
         (["study", "models", "--seeds", "-1"], "'-1' is not a count of at least 1"),
         (["study", "models", "--first-seed", "-1"], "'-1' is not a whole number of at least 0"),
-        (["run", "bag", "--results", "FILE/results"], "nothing can be written to"),
-        (["run", "bag", "--results", "/proc/results"], "nothing can be written to"),
+        (["run", "bag", "--results", "FILE/results"], "results: can't be made"),
+        (["run", "bag", "--results", "/proc/results"], "results: can't be made"),
         (["run", "bag", "--results", "WITH_LATEST"], "latest is not a symbolic link"),
     ],
 )

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -75,17 +74,13 @@ def namespace(text: str) -> str:
 
 def results_folder(text: str) -> Path:
     """Return the folder of all results, which is created with the first of them."""
+    from uav_vslam.datasets.unfinished import require_place
     from uav_vslam.errors import UavVslamError
     from uav_vslam.evaluation.output import latest_link
 
     folder = Path(text)
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     try:
-        with tempfile.TemporaryFile(dir=there):  # permissions tell nothing of file systems that are read-only
-            pass
-    except OSError:
-        raise argparse.ArgumentTypeError(f"nothing can be written to {there}; choose another folder") from None
-    try:
+        require_place(folder)
         latest_link(folder)
     except UavVslamError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
