@@ -7,13 +7,13 @@ import itertools
 import cv2
 import numpy as np
 import pytest
+from first_hits import first_hits
 from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.simulation.camera_render import STEEPEST_RAY, CameraRenderer, RenderedFlight
-from uav_vslam.simulation.correspondence import first_hits
 from uav_vslam.simulation.object_render import SAMPLES, SolidPainter, pixel_samples
 from uav_vslam.simulation.ridged import Ridged
 from uav_vslam.simulation.rig import R_BODY_OPTICAL, kagaru_rig

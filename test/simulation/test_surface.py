@@ -6,9 +6,9 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+from first_hits import first_hits
 from numpy.typing import NDArray
 
-from uav_vslam.simulation.correspondence import first_hits
 from uav_vslam.simulation.farm_texture import LitTexture
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.simulation.shading import LUMINANCE, SHADOW, TO_SUN
