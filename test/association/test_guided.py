@@ -6,7 +6,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from uav_vslam.association.guided import STEREO_DOF, associate, gate
+from uav_vslam.association.guided import associate, gate
+from uav_vslam.geometry.stereo import STEREO_DOF
 
 Array = NDArray[np.float64]
 

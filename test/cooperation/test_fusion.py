@@ -13,10 +13,10 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fused_pose import FusedEpoch, move, propagated
 from uav_vslam.cooperation.fusion import MIN_DELAY_S, Fusion
 from uav_vslam.geometry.coded_points import DensePoints, pack_lower
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_log
 from uav_vslam.numerics import symmetrise
-from uav_vslam.slam.packet import POSE_DIM, PacketPolicy, checksum, make_packet
+from uav_vslam.slam.packet import PacketPolicy, checksum, make_packet
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
 
 Array = NDArray[np.float64]

@@ -8,9 +8,9 @@ import pytest
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fusion import Fusion
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import so3_exp, so3_log
-from uav_vslam.slam.packet import POSE_DIM, PacketPolicy, make_packet
+from uav_vslam.slam.packet import PacketPolicy, make_packet
 
 COUNT = 20
 T_PEER_OWN = Pose(so3_exp(np.array([0.0, 0.0, 2.0])), np.array([30.0, -10.0, 4.0]))

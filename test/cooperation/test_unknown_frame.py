@@ -11,9 +11,8 @@ from uav_vslam.cooperation.point_pairs import FRAME_DIM, corrected, rotated
 from uav_vslam.cooperation.schemes import SCHEMES
 from uav_vslam.cooperation.unknown_frame import Framed, framed
 from uav_vslam.estimation.covariance_intersection import Fused, Split, split_covariance_intersection
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy, so3_log
-from uav_vslam.slam.packet import POSE_DIM
 
 COUNT = 9
 FLOOR_M = 0.2

@@ -12,14 +12,13 @@ from uav_vslam.estimation.past_poses import (
     DRIFT,
     LEFT,
     OFFSET,
-    POSE_DIM,
     PastPose,
     TrackObservation,
     Tracks,
     observe_tracks,
 )
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import so3_exp
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.estimation.belief import landmark_rows
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.slam.landmark_memory import OWN_SIGMA_M, LandmarkMemory
-from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]

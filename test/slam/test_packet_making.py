@@ -11,7 +11,8 @@ from scipy.linalg import eigh
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.coded_points import OFFSET_LIMIT_M, OFFSET_STEP_M
-from uav_vslam.slam.packet import ANCHOR, DENSE, POSE_DIM, PacketPolicy, make_packet, payload_bytes, validate
+from uav_vslam.geometry.pose import POSE_DIM
+from uav_vslam.slam.packet import ANCHOR, DENSE, PacketPolicy, make_packet, payload_bytes, validate
 from uav_vslam.types import JointInformation, LandmarkPacket
 from uav_vslam.vision.compact_descriptors import COMPACT, in_basis
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from uav_vslam.association.guided import STEREO_DOF
+from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.numerics import mahalanobis2
 
 Array = NDArray[np.float64]

@@ -7,12 +7,11 @@ from scipy.special import chdtri
 
 from uav_vslam.association.in_view import InView
 from uav_vslam.config import BackendConfig
+from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.types import StereoFeatures
 from uav_vslam.vision.matching.nn_ratio import match_gated
 
 Array = NDArray[np.float64]
-
-STEREO_DOF = 4
 
 
 def gate(predicted: Array, S: Array, observed: Array, *, probability: float) -> NDArray[np.bool_]:

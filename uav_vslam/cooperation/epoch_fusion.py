@@ -9,7 +9,7 @@ from uav_vslam.cooperation.peer_frame import PeerFrame
 from uav_vslam.cooperation.schemes import SCHEMES
 from uav_vslam.cooperation.unknown_frame import FrameEstimate
 from uav_vslam.estimation.covariance_intersection import Split
-from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
 
 Array = NDArray[np.float64]

@@ -22,9 +22,10 @@ from uav_vslam.cooperation.inbox import DESCRIPTOR_SIZE, FEWER_COMMON, Inbox
 from uav_vslam.cooperation.loaded_map import LoadedMap
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
 from uav_vslam.estimation.belief import state_rows
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import inverse_spd, submatrix
 from uav_vslam.slam.landmark_memory import LandmarkMemory
-from uav_vslam.slam.packet import ANCHOR, POSE_DIM, PacketPolicy, checksum, make_packet, packet_policy
+from uav_vslam.slam.packet import ANCHOR, PacketPolicy, checksum, make_packet, packet_policy
 from uav_vslam.slam.saved_map import SavedMap
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEstimate
 

@@ -17,7 +17,7 @@ from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.cooperation.unknown_frame import Framed, FrameEstimate, framed
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import Fused
-from uav_vslam.slam.packet import POSE_DIM
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]

@@ -24,9 +24,8 @@ from uav_vslam.cooperation.point_pairs import FRAME_DIM, corrected, frame_jacobi
 from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import Fused
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.numerics import inverse_spd, symmetrise
-from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]

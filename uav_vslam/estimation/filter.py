@@ -37,12 +37,12 @@ from uav_vslam.estimation.linearisation import (
 )
 from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transport, difference
 from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
-from uav_vslam.estimation.past_poses import COPY_VARIANCE, POSE_DIM, PastPose, Tracks, observe_tracks
+from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPose, Tracks, observe_tracks
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_consensus import trusted
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
 from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.numerics import cholesky, submatrix, symmetrise
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseEstimate
@@ -50,7 +50,6 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseE
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-STEREO_DOF = 4
 MIN_VARIANCE_REDUCTION = 1e-6  # share of the prior variance: below it, a direction of the rig is unobserved
 HUBER_PROBABILITY = 0.999  # of a correct observation to keep full weight
 PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged

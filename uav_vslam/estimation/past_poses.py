@@ -34,7 +34,6 @@ from uav_vslam.types import NavState
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-POSE_DIM = 6
 COPY_VARIANCE: Array = np.repeat([1e-4, 1e-6], 3) ** 2  # [m^2], [rad^2]: an exact copy would be singular
 MIN_VIEWS = 2  # of a track: one stereo view of an unknown point says nothing about the pose
 GAUSS_NEWTON_STEPS = 2

@@ -21,9 +21,10 @@ from uav_vslam.config import RigConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import Update, landmark_rows
 from uav_vslam.estimation.covariance import CovarianceBelief
-from uav_vslam.estimation.filter import STEREO_DOF, Filter
+from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.estimation.models import POSE
+from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.ins.propagation import propagate, transition
 from uav_vslam.numerics import symmetrise
 from uav_vslam.types import ImuIncrement, NavEstimate

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import inverse_spd
 from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]
-
-POSE = 6  # rows of a joint belief before the landmarks
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +51,9 @@ def _unseen(joint: JointInformation, seen: set[int]) -> MappedLandmarks:
     """Return the landmarks of an epoch that are not in `seen`, and add them."""
     rows = np.array([row for row, identifier in enumerate(joint.ids.tolist()) if identifier not in seen], np.intp)
     try:
-        P = inverse_spd(joint.information, "joint information") if len(rows) else np.zeros((POSE, POSE))
+        P = inverse_spd(joint.information, "joint information") if len(rows) else np.zeros((POSE_DIM, POSE_DIM))
     except FilterDivergence:
-        rows, P = rows[:0], np.zeros((POSE, POSE))
+        rows, P = rows[:0], np.zeros((POSE_DIM, POSE_DIM))
     seen.update(joint.ids[rows].tolist())
-    own = POSE + 3 * rows[:, None] + np.arange(3)
+    own = POSE_DIM + 3 * rows[:, None] + np.arange(3)
     return MappedLandmarks(joint.ids[rows], joint.positions[rows], P[own[:, :, None], own[:, None, :]])

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtri
 
-from uav_vslam.estimation.filter import STEREO_DOF
 from uav_vslam.evaluation.consistency import chi_square_bands
 from uav_vslam.evaluation.result import VehicleResult
 from uav_vslam.evaluation.trajectory import Trajectory
+from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.types import NS_PER_S, FrameQuality
 
 Array = NDArray[np.float64]

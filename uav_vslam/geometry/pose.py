@@ -10,6 +10,8 @@ from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_
 
 Array = NDArray[np.float64]
 
+POSE_DIM = 6  # position and rotation, in that order, of errors and of joint estimates of a pose and landmarks
+
 
 @dataclass(frozen=True, slots=True)
 class Pose:

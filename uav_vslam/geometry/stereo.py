@@ -18,6 +18,7 @@ from uav_vslam.geometry.rotation import skew
 Array = NDArray[np.float64]
 
 SIDES = ("left", "right")  # the cameras, in the order of all pairs
+STEREO_DOF = 4  # coordinates of an observation
 MIN_BASELINE_M = 1e-3
 
 

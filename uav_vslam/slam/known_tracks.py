@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from uav_vslam.association import Associator, InView
-from uav_vslam.association.guided import STEREO_DOF
 from uav_vslam.config import BackendConfig
+from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.numerics import mahalanobis2
 from uav_vslam.types import StereoFeatures
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.image_grid import spread_on_ground
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import inverse_spd, solve_spd, symmetrise
-from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]

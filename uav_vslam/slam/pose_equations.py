@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.geometry.pose import POSE_DIM
+
 Array = NDArray[np.float64]
 
-POSE = 6
 TINY_INFORMATION = 1e-9  # of unobserved directions, so that the equations stay regular
 
 
@@ -35,11 +36,11 @@ class PoseEquations:
         own = (W_point @ J_point).sum(axis=1) + TINY_INFORMATION * np.eye(3)
         inverse = np.linalg.inv(own)
         b_points = np.einsum("nkai,nki->na", W_point, residual)
-        cross = (W_pose @ J_point).reshape(count, POSE * frames, 3)
+        cross = (W_pose @ J_point).reshape(count, POSE_DIM * frames, 3)
         gain = cross @ inverse
         H = -np.einsum("nai,nbi->ab", gain, cross, optimize=True)
         for k, block in enumerate((W_pose @ J_pose).sum(axis=0)):
-            H[POSE * k : POSE * (k + 1), POSE * k : POSE * (k + 1)] += block
+            H[POSE_DIM * k : POSE_DIM * (k + 1), POSE_DIM * k : POSE_DIM * (k + 1)] += block
         b = np.einsum("nkai,nki->ka", W_pose, residual).ravel() - np.einsum("nai,ni->a", gain, b_points)
         return PoseEquations(H, b, inverse, b_points, cross)
 

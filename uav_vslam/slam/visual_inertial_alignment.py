@@ -22,11 +22,11 @@ from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import compose, error_transfer
-from uav_vslam.slam.pose_equations import POSE, TINY_INFORMATION, PoseEquations
+from uav_vslam.slam.pose_equations import TINY_INFORMATION, PoseEquations
 from uav_vslam.slam.survey import SURVEY_POSE, Survey
 from uav_vslam.types import ImuIncrement
 
@@ -35,7 +35,7 @@ Rows = NDArray[np.intp]
 
 VELOCITY, GRAVITY, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, 12, 3))
 BIASES, NOISE = slice(6, 12), slice(12, None)
-INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # of (rotation, velocity, position), the POSE numbers that affect a frame's pixels
+INCREMENT_POSE = [0, 1, 2, 6, 7, 8]  # of (rotation, velocity, position), the numbers that affect a frame's pixels
 SIGMA_GRAVITY = 0.03  # [m/s^2] uncertainty of the configured norm of gravity
 ROBUST_STEPS, FINAL_STEPS = 12, 4
 PIXELS = 4  # of one stereo observation
@@ -186,11 +186,11 @@ class _Motion:
             covariance = np.block([[covariance, cross.T], [cross, wholes[-1].covariance]])
         rows = np.concatenate([9 * k + np.array(INCREMENT_POSE) for k in range(len(wholes))])
         values, vectors = np.linalg.eigh(covariance[np.ix_(rows, rows)])
-        by_x = np.zeros((POSE * (len(wholes) + 1), NOISE.start + len(rows)))
-        by_x[POSE:, NOISE] = vectors * np.sqrt(np.maximum(values, 0.0))
+        by_x = np.zeros((POSE_DIM * (len(wholes) + 1), NOISE.start + len(rows)))
+        by_x[POSE_DIM:, NOISE] = vectors * np.sqrt(np.maximum(values, 0.0))
         times_s = np.array([0.0, *np.cumsum([view.motion.dt_s for view in views])])
         for k, (t, whole) in enumerate(zip(times_s[1:], wholes, strict=True), start=1):
-            pose = slice(POSE * k, POSE * (k + 1))
+            pose = slice(POSE_DIM * k, POSE_DIM * (k + 1))
             by_x[pose, BIASES] = whole.bias_jacobian[INCREMENT_POSE]
             by_x[pose, VELOCITY][3:], by_x[pose, GRAVITY][3:] = t * np.eye(3), 0.5 * t**2 * np.eye(3)
         delta_R = np.stack([np.eye(3), *(whole.delta_R for whole in wholes)])
@@ -198,7 +198,7 @@ class _Motion:
 
     def poses(self, x: Array) -> tuple[Array, Array]:
         """Return R_first_k (K, 3, 3) and p_k (K, 3)."""
-        shift = (self.by_x @ x).reshape(-1, POSE)
+        shift = (self.by_x @ x).reshape(-1, POSE_DIM)
         return self.delta_R @ so3_exp(shift[:, :3]), self.delta_p + shift[:, 3:]
 
 

@@ -8,7 +8,7 @@ over-confident.
 
 from uav_vslam.slam.packet.checks import check_contents, check_form, validate
 from uav_vslam.slam.packet.choice import choose_landmarks
-from uav_vslam.slam.packet.making import POSE_DIM, make_packet
+from uav_vslam.slam.packet.making import make_packet
 from uav_vslam.slam.packet.policy import ANCHOR, DENSE, NARROWBAND_PACKET_BYTES, PacketPolicy, packet_policy
 from uav_vslam.slam.packet.wire import VERSION, canonical_bytes, checksum, payload_bytes
 
@@ -16,7 +16,6 @@ __all__ = [
     "ANCHOR",
     "DENSE",
     "NARROWBAND_PACKET_BYTES",
-    "POSE_DIM",
     "VERSION",
     "PacketPolicy",
     "canonical_bytes",

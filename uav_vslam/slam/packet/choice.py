@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.coded_points import diagonal_blocks
 from uav_vslam.geometry.image_grid import ground_plan, spread
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.types import JointInformation
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
-
-POSE_DIM = 6
 
 
 def expected_gain(P: Array) -> Array:

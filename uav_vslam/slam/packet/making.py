@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.coded_points import OFFSET_LIMIT_M, CodedPoints
-from uav_vslam.slam.packet.choice import POSE_DIM, choose_landmarks, expected_gain
+from uav_vslam.geometry.pose import POSE_DIM
+from uav_vslam.slam.packet.choice import choose_landmarks, expected_gain
 from uav_vslam.slam.packet.covariance import code_anchored, code_dense
 from uav_vslam.slam.packet.policy import ANCHOR, PacketPolicy
 from uav_vslam.slam.packet.wire import checksum, payload_size

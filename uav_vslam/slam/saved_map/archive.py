@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.image_grid import spread_on_ground
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.slam.landmark_memory import LandmarkMemory
-from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.slam.saved_map.record import MapOrigin, MapSection, SavedMap
 from uav_vslam.types import JointInformation
 

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 from uav_vslam.config import VehicleConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew
-from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
 from uav_vslam.numerics import inverse_spd, mahalanobis2, symmetrise
 from uav_vslam.slam.saved_map.record import MapSection, SavedMap
 from uav_vslam.types import StereoFeatures
@@ -30,7 +30,7 @@ MIN_INLIERS = 8  # landmarks that must fit one pose: so many wrong matches of so
 TRIED_SECTIONS = 6  # those with most matches
 WIDER_PNP = 2.5  # of `backend.pnp_px`: landmarks err by decimetres of their own, which the fit weighs and PnP does not
 STEPS = 8  # of Gauss-Newton, each with a new choice of inliers
-STEREO_DOF, GATE_PROBABILITY = 4, 0.999
+GATE_PROBABILITY = 0.999
 MIN_DEPTH_M = 0.1
 
 

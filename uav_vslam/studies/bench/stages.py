@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 from uav_vslam.config import FrontendConfig, FusionConfig, ImuConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.estimation.covariance_intersection import WEIGHT_BOUNDS, WEIGHTS, EstimatePair, Split
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.camera_render import RenderedFlight
@@ -41,7 +41,6 @@ Array = NDArray[np.float64]
 Work = Callable[[], object]
 Row = dict[str, Any]
 
-POSE = 6  # of a joint information
 OWN_LANDMARKS = 100
 
 
@@ -168,7 +167,7 @@ def fusion(shared: int, repeats: int) -> Row:
     peer = _belief("uav2", list(range(shared)), stamp_s=10.0)
     core = Fusion("uav1", FusionConfig())
     core.inbox.add(make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=shared)))
-    size = POSE + 3 * count
+    size = POSE_DIM + 3 * count
     # A new belief each time, because it caches its inverse.
     ms, ratio = take_turns([lambda: core.fuse(dataclasses.replace(own))] * repeats, _cholesky(size))
     found = core.epoch.common["uav2"] if core.epoch else 0
@@ -182,9 +181,9 @@ def weight_search(shared: int, repeats: int) -> Row:
     own_belief = _belief("uav1", list(range(count)), stamp_s=1.0, sigma_m=(0.3, 0.15, 0.3))
     peer_belief = _belief("uav2", list(range(shared)), stamp_s=1.0, sigma_m=(0.15, 0.3, 0.3))  # along other axes
     P = own_belief.covariance
-    R = peer_belief.covariance[POSE:, POSE:]
+    R = peer_belief.covariance[POSE_DIM:, POSE_DIM:]
     own, peer = Split(np.zeros_like(P), P), Split(0.09 * np.eye(len(R)), R)
-    E = np.eye(len(R), len(P), POSE)
+    E = np.eye(len(R), len(P), POSE_DIM)
 
     def whole(weight: float) -> float:
         P1, P2 = own.inflated(weight), peer.inflated(1.0 - weight)
@@ -251,12 +250,12 @@ def _belief(
     generators = [np.random.default_rng([7, identity]) for identity in identities]
     positions = np.array([rng.uniform([-60, -60, -2], [60, 60, 2]) for rng in generators])
     descriptors = np.array([rng.integers(0, 256, 128, np.uint8) for rng in generators])
-    n = POSE + 3 * len(identities)
+    n = POSE_DIM + 3 * len(identities)
     common = np.zeros((n, 3))
     common[:3] = np.diag(sigma_m)
-    common[POSE:] = np.tile(np.diag(sigma_m), (len(identities), 1))
+    common[POSE_DIM:] = np.tile(np.diag(sigma_m), (len(identities), 1))
     own = np.full(n, 0.1**2)
-    own[3:POSE] = 1e-3**2
+    own[3:POSE_DIM] = 1e-3**2
     information = np.linalg.inv(common @ common.T + np.diag(own))
     return JointInformation(
         stamp_ns=round(stamp_s * NS_PER_S),

@@ -14,8 +14,8 @@ from uav_vslam.cooperation.common_landmarks import POINT_DOF, descriptor_matches
 from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.evaluation.study import Row
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import mahalanobis2
-from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.engine.pool import ratio
 from uav_vslam.types import JointInformation, LandmarkPacket
 

@@ -18,10 +18,10 @@ from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import PacketLink, cooperate
+from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.engine.own_only import prepare
 from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only, with_mistaken_landmarks
 from uav_vslam.studies.engine.write_back import WRITE_BACK, fly_with_write_back

@@ -10,9 +10,8 @@ from uav_vslam.cooperation.alignment import fit
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.evaluation.alignment import align_yaw
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import so3_log
-from uav_vslam.slam.packet import POSE_DIM
 from uav_vslam.studies.engine.association_stages import Identities
 from uav_vslam.types import JointInformation
 
