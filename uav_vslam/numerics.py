@@ -37,6 +37,15 @@ def cholesky(A: Array, what: str) -> Array:
     return np.asarray(L)
 
 
+def is_positive_definite(A: Array) -> bool:
+    """Return whether a finite symmetric matrix, or each of a stack of them, is positive definite."""
+    try:
+        np.linalg.cholesky(A)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
 def inverse_spd(A: Array, what: str) -> Array:
     """Return the symmetric inverse of a positive definite matrix, from its Cholesky factor."""
     return inverse_from_cholesky(cholesky(A, what))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.geometry.coded_points import block_diagonal, diagonal_blocks, unpack_lower
-from uav_vslam.numerics import symmetrise
+from uav_vslam.numerics import is_positive_definite, symmetrise
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def _line_search(P: Array, Q: Array, common: Array, own: Array, step_common: Arr
     share = 1.0
     while True:
         X_0, X_i = common + share * step_common, own + share * step_own
-        if all(_is_definite(A) for A in (X_0, X_i, Q @ X_0 @ Q.T + block_diagonal(X_i) - P)):
+        if all(is_positive_definite(A) for A in (X_0, X_i, Q @ X_0 @ Q.T + block_diagonal(X_i) - P)):
             break
         share *= 0.7
         if share < SHORTEST_STEP:
@@ -139,11 +139,3 @@ _lower = functools.cache(np.tril_indices)
 
 def _inverse(A: Array) -> Array:
     return symmetrise(np.asarray(np.linalg.inv(A)))
-
-
-def _is_definite(A: Array) -> bool:
-    try:
-        np.linalg.cholesky(A)
-    except np.linalg.LinAlgError:
-        return False
-    return True

@@ -26,7 +26,7 @@ from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.estimation.models import POSE
 from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.ins.propagation import propagate, transition
-from uav_vslam.numerics import symmetrise
+from uav_vslam.numerics import is_positive_definite, symmetrise
 from uav_vslam.types import ImuIncrement, NavEstimate
 
 Array = NDArray[np.float64]
@@ -123,11 +123,8 @@ def _loaded(P: Array) -> Array | None:
     """Return P with the smallest diagonal loading that gives it a Cholesky factor; None if none does."""
     for share in LOADING:
         loaded = P + share * np.abs(np.diagonal(P)).max() * np.eye(len(P)) if share else P
-        try:
-            np.linalg.cholesky(loaded)
-        except np.linalg.LinAlgError:
-            continue
-        return loaded
+        if is_positive_definite(loaded):
+            return loaded
     return None
 
 

@@ -16,6 +16,7 @@ from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.ins.propagation import POSITION, ROTATION, VELOCITY
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
+from uav_vslam.numerics import is_positive_definite
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate
 
 Stamps = NDArray[np.int64]
@@ -92,9 +93,8 @@ def _check_given(
     start: NavEstimate, images_ns: Stamps, readings: list[ImuSample], truth: TruthTrack | None
 ) -> list[Finding]:
     found = []
-    sigma2 = np.diag(start.covariance)
     speed = float(np.linalg.norm(start.state.v_map))
-    if not np.isfinite(start.covariance).all() or not (sigma2 > 0).all() or not _positive_definite(start.covariance):
+    if not np.isfinite(start.covariance).all() or not is_positive_definite(start.covariance):
         remedy = "state how uncertain the start is: variances of zero can't be inverted"
         found.append(error("start covariance", "not positive definite", "a 15 x 15 covariance", remedy))
     if not np.isfinite(speed) or speed > limits.LARGEST_SPEED:
@@ -184,14 +184,6 @@ def method_for(readings: list[ImuSample], config: VehicleConfig) -> str:
 def _static(readings: list[ImuSample], config: VehicleConfig) -> NavEstimate:
     first = [r for r in readings if r.stamp_ns - readings[0].stamp_ns <= config.start.rest_s * NS_PER_S]
     return static_alignment(first, first[-1].stamp_ns if first else 0, config.imu)
-
-
-def _positive_definite(covariance: NDArray[np.float64]) -> bool:
-    try:
-        np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:
-        return False
-    return True
 
 
 def _speeds(truth: TruthTrack) -> NDArray[np.float64]:
