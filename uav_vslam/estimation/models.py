@@ -100,7 +100,7 @@ class RightInvariant15:
         """As `retract` does: R^T (arm + J_r(xi) (dl - dp + arm x xi)); linear but for J_r."""
         dp, xi = pose[..., :3], pose[..., 3:]
         shift = landmark - dp + np.cross(arms, xi)
-        return np.asarray((arms + _right_jacobian_times(xi, shift)) @ nav.T_map_body.R)
+        return (arms + _turned_back(so3_left_jacobian(xi), shift)) @ nav.T_map_body.R  # J_r = J_l^T
 
 
 class Ordinary15(RightInvariant15):
@@ -185,18 +185,6 @@ class Euler9:
 def _turned_back(R: Array, vectors: Array) -> Array:
     """Return R^T v for broadcastable (..., 3, 3) and (..., 3)."""
     return np.asarray(np.einsum("...ij,...i->...j", R, vectors))
-
-
-def _right_jacobian_times(xi: Array, v: Array) -> Array:
-    """Return J_r(xi) v over the last axis; a Taylor series below 1e-4 rad."""
-    once = np.cross(xi, v)
-    twice = np.cross(xi, once)
-    angle2 = np.sum(xi * xi, axis=-1, keepdims=True)
-    angle = np.sqrt(np.maximum(angle2, 1e-16))
-    small = angle2 < 1e-8
-    first = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / np.maximum(angle2, 1e-16))
-    second = np.where(small, 1.0 / 6.0 - angle2 / 120.0, (angle - np.sin(angle)) / angle**3)
-    return np.asarray(v - first * once + second * twice)
 
 
 def _rotation_per_rpy(R: Array) -> Array:
