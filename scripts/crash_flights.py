@@ -95,16 +95,16 @@ def launch(command: list[str], log: Path, stamps_ns: list[int]) -> None:
             launcher.wait()
 
 
-def score(flown: RecordedOutputs, calm: list[PoseEstimate]) -> tuple[float, float, float]:
+def score(flown: RecordedOutputs, undisturbed: list[PoseEstimate]) -> tuple[float, float, float]:
     """Return the errors at the end with and without faults [m], and the largest NEES per axis; print them."""
     truth = Trajectory.from_estimates(flown.truth)
     consistency = nees(Trajectory.from_estimates(flown.fused), truth)
     if consistency is None:
         raise SystemExit("fused/odometry has no covariance")
-    faulty_m, calm_m = end_error_m(flown.fused, truth), end_error_m(calm, truth)
+    faulty_m, undisturbed_m = end_error_m(flown.fused, truth), end_error_m(undisturbed, truth)
     mean, largest = float(consistency.position.mean()) / 3.0, float(consistency.position.max()) / 3.0
-    print(f"{faulty_m:.3f}  {calm_m:.3f}  {faulty_m / calm_m:.2f}  {mean:.2f}  {largest:.2f}", flush=True)
-    return faulty_m, calm_m, largest
+    print(f"{faulty_m:.3f}  {undisturbed_m:.3f}  {faulty_m / undisturbed_m:.2f}  {mean:.2f}  {largest:.2f}", flush=True)
+    return faulty_m, undisturbed_m, largest
 
 
 def fly(seed: int, rate: float, folder: Path) -> dict[str, tuple[float, float, float]]:
@@ -115,14 +115,14 @@ def fly(seed: int, rate: float, folder: Path) -> dict[str, tuple[float, float, f
     vehicles = {name: {"config": str(ROOT / "config" / "kagaru.yaml")} for name in MOST}
     fleet.write_text(yaml.safe_dump({"vehicles": vehicles, "mode": "wideband"}), encoding="utf-8")
     configs = load_fleet(fleet).vehicles
-    tracks, calm = offline.fly(list(open_flights((bag,), configs).values()), configs, workers=2)
+    tracks, undisturbed = offline.fly(list(open_flights((bag,), configs).values()), configs, workers=2)
     stamps_ns = [output.report.pose.stamp_ns for output in tracks["uav1"].outputs]
     options = ["--bag", str(bag), "--rate", str(rate), "--record", str(out), "--on-failure", "restart"]
     launch([str(fleet), *options], folder / f"launch_{seed}.log", stamps_ns)
     scores = {}
     for name, flown in read_outputs([out, bag])[0].items():
         print(f"{seed:4d}  {name}  ", end="")
-        scores[name] = score(flown, list(calm[name].poses))
+        scores[name] = score(flown, list(undisturbed[name].poses))
     return scores
 
 
@@ -132,8 +132,8 @@ def report(args: argparse.Namespace, folder: Path) -> int:
     flights = [fly(args.first_seed + k, args.rate, folder) for k in range(args.seeds)]
     good = True
     for name, most in MOST.items():
-        faulty_m, calm_m, largest = np.array([flight[name] for flight in flights]).T
-        ratio = float(np.sqrt(np.mean(faulty_m**2) / np.mean(calm_m**2)))
+        faulty_m, undisturbed_m, largest = np.array([flight[name] for flight in flights]).T
+        ratio = float(np.sqrt(np.mean(faulty_m**2) / np.mean(undisturbed_m**2)))
         print(f"all   {name}  ratio {ratio:.3f} (at most {most:g}), NEES {largest.max():.2f} (at most {MOST_NEES:g})")
         good &= ratio <= most and largest.max() <= MOST_NEES
     print(f"recordings and logs: {folder}")

@@ -52,7 +52,7 @@ IN_FLIGHT = 2  # packets that may be on their way at the end
 
 
 class LongFlight:
-    """The player, and what it hears of the graph."""
+    """The player, and what it receives from the graph."""
 
     def __init__(self, fleet: Path, domain_id: int) -> None:
         config = load_fleet(fleet)
@@ -225,8 +225,8 @@ def print_row(flight: LongFlight, row: tuple[float, dict[str, float]]) -> None:
     """Print what was measured since the last row."""
     delays = []
     for topic in ANSWERS:
-        heard = flight.delays_ms.pop(topic, [np.nan])
-        delays.append(f"{np.median(heard):.0f}/{np.percentile(heard, 99):.0f} ({len(heard)})")
+        delays_ms = flight.delays_ms.pop(topic, [np.nan])
+        delays.append(f"{np.median(delays_ms):.0f}/{np.percentile(delays_ms, 99):.0f} ({len(delays_ms)})")
     memory = ", ".join(f"{name} {mb:.0f}" for name, mb in sorted(row[1].items()))
     print(f"{row[0] / 60:7.1f}  {os.getloadavg()[0]:4.1f}  {'  '.join(delays)}  {memory}", flush=True)
 

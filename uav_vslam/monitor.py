@@ -133,7 +133,7 @@ class Vehicle:
         name: of the vehicle.
         streams: by the names in `STREAMS`.
         own, fused: claims of the two estimates.
-        frames, coasted: frames heard of, and those of them without a visual update.
+        frames, coasted: frames received, and those of them without a visual update.
         landmarks: in the filter's state.
         link: the radio as of the last epoch.
         nodes: last reports by the node's name.
@@ -156,7 +156,7 @@ class Vehicle:
         self.landmarks = landmarks
 
     def age_s(self, now_s: float) -> float | None:
-        """Return the time since anything was heard; None before."""
+        """Return the time since anything was received; None before."""
         streams = [age_s for stream in self.streams.values() if (age_s := stream.age_s(now_s)) is not None]
         return min([*streams, *(now_s - report.heard_s for report in self.nodes.values())], default=None)
 
@@ -183,7 +183,7 @@ class Vehicle:
         return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
     def health(self, now_s: float) -> list[Health]:
-        """Return the health of each node that was ever heard."""
+        """Return the health of each node that ever reported."""
         return [self._health(node, report, now_s) for node, report in self.nodes.items()]
 
     def _health(self, node: str, report: NodeReport, now_s: float) -> Health:
@@ -201,7 +201,7 @@ class Fleet:
     """
 
     def __init__(self, names: Sequence[str] = ()) -> None:
-        """Watch the vehicles of these names, or without any name all that are heard."""
+        """Watch the vehicles of these names, or without any name all that are found."""
         self._fixed = bool(names)
         self.vehicles: dict[str, Vehicle] = {name: Vehicle(name) for name in names}
 
@@ -211,13 +211,13 @@ class Fleet:
             self.vehicles = dict(sorted([*self.vehicles.items(), (name, Vehicle(name))]))
         return self.vehicles.get(name)
 
-    def unheard(self, now_s: float) -> list[str]:
+    def missing(self, now_s: float) -> list[str]:
         """Return the names of vehicles from which nothing has come yet."""
         return [name for name, vehicle in self.vehicles.items() if vehicle.age_s(now_s) is None]
 
     def is_complete(self, now_s: float) -> bool:
         """Return whether there is a vehicle, and something has come from each."""
-        return bool(self.vehicles) and not self.unheard(now_s)
+        return bool(self.vehicles) and not self.missing(now_s)
 
     def health(self, now_s: float) -> list[Health]:
         """Return the health of all nodes, the worst first."""

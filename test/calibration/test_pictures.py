@@ -128,7 +128,7 @@ def test_pictures_that_could_be_of_one_pair_are_refused(tmp_path: Path) -> None:
 
 
 def test_pictures_whose_camera_nothing_tells_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="neither names nor folders tell the two cameras of 4 pictures"):
+    with pytest.raises(CalibrationError, match="neither names nor folders identify the two cameras of 4 pictures"):
         found(*pictures(tmp_path, "p1.png", "p2.png", "q1.png", "q2.png"))
 
 

@@ -152,7 +152,7 @@ ROW, NEXT = list(range(9)), 9  # corners of the board's first row, and the first
     ],
 )
 def test_corners_tell_the_pose_if_two_lie_beside_any_line(chosen: list[int], told: bool) -> None:
-    assert Corners(grid_of(BOARD)[chosen], np.zeros((len(chosen), 2))).tell_pose == told
+    assert Corners(grid_of(BOARD)[chosen], np.zeros((len(chosen), 2))).fix_pose == told
 
 
 def test_pictures_of_another_size_are_refused() -> None:

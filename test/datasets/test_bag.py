@@ -16,7 +16,7 @@ from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.message_builders import camera_info_message, image_message, transforms_message
 from uav_vslam.datasets.messages import stamp_ns_of, transforms_of
 from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw
-from uav_vslam.datasets.truth import doubts_of
+from uav_vslam.datasets.truth import truth_warnings
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
@@ -234,8 +234,8 @@ def test_true_poses_that_are_not_finite_are_left_out_and_counted(tiny_bag: Path,
     assert truth is not None
     assert (truth.left_out, len(truth)) == (2, len(whole) - 2)
     assert np.isfinite(truth.positions_world).all()
-    assert any("2 poses of the ground truth" in text for text in doubts_of(truth))
-    assert list(doubts_of(whole)) == []
+    assert any("2 poses of the ground truth" in text for text in truth_warnings(truth))
+    assert list(truth_warnings(whole)) == []
 
 
 def test_a_twist_that_was_never_filled_in_gives_way_to_differences(tiny_bag: Path, tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def test_what_is_sent_has_a_unit_as_what_is_received_has() -> None:
 
 def test_nodes_that_are_well_are_counted_and_drops_named() -> None:
     text = shown(flying())
-    assert "all 2 nodes heard are well" in text
+    assert "all 2 nodes that report are well" in text
     assert "uav1 dropped 3 late" in text
     assert "uav2 coasted 1 of 1 frames" in text
 
@@ -93,7 +93,7 @@ def test_the_worst_node_is_named_first() -> None:
 
 def test_what_is_awaited_is_named() -> None:
     assert "waiting for a vehicle" in shown(Fleet())
-    assert "waiting for uav7: nothing heard" in shown(Fleet(["uav7"]))
+    assert "waiting for uav7: nothing received" in shown(Fleet(["uav7"]))
 
 
 def test_lines_have_the_same_figures_and_a_line_for_each_fault() -> None:

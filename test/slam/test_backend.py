@@ -297,7 +297,7 @@ def test_a_filter_that_associates_nothing_for_long_is_reinitialised(flight: Flig
     elsewhere = [dataclasses.replace(f, descriptors=f.descriptors[::-1]) for f in flight.features]
     for features, increment in zip(elsewhere[1:4], flight.increments[1:4], strict=True):
         reports.append(backend.process(features, increment))
-    assert "no landmark recognised" in reports[1].recovery
+    assert "no landmark associated" in reports[1].recovery
     assert not any(r.recovery for r in reports[2:])
     assert reports[1].landmarks > 0
 

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 SMALLEST = 3  # corners along a side that OpenCV's chessboard detector needs
-LEAST_SHARE = 0.3  # of a ChArUco board's corners: fewer do not tell its pose well
+LEAST_SHARE = 0.3  # of a ChArUco board's corners: fewer do not determine its pose well
 HOMOGRAPHY_RANK, LEAST_SINGULAR = 8, 1e-6  # of the equations for a homography; the least value relative to the largest
 LEAST_REACH, LARGEST_REACH = 2, 5  # pixels each way in which a corner is refined
 BLURRED = 1.5  # pixels over which an edge reaches
@@ -39,7 +39,7 @@ class Corners:
     pixels: Array
 
     @property
-    def tell_pose(self) -> bool:
+    def fix_pose(self) -> bool:
         """Whether they fix the board's pose: four or more, and more than one beside those in any line.
 
         That is so if they fix a homography: the linear equations for its nine numbers then have rank 8.
@@ -174,7 +174,7 @@ class Charuco:
         return Corners(_grid(self)[np.ravel(ids)], _sharpened(image, pixels, clear))
 
     def size_in(self, image: Image) -> tuple[int, int] | None:
-        """See `Board`: the markers tell nothing without the right dictionary."""
+        """See `Board`: the markers mean nothing without the right dictionary."""
         return None
 
     def like(self, corners: Corners, reference: Corners) -> Corners:

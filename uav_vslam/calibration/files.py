@@ -24,7 +24,7 @@ def write_calibration(rig: StereoRig, folder: Path) -> list[Path]:
         folder: that exists.
 
     Returns:
-        The files; the first two, or the last one alone, tell all of the rig.
+        The files; the first two, or the last one alone, describe the whole rig.
     """
     written = []
     for name, camera, R, P in zip(SIDES, (rig.left, rig.right), *rectification(rig), strict=True):

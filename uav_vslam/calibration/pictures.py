@@ -23,7 +23,7 @@ from uav_vslam.vision.images import to_grey8
 Image = NDArray[np.uint8]
 
 SIDE_FOLDERS = (("left", "right"), ("cam0", "cam1"), ("cam0/data", "cam1/data"), ("image_0", "image_1"))
-# What tells a camera in the name of a file; the rest of the name tells the pair.
+# What names a camera in the name of a file; the rest of the name is that of the pair.
 SIDE_WORDS = re.compile(r"left|right|cam(?:era)?(?:[0-9]|_[0-9](?![0-9]))|(?<![a-z])[lr](?![a-z])", re.IGNORECASE)
 NAMED = 5  # files that an error lists
 
@@ -141,7 +141,7 @@ def paired(left: Sequence[Path], right: Sequence[Path]) -> FilePictures:
 
 
 def _by_key(left: Sequence[Path], right: Sequence[Path]) -> list[dict[str, Path]]:
-    """Return the files of each side by what tells their pair: the name without the camera, else a name both share."""
+    """Return the files of each side by the name of their pair: the name without the camera, else a name both share."""
     by_key = [{_key(path): path for path in files} for files in (left, right)]
     if len(by_key[0]) == len(left) and len(by_key[1]) == len(right):
         return by_key
@@ -166,7 +166,7 @@ def _side_words(name: str) -> str:
 
 
 def _sides_among(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Return the files of two cameras, told by the words in their names or by their folders.
+    """Return the files of two cameras, known by the words in their names or by their folders.
 
     Left is which the words say, or the lower number; if they say nothing, the camera of the first file.
     """
@@ -178,7 +178,7 @@ def _sides_among(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
             (first, left), (second, right) = cameras.items()
             return (right, left) if _swapped(first, second) else (left, right)
     raise CalibrationError(
-        f"neither names nor folders tell the two cameras of {len(files)} pictures; give two patterns in quotes: "
+        f"neither names nor folders identify the two cameras of {len(files)} pictures; give two patterns in quotes: "
         "'LEFT*.png' 'RIGHT*.png'"
     )
 
@@ -191,7 +191,7 @@ def _swapped(first: str, second: str) -> bool:
 
 
 def _place(word: str) -> tuple[str, int]:
-    """Return what kind of word tells the side, and which side: cam0 is left of cam1."""
+    """Return what kind of word names the side, and which side: cam0 is left of cam1."""
     if word[-1].isdigit():
         return "number", int(word[-1])
     return "side", int(word.startswith("r"))

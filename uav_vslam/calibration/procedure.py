@@ -120,9 +120,9 @@ def find_boards(
             rejected.append(Rejected(name, f"no board found in {_where(left is None, right is None)}"))
         elif np.array_equal(images[0], images[1]):
             raise CalibrationError(f"both pictures of pair {name} are the same; name each camera's own")
-        elif not (left.tell_pose and right.tell_pose):
-            where = _where(not left.tell_pose, not right.tell_pose)
-            rejected.append(Rejected(name, f"the corners found in {where} lie in one line: they don't tell a pose"))
+        elif not (left.fix_pose and right.fix_pose):
+            where = _where(not left.fix_pose, not right.fix_pose)
+            rejected.append(Rejected(name, f"the corners found in {where} lie in one line: no pose follows"))
         else:
             pairs.append(BoardPair(name, left, board.like(right, left)))
         on_pair()
@@ -160,7 +160,7 @@ def _trimmed(
     """Solve from the pairs that agree with the solution.
 
     An outlier pulls the solution of all pairs so far that the others look no better: the first rig, which it does not
-    pull, tells the pairs to begin with.
+    pull, determines the pairs to begin with.
 
     Returns:
         The solution, the reprojection error of each pair with it [px], and which pairs it is of.
@@ -209,7 +209,7 @@ def _half_check(pairs: Sequence[BoardPair], size: tuple[int, int], lens: Lens) -
 
 
 def _warnings(found: StereoCalibration) -> list[str]:
-    check, told = found.check, []
+    check, warnings = found.check, []
     solution = found.solution
     for what, sigma, value in (
         ("baseline", solution.sigma_baseline_m, solution.rig.baseline_m),
@@ -217,17 +217,17 @@ def _warnings(found: StereoCalibration) -> list[str]:
         ("right focal length", solution.sigma_right[0], solution.rig.right.fx),
     ):
         if sigma > DISAGREEMENT * value:
-            told.append(
+            warnings.append(
                 f"the pictures leave the {what} uncertain by {100 * sigma / value:.1f} % (standard deviation); "
                 "take more, with the board tilted different ways"
             )
     for what, difference in (("baseline", check.baseline_difference), ("focal length", check.focal_difference)):
         if difference > DISAGREEMENT:
-            told.append(
+            warnings.append(
                 f"the {what} from odd and from even pairs differs by {100 * difference:.1f} %; take more pictures, "
                 "with the board tilted different ways and near all edges of both images"
             )
-    return told
+    return warnings
 
 
 def _rms_of(residuals: Iterable[tuple[Array, Array]]) -> float:

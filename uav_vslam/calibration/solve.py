@@ -3,7 +3,7 @@
 
 Eq. (3.3.4) of [thesis] needs both cameras and their relative pose. Refining them in one least-squares problem, instead
 of the pose alone after the cameras, leaves 0.78 of the baseline's error (0.68 to 0.91 in 95 % of bootstraps over 80
-simulated sets of 25 pairs with 0.15 px of noise), and tells standard deviations.
+simulated sets of 25 pairs with 0.15 px of noise), and gives standard deviations.
 """
 
 from collections.abc import Sequence
@@ -147,7 +147,7 @@ def board_pose(corners: Corners, camera: PinholeCamera) -> Pose:
     """Return T_cam_board from one image.
 
     Raises:
-        CalibrationError: the corners do not tell it.
+        CalibrationError: the corners do not determine it.
     """
     ideal = camera.undistort(corners.pixels)
     good = np.isfinite(ideal).all(axis=1)

@@ -85,7 +85,7 @@ def _of_folder(folder: Path, name: str, truth: Trajectory | None) -> list[Run]:
 
 
 def unique_names(paths: list[Path]) -> list[str]:
-    """Return short names that tell the inputs apart: without date or ending, else in full, else numbered."""
+    """Return short names that distinguish the inputs: without date or ending, else in full, else numbered."""
     from uav_vslam.evaluation.files.results_folder import short_name
 
     short = [short_name(path) if path.is_dir() else path.stem for path in paths]

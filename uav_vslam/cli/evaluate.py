@@ -20,7 +20,7 @@ EXAMPLES = """examples:
   uav-vslam evaluate 00.txt --truth poses/00.txt --times sequences/00/times.txt --alignment yaw
   uav-vslam evaluate out/estimates bags/sample                 estimates and truth in different bags
 
-Files of TUM, KITTI and EuRoC are told apart by their content. Truth and estimate must be poses of the same body frame
+Files of TUM, KITTI and EuRoC are recognised by their content. Truth and estimate must be poses of the same body frame
 (of the IMU, say). The table names what each ATE removes: nothing (unaligned), heading about the start (start yaw),
 the start's position too (start pose), heading and position (yaw+pos), rotation and position (SE3). NEES needs the
 covariance that results folders hold.

@@ -25,8 +25,8 @@ EXAMPLES = """examples:
 
 OUT becomes the bag and OUT.yaml its configuration; a file that is there already is kept. Images of jpeg and png files
 are recorded byte for byte, lens distortion included. What can't be read is left out and lines out of order are sorted
-in, told with file and line, counted, and listed in OUT.warnings.txt. The bag grows in OUT.partial: an import that was
-cut short leaves no OUT, and starts again.
+in, reported with file and line, counted, and listed in OUT.warnings.txt. The bag grows in OUT.partial: an import that
+was cut short leaves no OUT, and starts again.
 """
 FORMATS = {
     "euroc": "a sequence in EuRoC's ASL layout",
@@ -75,7 +75,7 @@ def _tumvi(parser: argparse.ArgumentParser) -> None:
 
 
 def _kagaru(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Import a folder of pictures, frame times and a log; a layout file tells what is where."
+    parser.description = "Import a folder of pictures, frame times and a log; a layout file says what is where."
     parser.epilog = "example: uav-vslam import kagaru flight1 f1 --layout my_copy_of_config_import_kagaru.yaml"
     parser.add_argument(
         "--layout", required=True, type=Path, metavar="FILE", help="a copy of config/import/kagaru.yaml, filled in"
@@ -147,7 +147,7 @@ def _report(out: Path, source: Source, problems: Problems) -> None:
     if problems.lines:
         listed = out.with_name(f"{out.name}.warnings.txt")
         listed.write_text("\n".join(problems.lines) + "\n", encoding="utf-8")
-        summaries = {"left out": problems.summary(), "sorted in": problems.mended_summary()}
+        summaries = {"left out": problems.summary(), "sorted in": problems.repaired_summary()}
         for what, summary in summaries.items():
             if summary:
                 print(f"{what}: {summary}; listed in {listed}")

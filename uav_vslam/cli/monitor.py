@@ -19,7 +19,7 @@ HELP = "watch a running node graph: rates, claimed accuracy, radio, health"
 EXAMPLES = """examples:
   uav-vslam monitor                                every vehicle on the ROS domain, until Ctrl-C
   uav-vslam monitor config/fleet_demo.yaml         those of a fleet file, absent ones too
-  uav-vslam monitor --vehicles uav1 uav2 --once    one table after 5 s; exit code 1 if one of them was not heard
+  uav-vslam monitor --vehicles uav1 uav2 --once    one table after 5 s; exit code 1 if one of them sent nothing
   uav-vslam monitor --every 10 >> flight.log       one line a vehicle each 10 s, as the output is no terminal
 """
 
@@ -29,9 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     who = parser.add_mutually_exclusive_group()
     who.add_argument("fleet", type=Path, nargs="?", metavar="FLEET.yaml", help="watch the vehicles of this file")
     who.add_argument(
-        "--vehicles", nargs="+", type=namespace, metavar="NAME", default=[], help="watch these (default: all heard)"
+        "--vehicles", nargs="+", type=namespace, metavar="NAME", default=[], help="watch these (default: all found)"
     )
-    parser.add_argument("--once", action="store_true", help="print one table and exit: 1 if nothing was heard, else 0")
+    parser.add_argument("--once", action="store_true", help="print one table and exit: 1 if nothing was received")
     parser.add_argument(
         "--wait", type=seconds, default=5.0, metavar="S", help="with --once: after S seconds (default 5)"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings and vehicles as the command line names them; a refused recording comes with what tells all its faults."""
+"""Recordings and vehicles on the command line; a refused recording comes with the command that lists its faults."""
 
 from __future__ import annotations
 

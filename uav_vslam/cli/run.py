@@ -75,7 +75,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.config import idle_settings, load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
-    from uav_vslam.datasets.truth import doubts_of, trajectory_of
+    from uav_vslam.datasets.truth import trajectory_of, truth_warnings
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
@@ -95,7 +95,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
         _warn(f"{flight.vehicle}: {text}" for text in flight.warnings)
     recorded = {name: flight.truth() for name, flight in flights.items()}
     for name, truth in recorded.items():
-        _warn(f"{name}: {text}" for text in (doubts_of(truth) if truth else ()))
+        _warn(f"{name}: {text}" for text in (truth_warnings(truth) if truth else ()))
     truths = {name: trajectory_of(truth) if truth else None for name, truth in recorded.items()}
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:

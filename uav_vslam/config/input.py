@@ -37,7 +37,7 @@ class FramesConfig(Settings):
     base: str = setting(
         "",
         "body frame of the vehicle; empty: VEHICLE/base_link. With calibration files that place the cameras the body "
-        "is theirs, unless this and `imu` are both set: /tf_static then tells where the IMU is",
+        "is theirs, unless this and `imu` are both set: /tf_static then places the IMU",
     )
     imu: str = setting("", "frame of the IMU; empty: as in its messages")
     left: str = setting("", "optical frame of the left camera; empty: as in its camera_info")
@@ -50,7 +50,7 @@ class InputConfig(Settings):
 
     calibration: tuple[Path, ...] = setting(
         (),
-        "calibration files of Kalibr, ROS or EuRoC, relative to the configuration file; what they tell is not taken "
+        "calibration files of Kalibr, ROS or EuRoC, relative to the configuration file; what they hold is not taken "
         "from camera_info and /tf_static",
     )
     rectified: bool = setting(

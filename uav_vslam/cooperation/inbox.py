@@ -24,7 +24,7 @@ KEPT_PER_PEER = 4  # recent packets, so that an epoch finds one that is old enou
 MOST_KEPT = 16  # so many, of a peer that is ahead: with fewer, none would be left when its time comes
 MAX_PEERS = 64  # forged names must not fill the memory
 FUTURE_S = 10.0  # a packet whose stamp is further ahead of the own epochs is refused: no clock errs by so much
-NAMESAKE_S = 10.0  # one that is not heard for so long has gone
+NAMESAKE_S = 10.0  # one that is silent for so long has gone
 
 # Why a packet that was kept is dropped in the end.
 SUPERSEDED = "superseded"  # an epoch took a newer one
@@ -118,7 +118,7 @@ class Inbox:
         peers: records by name, of vehicles that sent a valid packet.
         refused: counts of packets of all others, by reason.
         now_ns: stamp of the last own epoch, 0 before the first [ns].
-        namesakes: other sessions of this vehicle's own name that go on, with the own time when each was heard last.
+        namesakes: other sessions of this vehicle's own name that go on, with the own time of the last packet of each.
         key_faults: what is wrong with the keys of a vehicle whose last packet was not verified.
     """
 
@@ -205,7 +205,7 @@ class Inbox:
         """Refuse a packet that was received before, superseded or withdrawn."""
         if record.sessions is None:
             record.sessions = Sessions(packet.session, packet.stamp_ns, self.now_ns)
-        if record.sessions.hear(packet, self.now_ns, proven=self._authentication.tag_bytes > 0):
+        if record.sessions.add(packet, self.now_ns, proven=self._authentication.tag_bytes > 0):
             record.withdraw()
         _check_order(packet, record.arrived)
 

@@ -53,7 +53,7 @@ def new_key(path: Path) -> str:
 
 
 def fingerprint(key: bytes) -> str:
-    """Return what tells one key from another, and nothing about it."""
+    """Return what distinguishes one key from another, and reveals nothing about it."""
     return hashlib.sha256(key).hexdigest()[:16]
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which session of a peer counts: the one heard first, until it has been silent for `HANDOVER_S`.
+"""Which session of a peer counts: the one received first, until it has been silent for `HANDOVER_S`.
 
 A vehicle that starts again has a larger session number, and is silent for seconds in between, so it waits little. A
-forged number, or a second vehicle of the same name, finds the first one still talking, and is not fused. Time is that
+forged number, or a second vehicle of the same name, finds the first one still sending, and is not fused. Time is that
 of the own epochs, which nobody else can set. When it has been set back, as that of a whole fleet is by a recording that
-begins again, who talked before tells nothing: as at the start, the session heard first counts at once.
+begins again, earlier packets are no evidence: as at the start, the session received first counts at once.
 
 Of two sessions of one vehicle, all stamps of the earlier are before all of the later. Stamps that contradict this show
 two senders; the fusion node names them.
@@ -25,13 +25,13 @@ class Rival:
     Attributes:
         session: its number.
         first_ns: stamp of its first packet [ns].
-        heard_ns: own time when it was heard last [ns].
+        received_ns: own time of its last packet [ns].
         contradicts: both sessions go on at the same time.
     """
 
     session: int
     first_ns: int
-    heard_ns: int
+    received_ns: int
     contradicts: bool = False
 
 
@@ -42,16 +42,16 @@ class Sessions:
     Attributes:
         current: number of the one that counts.
         began_ns: stamp of its first packet [ns].
-        heard_ns: own time when it was heard last [ns].
+        received_ns: own time of its last packet [ns].
         rival: the last other one.
     """
 
     current: int
     began_ns: int
-    heard_ns: int
+    received_ns: int
     rival: Rival | None = None
 
-    def hear(self, packet: LandmarkPacket, now_ns: int, *, proven: bool) -> bool:
+    def add(self, packet: LandmarkPacket, now_ns: int, *, proven: bool) -> bool:
         """Record a packet's session; return whether it takes the place of the current one.
 
         Args:
@@ -63,33 +63,33 @@ class Sessions:
             InvalidMessage: with reason stale_session or other_session, the packet does not count.
         """
         if packet.session == self.current:
-            self._hear_current(packet, now_ns)
+            self._add_current(packet, now_ns)
             return False
         later = packet.session > self.current
-        silent = not 0 <= now_ns - self.heard_ns < HANDOVER_S * NS_PER_S  # or the own time has been set back
+        silent = not 0 <= now_ns - self.received_ns < HANDOVER_S * NS_PER_S  # or the own time has been set back
         if (later or not proven) and silent:
-            self.current, self.began_ns, self.heard_ns, self.rival = packet.session, packet.stamp_ns, now_ns, None
+            self.current, self.began_ns, self.received_ns, self.rival = packet.session, packet.stamp_ns, now_ns, None
             return True
-        self._hear_rival(packet, now_ns)
+        self._add_rival(packet, now_ns)
         reason = "other_session" if later else "stale_session"
         raise InvalidMessage(reason, f"session {packet.session} of {packet.vehicle}: session {self.current} counts")
 
     def contradicting(self, now_ns: int) -> int | None:
-        """Return the other session that is heard at the same time as the current one, if any."""
+        """Return the other session that sends at the same time as the current one, if any."""
         rival = self.rival
-        if rival is None or not rival.contradicts or now_ns - rival.heard_ns > HANDOVER_S * NS_PER_S:
+        if rival is None or not rival.contradicts or now_ns - rival.received_ns > HANDOVER_S * NS_PER_S:
             return None
         return rival.session
 
-    def _hear_current(self, packet: LandmarkPacket, now_ns: int) -> None:
-        self.heard_ns = now_ns
+    def _add_current(self, packet: LandmarkPacket, now_ns: int) -> None:
+        self.received_ns = now_ns
         rival = self.rival
         if rival is not None and rival.session > self.current and packet.stamp_ns > rival.first_ns:
             rival.contradicts = True
 
-    def _hear_rival(self, packet: LandmarkPacket, now_ns: int) -> None:
+    def _add_rival(self, packet: LandmarkPacket, now_ns: int) -> None:
         if self.rival is None or self.rival.session != packet.session:
             self.rival = Rival(packet.session, packet.stamp_ns, now_ns)
-        self.rival.heard_ns = now_ns
+        self.rival.received_ns = now_ns
         if packet.session < self.current and packet.stamp_ns > self.began_ns:
             self.rival.contradicts = True

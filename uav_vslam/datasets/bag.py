@@ -276,11 +276,11 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
         right_topic=right_topic,
         T_body_imu=T_body_imu,
         time_offset_ns=setup.time_offset_ns,
-        warnings=tuple(_doubts(bags, setup)),
+        warnings=tuple(_warnings(bags, setup)),
     )
 
 
-def _doubts(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
+def _warnings(bags: Sequence[Path], setup: SensorSetup) -> Iterator[str]:
     """Yield what is doubtful about the frames of a recording."""
     if setup.imu_unnamed:
         topic = setup.config.topic(setup.vehicle, "imu")

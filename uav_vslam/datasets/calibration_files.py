@@ -50,7 +50,7 @@ class CameraCalibration:
 
     Attributes:
         camera: intrinsics.
-        T_body_cam: pose of the optical frame, None if the file does not tell.
+        T_body_cam: pose of the optical frame, None if the file has none.
         T_left_cam: pose in the left camera's frame, None likewise.
         time_offset_s: IMU time minus image stamp [s].
     """
@@ -63,12 +63,12 @@ class CameraCalibration:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What calibration files tell; the rest comes from the recording or its topics.
+    """What calibration files hold; the rest comes from the recording or its topics.
 
     Attributes:
-        cameras: left and right one; fewer where the files tell of none.
+        cameras: left and right one; fewer where the files have none.
         noise: settings of the IMU by name ("imu.gyro_noise"), with the values of the files.
-        T_body_imu: pose of the IMU, None if the files do not tell.
+        T_body_imu: pose of the IMU, None if the files have none.
     """
 
     cameras: tuple[CameraCalibration, ...] = ()
@@ -81,7 +81,7 @@ class Calibration:
         return self.cameras[0].time_offset_s if self.cameras else 0.0
 
     def T_body_cam(self, index: int) -> Pose | None:
-        """Return the pose of a camera in the body, 0 for the left one; None if the files do not tell."""
+        """Return the pose of a camera in the body, 0 for the left one; None if the files have none."""
         if index >= len(self.cameras):
             return None
         known, left = self.cameras[index], self.cameras[0]
@@ -175,7 +175,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def parse_calibration(tree: Tree, path: Path) -> Calibration:
-    """Return what one file tells.
+    """Return the content of one file.
 
     Args:
         tree: content of the file.
@@ -228,7 +228,7 @@ def _of_kalibr(tree: Tree) -> Calibration:
 
 
 def _of_ros(tree: Tree) -> Calibration:
-    """Return one camera; the projection matrix tells where the right one of a rectified pair is."""
+    """Return one camera; the projection matrix says where the right one of a rectified pair is."""
     K = _matrix(tree["camera_matrix"], 3, 3)
     size = tree["image_width"], tree["image_height"]
     coefficients = tree.get("distortion_coefficients", {}).get("data", [])
@@ -249,7 +249,7 @@ def _of_euroc(tree: Tree) -> Calibration:
 
 
 def _of_euroc_imu(tree: Tree) -> Calibration:
-    """Return what an IMU's sensor.yaml tells; Kalibr's imu.yaml has the same keys, but for the pose."""
+    """Return the content of an IMU's sensor.yaml; Kalibr's imu.yaml has the same keys, but for the pose."""
     return Calibration(noise=_noise(tree), T_body_imu=_pose(tree["T_BS"]["data"]) if "T_BS" in tree else None)
 
 

@@ -72,13 +72,13 @@ def _unpack(file: Path, out: Path) -> None:
 
 
 def _link_the_rest(path: Path, folder: Path, packed: Sequence[Path]) -> None:
-    """Complete an unpacked folder with links to the other files, and metadata that no longer tells of compression."""
+    """Complete an unpacked folder with links to the other files, and metadata that no longer mentions compression."""
     for other in path.iterdir():
         if other not in packed and other.name != METADATA:
             (folder / other.name).symlink_to(other.resolve())
     if (path / METADATA).exists():
         tree = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))
-        told = tree[INFORMATION]
-        told |= {"compression_format": "", "compression_mode": ""}
-        told["relative_file_paths"] = [name.removesuffix(SUFFIX) for name in told["relative_file_paths"]]
+        information = tree[INFORMATION]
+        information |= {"compression_format": "", "compression_mode": ""}
+        information["relative_file_paths"] = [name.removesuffix(SUFFIX) for name in information["relative_file_paths"]]
         (folder / METADATA).write_text(yaml.safe_dump(tree), encoding="utf-8")

@@ -26,7 +26,7 @@ def camchain(rig: StereoRig, *, T_body_imu: Pose | None = None, time_offset_s: f
     Args:
         rig: cameras.
         T_body_imu: pose of the IMU; None for a camchain without it.
-        time_offset_s: IMU time minus image stamp [s], told with the IMU.
+        time_offset_s: IMU time minus image stamp [s], written with the IMU.
 
     Raises:
         CalibrationError: Kalibr does not know the lenses.

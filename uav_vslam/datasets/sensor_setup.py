@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A vehicle's sensors in its body: from calibration files, and for what these do not tell from messages.
+"""A vehicle's sensors in its body: from calibration files, and what these do not hold from messages.
 
 The bag reader and the nodes collect messages in their own way; what follows from them is decided here.
 """
@@ -164,7 +164,7 @@ class SensorSetup:
 
     @property
     def imu_unnamed(self) -> bool:
-        """Whether nothing tells where the IMU is, so that it counts as the body."""
+        """Whether nothing places the IMU, so that it counts as the body."""
         return not self._imu_frame and not self._imu_in_files
 
     @property
@@ -177,7 +177,7 @@ class SensorSetup:
 
     @property
     def _imu_in_files(self) -> bool:
-        """Whether the files place the IMU: it is their body unless they tell more."""
+        """Whether the files place the IMU: it is their body unless they say otherwise."""
         return self._cameras_in_files or self.files.T_body_imu is not None
 
     @property
@@ -216,7 +216,7 @@ class SensorSetup:
         return index >= len(self.files.cameras) or frame_unknown
 
     def _in_files(self, index: int) -> bool:
-        """Return whether the files tell where a camera is, in the body or relative to the left one."""
+        """Return whether the files place a camera, in the body or relative to the left one."""
         return self.files.T_body_cam(index) is not None or (index > 0 and self._T_left_right() is not None)
 
     def _T_left_right(self) -> Pose | None:

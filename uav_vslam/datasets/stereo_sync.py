@@ -14,7 +14,7 @@ LARGEST_TOLERANCE_NS = 20_000_000  # of the default: cameras farther apart than 
 EARLY_TOLERANCE_NS = 5_000_000  # of the default while the period is unknown: half of it at 100 Hz
 LATE_NS = 2_000_000_000  # an older image is no late one, but of another clock
 NOTABLE_OFFSET_NS = 500_000  # at 20 m/s over farmland, a pair so far apart is moved by 10 mm against its baseline
-PERIODS = 3, 20  # how many tell the frame period: at least, and of the last so many
+PERIODS = 3, 20  # how many determine the frame period: at least, and of the last so many
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ def trajectory_of(truth: TruthTrack) -> Trajectory:
     return Trajectory(truth.stamps_ns, truth.positions_world, quaternion_wxyz_from_rotation(truth.R_world_body))
 
 
-def doubts_of(truth: TruthTrack) -> Iterator[str]:
+def truth_warnings(truth: TruthTrack) -> Iterator[str]:
     """Yield why ground truth serves less than it seems to."""
     if truth.left_out:
         yield f"{truth.left_out} poses of the ground truth are not finite, or have no orientation, and are left out"

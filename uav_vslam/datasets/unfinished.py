@@ -47,7 +47,7 @@ def require_place(folder: Path) -> None:
     """
     there = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     try:
-        with TemporaryFile(dir=there):  # permissions tell nothing of file systems that are read-only
+        with TemporaryFile(dir=there):  # permissions say nothing about read-only file systems
             pass
     except OSError as error:
         raise BagError(f"{folder}: can't be made ({there}: {error.strerror}); choose another place") from None

@@ -14,7 +14,7 @@ variance k v, k = s^2 / (s^2 + v). A mixture with weights w has the mean sum(w k
 sum(w k) v + spread.
 
 What is claimed allows for more than these two: many calibrations are in between, as a board leaves them, and a flight
-can't tell those from right ones. They don't matter for the mean, which is not moved by what can't be told.
+can't distinguish those from right ones. They don't matter for the mean, which is not moved by what can't be observed.
 """
 
 from dataclasses import dataclass

@@ -168,7 +168,7 @@ class Filter:
         """Return whether landmarks can be added.
 
         If the time offset is a state, their positions depend on the angular rate: it is known from the first increment
-        on, whether propagated over it or told of it by `starts` or `ends`.
+        on, whether propagated over it or given it by `starts` or `ends`.
         """
         return self._rate_map is not None or self._errors.time_offset.start == self._errors.time_offset.stop
 
@@ -225,7 +225,7 @@ class Filter:
             tracks: pixels at the past poses, at least `past_poses.MIN_VIEWS` of each.
             probability: of the chi-square gate.
             become_landmarks: (T,) whose points are appended to the landmarks, if they pass the gate.
-            others: makes tracks that only help to tell which are wrong, see `track_consensus`.
+            others: makes tracks that only help to find the wrong ones, see `track_consensus`.
 
         Returns:
             (T,) which have passed.
@@ -389,7 +389,7 @@ class Filter:
         """Return the navigation state with its (15, 15) map-frame covariance, zero for states the model lacks.
 
         Args:
-            as_calibrated: with the covariance that it has if the calibration is right, without doubt about that.
+            as_calibrated: with the covariance that it has if the calibration is right, without the uncertainty of that.
 
         Raises:
             FilterDivergence: the covariance is not positive definite.
@@ -421,7 +421,7 @@ class Filter:
         return row, variance, self._errors.disparity_prior.mean_square(mean, variance, prior=prior)
 
     def _claimed_covariance(self) -> Array:
-        """Return the covariance (vehicle, vehicle) with the doubt about the calibration."""
+        """Return the covariance (vehicle, vehicle) with the uncertainty of the calibration."""
         P = self.belief.covariance(NO_ROWS)
         if not self._errors.has_disparity:
             return P
@@ -430,11 +430,11 @@ class Filter:
         return P + (claimed - variance) * np.outer(effect, effect)
 
     def _claimed_belief(self) -> Belief:
-        """Return the belief with the doubt about the calibration."""
+        """Return the belief with the uncertainty of the calibration."""
         if not self._errors.has_disparity:
             return self.belief
         row, variance, claimed = self._doubt()
-        if claimed == variance:  # nobody doubts, and a change takes a factor
+        if claimed == variance:  # nothing is uncertain, and a change takes a factor
             return self.belief
         return self.belief.information_changed(row, 1.0 / claimed - 1.0 / variance)[0]
 

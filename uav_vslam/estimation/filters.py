@@ -27,7 +27,7 @@ FILTERS: dict[str, Callable[..., Filter]] = {
     "thesis_uhf": partial(ThesisUnscentedFilter, form=CovarianceBelief),
 }
 THESIS = ("thesis_ukf", "thesis_uhf")  # filters as the thesis gives them
-LOST_ROTATION_SIGMA = 0.3  # [rad]: beyond, an offset of the clock, as it is linearised, would seem to tell the heading
+LOST_ROTATION_SIGMA = 0.3  # [rad]: beyond, an offset of the clock, as it is linearised, would seem to show the heading
 BOUNDED = ("uhf", "thesis_uhf")  # filters that use `backend.gamma`
 
 

@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What one factor of Y tells.
+    """What one factor of Y determines.
 
     Attributes:
         log_det: log det Y.

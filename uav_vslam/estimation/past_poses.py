@@ -7,8 +7,8 @@ eliminated: with H_x and H_f = Q_1 R the whitened Jacobians by the poses and by 
     (I - Q_1 Q_1^T) (r - H_x e_x) = noise      about the poses alone: Eq. (18) to (24) of [mourikis07]
     Q_1^T (r - H_x e_x) - R e_f   = noise      about the point, if it becomes a landmark
 
-Together they are all that the track tells. Errors of past positions belong to the right-invariant chart, as those of
-landmarks do (`models.chart_transport`), so position and yaw stay unobservable.
+Together they are all the information of the track. Errors of past positions belong to the right-invariant chart, as
+those of landmarks do (`models.chart_transport`), so position and yaw stay unobservable.
 
 Noise of a track: the tracked patch slides slowly over the ground (a random walk along the way of its image, which both
 cameras share), the left pixel scatters about it, the right one about the left one, and by a constant from camera to

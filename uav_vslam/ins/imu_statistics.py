@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a stream of IMU readings tells of itself."""
+"""Statistics of a stream of IMU readings."""
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.ins.gaps import UsualSpacing

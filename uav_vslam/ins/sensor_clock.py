@@ -30,7 +30,7 @@ MOST_ELAPSED_S = 60.0  # flown unseen, however far a clock was set
 class SensorTimeLine(TimeLine[Any]):
     """The time line of readings and frames, which must agree to be paired; a frame is whatever stands for it.
 
-    Messages after a step of one stream alone wait until the lag tells whether they are late or wrong (`SensorLag`): at
+    Messages after a step of one stream alone wait until the lag shows whether they are late or wrong (`SensorLag`): at
     most until the next image, if nothing but messages was lost.
     """
 
@@ -69,11 +69,11 @@ class SensorTimeLine(TimeLine[Any]):
         return self._release(name, stamp_ns)
 
     def _suspend(self, name: str, stamp_ns: int, item: Any) -> None:
-        """Let an item wait; refuse all that do if the clock was set, and trust them if no image tells so for long."""
+        """Let an item wait; refuse all that do if the clock was set, and trust them if no image shows that for long."""
         self._suspended.append((name, stamp_ns, item))
         stamps = [at_ns for stream, at_ns, _ in self._suspended if stream == name]
         if abs(self._lag.steps_ns[name]) <= LEAST_NS:
-            self._set.pop(name, None)  # it has been set right: the next image will tell
+            self._set.pop(name, None)  # it has been set right: the next image will show
         if name not in self._set:
             for_s = (stamps[-1] - stamps[0]) / NS_PER_S
             if len(stamps) < RUN_LENGTH or for_s < RUN_S:

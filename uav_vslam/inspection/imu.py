@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The checks of the IMU, with what else tells of its axes: start state, truth, cameras."""
+"""The checks of the IMU, with the other sources about its axes: start state, truth, cameras."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -56,8 +56,8 @@ def check_gravity_direction(force: Array, up: Array | None, *, known_from: str, 
 
     Args:
         force: (3,) mean specific force in the body's axes.
-        up: (3,) unit vector up there; None if nothing tells, then the body is expected to be level (FLU).
-        known_from: what tells, in words.
+        up: (3,) unit vector up there; None if unknown, then the body is expected to be level (FLU).
+        known_from: its source, in words.
         tilt_deg: largest angle between both [deg].
     """
     expected = np.array([0.0, 0.0, 1.0]) if up is None else up

@@ -34,7 +34,7 @@ EXTREME_RATIO = 3.0  # over the count at the next largest values
 
 # Rotation of the gyroscope against a reference: truth or cameras
 ROTATION_MISFIT = 0.35  # rms difference over rms rate: bias, noise and a few degrees of mounting leave less
-ROTATION_DETECTED = 5.0  # rms rate over its expected error; below, the vehicle turned too little to tell
+ROTATION_DETECTED = 5.0  # rms rate over its expected error; below, the vehicle turned too little to judge
 REFERENCE_SIGMA_DEG = 0.1  # attitude noise of truth, and of the rotation between two images
 
 # Cameras

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics: which a vehicle needs and has, and which of a stranger's recording they could be."""
+"""Topics: which a vehicle needs and has, and which of an unknown recording's they could be."""
 
 import itertools
 import re

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a few image pairs tell of the rig: epipolar residuals, order of the cameras, depths, and the camera's motion."""
+"""What a few image pairs show of the rig: epipolar residuals, order of the cameras, depths, and the camera's motion."""
 
 import dataclasses
 from collections.abc import Sequence

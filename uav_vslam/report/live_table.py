@@ -76,7 +76,7 @@ def _radio(vehicles: list[Vehicle]) -> Table:
         for k, peer in enumerate(peers):
             table.add_row(*(own if k == 0 else ("", "", "")), *_peer_cells(peer), style="red" if peer.silent else None)
         if not peers:
-            table.add_row(*own, "none heard")
+            table.add_row(*own, "none received")
     return table
 
 
@@ -101,17 +101,17 @@ def _peer_cells(peer: Peer) -> tuple[str, ...]:
 
 def _remarks(fleet: Fleet, now_s: float) -> list[tuple[str, str]]:
     """Return lines with their styles: vehicles awaited, nodes that are not well, messages dropped."""
-    unheard = fleet.unheard(now_s)
+    missing = fleet.missing(now_s)
     if not fleet.vehicles:
         return [("waiting for a vehicle: none on this ROS domain so far; is it the nodes' domain?", STYLES[WARN])]
-    remarks = [(f"waiting for {', '.join(unheard)}: nothing heard so far", STYLES[WARN])] if unheard else []
+    remarks = [(f"waiting for {', '.join(missing)}: nothing received so far", STYLES[WARN])] if missing else []
     silent = {vehicle.name for vehicle in fleet.vehicles.values() if vehicle.is_silent(now_s)}
     for name in sorted(silent):
         remarks.append((f"{name} silent for {fleet.vehicles[name].age_s(now_s):.0f} s", STYLES[SILENT]))
     health = [one for one in fleet.health(now_s) if one.vehicle not in silent]
     remarks += [(_health_text(one), STYLES.get(one.level, STYLES[ERROR])) for one in health if one.level != OK]
     if health and all(one.level == OK for one in health):
-        remarks.append((f"all {len(health)} nodes heard are well", STYLES[OK]))
+        remarks.append((f"all {len(health)} nodes that report are well", STYLES[OK]))
     for vehicle in fleet.vehicles.values():
         if vehicle.dropped:
             remarks.append((f"{vehicle.name} dropped {_counts(vehicle.dropped)}", ""))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run without ground truth tells of its quality, in a few sentences for the terminal."""
+"""What a run shows of its quality without ground truth, in a few sentences for the terminal."""
 
 import math
 

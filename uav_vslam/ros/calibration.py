@@ -24,13 +24,13 @@ from uav_vslam.types import ImuSample
 
 MAX_WAITING = 2000  # readings held until the place of the IMU is known
 MISSING = "transform"  # key in diagnostics of transforms that are still missing
-CHANGED = "calibration"  # key of the failure that another calibration is told than the one in use
+CHANGED = "calibration"  # key of the failure that the calibration received is not the one in use
 
 
 class RigListener:
     """Collects calibration and extrinsics; `rig` is None until complete, then `on_complete` is called once.
 
-    Where calibration files tell all, it is complete from the start, and nothing is called.
+    Where calibration files hold all, it is complete from the start, and nothing is called.
     Topics are not ordered among each other: images may arrive before their calibration.
     A calibration that changes afterwards is a failure of the node, and used only after `restart`.
     """
@@ -39,7 +39,7 @@ class RigListener:
         self._node, self._on_complete = node, lambda: None
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
         self.rig: StereoRig | None = None
-        self._told: dict[str, tuple[object, ...]] = {}  # by each camera's newest camera_info
+        self._received: dict[str, tuple[object, ...]] = {}  # by each camera's newest camera_info
         if self._setup.needs_infos:
             for side in SIDES:
                 topic = getattr(node.config.input.topics, f"{side}_info")
@@ -64,14 +64,14 @@ class RigListener:
         self._node.report_failure(CHANGED, "")
 
     def _on_camera(self, side: str, message: CameraInfo) -> None:
-        told = _content(message)
-        if self._told.get(side) == told and side in self._setup.cameras:
+        content = _content(message)
+        if self._received.get(side) == content and side in self._setup.cameras:
             return
         try:
             self._setup.add_camera(side, message)
         except CalibrationError as error:
             raise InvalidMessage("calibration", str(error)) from None
-        self._told[side] = told
+        self._received[side] = content
         self._follow()
 
     def _on_transforms(self, message: TFMessage) -> None:
@@ -79,7 +79,7 @@ class RigListener:
         self._follow()
 
     def _follow(self) -> None:
-        """Complete the rig, or tell that another one is told than the one in use."""
+        """Complete the rig, or report that another one than that in use was received."""
         if self.rig is None:
             self._assemble()
             return
@@ -119,16 +119,16 @@ def _content(info: CameraInfo) -> tuple[object, ...]:
     return info.header.frame_id, info.width, info.height, info.distortion_model, *matrices
 
 
-def _changes(used: StereoRig, told: StereoRig) -> str:
+def _changes(used: StereoRig, newest: StereoRig) -> str:
     """Return in words how a rig differs from the one in use; empty if it does not."""
     changes = []
     for side in SIDES:
-        before, now = getattr(used, side), getattr(told, side)
+        before, now = getattr(used, side), getattr(newest, side)
         if not all(np.array_equal(getattr(before, f.name), getattr(now, f.name)) for f in dataclasses.fields(before)):
             changes.append(f"{side} camera {now.width}x{now.height}, fx {now.fx:.2f} px, in use {before.fx:.2f} px")
-    places = (used.T_body_left, told.T_body_left), (used.T_body_right, told.T_body_right)
+    places = (used.T_body_left, newest.T_body_left), (used.T_body_right, newest.T_body_right)
     if not all(np.allclose(before.matrix, now.matrix, atol=SAME_PLACE) for before, now in places):
-        changes.append(f"places of the cameras, baseline {told.baseline_m:.4f} m, in use {used.baseline_m:.4f} m")
+        changes.append(f"places of the cameras, baseline {newest.baseline_m:.4f} m, in use {used.baseline_m:.4f} m")
     return "; ".join(changes)
 
 
@@ -159,7 +159,7 @@ class ImuListener:
 
     @property
     def has_infos(self) -> bool:
-        """Whether camera_info is expected: if the calibration files tell all, cameras need not publish it."""
+        """Whether camera_info is expected: if the calibration files hold all, cameras need not publish it."""
         return self._setup.needs_infos
 
     def take_readings(self) -> None:

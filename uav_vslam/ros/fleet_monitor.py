@@ -28,7 +28,7 @@ from uav_vslam_msgs.msg import FrameQuality, FusionStatus, StereoFeatures
 DISCOVERY_S = 1.0
 QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 IMU_TYPE = "sensor_msgs/msg/Imu"
-INS_NODE = "ins_propagator"  # whose subscription tells the name of the IMU's topic
+INS_NODE = "ins_propagator"  # whose subscription gives the name of the IMU's topic
 OWN_TYPES = {  # topics by which a vehicle's namespace is known: other robots have an odometry too
     "stereo_features": "uav_vslam_msgs/msg/StereoFeatures",
     "slam/quality": "uav_vslam_msgs/msg/FrameQuality",

@@ -84,7 +84,7 @@ class Input:
         reliability, durability = self.qos.reliability, self.qos.durability
         if offers and all(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
             reliability = ReliabilityPolicy.BEST_EFFORT
-        # Of many latched publishers, others may come later: they would not be heard any more.
+        # Of many latched publishers, others may come later: they would not be received any more.
         if (
             offers
             and self.qos is not LATCHED_BY_MANY

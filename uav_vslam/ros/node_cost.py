@@ -83,8 +83,8 @@ def node_costs(seconds: float) -> Iterator[NodeCost]:
             cores = {name: (_processor_s(p.pid) - before[name]) / elapsed_s for name, p in processes.items()}
             for name in NODES:
                 ratio = cores[name] / cores[BARE] if rate_hz else None
-                heard = source.latencies_s.get(name) if rate_hz else None
-                yield NodeCost(name, rate_hz, cores[name], ratio, *_odometry_figures(name, heard, elapsed_s))
+                latencies = source.latencies_s.get(name) if rate_hz else None
+                yield NodeCost(name, rate_hz, cores[name], ratio, *_odometry_figures(name, latencies, elapsed_s))
 
 
 def _odometry_figures(

@@ -10,7 +10,7 @@ from rclpy.serialization import serialize_message
 from uav_vslam.ros.convert import header
 from uav_vslam.types import NS_PER_S, PoseEstimate, Twist
 
-STAMP = 4  # after the four bytes that tell the encoding
+STAMP = 4  # after the four bytes that state the encoding
 NUMBERS = 7 + 36 + 6 + 36  # position, quaternion, covariance, twist, covariance: the end of the message
 
 

@@ -96,7 +96,7 @@ class Answers:
     ) -> None:
         """Await answers on `topics` to each frame from its vehicle's start on; the back end drops earlier ones.
 
-        `is_admitted` tells of a vehicle's frame whether its stamp is on the time line.
+        `is_admitted` says of a vehicle's frame whether its stamp is on the time line.
         """
         self.is_admitted: Callable[[str, int], bool] = lambda vehicle, stamp_ns: True
         names, self._topics = tuple(vehicles), tuple(topics)

@@ -2,8 +2,8 @@
 """Whether an input that one node should publish is published by two: nothing else would show that their data are mixed.
 
 Nodes of different names are two. Those of one name may be a process that died and the one that took its place, for DDS
-forgets a dead one only when its lease expires (20 s); or they are two vehicles of one name. Their messages tell: every
-publisher numbers its own, so of n publishers that came one after the other, the number falls n - 1 times at most.
+forgets a dead one only when its lease expires (20 s); or they are two vehicles of one name. Their messages show which:
+every publisher numbers its own, so of n publishers that came one after the other, the number falls n - 1 times at most.
 """
 
 from collections.abc import Sequence

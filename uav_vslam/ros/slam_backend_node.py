@@ -160,7 +160,7 @@ class SlamBackendNode(VehicleNode):
 
     def _work(self) -> None:
         """Process every frame whose features and increment have arrived."""
-        self._stage.rig = self._rig.rig or self._stage.rig  # that of a checkpoint until cameras are heard again
+        self._stage.rig = self._rig.rig or self._stage.rig  # that of a checkpoint until the cameras publish again
         if self._stage.initial is not None:
             self.alarms.pop("start", None)
         for output in self._stage.run():

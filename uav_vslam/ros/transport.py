@@ -2,7 +2,7 @@
 """How a node's messages travel on its host: by the environment in which the process joins a domain.
 
 Images need shared memory: best effort over UDP loses them. Whatever else passes does without, for a process that is
-killed while it writes to another's shared memory leaves it locked, and that one never hears anybody again.
+killed while it writes to another's shared memory leaves it locked, and that one never receives anything again.
 """
 
 import os

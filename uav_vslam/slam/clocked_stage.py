@@ -67,15 +67,15 @@ class ClockedStage:
         return self._add(self.line.add(MOTION, increment.stamp_ns, increment))
 
     def _add(self, admitted: Admitted[Item]) -> str:
-        told = self._follow(admitted.jump, admitted) if admitted.jump is not None else ""
+        outcome = self._follow(admitted.jump, admitted) if admitted.jump is not None else ""
         for _, item in admitted.items:
             if isinstance(item, StereoFeatures):
                 self.stage.add_features(item)
                 continue
-            told = told or self._reset_at_break(item)
+            outcome = outcome or self._reset_at_break(item)
             self.stage.add_increment(item)
             self._reached_ns = item.stamp_ns
-        return told
+        return outcome
 
     def _follow(self, jump: TimeJump, admitted: Admitted[Item]) -> str:
         """Begin another session at the first frame after a jump, from the last estimate or a newer start state."""

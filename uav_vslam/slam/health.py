@@ -35,7 +35,7 @@ class FilterHealth:
         if len(self._recent) == WINDOW and nis_per_dof > MAX_NIS_PER_DOF:
             return f"innovations of {WINDOW} frames are {nis_per_dof:.1f} times as large as the filter expects"
         if self._lost >= MAX_LOST:
-            return f"no landmark recognised and no track believed for {self._lost} frames"
+            return f"no landmark associated and no track accepted for {self._lost} frames"
         return ""
 
     @property

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether readings of the IMU can be true, asked while no point of an image is where they lead to expect it.
 
-A wrong start and a wrong rig make frames contradict the prediction as well. But only a wrong IMU feels a force that is
-not the reaction to gravity, or turns otherwise than the images, whose rotation hardly depends on the baseline.
+A wrong start and a wrong rig make frames contradict the prediction as well. But only a wrong IMU measures a force that
+is not the reaction to gravity, or another rotation than the images', which hardly depends on the baseline.
 """
 
 from collections import deque
@@ -85,21 +85,19 @@ class ImuDoubt:
         return sum(one.dt_s for one in self._recent)
 
     def _finding(self) -> str:
-        """Return what is wrong with the readings of the last frames; empty if nothing is, or nobody can tell."""
+        """Return what is wrong with the readings of the last frames; empty if nothing is, or it can not be judged."""
         seen = [one for one in self._recent if one.apart_rad is not None]
         if not seen or self._lasted_s < DOUBTED_AFTER_S:
             return ""
         rate = sum(one.apart_rad or 0.0 for one in seen) / sum(one.dt_s for one in seen)
         self.turns = rate <= MOST_RATE
         if not self.turns:
-            return (
-                f"the IMU turns by {rate:.1f} rad/s otherwise than the images: check unit, axes and stamps of its data"
-            )
+            return f"the IMU's rotation differs from the images' by {rate:.1f} rad/s: check its unit, axes and stamps"
         force = np.sum([one.gained for one in self._recent], axis=0) / self._lasted_s
         if np.linalg.norm(force - self._gravity) > MOST_ACCEL:
-            felt = ", ".join(f"{x:.1f}" for x in force)
+            measured = ", ".join(f"{x:.1f}" for x in force)
             return (
-                f"the IMU feels ({felt}) m/s^2 in the map, where gravity is {self._gravity[2]:.1f} up: check unit, "
-                "sign and axes of its accelerations, and the attitude at the start"
+                f"the IMU measures ({measured}) m/s^2 in the map, where gravity is {self._gravity[2]:.1f} up: check "
+                "unit, sign and axes of its accelerations, and the attitude at the start"
             )
         return ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tells when readings or tracks are noisier than configured, see `ins.white_noise` and `slam.track_noise`."""
+"""Warns when readings or tracks are noisier than configured, see `ins.white_noise` and `slam.track_noise`."""
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.types import ImuIncrement
@@ -25,11 +25,11 @@ class NoiseMonitor:
     def add(self, increment: ImuIncrement) -> str:
         """Add an increment and return a warning, normally empty."""
         seen = {"imu.gyro_noise": increment.gyro_noise, "imu.accel_noise": increment.accel_noise}
-        loud = {name: seen[name] / told for name, told in self._configured.items() if seen[name] > told}
-        if not loud:
+        noisy = {name: seen[name] / sigma for name, sigma in self._configured.items() if seen[name] > sigma}
+        if not noisy:
             return ""
-        self._configured = {name: told for name, told in self._configured.items() if name not in loud}
-        times = " and ".join(f"{ratio:.1f} times {name}" for name, ratio in loud.items())
+        self._configured = {name: sigma for name, sigma in self._configured.items() if name not in noisy}
+        times = " and ".join(f"{ratio:.1f} times {name}" for name, ratio in noisy.items())
         return (
             f"the readings of the IMU have {times}, and are weighted so: set what `uav-vslam check` measures over a "
             "recording, or isolate the IMU from vibration"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points of a frame that a map knows: what they tell of the frame's pose in the map.
+"""Points of a frame that a map knows: their information about the frame's pose in the map.
 
 With l_i a point in body axes, m_i where the map has it, and W_i the covariance of m_i,
 

@@ -119,7 +119,7 @@ def align_in_map(
 ) -> MapAlignment:
     """Solve for the motion at the first frame and its pose in a map; arguments as for `align`.
 
-    The views fix the shape of the ground, so that its fit to the map tells tilt from shift; one frame hardly does.
+    The views fix the shape of the ground, so that its fit to the map separates tilt from shift; one frame hardly does.
     """
     x, H, weight, T_map_body = _solve(rig, pixels, views, survey, imu, sigma_px)
     kept = np.r_[: NOISE.start, len(H) - SURVEY_POSE : len(H)]

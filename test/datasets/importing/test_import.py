@@ -91,7 +91,7 @@ def test_rows_out_of_order_are_sorted_in_and_told(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.values[:, 0], [1, 2, 3, 4])
     assert [text.split(": ")[0].removeprefix(f"{path}:") for text in problems.lines] == ["2", "3", "4"]
     assert problems.summary() == "1 lines that repeat a stamp"
-    assert problems.mended_summary() == "2 lines out of order"
+    assert problems.repaired_summary() == "2 lines out of order"
 
 
 def test_what_is_sorted_in_is_not_counted_as_left_out(

@@ -54,7 +54,7 @@ def test_constant_errors_shift_the_disparity_alone():
     for condition, error_px in DISPARITIES.items():
         error = errors_of(7)[condition]
         assert wrong_fields(error) == set()
-        shift = (error.told(RIG).project(point) - RIG.project(point))[0]
+        shift = (error.applied(RIG).project(point) - RIG.project(point))[0]
         np.testing.assert_allclose(np.abs(shift), [0.0, 0.0, 0.0, error_px], atol=0.01)  # of Kagaru's rig: in v
 
 
@@ -68,25 +68,25 @@ def test_errors_have_the_stated_size_and_no_mean_and_belong_to_the_seed():
 
 def test_the_exact_calibration_is_the_rig():
     points = np.array([[0.0, 0.0, 70.0], [12.0, -9.0, 60.0]])
-    told = errors_of(1)[EXACT].told(RIG)
-    np.testing.assert_allclose(told.project(points), RIG.project(points), atol=1e-9)
+    assumed = errors_of(1)[EXACT].applied(RIG)
+    np.testing.assert_allclose(assumed.project(points), RIG.project(points), atol=1e-9)
 
 
 def test_the_told_rig_is_wrong_by_the_error():
     error = dataclasses.replace(errors_of(5)[ALL], baseline=0.01, focal=np.array([1e-3, -2e-3]))
-    told = error.told(RIG)
-    assert told.baseline_m == pytest.approx(1.01 * RIG.baseline_m)
-    assert (told.left.fx / RIG.left.fx, told.right.fy / RIG.right.fy) == pytest.approx((1.001, 0.998))
-    shift = [told.right.cx - RIG.right.cx, told.right.cy - RIG.right.cy]
+    assumed = error.applied(RIG)
+    assert assumed.baseline_m == pytest.approx(1.01 * RIG.baseline_m)
+    assert (assumed.left.fx / RIG.left.fx, assumed.right.fy / RIG.right.fy) == pytest.approx((1.001, 0.998))
+    shift = [assumed.right.cx - RIG.right.cx, assumed.right.cy - RIG.right.cy]
     np.testing.assert_allclose(shift, error.principal_point_px[1], atol=1e-9)
-    np.testing.assert_allclose(so3_log(RIG.T_body_right.R.T @ told.T_body_right.R), error.attitude_rad, atol=1e-12)
-    np.testing.assert_array_equal(told.T_body_left.matrix, RIG.T_body_left.matrix)
+    np.testing.assert_allclose(so3_log(RIG.T_body_right.R.T @ assumed.T_body_right.R), error.attitude_rad, atol=1e-12)
+    np.testing.assert_array_equal(assumed.T_body_left.matrix, RIG.T_body_left.matrix)
 
 
 def test_a_wrong_attitude_about_the_baselines_normal_shifts_the_disparity():
-    told = CalibrationError(attitude_rad=np.array([np.deg2rad(0.01), 0.0, 0.0])).told(RIG)
+    assumed = CalibrationError(attitude_rad=np.array([np.deg2rad(0.01), 0.0, 0.0])).applied(RIG)
     point = np.array([0.0, 0.0, 70.0])
-    u, v = (told.project(point) - RIG.project(point))[2:]
+    u, v = (assumed.project(point) - RIG.project(point))[2:]
     assert abs(v) == pytest.approx(np.deg2rad(0.01) * RIG.right.fy, rel=0.01)  # 0.29 px of 18
     assert abs(u) < 0.02
 
@@ -97,17 +97,17 @@ def test_a_board_leaves_large_errors_that_make_up_for_each_other():
     point = np.array([0.0, 0.0, 70.0])
     shifts, disparities = [], []
     for seed in range(6):
-        told = errors_of(seed)[BOARD].told(RIG)
-        shifts.append([told.left.cy - RIG.left.cy, told.right.cy - RIG.right.cy])
-        pixels = told.project(point) - RIG.project(point)
+        assumed = errors_of(seed)[BOARD].applied(RIG)
+        shifts.append([assumed.left.cy - RIG.left.cy, assumed.right.cy - RIG.right.cy])
+        pixels = assumed.project(point) - RIG.project(point)
         disparities.append(pixels[3] - pixels[1])
-        assert told.baseline_m == pytest.approx(RIG.baseline_m, rel=2e-3)
-        np.testing.assert_array_equal(told.T_body_left.matrix, RIG.T_body_left.matrix)
+        assert assumed.baseline_m == pytest.approx(RIG.baseline_m, rel=2e-3)
+        np.testing.assert_array_equal(assumed.T_body_left.matrix, RIG.T_body_left.matrix)
     assert np.sqrt(np.mean(np.square(shifts))) > 0.3
     assert np.sqrt(np.mean(np.square(disparities))) < 0.15
 
 
 def test_a_calibration_belongs_to_its_seed():
-    first, again, other = (errors_of(seed)[BOARD].told(RIG) for seed in (1, 1, 2))
+    first, again, other = (errors_of(seed)[BOARD].applied(RIG) for seed in (1, 1, 2))
     assert again.left.fx == pytest.approx(first.left.fx, rel=1e-8)  # OpenCV sums in any order
     assert abs(other.left.fx / first.left.fx - 1.0) > 1e-6

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The world stays the same: only what the vehicle is told differs."""
+"""The world stays the same: only what the vehicle assumes differs."""
 
 import dataclasses
 

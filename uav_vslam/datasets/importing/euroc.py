@@ -37,7 +37,7 @@ def read_euroc(
         mav0: the folder that holds cam0, cam1, imu0 and the ground truth.
         vehicle: its ROS namespace.
         sigma: stated uncertainty of the start state.
-        problems: is told of what is left out.
+        problems: collects what is left out.
 
     Raises:
         BagError: a file is missing or malformed, no images pair up, or none has readings and ground truth.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of pictures, frame times and a log, laid out as a configuration tells, as a flight recording.
+"""A folder of pictures, frame times and a log, laid out as a configuration says, as a flight recording.
 
 Made for the Kagaru flights, of which the layout is not known here: file patterns, columns, units, axes, clocks, Bayer
 pattern and calibration are settings (`kagaru_settings`). Body is the log's sensor with its axes turned to FLU.
@@ -37,7 +37,7 @@ def read_kagaru(
         layout_file: its layout, see `config/import/kagaru.yaml`.
         vehicle: its ROS namespace.
         sigma: stated uncertainty of the start state; None for the layout's.
-        problems: is told of what is left out.
+        problems: collects what is left out.
 
     Raises:
         ConfigError: the layout is wrong or incomplete.

@@ -61,7 +61,7 @@ def read_motion(
         folder: of the data set.
         log: layout.
         datum: latitude, longitude [deg] and altitude [m] of the origin; empty for the first position.
-        problems: is told of rows that are left out.
+        problems: collects rows that are left out.
 
     Raises:
         BagError: the file can't be read.

@@ -71,7 +71,7 @@ def read_kitti(
         sigma: stated uncertainty of the start state.
         colour: use cameras 2 and 3 where there are the grey ones as well.
         oxts: IMU readings of the raw drive; None for none.
-        problems: is told of what is left out.
+        problems: collects what is left out.
 
     Raises:
         BagError: a file is missing or malformed, no images pair up, or the raw drive is another one.
@@ -105,7 +105,7 @@ def read_kitti(
 
 
 def _read_calibration(path: Path, problems: Problems) -> _Calibration:
-    """Return what calib.txt tells: `P0:` to `P3:` and `Tr:` with 12 numbers each."""
+    """Return the content of calib.txt: `P0:` to `P3:` and `Tr:` with 12 numbers each."""
     matrices: dict[str, Array] = {}
     for line, text in numbered_lines(path):
         name, _, rest = text.partition(":")

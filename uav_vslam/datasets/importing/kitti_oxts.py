@@ -100,7 +100,7 @@ class OxtsRecording:
         """Return the pose of camera 0 in the IMU's frame.
 
         Raises:
-            CalibrationError: the sequence does not tell where the laser scanner is.
+            CalibrationError: the sequence does not place the laser scanner.
         """
         if T_cam0_velo is None:
             raise CalibrationError("calib.txt has no row 'Tr:' from the laser scanner to camera 0; it places the IMU")
@@ -128,7 +128,7 @@ def read_oxts(
         folder: DATE/DRIVE/oxts.
         first_frame: number of the sequence's first picture in the drive.
         image_times: timestamps.txt of the drive's camera 0; None: that in image_00 beside `folder`.
-        problems: is told of rows that are left out.
+        problems: collects rows that are left out.
 
     Raises:
         BagError: a file is missing, or no row can be read.

@@ -47,7 +47,7 @@ def read_list(path: Path, folder: Path, problems: Problems) -> list[Picture]:
     Args:
         path: the file.
         folder: of the pictures.
-        problems: is told of lines and pictures that are left out.
+        problems: collects lines and pictures that are left out.
 
     Raises:
         BagError: the list can't be read.
@@ -122,7 +122,7 @@ def frames(pairs: list[PicturePair], problems: Problems, *, encoding: str = "") 
 
     Args:
         pairs: the files.
-        problems: is told of pictures that are left out.
+        problems: collects pictures that are left out.
         encoding: of Bayer mosaics ("bayer_rggb8"); empty if the pixels are grey or colour.
     """
     for pair in pairs:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an import leaves out or mends: nothing is lost silently, and thousands of equal messages are counted."""
+"""What an import leaves out or repairs: nothing is lost silently, and thousands of equal messages are counted."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -15,19 +15,19 @@ def _silent(_: str) -> None:
 
 @dataclass(slots=True)
 class Problems:
-    """Collects what was left out or mended.
+    """Collects what was left out or repaired.
 
     Attributes:
-        tell: is given the first few of each kind at once.
+        report: called with the first few of each kind at once.
         lines: all of them, "file:line: text".
         counts: how many of each kind were left out.
-        mended: how many of each kind are used all the same.
+        repaired: how many of each kind are used all the same.
     """
 
-    tell: Callable[[str], None] = _silent
+    report: Callable[[str], None] = _silent
     lines: list[str] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
-    mended: Counter[str] = field(default_factory=Counter)
+    repaired: Counter[str] = field(default_factory=Counter)
 
     def add(self, kind: str, path: Path, text: str, *, line: int | None = None, left_out: bool = True) -> None:
         """Note one.
@@ -39,22 +39,22 @@ class Problems:
             line: number in the file, from 1.
             left_out: otherwise it is used all the same.
         """
-        counts = self.counts if left_out else self.mended
+        counts = self.counts if left_out else self.repaired
         place = f"{path}:{line}" if line else str(path)
         self.lines.append(f"{place}: {text}")
         counts[kind] += 1
         if counts[kind] <= SHOWN:
-            self.tell(self.lines[-1])
+            self.report(self.lines[-1])
         if counts[kind] == SHOWN + 1:
-            self.tell(f"more {kind} are counted only")
+            self.report(f"more {kind} are counted only")
 
     def summary(self) -> str:
         """Return in words what was left out, empty if nothing was."""
         return _in_words(self.counts)
 
-    def mended_summary(self) -> str:
+    def repaired_summary(self) -> str:
         """Return in words what is used all the same, empty if there is nothing."""
-        return _in_words(self.mended)
+        return _in_words(self.repaired)
 
 
 def _in_words(counts: Counter[str]) -> str:

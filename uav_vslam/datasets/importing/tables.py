@@ -102,7 +102,7 @@ def read_table(
     Args:
         path: the file.
         columns: how many numbers are needed.
-        problems: is told of rows that are left out.
+        problems: collects rows that are left out.
         check: raises ValueError for numbers that are not valid.
 
     Raises:

@@ -46,7 +46,7 @@ def read_tumvi(
         vehicle: its ROS namespace.
         sigma: stated uncertainty of the start state.
         calibration: files of Kalibr; empty: those that are found.
-        problems: is told of what is left out.
+        problems: collects what is left out.
 
     Raises:
         BagError: a file is missing or malformed, or no images pair up.
@@ -69,7 +69,7 @@ def read_tumvi(
             f"{folder}: no pictures pair up, or none is covered by readings and ground truth; check data.csv"
         )
     if offset_ns:
-        notes.append(f"images are stamped {offset_ns / 1e6:+.3f} ms, the clock offset that the calibration tells")
+        notes.append(f"images are stamped {offset_ns / 1e6:+.3f} ms, the clock offset in the calibration")
     flight = FlightRecording(
         vehicle=vehicle,
         rig=rig,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a trajectory file; its content tells the format.
+"""Reads a trajectory file; the format is recognised by the content.
 
     TUM       stamp x y z qx qy qz qw                       separated by white space; stamps in seconds
     KITTI     the 12 numbers of the upper rows of T_world_camera, row by row; no stamps; x right, y down, z forward
@@ -40,7 +40,7 @@ def read_trajectory(
         numbered: gives a KITTI file without both the stamps of 10 Hz; they only serve to pair the rows of two files.
 
     Raises:
-        TrajectoryFileError: the file is missing or malformed, or nothing tells its stamps; the text names the line.
+        TrajectoryFileError: the file is missing or malformed, or has no stamps; the text names the line.
     """
     rows = read_rows(path)
     if _has_kitti_columns(rows):
@@ -85,7 +85,7 @@ def _has_title_wxyz(rows: Rows) -> bool:
 
 
 def _is_wxyz(rows: Rows) -> bool:
-    """Return whether the quaternion's real part is first, as in EuRoC's files and where no title tells."""
+    """Return whether the quaternion's real part is first, as in EuRoC's files and where no title says."""
     if len(rows.header) < CSV_COLUMNS:
         return True
     name = rows.header[4].partition("[")[0].strip().lower()

@@ -18,7 +18,7 @@ RESOLVED_PX = 4.0  # least disparity of the ground in the small images
 
 
 def search_ground(first: PreparedView, second: PreparedView, settings: SurfaceSettings) -> Depths | None:
-    """Return the heights of the ground; None while the views don't tell, as without motion.
+    """Return the heights of the ground; None while the views don't determine them, as without motion.
 
     Args:
         first, second: views of the same ground.

@@ -43,7 +43,7 @@ class FlightFiles:
     """What a results folder holds.
 
     Attributes:
-        label: tells it from the other flights of the page.
+        label: distinguishes it from the other flights of the page.
         folder: of the results.
         summary: content of summary.json.
         config: content of config.yaml.

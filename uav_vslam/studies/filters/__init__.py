@@ -29,14 +29,14 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     scales = {extractor: study.noise_trials(extractor, **options) for extractor in study.MEASURED}
     noisy_seeds = range(args.first_seed, args.first_seed + args.runs)
     advance = progress(len(seeds) + sum(map(len, scales.values())) * args.runs)
-    calm = run_trials(flights, seeds, workers=args.workers, on_job=advance)
+    nominal = run_trials(flights, seeds, workers=args.workers, on_job=advance)
     noisy = {
         extractor: run_trials(trials, noisy_seeds, workers=args.workers, on_job=advance)
         for extractor, trials in scales.items()
     }
-    rows = study.consistency_rows(calm)
+    rows = study.consistency_rows(nominal)
     rows += [row for extractor, found in noisy.items() for row in study.noise_rows(found, extractor)]
-    notes = study.NOTES | breakdowns([*calm, *(run for found in noisy.values() for run in found)])
+    notes = study.NOTES | breakdowns([*nominal, *(run for found in noisy.values() for run in found)])
     return Findings(rows, notes, draw=draw_filters)
 
 

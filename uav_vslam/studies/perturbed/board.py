@@ -35,7 +35,7 @@ class BoardCalibration:
     seed: int
     time_offset_s: float = 0.0
 
-    def told(self, rig: StereoRig) -> StereoRig:
+    def applied(self, rig: StereoRig) -> StereoRig:
         """Return the rig as it is calibrated, with the lens coefficients that are estimated too."""
         rng = np.random.default_rng(np.random.SeedSequence([self.seed, STREAM]))
         pairs = [_pair(rig, f"{k:02}", rng) for k in range(PAIRS)]

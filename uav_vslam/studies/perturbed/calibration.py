@@ -32,14 +32,14 @@ TIME_OFFSET_S = 1e-3  # of the camera clock against the IMU's
 
 @dataclass(frozen=True, slots=True)
 class CalibrationError:
-    """What is wrong with a calibration: the told values less the true ones.
+    """What is wrong with a calibration: the assumed values less the true ones.
 
     Attributes:
         focal: (2,) relative, of the left and the right camera.
         principal_point_px: (2, 2) of each camera, u and v [px].
         attitude_rad: (3,) of the right camera, about its own axes [rad].
         baseline: relative.
-        time_offset_s: told stamps of the images less the true ones, on the IMU's clock [s].
+        time_offset_s: assumed stamps of the images less the true ones, on the IMU's clock [s].
         disparity_px: of the right principal point along the disparity [px].
     """
 
@@ -50,7 +50,7 @@ class CalibrationError:
     time_offset_s: float = 0.0
     disparity_px: float = 0.0
 
-    def told(self, rig: StereoRig) -> StereoRig:
+    def applied(self, rig: StereoRig) -> StereoRig:
         """Return the rig as the calibration has it."""
         left, right = (
             _told_camera(camera, self.focal[side], self.principal_point_px[side])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights whose vehicle is told a slightly wrong calibration, beside the same flights with the exact one.
+"""Flights whose vehicle assumes a slightly wrong calibration, beside the same flights with the exact one.
 
-The world and the cameras are the same in all conditions; only what front end, filter and clock are told differs.
+The world and the cameras are the same in all conditions; only what front end, filter and clock assume differs.
 """
 
 import dataclasses
@@ -36,7 +36,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 NOTES = {
     "Flights": "one vehicle alone, config kagaru, ADIS16480; at landmark level pixels have white noise of "
     "backend.sigma_px. All conditions of a seed share flight, landmarks, images and noise",
-    "Conditions": "what the vehicle is told differs from the truth, drawn for each seed with the standard deviation "
+    "Conditions": "what the vehicle assumes differs from the truth, drawn for each seed with the standard deviation "
     "named: focal length of each camera, principal point of each camera and coordinate, attitude about each axis, "
     "baseline, clock of the cameras; then all of these, independent of each other. Errors of the disparity are "
     "the same for all seeds. The last is the rig as "
@@ -92,21 +92,21 @@ def fly_seed(job: Job) -> list[Outcome]:
     seen: dict[tuple[float, float], Frames] = {}
     outcomes = []
     for condition, error in errors_of(scenario.seed).items():
-        told = dataclasses.replace(vehicle, rig=error.told(vehicle.rig))
+        assumed = dataclasses.replace(vehicle, rig=error.applied(vehicle.rig))
         for name, config in configs:
             key = error.time_offset_s, 0.0 if level == RENDERED else config.backend.sigma_px
             if key not in seen:
                 seen[key] = tuple(_stamped_wrongly(vehicle, error.time_offset_s, level, key[1]))
-            features = tuple(_features(told, config, seen[key]))
+            features = tuple(_features(assumed, config, seen[key]))
             method = Method(name, condition, dataclasses.replace(scenario, seed=0), config, rendered=level == RENDERED)
-            outcomes.append(fly_sources(method, scenario, [told], [SimulatedSource(told, features=features)]))
+            outcomes.append(fly_sources(method, scenario, [assumed], [SimulatedSource(assumed, features=features)]))
     return outcomes
 
 
 def _stamped_wrongly(
     vehicle: SimulatedVehicle, time_offset_s: float, level: str, sigma_px: float
 ) -> Iterable[StereoFeatures | StereoFrame]:
-    """Yield what the true rig sees a little before the told stamps, by the time offset."""
+    """Yield what the true rig sees a little before the assumed stamps, by the time offset."""
     stamps_ns = vehicle.frame_stamps_ns
     true = dataclasses.replace(vehicle, frame_stamps_ns=stamps_ns - round(time_offset_s * NS_PER_S))
     landmarks = scatter_landmarks([vehicle])
@@ -119,17 +119,17 @@ def _stamped_wrongly(
         yield dataclasses.replace(frame, stamp_ns=stamp_ns)
 
 
-def _features(told: SimulatedVehicle, config: VehicleConfig, frames: Frames) -> Iterable[StereoFeatures]:
-    """Yield what the front end finds with the told rig in images, and simulated features as its lenses undistort them.
+def _features(assumed: SimulatedVehicle, config: VehicleConfig, frames: Frames) -> Iterable[StereoFeatures]:
+    """Yield what the front end finds with the assumed rig in images, and simulated features as its lenses undistort.
 
     The true lenses have no distortion, so that simulated pixels are raw ones, too.
     """
-    frontend = make_frontend(told.rig, config.frontend, config.rig)
+    frontend = make_frontend(assumed.rig, config.frontend, config.rig)
     for frame in frames:
         if isinstance(frame, StereoFrame):
             yield frontend.process(frame)
             continue
-        left, right = told.rig.left.undistort(frame.pixels[:, :2]), told.rig.right.undistort(frame.pixels[:, 2:])
+        left, right = assumed.rig.left.undistort(frame.pixels[:, :2]), assumed.rig.right.undistort(frame.pixels[:, 2:])
         yield dataclasses.replace(frame, pixels=np.hstack([left, right]).astype(np.float32))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes a stranger's recording of one of ours: other topics, frames, clocks, and calibration in a file."""
+"""Turns one of our recordings into one as from elsewhere: other topics, frames, clocks, and calibration in a file."""
 
 import dataclasses
 from collections.abc import Callable, Collection
