@@ -66,36 +66,15 @@ def preintegrate(
         whole = unknown_motion(*leap, gyro_bias=gyro_bias, accel_bias=accel_bias, imu=imu)
         whole = whole if leap[0] == start_ns else compose(part(start_ns, leap[0]), whole)
         return whole if leap[1] == stamp_ns else compose(whole, part(leap[1], stamp_ns))
-    t_s, gyro, accel = _readings_within(samples, stamps_ns, start_ns, stamp_ns)
-    apart_s = _apart_s(stamps_ns, start_ns, stamp_ns)
-    hidden = hidden_variance(samples, apart_s, period_s=period_s, imu=imu)
-    if hidden is not None:
-        # One constant per gap: its parts in several increments are given the variance that adds up to the same.
-        hidden *= (apart_s / np.diff(t_s))[:, None]
-        t_s, gyro, accel, hidden = halved(t_s, gyro, accel, hidden, apart_s)
-    dt = np.diff(t_s)
-    omega = 0.5 * (gyro[1:] + gyro[:-1]) - gyro_bias
-    step_s = dt[:, None]
-    turns, jacobians = so3_exp_and_right_jacobian(omega * step_s)
+    t_s, gyro, accel, variance = _noisy_readings(samples, stamps_ns, start_ns, stamp_ns, imu=imu, period_s=period_s)
+    step_s = np.diff(t_s)[:, None]
+    turns, jacobians = so3_exp_and_right_jacobian((0.5 * (gyro[1:] + gyro[:-1]) - gyro_bias) * step_s)
     dR = _chain(turns)
     accel_start = (dR @ (accel - accel_bias)[:, :, None])[:, :, 0]
     accel_mid = 0.5 * (accel_start[1:] + accel_start[:-1])
     dv = _sums(accel_mid * step_s)
     dp = _sums(dv[:-1] * step_s + 0.5 * accel_mid * step_s**2)
-
-    left = (t_s[-1] - t_s[1:])[:, None]  # time left after each interval
-    M = dR[1:] @ jacobians * step_s[:, None]
-    turned = 0.5 * step_s * accel_start[1:]  # velocity gained within interval j after its own rotation
-    G = np.zeros((len(dt), 9, 6))
-    G[:, 0:3, 0:3] = dR[-1].T @ M
-    G[:, 3:6, 0:3] = -skew(dv[-1] - dv[1:] + turned) @ M
-    G[:, 6:9, 0:3] = -skew(dp[-1] - dp[1:] - dv[1:] * left + turned * (left + 0.5 * step_s)) @ M
-    R_mid_dt = 0.5 * (dR[1:] + dR[:-1]) * dt[:, None, None]
-    G[:, 3:6, 3:6] = R_mid_dt
-    G[:, 6:9, 3:6] = R_mid_dt * (left + 0.5 * step_s)[:, None]
-    variance = np.repeat([imu.gyro_noise**2, imu.accel_noise**2], 3)[None, :] / dt[:, None]
-    if hidden is not None:
-        variance += hidden
+    G = _error_jacobians(t_s, dR, dv, dp, turn_jacobians=jacobians, accel_start=accel_start)
     by_all = G.transpose(1, 0, 2).reshape(9, -1)  # Jacobian by the errors of all intervals
     covariance = (by_all * variance.ravel()) @ by_all.T
     return ImuIncrement(
@@ -178,6 +157,45 @@ def error_transfer(first: ImuIncrement, second: ImuIncrement) -> tuple[Array, Ar
     A[6:9, 3:6] = dt * np.eye(3)
     B[3:6, 3:6] = B[6:9, 6:9] = R
     return A, B
+
+
+def _noisy_readings(
+    samples: list[ImuSample], stamps_ns: list[int], start_ns: int, stamp_ns: int, *, imu: ImuConfig, period_s: float
+) -> tuple[Array, Array, Array, Array]:
+    """Return `_readings_within`, gaps halved, and the variance (K-1, 6) of the mean reading over each interval."""
+    t_s, gyro, accel = _readings_within(samples, stamps_ns, start_ns, stamp_ns)
+    apart_s = _apart_s(stamps_ns, start_ns, stamp_ns)
+    hidden = hidden_variance(samples, apart_s, period_s=period_s, imu=imu)
+    if hidden is not None:
+        # One constant per gap: its parts in several increments are given the variance that adds up to the same.
+        hidden *= (apart_s / np.diff(t_s))[:, None]
+        t_s, gyro, accel, hidden = halved(t_s, gyro, accel, hidden, apart_s)
+    variance = np.repeat([imu.gyro_noise**2, imu.accel_noise**2], 3)[None, :] / np.diff(t_s)[:, None]
+    return t_s, gyro, accel, variance if hidden is None else variance + hidden
+
+
+def _error_jacobians(
+    t_s: Array, dR: Array, dv: Array, dp: Array, *, turn_jacobians: Array, accel_start: Array
+) -> Array:
+    """Return G (K-1, 9, 6).
+
+    Args:
+        t_s: (K,) times of the readings [s].
+        dR, dv, dp: (K, ...) increments up to each reading.
+        turn_jacobians: (K-1, 3, 3) right Jacobians of the rotation over each interval.
+        accel_start: (K, 3) specific forces in the start frame [m/s^2].
+    """
+    step_s, left_s = np.diff(t_s)[:, None], (t_s[-1] - t_s[1:])[:, None]  # each interval, and the time left after it
+    M = dR[1:] @ turn_jacobians * step_s[:, None]
+    turned = 0.5 * step_s * accel_start[1:]  # velocity gained within interval j after its own rotation
+    G = np.zeros((len(step_s), 9, 6))
+    G[:, 0:3, 0:3] = dR[-1].T @ M
+    G[:, 3:6, 0:3] = -skew(dv[-1] - dv[1:] + turned) @ M
+    G[:, 6:9, 0:3] = -skew(dp[-1] - dp[1:] - dv[1:] * left_s + turned * (left_s + 0.5 * step_s)) @ M
+    R_mid_dt = 0.5 * (dR[1:] + dR[:-1]) * step_s[:, None]
+    G[:, 3:6, 3:6] = R_mid_dt
+    G[:, 6:9, 3:6] = R_mid_dt * (left_s + 0.5 * step_s)[:, None]
+    return G
 
 
 def _chain(steps: Array) -> Array:
