@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from uav_vslam.config import InputConfig
     from uav_vslam.datasets.bag import BagFlight
     from uav_vslam.evaluation.result import FlightResult
+    from uav_vslam.evaluation.trajectory import Trajectory
     from uav_vslam.offline import FlightSource
     from uav_vslam.pipeline import VehicleTrack
 
@@ -75,7 +76,6 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.config import idle_settings, load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
-    from uav_vslam.datasets.truth import trajectory_of, truth_warnings
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
@@ -93,10 +93,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     for flight in flights.values():
         _report_offset(flight)
         _warn(f"{flight.vehicle}: {text}" for text in flight.warnings)
-    recorded = {name: flight.truth() for name, flight in flights.items()}
-    for name, truth in recorded.items():
-        _warn(f"{name}: {text}" for text in (truth_warnings(truth) if truth else ()))
-    truths = {name: trajectory_of(truth) if truth else None for name, truth in recorded.items()}
+    truths = {name: _truth(flight) for name, flight in flights.items()}
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
         sources: list[FlightSource] = list(flights.values())
@@ -125,6 +122,17 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     broken = sorted(track.broken for track in tracks.values() if track.broken)
     _warn(broken)
     return folder, 2 if broken else 0
+
+
+def _truth(flight: BagFlight) -> Trajectory | None:
+    """Return the recorded ground truth, if there is any, after warnings about it."""
+    from uav_vslam.datasets.truth import trajectory_of, truth_warnings
+
+    truth = flight.truth()
+    if not truth:
+        return None
+    _warn(f"{flight.vehicle}: {text}" for text in truth_warnings(truth))
+    return trajectory_of(truth)
 
 
 def _save_maps(tracks: dict[str, VehicleTrack], folder: Path) -> None:
