@@ -16,7 +16,7 @@ from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.imu import ideal_imu, simulate_imu
 from uav_vslam.simulation.rig import kagaru_rig
 from uav_vslam.simulation.trajectory import Trajectory
-from uav_vslam.slam.survey import Survey
+from uav_vslam.slam.map_points import MapPoints
 from uav_vslam.slam.visual_inertial_alignment import (
     BIASES,
     GRAVITY,
@@ -67,8 +67,8 @@ class Case:
         turn = so3_exp(np.array([0.05, -0.05, 0.05]))
         off = Pose(turn @ self.T_map_body.R, self.T_map_body.t + np.array([5.0, -4.0, 3.0]))
         covariances = np.broadcast_to((sigma_m**2 + 1e-6) * np.eye(3), (len(rows), 3, 3))
-        survey = Survey(rows, positions, covariances, off)
-        return align_in_map(RIG, self.pixels, self.views, survey, imu=IMU, sigma_px=1.0)
+        known = MapPoints(rows, positions, covariances, off)
+        return align_in_map(RIG, self.pixels, self.views, known, imu=IMU, sigma_px=1.0)
 
     def pose_error(self, found: MapAlignment) -> Array:
         """Return the true position less the estimate, and the rotation vector between them, in map axes."""

@@ -20,9 +20,9 @@ from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, NAV_DIM, POSITION, 
 from uav_vslam.numerics import symmetrise
 from uav_vslam.slam import visual_inertial_alignment as of
 from uav_vslam.slam.in_flight_initializer import InFlightInitializer, InsufficientEvidence, Start, Window
+from uav_vslam.slam.map_points import MapPoints
 from uav_vslam.slam.saved_map import SavedMap
 from uav_vslam.slam.saved_map.locate import MIN_INLIERS, Located, MapLocator
-from uav_vslam.slam.survey import Survey
 from uav_vslam.slam.visual_inertial_alignment import MapAlignment, align_in_map
 from uav_vslam.types import NavEstimate, NavState
 
@@ -55,7 +55,7 @@ class MapInitializer(InFlightInitializer):
             self._rig,
             window.pixels,
             window.views,
-            self._survey(located, window.usable),
+            self._map_points(located, window.usable),
             imu=self._config.imu,
             sigma_px=self._config.backend.sigma_px,
         )
@@ -66,12 +66,12 @@ class MapInitializer(InFlightInitializer):
             )
         return _levelled(window.first.stamp_ns, fit, located.section.common_covariance(fit.T_map_body.t))
 
-    def _survey(self, located: Located, usable: NDArray[np.intp]) -> Survey:
+    def _map_points(self, located: Located, usable: NDArray[np.intp]) -> MapPoints:
         """Return the landmarks that fit, by rows of the window's points."""
         pairs = located.pairs[np.isin(located.pairs[:, 1], usable)]
         own = located.section.own_covariances[pairs[:, 0]] + self._config.fusion.floor_sigma_m**2 * np.eye(3)
         rows = np.searchsorted(usable, pairs[:, 1])
-        return Survey(rows, located.section.positions[pairs[:, 0]], own, located.T_map_body)
+        return MapPoints(rows, located.section.positions[pairs[:, 0]], own, located.T_map_body)
 
 
 def _levelled(stamp_ns: int, fit: MapAlignment, common: Array) -> NavEstimate:

@@ -11,7 +11,7 @@ that `ImuConfig` gives them, and n ~ N(0, I) is the increments' noise, scaled by
 Gauss-Newton on the pixels with the points eliminated, first with Cauchy weights against wrong matches, then on the
 inliers. No pose is estimated from one pair of frames: far points are too uncertain.
 
-Where a map knows some of the points, `align_in_map` solves for the body's pose in it as well: `survey`.
+Where a map knows some of the points, `align_in_map` solves for the body's pose in it as well: `map_points`.
 """
 
 from dataclasses import dataclass
@@ -26,8 +26,8 @@ from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import compose, error_transfer
+from uav_vslam.slam.map_points import MapPoints
 from uav_vslam.slam.pose_equations import TINY_INFORMATION, PoseEquations
-from uav_vslam.slam.survey import SURVEY_POSE, Survey
 from uav_vslam.types import ImuIncrement
 
 Array = NDArray[np.float64]
@@ -115,38 +115,38 @@ def align(rig: StereoRig, pixels: Array, views: list[View], *, imu: ImuConfig, s
 
 
 def align_in_map(
-    rig: StereoRig, pixels: Array, views: list[View], survey: Survey, *, imu: ImuConfig, sigma_px: float
+    rig: StereoRig, pixels: Array, views: list[View], known: MapPoints, *, imu: ImuConfig, sigma_px: float
 ) -> MapAlignment:
     """Solve for the motion at the first frame and its pose in a map; arguments as for `align`.
 
     The views fix the shape of the ground, so that its fit to the map separates tilt from shift; one frame hardly does.
     """
-    x, H, weight, T_map_body = _solve(rig, pixels, views, survey, imu, sigma_px)
-    kept = np.r_[: NOISE.start, len(H) - SURVEY_POSE : len(H)]
+    x, H, weight, T_map_body = _solve(rig, pixels, views, known, imu, sigma_px)
+    kept = np.r_[: NOISE.start, len(H) - POSE_DIM : len(H)]
     covariance = np.linalg.inv(H)[np.ix_(kept, kept)]
     landmarks = int((weight[:, -1] > 0).sum())
     return MapAlignment(x[VELOCITY], x[GRAVITY], x[GYRO_BIAS], x[ACCEL_BIAS], T_map_body, covariance, landmarks)
 
 
 def _solve(
-    rig: StereoRig, pixels: Array, views: list[View], survey: Survey | None, imu: ImuConfig, sigma_px: float
+    rig: StereoRig, pixels: Array, views: list[View], known: MapPoints | None, imu: ImuConfig, sigma_px: float
 ) -> tuple[Array, Array, Array, Pose]:
     """Return x, the information matrix, the weights (N, K) and the pose in the map.
 
-    With a survey, the map is the last of the K frames, and its pose follows x in the matrix.
+    With points of a map, the map is the last of the K frames, and its pose follows x in the matrix.
     """
     motion = _Motion.through(views)
     z, seen = _table(pixels, views)
     points = rig.T_body_left.apply(rig.triangulate(pixels))
     x = _first_guess(rig, motion, z, points, imu.gravity)
     by_x, T_map_body = motion.by_x, Pose.identity()
-    if survey is not None:
-        by_x, T_map_body = block_diag(by_x, np.eye(SURVEY_POSE)), survey.T_map_body
-        seen = np.concatenate([seen, survey.seen(len(points))], axis=1)
+    if known is not None:
+        by_x, T_map_body = block_diag(by_x, np.eye(POSE_DIM)), known.T_map_body
+        seen = np.concatenate([seen, known.seen(len(points))], axis=1)
     for step in range(ROBUST_STEPS + FINAL_STEPS):
         residual, J_pose, J_point = _linearise(rig, motion, x, points, z, sigma_px)
-        if survey is not None:
-            residual, J_pose, J_point = survey.appended(T_map_body, points, residual, J_pose, J_point)
+        if known is not None:
+            residual, J_pose, J_point = known.appended(T_map_body, points, residual, J_pose, J_point)
         chi2 = np.einsum("nki,nki->nk", residual, residual)
         weight = _cauchy(chi2, seen) if step < ROBUST_STEPS else seen * (chi2 <= INLIER_CHI2)
         system = PoseEquations.of(residual, J_pose, J_point, weight)
@@ -157,7 +157,7 @@ def _solve(
         dx = np.linalg.solve(H, b)
         points = points + system.points(by_x @ dx)
         x = x + dx[: len(x)]
-        T_map_body = T_map_body if survey is None else T_map_body.moved(dx[len(x) :])
+        T_map_body = T_map_body if known is None else T_map_body.moved(dx[len(x) :])
     return x, H, weight, T_map_body
 
 

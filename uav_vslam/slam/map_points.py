@@ -14,16 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew
 
 Array = NDArray[np.float64]
 
-SURVEY_POSE = 6  # position, rotation
-
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class MapPoints:
     """Some of a frame's points as a map knows them.
 
     Attributes:
@@ -57,10 +55,10 @@ class Survey:
         """
         arm = points[self.rows] @ T_map_body.R.T
         whiten = np.linalg.inv(np.linalg.cholesky(self.covariances))
-        rows = np.zeros((len(points), 1, residual.shape[2], 1 + SURVEY_POSE + 3))
+        rows = np.zeros((len(points), 1, residual.shape[2], 1 + POSE_DIM + 3))
         rows[self.rows, 0, :3, :1] = whiten @ (self.positions - arm - T_map_body.t)[..., None]
         rows[self.rows, 0, :3, 1:] = np.concatenate([whiten, -whiten @ skew(arm), whiten @ T_map_body.R], axis=2)
-        in_map = rows[..., 0], rows[..., 1 : 1 + SURVEY_POSE], rows[..., 1 + SURVEY_POSE :]
+        in_map = rows[..., 0], rows[..., 1 : 1 + POSE_DIM], rows[..., 1 + POSE_DIM :]
         pairs = zip((residual, J_pose, J_point), in_map, strict=True)
         residual, J_pose, J_point = (np.concatenate(pair, axis=1) for pair in pairs)
         return residual, J_pose, J_point
