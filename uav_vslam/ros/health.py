@@ -7,13 +7,13 @@ from collections.abc import Mapping
 
 from rclpy.clock import Clock
 
+from uav_vslam.monitor import DROPPED
 from uav_vslam.types import NS_PER_S
 
 START_S = 5.0  # of the ROS clock, for the first message of each input
 LONGEST_START_S = 60.0  # of wall time, should the ROS clock not run
 RECENT_REPORTS = 10
 RECENT_S = 10.0  # of stamps
-DROPPED = "dropped/"  # prefix of the counts of dropped messages, by reason
 
 
 class Start:

@@ -25,6 +25,7 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.flown_map import FlownMap
 from uav_vslam.mapping.late_poses import LatePoses
 from uav_vslam.mapping.triangles import surface_triangles
+from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import cloud_to_msg, header, image_from_msg, pose_from_msg
 from uav_vslam.ros.inputs import image_topics
@@ -89,7 +90,7 @@ class MapperNode(VehicleNode):
 
     def _on_image(self, message: Image | CompressedImage) -> None:
         if self._late is None:
-            self.counts["dropped/no_calibration"] += 1
+            self.counts[f"{DROPPED}no_calibration"] += 1
             return
         self._late.add_image(stamp_ns_of(message) + self._rig.time_offset_ns, image_from_msg(message))
 
@@ -98,9 +99,9 @@ class MapperNode(VehicleNode):
             return
         self._stamp_ns = stamp_ns_of(message)
         view = self._late.add_pose(self._stamp_ns, pose_from_msg(message.pose.pose))
-        self.counts["dropped/image_without_pose"] = self._late.dropped
+        self.counts[f"{DROPPED}image_without_pose"] = self._late.dropped
         if view is None:
-            self.counts["dropped/pose_without_image"] += 1
+            self.counts[f"{DROPPED}pose_without_image"] += 1
             return
         try:
             self._map.add(view)

@@ -28,9 +28,10 @@ from uav_vslam.config import VehicleConfig, idle_settings
 from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.memory import keep_freed_memory
+from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.domain import check_domain
 from uav_vslam.ros.executor import LeanExecutor
-from uav_vslam.ros.health import DROPPED, RECENT_REPORTS, START_S, RecentDrops, Start
+from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
 from uav_vslam.ros.log_folder import log_folder
@@ -192,7 +193,7 @@ class VehicleNode(PausableNode):
             self.get_logger().warning(happened)
         if (refused := line.refused.total()) != self._refused:
             self._refused = refused
-            self.counts |= {f"dropped/{reason}": count for reason, count in line.refused.items()}
+            self.counts |= {f"{DROPPED}{reason}": count for reason, count in line.refused.items()}
             self.get_logger().warning(f"dropped a message: {line.refusal}", throttle_duration_sec=5.0)
         self.report_failure("clock", "; ".join(line.faults.values()))
 
@@ -229,7 +230,7 @@ class VehicleNode(PausableNode):
         self._mixed = set(faults)
         refused = sum(one.refused for one in self._inputs)
         if refused:
-            self.counts["dropped/several_publishers"] = refused
+            self.counts[f"{DROPPED}several_publishers"] = refused
 
     def _report_missing(self) -> None:
         waiting = []

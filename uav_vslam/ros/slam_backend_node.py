@@ -28,6 +28,7 @@ from sensor_msgs.msg import PointCloud2
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import ConfigError
 from uav_vslam.ins.body_twist import body_twist
+from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import (
     cloud_to_msg,
@@ -167,7 +168,7 @@ class SlamBackendNode(VehicleNode):
             self._publish(output)
             self._save(output.report.pose.stamp_ns)
         for reason, count in self._clocked.dropped.items():
-            self.counts[f"dropped/{reason}"] = count
+            self.counts[f"{DROPPED}{reason}"] = count
         self.report_failure("unpaired", self._stage.unpaired)
         doubt = self._stage.imu_doubt
         self.report_failure("imu", f"{doubt}; until then the motion is that of the images alone" if doubt else "")

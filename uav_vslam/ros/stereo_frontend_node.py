@@ -21,6 +21,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.messages import stamp_ns_of
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import InvalidMessage
+from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import features_to_msg, image_from_msg
 from uav_vslam.ros.inputs import Input, image_topics
@@ -81,7 +82,7 @@ class StereoFrontendNode(VehicleNode):
         if side == "left":
             self._image_frame = message.header.frame_id
         pair = add(stamp_ns_of(message), self._pixels(message))
-        self.counts["dropped/unpaired"] = self._pairer.dropped
+        self.counts[f"{DROPPED}unpaired"] = self._pairer.dropped
         if pair is None:
             self._alone += 1
             if self._alone == MAX_ALONE:
