@@ -120,7 +120,7 @@ class Input:
     def _on_own_message(self, message: Any, info: Mapping[str, Any]) -> None:
         """Pass on a message of an input that one node publishes."""
         self.publishers.received(info["publication_sequence_number"])
-        if self.publishers.accused:
+        if self.publishers.conflicting:
             self.refused += 1
         else:
             self._on_message(message)
@@ -143,7 +143,7 @@ def mixed(inputs: Iterable[Input], node: Node) -> dict[str, str]:
     for one in inputs:
         if not one.shared:
             one.publishers.look(node, one.subscription)
-            if one.publishers.accused:
+            if one.publishers.conflicting:
                 faults[one.subscription.topic_name] = one.publishers.fault(one.subscription.topic_name)
     return faults
 

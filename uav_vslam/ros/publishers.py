@@ -22,12 +22,12 @@ class Publishers:
 
     Attributes:
         names: their nodes, one entry a publisher.
-        accused: the same when more than one was alive; empty if that was before the last look but one, for messages
+        conflicting: the same when more than one was alive; empty if that was before the last look but one, for messages
             of one that has left may still wait.
     """
 
     names: tuple[str, ...] = ()
-    accused: tuple[str, ...] = ()
+    conflicting: tuple[str, ...] = ()
     _count: int = 0
     _were_several: bool = False
     _falls: int = 0
@@ -43,9 +43,9 @@ class Publishers:
         """Find out who they are; to be called now and then."""
         self.notice(node, subscription)
         if self.several:
-            self.accused = self.names
+            self.conflicting = self.names
         elif not self._were_several:
-            self.accused = ()
+            self.conflicting = ()
         self._were_several = self.several
 
     def notice(self, node: Node, subscription: Any) -> None:
@@ -68,13 +68,13 @@ class Publishers:
             self._falls += len(self.names) > 1 and number <= self._number
             self._number = number
         if self.several:
-            self.accused = self.names
+            self.conflicting = self.names
 
     def fault(self, topic: str) -> str:
         """Return what is wrong, in a line."""
-        cause = "two vehicles have one name" if len(set(self.accused)) == 1 else "end all but one"
-        nodes = ", ".join(self.accused)
-        return f"{len(self.accused)} nodes publish {topic}: {nodes}; it is not used until one is left ({cause})"
+        cause = "two vehicles have one name" if len(set(self.conflicting)) == 1 else "end all but one"
+        nodes = ", ".join(self.conflicting)
+        return f"{len(self.conflicting)} nodes publish {topic}: {nodes}; it is not used until one is left ({cause})"
 
 
 def nodes_publishing(node: Node, topic: str) -> list[str]:
