@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from uav_vslam.errors import TrajectoryFileError
 from uav_vslam.evaluation.alignment import ALIGNMENTS
 from uav_vslam.evaluation.clock_offset import clock_offset
-from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import MAX_GAP_S, pair_with_truth
 from uav_vslam.evaluation.plain import plain
-from uav_vslam.evaluation.scores import relative_scores
+from uav_vslam.evaluation.scores import consistency_scores, relative_scores
 from uav_vslam.evaluation.segments import SegmentError, default_lengths_m, distances_m, pooled, segment_errors
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
@@ -117,9 +116,7 @@ def _figures(run: PairedRun, lengths_m: Sequence[float]) -> Figures:
     absolute = {name: absolute_error(run.estimate, run.truth, alignment=name) for name in ALIGNMENTS}
     determined = {"none"} if len(run.estimate) == 1 else set(ALIGNMENTS)  # a single pose can be moved onto any other
     errors = segment_errors(run.estimate, run.truth, lengths_m)
-    values = nees(run.estimate, run.truth)
-    position = summarise(values.position) if values else None
-    rotation = summarise(values.rotation) if values else None
+    consistency = consistency_scores(run.estimate, run.truth)
     offset = clock_offset(run.estimate, run.run.truth)
     return {
         "source": run.run.source,
@@ -134,8 +131,8 @@ def _figures(run: PairedRun, lengths_m: Sequence[float]) -> Figures:
         **relative_scores(run.estimate, run.truth),
         "rpe": _drift(pooled(errors)),
         "rpe_by_segment": [_drift(error) for error in errors],
-        "nees_position": position.mean if position else None,
-        "nees_rotation": rotation.mean if rotation else None,
+        "nees_position": consistency["nees_position"],
+        "nees_rotation": consistency["nees_rotation"],
         "clock_offset": dataclasses.asdict(offset) if offset else None,
     }
 

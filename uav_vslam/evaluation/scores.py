@@ -41,7 +41,8 @@ def track_scores(track: Trajectory, truth: Trajectory | None, *, alignment: str 
         truth: ground truth, None if unknown.
         alignment: a name of `ALIGNMENTS`, of the estimate to the ground truth; NEES only with "none".
     """
-    return error_scores(track, truth, alignment=alignment) | _consistency(track, truth if alignment == "none" else None)
+    truth_unmoved = truth if alignment == "none" else None
+    return error_scores(track, truth, alignment=alignment) | consistency_scores(track, truth_unmoved)
 
 
 def error_scores(track: Trajectory, truth: Trajectory | None, *, alignment: str = "none") -> Figures:
@@ -85,7 +86,8 @@ def _aligned_m(track: Trajectory, truth: Trajectory | None, alignment: str) -> f
     return error.ate_m if error else None
 
 
-def _consistency(track: Trajectory, truth: Trajectory | None) -> Figures:
+def consistency_scores(track: Trajectory, truth: Trajectory | None) -> Figures:
+    """Return the NEES of an estimate; None where its covariance or the truth is unknown."""
     values = None if truth is None else nees(track, truth)
     position = summarise(values.position) if values else None
     rotation = summarise(values.rotation) if values else None
