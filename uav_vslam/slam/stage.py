@@ -33,7 +33,7 @@ from uav_vslam.types import (
     StereoFeatures,
 )
 
-MANY_UNPAIRED = 10  # frames of late without an increment of their stamp: no accident
+MANY_UNPAIRED = 10  # recent frames without an increment of their stamp: no accident
 UNKNOWN_ROTATION_RAD = 0.25  # 1 sigma about an axis: half a second without readings
 
 
@@ -147,7 +147,7 @@ class SlamStage:
 
     @property
     def unpaired(self) -> str:
-        """Why most frames of late had no increment of their stamp; empty while they have."""
+        """Why most recent frames had no increment of their stamp; empty while they have."""
         if self._queue.unpaired < MANY_UNPAIRED:
             return ""
         return (
@@ -288,17 +288,7 @@ class SlamStage:
             self._backend = SlamBackend(
                 self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
             )
-        if increment is None and features.stamp_ns != self._backend.stamp_ns:
-            self._motion_lost += 1
-            increment = unknown_motion_since(self._backend.nav.state, features.stamp_ns, self._config.imu)
-        if increment is not None:
-            # before the filter, which may fail: the baseline must not miss a step
-            self._dead_reckoning.add(increment)
-            self._motion_lost += increment.start_ns != self._backend.stamp_ns
-            increment = bridged(increment, self._backend.stamp_ns, self._config.imu)
-            self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
-            if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
-                self._start_monitor.stop(increment.start_ns)
+        increment = self._motion(self._backend, features.stamp_ns, increment)
         report = self._backend.process(features, increment)
         self._was_motion_unknown |= self._backend.imu_doubt != ""
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
@@ -314,12 +304,25 @@ class SlamStage:
         self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
-        configured_px = self._config.backend.track_sigma_px
-        noisy = [self._noise_monitor.add_tracks(self._backend.track_sigma_px, configured_px=configured_px)]
-        if increment is not None:
-            noisy.append(self._noise_monitor.add(increment))
+        noisy = self._noise_warnings(self._backend.track_sigma_px, increment)
         warnings = [text for text in (*noisy, *self._warnings(report, dead_reckoned)) if text]
         return FrameOutput(report, dead_reckoned, joint, increment, tuple(warnings))
+
+    def _motion(self, backend: SlamBackend, stamp_ns: int, increment: ImuIncrement | None) -> ImuIncrement | None:
+        """Return the motion from the estimate to a frame, unknown as far as no increment has it; None for none."""
+        if increment is None and stamp_ns != backend.stamp_ns:
+            self._motion_lost += 1
+            increment = unknown_motion_since(backend.nav.state, stamp_ns, self._config.imu)
+        if increment is None:
+            return None
+        # before the filter, which may fail: the baseline must not miss a step
+        self._dead_reckoning.add(increment)
+        self._motion_lost += increment.start_ns != backend.stamp_ns
+        increment = bridged(increment, backend.stamp_ns, self._config.imu)
+        self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
+        if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
+            self._start_monitor.stop(increment.start_ns)
+        return increment
 
     def _joint_information(self, backend: SlamBackend) -> JointInformation:
         joint, start_map = backend.joint_information(), self._start_map
@@ -334,6 +337,11 @@ class SlamStage:
             self._archive.count(sightings)
         if joint is not None:
             self._archive.add(joint)
+
+    def _noise_warnings(self, track_sigma_px: float, increment: ImuIncrement | None) -> list[str]:
+        configured_px = self._config.backend.track_sigma_px
+        found = [self._noise_monitor.add_tracks(track_sigma_px, configured_px=configured_px)]
+        return found if increment is None else [*found, self._noise_monitor.add(increment)]
 
     def _warnings(self, report: FrameReport, dead_reckoned: NavEstimate) -> list[str]:
         if report.recovery:
