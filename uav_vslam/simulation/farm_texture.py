@@ -35,9 +35,8 @@ class Tints(Protocol):
 class FarmTexture(Tiled):
     """Grass and crops of many shades in fields with straight borders; tracks of bare soil."""
 
-    def __init__(self, seed: int, *, m_per_px: float = 0.05) -> None:
+    def __init__(self, seed: int) -> None:
         super().__init__()
-        self.m_per_px = m_per_px
         self._seed = seed
 
     def _make_tile(self, column: int, row: int) -> Grey:
@@ -77,8 +76,7 @@ class LitTexture(Tiled):
     """A grey ground with the shadows of what stands on it."""
 
     def __init__(self, ground: Texture, farm: Farm) -> None:
-        super().__init__()
-        self.m_per_px = ground.m_per_px
+        super().__init__(ground.m_per_px)
         self._ground, self._farm = ground, farm
 
     def _make_tile(self, column: int, row: int) -> Grey:
@@ -103,8 +101,7 @@ class ColourTexture(Tiled):
     channels = (3,)
 
     def __init__(self, grey: Texture, tints: Tints) -> None:
-        super().__init__()
-        self.m_per_px = grey.m_per_px
+        super().__init__(grey.m_per_px)
         self._grey, self._tints = grey, tints
 
     def _make_tile(self, column: int, row: int) -> Grey:

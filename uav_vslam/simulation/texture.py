@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.errors import ConfigError
 
+TEXEL_M = 0.05  # side of a texel on the ground
 TILE = 512  # texels along the side of a tile
 KEPT_TILES = 256  # 64 MB
 MAX_WINDOW_TEXELS = 100_000_000
@@ -48,7 +49,8 @@ class Tiled:
 
     channels: tuple[int, ...] = ()  # (3,) for BGR
 
-    def __init__(self) -> None:
+    def __init__(self, m_per_px: float = TEXEL_M) -> None:
+        self.m_per_px = m_per_px
         self._tiles: OrderedDict[tuple[int, int], Grey] = OrderedDict()
 
     def _make_tile(self, column: int, row: int) -> Grey:
@@ -80,9 +82,8 @@ class Tiled:
 class GrassTexture(Tiled):
     """Farmland: self-similar grass of many sizes, in fields of slightly different grey with hedges between."""
 
-    def __init__(self, seed: int, *, m_per_px: float = 0.05) -> None:
-        super().__init__()
-        self.m_per_px = m_per_px
+    def __init__(self, seed: int, *, m_per_px: float = TEXEL_M) -> None:
+        super().__init__(m_per_px)
         self._seed = seed
 
     def _make_tile(self, column: int, row: int) -> Grey:
@@ -122,22 +123,20 @@ class GrassTexture(Tiled):
 class ImageTexture(Tiled):
     """Photographs of ground tiled side by side; they repeat, so fine noise makes the copies differ."""
 
-    def __init__(self, paths: list[Path], seed: int, *, image_m_per_px: float, m_per_px: float = 0.05) -> None:
+    def __init__(self, paths: list[Path], seed: int, *, image_m_per_px: float) -> None:
         """Read the pictures.
 
         Args:
             paths: image files; they are cut to the size of the smallest one.
             seed: of the added noise.
             image_m_per_px: size of a picture's pixel on the ground [m].
-            m_per_px: size of a texel [m].
 
         Raises:
             ConfigError: a file is not a readable image.
         """
         super().__init__()
-        self.m_per_px = m_per_px
         self._seed = seed
-        pictures = [_read_grey(path, image_m_per_px / m_per_px) for path in paths]
+        pictures = [_read_grey(path, image_m_per_px / self.m_per_px) for path in paths]
         height, width = min(p.shape[0] for p in pictures), min(p.shape[1] for p in pictures)
         self._pictures = [np.flipud(p[:height, :width]) for p in pictures]
 
