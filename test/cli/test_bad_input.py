@@ -124,7 +124,7 @@ BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {
     ),
     "extrinsics that are no rotation": (
         rotated_by_nothing,
-        ["/tf_static, uav1/base_link to uav1/", "zero norm", "publish that transform anew"],
+        ["/tf_static, uav1/base_link to uav1/", "zero norm", "publish a corrected transform"],
     ),
     "start state that is no number": (
         started_nowhere,

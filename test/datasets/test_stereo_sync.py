@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images pair up by stamp in any order of arrival, and nothing waits for ever."""
+"""Images pair up by stamp in any order of arrival, and nothing waits without end."""
 
 import itertools
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A status tells the operator what is wrong now: nothing in a healthy start, and nothing for ever after a fault."""
+"""A status tells the operator what is wrong now: nothing in a healthy start, and nothing once a fault is over."""
 
 import pytest
 

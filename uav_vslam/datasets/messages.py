@@ -255,7 +255,7 @@ def transforms_of(built: Any) -> list[tuple[str, str, Pose]]:
         try:
             edges.append((parent, child, _pose_of_transform(stamped.transform)))
         except ValueError as error:
-            raise CalibrationError(f"/tf_static, {parent} to {child}: {error}; publish that transform anew") from None
+            raise CalibrationError(f"/tf_static, {parent} to {child}: {error}; publish a corrected transform") from None
     return edges
 
 

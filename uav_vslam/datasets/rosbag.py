@@ -35,7 +35,7 @@ from rosbags.typesys.store import Typestore
 
 from uav_vslam.datasets import ros1_bag
 from uav_vslam.datasets.compressed_bag import compressed_files, unpacked
-from uav_vslam.datasets.patient_file import PatientFile
+from uav_vslam.datasets.retrying_file import RetryingFile
 from uav_vslam.datasets.truncated_mcap import is_truncated, readable_messages
 from uav_vslam.errors import BagError, one_line
 
@@ -164,14 +164,14 @@ class RawRecorder:
     A context manager; on an error it removes the bag.
     """
 
-    def __init__(self, path: Path, *, storage: str = "mcap", zstd: bool = False, patient: bool = False) -> None:
+    def __init__(self, path: Path, *, storage: str = "mcap", zstd: bool = False, retrying: bool = False) -> None:
         """Create the bag.
 
         Args:
             path: folder to make; it must not exist.
             storage: "mcap" or "sqlite3".
             zstd: compress the chunks of an mcap file, as `ros2 bag` can.
-            patient: go on when the disk is full: messages are refused until there is room again; mcap only.
+            retrying: go on when the disk is full: messages are refused until there is room again; mcap only.
 
         Raises:
             BagError: the folder exists or can't be made.
@@ -187,7 +187,7 @@ class RawRecorder:
             if zstd:
                 self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
-            self._file = _made_patient(self._writer) if patient else None
+            self._file = _made_retrying(self._writer) if retrying else None
         except (WriterError, OSError, sqlite3.OperationalError) as error:
             raise BagError(f"can't record to {path}: {error}; choose a folder that does not exist yet") from None
 
@@ -204,7 +204,7 @@ class RawRecorder:
             latched: offer the topic as transient local; counts at its first message only.
 
         Raises:
-            BagError: the type is not known, the topic already has another one, or a patient bag's disk is full.
+            BagError: the type is not known, the topic already has another one, or a retrying bag's disk is full.
             OSError: the disk is full.
         """
         if self._file is not None and self.is_full():
@@ -218,7 +218,7 @@ class RawRecorder:
             self._writer.write(connection, stamp_ns, data)
 
     def is_full(self) -> bool:
-        """Try to write what a patient bag holds back, and return whether its disk is still full."""
+        """Try to write what a retrying bag holds back, and return whether its disk is still full."""
         if self._file is not None:
             self._file.retry()
         return self._file is not None and self._file.full
@@ -227,7 +227,7 @@ class RawRecorder:
         """Write the index; nothing can be written afterwards.
 
         Raises:
-            BagError: the disk of a patient bag is full: the index is missing, and what was recorded before can be read.
+            BagError: the disk of a retrying bag is full: the index is missing; what was recorded before can be read.
             OSError: the disk is full.
         """
         with self._naming_itself():
@@ -270,10 +270,10 @@ class RawRecorder:
         )
 
 
-def _made_patient(writer: Writer) -> PatientFile:
+def _made_retrying(writer: Writer) -> RetryingFile:
     """Let a writer of an mcap file outlive a full disk."""
     assert isinstance(writer.storage, McapWriter)
-    file = PatientFile(writer.storage.bio)
+    file = RetryingFile(writer.storage.bio)
     writer.storage.bio = cast(Any, file)
     return file
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An executor of one thread that takes little of the processor itself.
 
-rclpy's own builds its wait set anew from all entities of the node, once before each callback and once after it, and
+rclpy's own rebuilds its wait set from all entities of the node, once before each callback and once after it, and
 wraps the callback into a task: several times what a short callback takes. This one keeps its wait set until entities
 come or go, calls all that is ready in one turn, and looks at QoS events, two a subscription, twice a second.
 """

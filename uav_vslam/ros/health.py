@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node's status depends on besides its inputs: whether it is still starting, and what it dropped lately."""
+"""What a node's status depends on besides its inputs: whether it is still starting, and its recent drops."""
 
 import time
 from collections import Counter, deque
@@ -35,7 +35,7 @@ class Start:
 
 
 class RecentDrops:
-    """How many messages were dropped between the last reports, so that a fault that is over is no fault for ever."""
+    """How many messages were dropped between the last reports, so that a past fault does not remain one."""
 
     def __init__(self) -> None:
         self._earlier = deque([Counter[str]()], maxlen=RECENT_REPORTS)

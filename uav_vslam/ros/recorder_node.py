@@ -58,7 +58,7 @@ class RecorderNode(Node):
         if not output or not vehicles:
             raise ConfigError("recorder: set the parameters output (folder to make) and vehicles (their names)")
         Path(output).parent.mkdir(parents=True, exist_ok=True)
-        self._bag = RawRecorder(Path(output), patient=True)
+        self._bag = RawRecorder(Path(output), retrying=True)
         self._output = output
         self._written = self._dropped = 0
         self._inputs: list[Any] = []

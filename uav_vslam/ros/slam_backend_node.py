@@ -251,7 +251,7 @@ class SlamBackendNode(VehicleNode):
         self.report_alarm("coasted", text)
 
     def _report_recoveries(self, report: FrameReport) -> None:
-        """Warn while the filter has been re-initialised lately: what it claims is then no more than a guess."""
+        """Warn while the filter was re-initialised recently: what it claims is then no more than a guess."""
         self._recovery = report.recovery or self._recovery
         recent = self._recoveries.count(report.pose.stamp_ns, report.recovery != "")
         text = f"the filter was re-initialised {recent}x in the last {RECENT_S:g} s, the last time: {self._recovery}"

@@ -44,7 +44,7 @@ class Interface:
 
     name: str
     _last: Counter[str] = field(default_factory=Counter)  # as the kernel had it
-    _before: Counter[str] = field(default_factory=Counter)  # what it had counted before it began anew
+    _before: Counter[str] = field(default_factory=Counter)  # what it had counted before it restarted
 
     def __post_init__(self) -> None:
         if "/" in self.name or not (INTERFACES / self.name).is_dir():

@@ -4,7 +4,7 @@
 A checkpoint is the whole state of `SlamStage`: estimate, information, map, tracks and the frames that wait. It belongs
 to one session: what the restored back end publishes comes from the same measurements, so its session stays the same,
 and peers replace what they have instead of counting it twice. Only identifiers of landmarks must not be used again.
-Landmarks archived for a saved map are left out; the map of a restarted back end begins anew.
+Landmarks archived for a saved map are left out; the map of a restarted back end starts empty.
 
 The file is a pickle, of this program for this program: it is read from the user's own state folder only.
 """

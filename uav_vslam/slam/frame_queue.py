@@ -19,7 +19,7 @@ class FrameQueue:
         lost: images whose features did not arrive in time; replaced by an empty frame.
         without_motion: frames dropped because they are inside an increment, or because they are repeated.
         motion_refused: increments dropped because they begin before the stamp reached.
-        unpaired: frames dropped of late because no increment ends at their stamp; each paired one offsets two.
+        unpaired: recent frames dropped because no increment ends at their stamp; each paired one offsets two.
         apart_ns: of the last of those, its stamp minus that of the nearest end of an increment [ns].
     """
 

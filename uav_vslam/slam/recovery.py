@@ -2,7 +2,7 @@
 """The estimate that a filter goes on from after it has been lost, or has lost its positive definiteness.
 
 Its covariance is inflated, but not without bound: recoveries may follow each other, and a factor at each of them makes
-an estimate that no filter can work with, which fails again at once, for ever.
+an estimate that no filter can work with, which fails again at once, and so on.
 """
 
 import numpy as np

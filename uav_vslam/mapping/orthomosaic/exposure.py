@@ -123,7 +123,7 @@ class Exposure:
         return Correction(self._log_gains[index], self._falloffs[self._cameras[index]].value)
 
     def solve(self) -> None:
-        """Find each camera's fall-off and all gains anew from all pairs of views together."""
+        """Find each camera's fall-off and all gains again from all pairs of views together."""
         for _ in range(SOLVE_ROUNDS):
             self._relearn_falloffs()
         self._pairs = [pair for old in self._pairs if (pair := self._pair(old.first, old.second)) is not None]

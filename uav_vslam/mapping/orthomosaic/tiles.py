@@ -120,4 +120,4 @@ class MosaicTiles(TileStore[Tile]):
                     arrays["labels"], [arrays[f"band_{i}"] for i in levels], [arrays[f"weight_{i}"] for i in levels]
                 )
         except (OSError, ValueError, KeyError) as error:
-            raise UavVslamError(f"tile {path} of the mosaic can't be read ({error}); make the map anew") from error
+            raise UavVslamError(f"tile {path} of the mosaic can't be read ({error}); make the map again") from error

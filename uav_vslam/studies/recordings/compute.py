@@ -35,7 +35,7 @@ NOTES = {
     "Stamps": "of the right images alone are late; their exposures are those of the left ones",
     "IMU": "turned by 180 degrees about x, at (0.2, -0.1, 0.2) m, in a frame of its own that /tf_static connects; two "
     "successive readings average to the noise of a plain one",
-    "Lens": "equidistant, k1 to k4 0.05, -0.02, 0.01, -0.003, rendered anew: other pixels, so another noise; no "
+    "Lens": "equidistant, k1 to k4 0.05, -0.02, 0.01, -0.003, rendered again: other pixels, so another noise; no "
     "camera_info and no /tf_static",
 }
 

@@ -4,7 +4,7 @@
 import io
 
 
-class PatientFile:
+class RetryingFile:
     """Appends to a file, and never fails before it is closed.
 
     It holds what it could not write; whoever writes should stop while it is `full`, for that grows.
