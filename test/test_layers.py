@@ -98,6 +98,7 @@ AT_HOME_FILES = {
         "studies/orthomosaic/stitcher.py",  # the reference
         "studies/bench/recordings.py",
         "studies/surface/compute.py",
+        "studies/surface/sparse.py",
         "ros/runtime.py",
     },
 }

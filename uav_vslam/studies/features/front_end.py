@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from uav_vslam.config import FrontendConfig
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.simulation.camera_render import RenderedFlight
-from uav_vslam.simulation.correspondence import ground_points, pixels_of
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
 from uav_vslam.studies.features.compute import CORRECT_PX
+from uav_vslam.studies.features.correspondence import ground_points, pixels_of
 from uav_vslam.studies.features.sets import ImageSet, spaced_pairs
 from uav_vslam.vision.features import make_extractor
 from uav_vslam.vision.matching import MATCHERS

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.simulation.camera_render import RenderedFlight
-from uav_vslam.simulation.correspondence import ground_points, pixels_of
 from uav_vslam.simulation.rig import kagaru_rig
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
+from uav_vslam.studies.features.correspondence import ground_points, pixels_of
 from uav_vslam.vision.images import shrink
 
 Pixels = NDArray[np.floating]

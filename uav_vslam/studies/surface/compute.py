@@ -12,12 +12,12 @@ import numpy as np
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import SurfaceMapper
-from uav_vslam.mapping.surface.sparse import DelaunaySurface, extra_points, landmarks
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.terrain import ground_of
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.kept_flights import KeptFlight, kept_flights
 from uav_vslam.studies.surface.scoring import Scores, Surface, pose_scores, score
+from uav_vslam.studies.surface.sparse import DelaunaySurface, extra_points, landmarks
 from uav_vslam.vision.images import to_grey8
 
 NOTES = {

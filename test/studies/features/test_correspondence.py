@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from uav_vslam.simulation.camera_render import RenderedFlight
-from uav_vslam.simulation.correspondence import ground_points, pixels_of
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
+from uav_vslam.studies.features.correspondence import ground_points, pixels_of
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,11 @@ import pytest
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.mapping.raster import Raster
-from uav_vslam.mapping.surface.sparse import DelaunaySurface, extra_points, landmarks
 from uav_vslam.simulation.camera_render import CameraRenderer
 from uav_vslam.simulation.rig import kagaru_rig
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.terrain import ground_of
+from uav_vslam.studies.surface.sparse import DelaunaySurface, extra_points, landmarks
 from uav_vslam.types import StereoFeatures
 
 RIG = kagaru_rig(0.375)
