@@ -109,7 +109,7 @@ def world_file(raster: Raster) -> str:
 
 
 def scale_at(datum: Datum) -> float:
-    """Return the projection's scale: one metre of the map is this many metres on the ellipsoid, inverted."""
+    """Return the projection's scale, metres of the map per metre on the ellipsoid."""
     e2 = WGS84_F * (2.0 - WGS84_F)
     w2 = 1.0 - e2 * np.sin(np.deg2rad(datum.latitude_deg)) ** 2
     radius_m = WGS84_A_M * np.sqrt(1.0 - e2) / w2  # Gaussian radius of curvature
