@@ -12,7 +12,8 @@ over its errors; a `Linearisation` supplies F, Q, H and R. The thesis's four fil
 
 import copy
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Self
@@ -409,7 +410,7 @@ class Filter:
         with _stamped(self.nav.stamp_ns):
             return self._claimed_belief().predicted(C, np.zeros((nav_dim, nav_dim))).information(rows)
 
-    def _doubt(self) -> tuple[int, float, float]:
+    def _claimed_disparity(self) -> tuple[int, float, float]:
         """Return the disparity's row, variance, and how far it may be off in mean square [px^2].
 
         Until the motion makes a wrong calibration likely, the estimate takes the right one for granted, which is more
@@ -425,7 +426,7 @@ class Filter:
         P = self.belief.covariance(NO_ROWS)
         if not self._errors.has_disparity:
             return P
-        row, variance, claimed = self._doubt()
+        row, variance, claimed = self._claimed_disparity()
         effect = P[:, row] / variance
         return P + (claimed - variance) * np.outer(effect, effect)
 
@@ -433,7 +434,7 @@ class Filter:
         """Return the belief with the uncertainty of the calibration."""
         if not self._errors.has_disparity:
             return self.belief
-        row, variance, claimed = self._doubt()
+        row, variance, claimed = self._claimed_disparity()
         if claimed == variance:  # nothing is uncertain, and a change takes a factor
             return self.belief
         return self.belief.information_changed(row, 1.0 / claimed - 1.0 / variance)[0]
@@ -481,7 +482,7 @@ class Filter:
         """What is known of the disparity's error; None if it is no state."""
         if not self._errors.has_disparity:
             return None
-        return DisparityEstimate(self.rig_state.disparity_px, self._doubt()[2] ** 0.5, self.miscalibrated)
+        return DisparityEstimate(self.rig_state.disparity_px, self._claimed_disparity()[2] ** 0.5, self.miscalibrated)
 
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
         return self._linear.observation(
@@ -585,15 +586,10 @@ def _whitened(predicted: PredictedObservation, nu: Array, weights: Array) -> Obs
     )
 
 
-class _stamped:
-    """Adds the time to a `FilterDivergence`; numpy's `LinAlgError` becomes one."""
-
-    def __init__(self, stamp_ns: int) -> None:
-        self._stamp_ns = stamp_ns
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, FilterDivergence | np.linalg.LinAlgError):
-            raise FilterDivergence(f"at {self._stamp_ns / NS_PER_S:.3f} s: {error}") from error
+@contextmanager
+def _stamped(stamp_ns: int) -> Iterator[None]:
+    """Add the time to a `FilterDivergence`; numpy's `LinAlgError` becomes one."""
+    try:
+        yield
+    except (FilterDivergence, np.linalg.LinAlgError) as error:
+        raise FilterDivergence(f"at {stamp_ns / NS_PER_S:.3f} s: {error}") from error
