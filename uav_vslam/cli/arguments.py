@@ -72,8 +72,14 @@ def namespace(text: str) -> str:
     return text
 
 
-def results_folder(text: str) -> Path:
-    """Return the folder of all results, which is created with the first of them."""
+def add_results(parser: argparse.ArgumentParser) -> None:
+    """Declare the folder of all results, which is created with the first of them."""
+    parser.add_argument(
+        "--results", type=_results_folder, default="results", help="where results go (default results/)"
+    )
+
+
+def _results_folder(text: str) -> Path:
     from uav_vslam.datasets.unfinished import require_place
     from uav_vslam.errors import UavVslamError
     from uav_vslam.evaluation.output import latest_link

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from uav_vslam.cli.arguments import positive, results_folder
+from uav_vslam.cli.arguments import add_results, positive
 
 HELP = "measure the speed of each stage"
 EXAMPLES = """examples:
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--nodes", type=positive, metavar="S", help="measure what nodes cost instead, for S seconds each time"
     )
-    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+    add_results(parser)
 
 
 def run(args: argparse.Namespace) -> int:

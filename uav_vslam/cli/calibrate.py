@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import positive, results_folder
+from uav_vslam.cli.arguments import add_results, positive
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--most", type=positive, metavar="N", help=f"pairs to take from a bag, evenly spread (default {MOST})"
     )
     parser.add_argument("--name", help="of the results folder (default: that of the pictures' folder)")
-    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+    add_results(parser)
     parser.add_argument("--no-plots", action="store_true", help="write figures and calibration files only")
 
 

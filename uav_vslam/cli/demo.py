@@ -11,7 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from uav_vslam.cli.arguments import MODES, results_folder
+from uav_vslam.cli.arguments import MODES, add_results
 
 HELP = "replay two vehicles' sample recordings through the node graph and report"
 EXAMPLES = """examples:
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("--mode", choices=MODES, help="how the vehicles communicate (default wideband)")
     parser.add_argument("--rate", type=float, metavar="R", help="multiple of real time (default 0: lock-step)")
-    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+    add_results(parser)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep estimates and output in this new folder")
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
     parser.add_argument("--verbose", action="store_true", help="print all output of all processes")

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import clock_offset_s, first_given, lengths_m, positive_seconds, results_folder
+from uav_vslam.cli.arguments import add_results, clock_offset_s, first_given, lengths_m, positive_seconds
 
 if TYPE_CHECKING:
     from uav_vslam.evaluation.result import FlightResult
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="none",
         help="of the estimates to the truth: in the plot of files and results folders, in all of a bag (default none)",
     )
-    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+    add_results(parser)
     parser.add_argument("--no-plots", action="store_true", help="write figures and trajectories only")
 
 

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_vslam.cli.arguments import first_given, positive_number, results_folder
+from uav_vslam.cli.arguments import add_results, first_given, positive_number
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="homography: the thesis's chain, without poses, surface and blending, as a baseline (default bundle)",
     )
     parser.add_argument("--name", help="of the results folder (default: that of the pictures' folder)")
-    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+    add_results(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import MODES, positive, results_folder
+from uav_vslam.cli.arguments import MODES, add_results, positive
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--link", metavar="NAME", help="emulated radio link: YAML file or name of one in config/links/")
     parser.add_argument("--name", help="of the results folder (default: that of the input)")
-    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+    add_results(parser)
     parser.add_argument("--workers", type=positive, default=2, help="processes, one a vehicle at most (default 2)")
     parser.add_argument("--no-smoothing", action="store_true", help="do not smooth each whole flight afterwards")
     parser.add_argument("--no-plots", action="store_true", help="draw no pictures, write no page")

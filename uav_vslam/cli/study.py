@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import non_negative, positive, results_folder
+from uav_vslam.cli.arguments import add_results, non_negative, positive
 from uav_vslam.cli.overrides import override
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.studies.registry import STUDIES
@@ -45,6 +45,8 @@ def _add_common(parser: argparse.ArgumentParser, study: Study) -> None:
     if study.frames:
         text = f"frames of each flight (default {study.frames})"
         parser.add_argument("--frames", type=positive, default=study.frames, help=text)
+    if study.scaled:
+        parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
     if study.variants:
         parser.add_argument(
             "--variant",
@@ -67,7 +69,7 @@ def _add_common(parser: argparse.ArgumentParser, study: Study) -> None:
         parser.add_argument(
             "--workers", type=positive, default=study.workers, help=f"processes (default {study.workers})"
         )
-    parser.add_argument("--results", type=results_folder, default="results", help="where results go (default results/)")
+    add_results(parser)
 
 
 def run(args: argparse.Namespace) -> int:

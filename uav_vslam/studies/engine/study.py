@@ -56,6 +56,7 @@ class Study:
         seedless: it may be run without any, on recordings alone.
         workers: processes by default; 0 for a study that is one process at a time.
         frames: of each flight by default; 0 where the study has no such argument.
+        scaled: `--scale` changes the size of the images.
         variants: which settings are compared where `--variant` names none; empty where the study has no such argument.
             `args.variant` holds their overrides by name.
         settings: `--set KEY=VALUE` changes the configuration. `args.set` holds the overrides.
@@ -70,5 +71,6 @@ class Study:
     seedless: bool = False
     workers: int = 2
     frames: int = 0
+    scaled: bool = False
     variants: str = ""
     settings: bool = False

@@ -8,11 +8,6 @@ import argparse
 from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the size of the images."""
-    parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
-
-
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Measure each front end's points under every condition, and run SLAM on them."""
     from uav_vslam.simulation.scenario import Scenario
@@ -34,7 +29,7 @@ STUDY = Study(
   uav-vslam study front_end --seeds 1 --variant frontend.method=klt,frontend.search_scale=0.5
 """,
     run=run,
-    add_arguments=add_arguments,
+    scaled=True,
     seeds=4,
     frames=160,
     variants="frontend.method klt and sift",

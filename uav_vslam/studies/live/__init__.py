@@ -9,8 +9,7 @@ from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the size of the images, the rate and the communication mode."""
-    parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
+    """Declare the rate and the communication mode."""
     parser.add_argument("--rate", type=float, default=1.0, help="multiple of real time (default 1)")
     parser.add_argument("--mode", default="wideband", help="how the vehicles communicate (default wideband)")
 
@@ -44,5 +43,6 @@ The recording takes 2.5 MB a frame and vehicle in the temporary folder.
     seeds=1,
     workers=0,
     frames=160,
+    scaled=True,
     settings=True,
 )

@@ -9,11 +9,6 @@ import sys
 from uav_vslam.studies.engine.study import Findings, Progress, Study
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the size of the images."""
-    parser.add_argument("--scale", type=float, default=1.0, help="image size over 1280 x 960 (default 1)")
-
-
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Fly each seed in both modes; where the graph fails, report it and continue."""
     from uav_vslam.studies.radio.compute import MODES, NOTES, radio_rows
@@ -39,7 +34,7 @@ STUDY = Study(
 
 One process a node, so run nothing else meanwhile; a flight's images take 170 MB for its duration.
 """,
-    add_arguments=add_arguments,
+    scaled=True,
     run=run,
     seeds=5,
     workers=0,
