@@ -12,6 +12,7 @@ from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.results_folder import read_results
 from uav_vslam.evaluation.output import write_results, write_study
 from uav_vslam.evaluation.revision import git_revision
+from uav_vslam.evaluation.study import study_tree
 
 
 def test_a_results_folder_holds_everything(flight, tmp_path):
@@ -98,7 +99,7 @@ def test_a_study_is_kept_as_data_and_as_a_table(tmp_path):
         {"method": "eif", "condition": "calm", "end_rms_m": np.float64(1.234567), "failures": np.int64(0)},
         {"method": "ukf", "condition": "gap", "end_rms_m": float("nan"), "failures": 2, "ms_per_frame": 123.4},
     ]
-    folder = write_study("filters", rows, [1, 2], tmp_path)
+    folder = write_study(study_tree("filters", rows, [1, 2]), tmp_path)
     tree = json.loads((folder / "study.json").read_text())
     assert (tree["study"], tree["seeds"]) == ("filters", [1, 2])
     assert tree["rows"][0] == {"method": "eif", "condition": "calm", "end_rms_m": 1.234567, "failures": 0}
@@ -120,7 +121,7 @@ def test_a_study_of_several_tables_has_a_heading_and_columns_for_each(tmp_path):
         {"table": "Noise", "run": "R1", "w1": 0.1},
         {"table": "Consistency", "method": "ukf", "nees_position": 1.1},
     ]
-    folder = write_study("filters", rows, [1], tmp_path, notes={"RER": "SLAM over INS"})
+    folder = write_study(study_tree("filters", rows, [1], notes={"RER": "SLAM over INS"}), tmp_path)
     page = (folder / "study.md").read_text().splitlines()
     assert page[4:10] == [
         "## Consistency",
@@ -137,7 +138,7 @@ def test_a_study_of_several_tables_has_a_heading_and_columns_for_each(tmp_path):
 def test_a_wide_table_is_divided_into_tables_that_fit_and_keep_the_labels(tmp_path):
     figures = {f"a_figure_with_a_long_name_{k}": 0.1 * k for k in range(9)}
     rows = [{"method": name, "condition": "calm", **figures} for name in ("eif", "ukf")]
-    page = (write_study("filters", rows, [1], tmp_path) / "study.md").read_text().splitlines()[4:]
+    page = (write_study(study_tree("filters", rows, [1]), tmp_path) / "study.md").read_text().splitlines()[4:]
     assert max(map(len, page)) <= 120
     heads = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page if line.startswith("| method")]
     assert all(head[:2] == ["method", "condition"] and len(head) > 2 for head in heads)
@@ -147,7 +148,7 @@ def test_a_wide_table_is_divided_into_tables_that_fit_and_keep_the_labels(tmp_pa
 
 def test_a_column_wider_than_the_page_has_a_table_of_its_own(tmp_path):
     rows = [{"method": "eif", "figures": "x" * 150, "runs": 3}]
-    page = (write_study("filters", rows, [1], tmp_path) / "study.md").read_text().splitlines()
+    page = (write_study(study_tree("filters", rows, [1]), tmp_path) / "study.md").read_text().splitlines()
     heads = [line.split() for line in page if line.startswith("| method")]
     assert [head[3] for head in heads] == ["figures", "runs"]
 
@@ -155,9 +156,8 @@ def test_a_column_wider_than_the_page_has_a_table_of_its_own(tmp_path):
 def test_a_study_is_drawn_from_what_was_written(tmp_path):
     drawn = []
     curve = {"method": "eif", "error_m": [1.0, np.float64(2.0), float("nan")]}
-    folder = write_study(
-        "long", [], [1], tmp_path, series=[curve], plot=lambda tree, where: drawn.append((tree, where)) or []
-    )
+    tree = study_tree("long", [], [1], series=[curve])
+    folder = write_study(tree, tmp_path, plot=lambda tree, where: drawn.append((tree, where)) or [])
     tree = json.loads((folder / "study.json").read_text())
     assert tree["series"] == [{"method": "eif", "error_m": [1.0, 2.0, None]}]
     assert drawn == [(tree, folder)]

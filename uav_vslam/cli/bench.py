@@ -38,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from rich.progress import Progress
 
     from uav_vslam.evaluation.output import write_study
+    from uav_vslam.evaluation.study import study_tree
     from uav_vslam.studies.bench.compute import QUICK, Effort, measure
 
     cv2.setNumThreads(1)
@@ -48,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
             rows.append(row)
             progress.update(task, description=f"measured: {row['method']}")
     _print(rows)
-    print(f"results: {write_study('bench', rows, [], args.results)}")
+    print(f"results: {write_study(study_tree('bench', rows, []), args.results)}")
     return 0
 
 

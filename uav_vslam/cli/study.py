@@ -97,16 +97,15 @@ def seeds_of(args: argparse.Namespace) -> list[int]:
 
 def publish(name: str, findings: Findings, seeds: list[int], args: argparse.Namespace) -> None:
     """Print the tables, write them and the plots into a new folder below the results, and say where they are."""
-    from uav_vslam.evaluation.output import write_study_tree
-    from uav_vslam.evaluation.revision import git_revision
+    from uav_vslam.evaluation.output import write_study
     from uav_vslam.evaluation.study import study_markdown, study_tree
     from uav_vslam.report.page.page import write_page
     from uav_vslam.studies.engine.columns import legend
 
     rows = findings.rows
     notes = {"Columns": legend(rows), **findings.notes}
-    tree = study_tree(name, rows, seeds, git=git_revision(), notes=notes, series=findings.series)
+    tree = study_tree(name, rows, seeds, notes=notes, series=findings.series)
     print(study_markdown(tree))
-    folder = write_study_tree(tree, args.results, plot=findings.draw)
+    folder = write_study(tree, args.results, plot=findings.draw)
     print(f"results: {folder}")
     print(f"page: {write_page([folder])}")

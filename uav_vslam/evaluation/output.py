@@ -4,7 +4,7 @@
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +18,7 @@ from uav_vslam.evaluation.flight_tables import write_landmarks, write_link, writ
 from uav_vslam.evaluation.frame_table import write_frames
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.evaluation.revision import git_revision
-from uav_vslam.evaluation.study import Row, study_markdown, study_tree
+from uav_vslam.evaluation.study import study_markdown
 from uav_vslam.evaluation.summary import build_summary
 
 Plotter = Callable[[FlightResult, Path], list[Path]]
@@ -55,37 +55,17 @@ def write_results(
     return folder
 
 
-def write_study(
-    name: str,
-    rows: list[Row],
-    seeds: list[int],
-    root: Path = DEFAULT_ROOT,
-    *,
-    notes: Mapping[str, str] | None = None,
-    series: list[Row] | None = None,
-    plot: StudyPlotter | None = None,
-) -> Path:
+def write_study(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: StudyPlotter | None = None) -> Path:
     """Write `study.json`, the tables `study.md` and the plots of a comparison of methods into a new folder.
 
     Args:
-        name: of the study.
-        rows: one dict per method and condition: {"method", "condition", "end_rms_m", "ate_rms_m", ...}; those with
-            different values of "table" go into different tables.
-        seeds: of the runs behind each row.
+        tree: from `study.study_tree`.
         root: folder of all results.
-        notes, series: see `study_tree`.
-        plot: draws the content of study.json into the folder; None draws nothing.
+        plot: draws the tree into the folder; None draws nothing.
 
     Returns:
         The new folder.
     """
-    return write_study_tree(
-        study_tree(name, rows, seeds, git=git_revision(), notes=notes, series=series), root, plot=plot
-    )
-
-
-def write_study_tree(tree: dict[str, Any], root: Path = DEFAULT_ROOT, *, plot: StudyPlotter | None = None) -> Path:
-    """Write a `study_tree` as `write_study` does."""
     with new_folder(root, tree["study"]) as folder:
         write_json(folder / "study.json", tree)
         (folder / "study.md").write_text(study_markdown(tree), encoding="utf-8")

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from uav_vslam.evaluation.plain import plain
+from uav_vslam.evaluation.revision import git_revision
 
 Row = dict[str, Any]
 
@@ -18,7 +19,6 @@ def study_tree(
     rows: list[Row],
     seeds: list[int],
     *,
-    git: str | None,
     notes: Mapping[str, str] | None = None,
     series: list[Row] | None = None,
 ) -> dict[str, Any]:
@@ -26,13 +26,13 @@ def study_tree(
 
     Args:
         name: of the study.
-        rows: see `output.write_study`.
-        seeds: of the runs.
-        git: revision of the code, None where it isn't known.
+        rows: one dict per method and condition: {"method", "condition", "end_rms_m", "ate_rms_m", ...}; those with
+            different values of "table" go into different tables.
+        seeds: of the runs behind each row.
         notes: explanation of the columns, by subject.
         series: curves, one dict each, with lists of equal length; for plots only.
     """
-    tree = {"study": name, "seeds": [int(seed) for seed in seeds], "git": git, "rows": plain(rows)}
+    tree = {"study": name, "seeds": [int(seed) for seed in seeds], "git": git_revision(), "rows": plain(rows)}
     if notes:
         tree["notes"] = dict(notes)
     if series:

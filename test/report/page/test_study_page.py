@@ -9,6 +9,7 @@ import pytest
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.output import write_study
+from uav_vslam.evaluation.study import study_tree
 from uav_vslam.report.page import study_page
 from uav_vslam.report.page.page import write_page
 
@@ -27,7 +28,9 @@ def draw(tree: dict, folder: Path) -> list[Path]:
 
 
 def test_the_page_of_a_study_has_its_tables_notes_and_pictures(tmp_path: Path) -> None:
-    folder = write_study("study_x", ROWS, [1, 2], tmp_path, notes={"Columns": "what <they> mean"}, plot=draw)
+    folder = write_study(
+        study_tree("study_x", ROWS, [1, 2], notes={"Columns": "what <they> mean"}), tmp_path, plot=draw
+    )
     page = write_page([folder])
     text = page.read_text()
     for expected in (
@@ -46,17 +49,17 @@ def test_the_page_of_a_study_has_its_tables_notes_and_pictures(tmp_path: Path) -
 
 
 def test_pictures_that_are_too_large_are_made_smaller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = write_study("study_x", ROWS, [1], tmp_path, plot=draw)
+    folder = write_study(study_tree("study_x", ROWS, [1]), tmp_path, plot=draw)
     whole = write_page([folder], tmp_path / "whole.html").stat().st_size
     monkeypatch.setattr(study_page, "PICTURE_BYTES", 100_000)
     assert write_page([folder], tmp_path / "small.html").stat().st_size < whole - 300_000
 
 
 def test_a_study_without_seeds_rows_and_notes_has_a_page(tmp_path: Path) -> None:
-    assert "no seeds" in write_page([write_study("empty", [], [], tmp_path)]).read_text()
+    assert "no seeds" in write_page([write_study(study_tree("empty", [], []), tmp_path)]).read_text()
 
 
 def test_a_study_has_a_page_of_its_own(tmp_path: Path) -> None:
-    folder = write_study("study_x", ROWS, [1], tmp_path)
+    folder = write_study(study_tree("study_x", ROWS, [1]), tmp_path)
     with pytest.raises(UavVslamError, match="is a study"):
         write_page([folder, folder])
