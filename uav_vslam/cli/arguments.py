@@ -56,13 +56,12 @@ def lengths_m(text: str) -> tuple[float, ...]:
 
 def positive_number(text: str) -> float:
     """Return a number above zero, of a size whose square neither vanishes nor overflows."""
-    from uav_vslam.config.settings import LARGEST, SMALLEST
+    from uav_vslam.config.settings import Setting
 
-    wanted = "a number above 0"
-    number = _above_zero(text, wanted)
-    if not SMALLEST <= number <= LARGEST:
-        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}, of a size from {SMALLEST:g} to {LARGEST:g}")
-    return number
+    try:
+        return float(Setting("", above=0.0, kind=float).accepted(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {error}") from None
 
 
 def namespace(text: str) -> str:

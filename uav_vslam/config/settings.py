@@ -24,10 +24,6 @@ Value = typing.TypeVar("Value")
 SMALLEST, LARGEST = 1e-12, 1e10
 
 
-class _Absurd(ValueError):
-    """A number of a size that is not in use."""
-
-
 @dataclass(frozen=True, slots=True)
 class Setting:
     """The metadata of a setting.
@@ -76,19 +72,23 @@ class Setting:
         """Return the value as the declared type: a whole number, or a text such as "1e-3", may stand for a float.
 
         Raises:
-            ValueError: it has another type or is out of range.
+            ValueError: it has another type or is out of range; the text says what is allowed.
         """
-        value = _converted(value, self.kind)
-        if self.choices and value not in self.choices:
-            raise ValueError
+        try:
+            value = _converted(value, self.kind)
+        except ValueError:
+            raise ValueError(self.allowed) from None
+        if any(map(_is_absurd, value if isinstance(value, tuple) else (value,))):
+            raise ValueError(f"{self.allowed}, of a size from {SMALLEST:g} to {LARGEST:g}")
         outside = (
-            (self.above is not None and not value > self.above)
+            (self.choices and value not in self.choices)
+            or (self.above is not None and not value > self.above)
             or (self.at_least is not None and not value >= self.at_least)
             or (self.below is not None and not value < self.below)
             or (self.at_most is not None and not value <= self.at_most)
         )
         if outside:
-            raise ValueError
+            raise ValueError(self.allowed)
         return value
 
 
@@ -131,10 +131,8 @@ class Settings:
             value = getattr(self, name)
             try:
                 object.__setattr__(self, name, described.accepted(value))
-            except _Absurd:
-                refuse(name, value, f"{described.allowed}, of a size from {SMALLEST:g} to {LARGEST:g}")
-            except ValueError:
-                refuse(name, value, described.allowed)
+            except ValueError as error:
+                refuse(name, value, str(error))
         self._check_together()
 
     def _check_together(self) -> None:
@@ -273,6 +271,8 @@ def _converted(value: Any, kind: Any) -> Any:
         raise ValueError
     if kind is float and not math.isfinite(value):
         raise ValueError
-    if kind is float and value != 0 and not SMALLEST <= abs(value) <= LARGEST:
-        raise _Absurd
     return value
+
+
+def _is_absurd(value: Any) -> bool:
+    return isinstance(value, float) and value != 0 and not SMALLEST <= abs(value) <= LARGEST

@@ -15,7 +15,17 @@ from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.config.nodes import NODES
-from uav_vslam.config.settings import Setting, Settings, all_settings, build, check_names, flatten, plain, replaced
+from uav_vslam.config.settings import (
+    Setting,
+    Settings,
+    all_settings,
+    build,
+    check_names,
+    flatten,
+    plain,
+    refuse,
+    replaced,
+)
 from uav_vslam.datasets.sensor_setup import with_noise_of_files
 from uav_vslam.errors import ConfigError
 from uav_vslam.slam.state_folder import replace_file
@@ -162,9 +172,9 @@ def _check_qos(given: Mapping[str, object], where: str) -> None:
             continue
         choices = [one.name.lower() for one in QOS_CHOICES.get(policy, ()) if one.name != "UNKNOWN"]
         if choices and str(value).lower() not in choices:
-            raise ConfigError(f"{where}: {name} = {value!r} is not allowed; use one of {', '.join(choices)}")
+            refuse(f"{where}: {name}", value, f"one of {', '.join(choices)}")
         if not choices and (type(value) is not int or value < 1):
-            raise ConfigError(f"{where}: {name} = {value!r} is not allowed; use a whole number of at least 1")
+            refuse(f"{where}: {name}", value, "a whole number of at least 1")
 
 
 def _descriptor(described: Setting) -> ParameterDescriptor:
