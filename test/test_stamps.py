@@ -3,10 +3,9 @@
 
 from itertools import chain
 
-import numpy as np
 import pytest
 
-from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, RUN_LENGTH, TimeJump, TimeLine, nearest
+from uav_vslam.stamps import IMAGE_TIME_JUMP_S, IMU_TIME_JUMP_S, RUN_LENGTH, TimeJump, TimeLine
 from uav_vslam.types import NS_PER_S
 
 STEP_NS = NS_PER_S // 5
@@ -150,13 +149,6 @@ def test_a_keyframe_recording_loses_no_image() -> None:
         line.add("IMU", at_s * NS_PER_S, 0)
         if at_s in (0, 8, 16, 40):
             assert line.add("image", at_s * NS_PER_S, at_s).items == [("image", at_s)]
-
-
-def test_the_nearest_stamp_is_found_before_between_and_after_all() -> None:
-    others_ns = np.array([10, 20, 40], np.int64)
-    stamps_ns = np.array([41, -5, 14, 15, 16, 20, 31], np.int64)  # 15 is as near to 10 as to 20
-    assert nearest(stamps_ns, others_ns).tolist() == [2, 0, 0, 0, 1, 1, 2]
-    assert nearest(stamps_ns, others_ns[:1]).tolist() == [0] * len(stamps_ns)
 
 
 def test_of_large_items_only_the_newest_few_are_held_and_the_others_are_counted() -> None:

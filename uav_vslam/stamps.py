@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nearest stamps, and the time line of a node's inputs: wrong stamps refused, clocks that were set followed.
+"""The time line of a node's inputs: wrong stamps refused, clocks that were set followed.
 
 A stamp that does not continue its stream, ahead or behind, is a candidate. A few of them are errors and are refused; a
 run of them that agree with each other is a clock that was set, a long silence or a recording that begins again. It is
@@ -10,9 +10,6 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
 
 from uav_vslam.types import NS_PER_S
 
@@ -25,19 +22,6 @@ RUN_LENGTH = 5  # and in so many of them
 FAULT_S = 2.0  # a stream that has left the time line alone for so long is a fault: the others should have followed
 BEHIND_S = 0.5  # normal delay between streams
 MAX_HELD = 2000  # of a run, then the oldest goes: 10 s of readings at 200 Hz, while slower streams follow
-
-
-def nearest(stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return the index of the nearest other stamp to each one; of two as near, that of the earlier.
-
-    Args:
-        stamps_ns: (N,) in any order [ns].
-        others_ns: (M,) ascending, at least one [ns].
-    """
-    after = np.searchsorted(others_ns, stamps_ns).clip(0, len(others_ns) - 1)
-    before = (after - 1).clip(0)
-    nearer = np.abs(others_ns[before] - stamps_ns) <= np.abs(others_ns[after] - stamps_ns)
-    return np.asarray(np.where(nearer, before, after))
 
 
 @dataclass(frozen=True, slots=True)

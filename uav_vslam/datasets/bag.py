@@ -33,7 +33,7 @@ from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
-from uav_vslam.stamps import nearest
+from uav_vslam.numerics import nearest
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
 
 __all__ = ["BagFlight", "RawMessage", "RawRecorder", "TruthTrack", "iter_raw", "open_flight", "topics_of", "vehicles"]

@@ -4,7 +4,7 @@
 import numpy as np
 
 from uav_vslam.evaluation.trajectory import Trajectory, interpolate
-from uav_vslam.stamps import nearest
+from uav_vslam.numerics import nearest
 
 ASSOCIATIONS = ("interpolate", "nearest")
 MAX_GAP_S = 0.5  # ground truth isn't interpolated across a longer gap

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import angles, motion, rms
+from uav_vslam.numerics import nearest
 
 Array = NDArray[np.float64]
 
@@ -149,9 +150,7 @@ def _segments(distance_m: Array, length_m: float) -> tuple[NDArray[np.intp], NDA
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     first = np.arange(len(distance_m) - 1)
     wanted = distance_m[first] + length_m
-    after = np.searchsorted(distance_m, wanted).clip(1, len(distance_m) - 1)
-    nearer_before = wanted - distance_m[after - 1] <= distance_m[after] - wanted
-    second = np.where(nearer_before, after - 1, after)
+    second = nearest(wanted, distance_m)
     second = np.searchsorted(distance_m, distance_m[second])  # where the vehicle stands still, the first pose there
     good = (np.abs(distance_m[second] - wanted) <= TOLERANCE * length_m) & (second > first)
     return first[good], second[good]

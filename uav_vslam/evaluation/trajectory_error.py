@@ -10,6 +10,7 @@ from uav_vslam.evaluation.alignment import ALIGNMENTS
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import so3_log
+from uav_vslam.numerics import nearest
 
 __all__ = ["AbsoluteError", "RelativeError", "Trajectory", "absolute_error", "relative_error"]
 
@@ -139,9 +140,7 @@ def _index_pairs(stamps_ns: NDArray[np.int64], delta: float, unit: str) -> tuple
     if len(rows) < 2:
         return rows[:0], rows[:0]
     wanted = stamps_ns + round(delta * 1e9)
-    after = np.searchsorted(stamps_ns, wanted).clip(1, len(rows) - 1)
-    nearer_before = wanted - stamps_ns[after - 1] <= stamps_ns[after] - wanted
-    second = np.where(nearer_before, after - 1, after)
+    second = nearest(wanted, stamps_ns)
     near = np.abs(stamps_ns[second] - wanted) <= round(SECONDS_TOLERANCE * delta * 1e9)
     good = near & (wanted <= stamps_ns[-1]) & (second > rows)
     return rows[good], second[good]

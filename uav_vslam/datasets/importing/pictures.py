@@ -14,7 +14,7 @@ from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, Table, in_range, numbered_lines
 from uav_vslam.datasets.messages import decodable, decoded
-from uav_vslam.stamps import nearest
+from uav_vslam.numerics import nearest
 
 COPIED = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 MISSING, UNPAIRED = "missing pictures", "pictures without a partner"
