@@ -51,7 +51,7 @@ def test_coarse_tracking_is_right_within_half_a_pixel(pair: Pair, pixels: Array)
     assert np.percentile(np.abs(there - pixels - SHIFT_PX), 95) < COARSE_PRECISION_PX
 
 
-@pytest.mark.parametrize("degrees, scale", [(6.0, 1.0), (-12.0, 1.05), (0.0, 1.1)])
+@pytest.mark.parametrize(("degrees", "scale"), [(6.0, 1.0), (-12.0, 1.05), (0.0, 1.1)])
 def test_ground_that_turns_or_comes_nearer_does_not_slide(texture_image, pixels, degrees, scale) -> None:
     image = texture_image(400, 500)
     motion = cv2.getRotationMatrix2D((250.0, 200.0), degrees, scale)
