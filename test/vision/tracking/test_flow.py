@@ -68,6 +68,14 @@ def test_ground_that_turns_or_comes_nearer_does_not_slide(texture_image, pixels,
     assert turned_px < 0.5 * np.sqrt(np.mean((there - true)[tracked] ** 2))
 
 
+def test_a_few_points_do_not_tell_of_a_turn(pair: Pair, pixels: Array) -> None:
+    guess = pixels[:2] + SHIFT_PX + np.array([[0.0, 3.0], [0.0, -3.0]])
+    np.testing.assert_array_equal(track_turning(*pair, pixels[:2], guess)[0], track_points(*pair, pixels[:2], guess)[0])
+    there, tracked = track_turning(*pair, pixels[:1], pixels[:1] + SHIFT_PX)
+    assert tracked.all()
+    np.testing.assert_allclose(there, pixels[:1] + SHIFT_PX, atol=3.0 * PRECISION_PX)
+
+
 def test_points_that_left_the_image_are_not_tracked(pair: Pair) -> None:
     pixels = np.array([[488.0, 200.0], [250.0, 200.0], [250.0, 10.0]])
     _, tracked = track_points(*pair, pixels, pixels + SHIFT_PX)

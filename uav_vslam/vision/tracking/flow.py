@@ -31,6 +31,7 @@ FAR_PX = 30.0  # a point guessed farther outside the image has left it
 NEAR_PX = 1.0  # a point found within it of its guess did not need the pyramid
 MAX_RETURN_PX = 0.4  # largest forward-backward error of a tracked point
 BORDER_PX = 8.0  # half a window: closer to the border the window is outside the image
+FEWEST_TURNED = 8  # points: the guess of fewer tells too little of a turn
 LEAST_TURN = (
     0.035  # [rad], 2 degrees, or change of scale: below it, interpolating the image costs more than turning it gains
 )
@@ -78,7 +79,7 @@ def track_turning(first: FlowImage, second: FlowImage, pixels: Array, guess: Arr
     Lucas-Kanade moves a window, but does not turn it: over ground that turns by 5 degrees between two images, points
     slide by 0.19 px, and on in the next image. So the first image is turned, and scaled, as the guess says: 0.02 px.
     """
-    if len(pixels) == 0:
+    if len(pixels) < FEWEST_TURNED:
         return track_points(first, second, pixels, guess)
     similarity = _similarity(pixels, guess)
     if np.linalg.norm(similarity[:, :2] - np.eye(2), axis=0)[0] < LEAST_TURN:

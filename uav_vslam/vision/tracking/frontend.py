@@ -20,6 +20,7 @@ from uav_vslam.types import NS_PER_S, StereoFeatures, StereoFrame
 from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.images import to_grey8
+from uav_vslam.vision.tracking.anchors import Anchors
 from uav_vslam.vision.tracking.flow import FlowImage, shift_between, track_points, track_turning
 from uav_vslam.vision.tracking.prediction import FlowModel, by_homography, in_right_image
 from uav_vslam.vision.tracking.refill import Refill
@@ -51,6 +52,7 @@ class TrackingFrontend(Frontend):
         super().__init__(rig, config, rig_config, DISPARITY_NOISE_PX)
         self._refill = Refill(config)
         self._flow = FlowModel()
+        self._anchors = Anchors() if config.anchored else None
         self._tracks = Tracks.none()
         self._left: FlowImage | None = None  # of the previous pair
         self._stamp_ns = 0
@@ -86,6 +88,8 @@ class TrackingFrontend(Frontend):
         pixels, good = self._follow(self._left, left, dt_s)
         self._flow.fit(before.pixels[good], pixels[good], dt_s)
         self._tracks = dataclasses.replace(before, pixels=pixels).chosen(good)
+        if self._anchors is not None:
+            self._tracks = self._anchors.refined(self._tracks, left)
 
     def _follow(self, before: FlowImage, left: FlowImage, dt_s: float) -> tuple[Array, NDArray[np.bool_]]:
         """Track into the left image; result as `track_points`.
