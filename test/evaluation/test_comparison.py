@@ -8,19 +8,15 @@ import pytest
 
 from uav_vslam.errors import TrajectoryFileError
 from uav_vslam.evaluation.alignment import ALIGNMENTS
+from uav_vslam.evaluation.clock_offset import later
 from uav_vslam.evaluation.comparison import Run, aligned_positions, compare, pair_run
 from uav_vslam.evaluation.consistency import nees, summarise
-from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
 
 
 def figures(estimate, truth, **settings):
     (found,) = compare([pair_run(Run("a", "", estimate, truth))], name="test", git=None, **settings)["runs"]
     return found
-
-
-def later(trajectory: Trajectory, seconds: float) -> Trajectory:
-    return dataclasses.replace(trajectory, stamps_ns=trajectory.stamps_ns + round(seconds * 1e9))
 
 
 @pytest.mark.parametrize("alignment", ALIGNMENTS)

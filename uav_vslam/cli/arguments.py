@@ -40,10 +40,7 @@ def positive_seconds(text: str) -> float:
 
 def clock_offset_s(text: str) -> float:
     """Return a difference of two clocks [s], of either sign."""
-    try:
-        offset = float(text)
-    except ValueError:
-        offset = float("nan")
+    offset = _number(text)
     if not abs(offset) <= MOST_OFFSET_S:
         raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds, of at most {MOST_OFFSET_S:g}")
     return offset
@@ -136,11 +133,16 @@ def _whole(text: str, least: int, wanted: str) -> int:
     return number
 
 
-def _above_zero(text: str, wanted: str) -> float:
+def _number(text: str) -> float:
+    """Return a number; NaN, which fails every comparison, for any other text."""
     try:
-        number = float(text)
+        return float(text)
     except ValueError:
-        number = 0.0
+        return float("nan")
+
+
+def _above_zero(text: str, wanted: str) -> float:
+    number = _number(text)
     if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
     return number

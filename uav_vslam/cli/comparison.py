@@ -31,7 +31,7 @@ def compare_files(args: argparse.Namespace) -> int:
     tree = compare(runs, name=name, git=git_revision(), lengths_m=args.segments)
     plot = partial(write_comparison_plot, runs, alignment=args.alignment, title=name)
     print_comparison(tree)
-    _report_offsets(tree)
+    _report_offsets(runs, tree)
     folder = write_comparison(tree, args.results, plot=None if args.no_plots else plot)
     print(f"written to {folder}")
     return 0
@@ -94,13 +94,12 @@ def unique_names(paths: list[Path]) -> list[str]:
     return next((names for names in (short, full) if len(set(names)) == len(names)), numbered)
 
 
-def _report_offsets(tree: Figures) -> None:
+def _report_offsets(runs: list[PairedRun], tree: Figures) -> None:
     from uav_vslam.evaluation.clock_offset import ClockOffset
 
-    for run in tree["runs"]:
-        if run["clock_offset"]:
-            label = f"{run['source']} {run['track']}".rstrip()
-            print(f"uav-vslam: warning: {label}: {ClockOffset(**run['clock_offset'])}", file=sys.stderr)
+    for run, figures in zip(runs, tree["runs"], strict=True):
+        if offset := figures["clock_offset"]:
+            print(f"uav-vslam: warning: {run.run.label}: {ClockOffset(**offset)}", file=sys.stderr)
 
 
 def _report_partial(run: PairedRun) -> None:

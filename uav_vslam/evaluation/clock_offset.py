@@ -49,7 +49,7 @@ def clock_offset(estimate: Trajectory, truth: Trajectory) -> ClockOffset | None:
     every = max(1, len(estimate) // MOST_POSES)
     estimate = estimate.select(np.arange(0, len(estimate), every))
     unmoved = absolute_error(estimate, truth, alignment="se3")
-    if unmoved is None or unmoved.pairs < FEWEST_POSES:
+    if unmoved is None or unmoved.pairs < FEWEST_POSES or unmoved.ate_m < LEAST_M:
         return None
     fewest = max(FEWEST_POSES, unmoved.pairs // 2)  # a short overlap is easily fitted
 
@@ -61,7 +61,7 @@ def clock_offset(estimate: Trajectory, truth: Trajectory) -> ClockOffset | None:
     nearest_s = float(tried_s[np.argmin([ate_m(offset_s) for offset_s in tried_s])])
     bounds = (nearest_s - STEP_S, nearest_s + STEP_S)
     best = minimize_scalar(ate_m, bounds=bounds, method="bounded", options={"xatol": TOLERANCE_S})
-    if unmoved.ate_m < LEAST_M or not best.fun <= MOST_LEFT * unmoved.ate_m:
+    if not best.fun <= MOST_LEFT * unmoved.ate_m:
         return None
     return ClockOffset(float(best.x), unmoved.ate_m, float(best.fun))
 

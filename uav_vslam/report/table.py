@@ -26,11 +26,11 @@ def print_summary(summary: Figures, console: Console | None = None) -> None:
     if is_scored(summary):
         print_table(relative_table(summary), console)
     for name, vehicle in summary["vehicles"].items():
-        for line in (link_line(name, vehicle), *(f"  {line}" for line in quality_lines(vehicle))):
+        lines = quality_lines(vehicle)
+        if offset := vehicle["clock_offset"]:
+            lines.append(str(ClockOffset(**offset)))
+        for line in (link_line(name, vehicle), *(f"  {line}" for line in lines)):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
-        if vehicle["clock_offset"]:
-            text = f"  {ClockOffset(**vehicle['clock_offset'])}"
-            console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def is_scored(summary: Figures) -> bool:

@@ -130,14 +130,14 @@ class Bundle:
         return float(cost + 0.5 * self._variance * prior)
 
     def lens_sigmas(self, scene: Scene) -> Array:
-        """Return (G, 5) standard deviations of an adjusted scene's lenses: the larger of two."""
-        return np.asarray(np.maximum(*self.lens_sigmas_of_two_kinds(scene)))
+        """Return (G, 5) standard deviations of an adjusted scene's lenses: the larger of `lens_uncertainties`."""
+        return np.asarray(np.maximum(*self.lens_uncertainties(scene)))
 
-    def lens_sigmas_of_two_kinds(self, scene: Scene) -> tuple[Array, Array]:
-        """Return (G, 5) standard deviations of an adjusted scene's lenses, by pictures and priors, in any frame.
+    def lens_uncertainties(self, scene: Scene) -> tuple[Array, Array]:
+        """Return two (G, 5) standard deviations of an adjusted scene's lenses, by pictures and priors, in any frame.
 
-        Once for independent errors, whose variance the residuals show after the degrees of freedom that
-        the fit took; once for errors that are one within a picture, as an incomplete lens or a bent image makes them
+        One for independent errors, whose variance the residuals show after the degrees of freedom that
+        the fit took; one for errors that are one within a picture, as an incomplete lens or a bent image makes them
         (a sandwich estimator with pictures as clusters [liang86]).
         """
         normal = self._normal(scene)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.geometry.plane import similarity_between
 from uav_vslam.mapping.pictures.features import PictureFeatures
 from uav_vslam.mapping.pictures.retrieval import similarity
 from uav_vslam.vision.matching import match_descriptors
@@ -136,13 +137,3 @@ def agreeing(p: Array, q: Array, side_px: float) -> NDArray[np.bool_]:
 def _epipolar(p: Array, q: Array, threshold_px: float) -> NDArray[np.bool_]:
     F, inlier = cv2.findFundamentalMat(p, q, cv2.USAC_ACCURATE, threshold_px, CONFIDENCE, RANSAC_STEPS)
     return np.zeros(len(p), bool) if F is None else np.asarray(inlier.ravel() > 0)
-
-
-def similarity_between(p: Array, q: Array) -> Array | None:
-    """Return the (2, 2) scaled rotation that maps (N, 2) differences of pixels best; None if the points coincide."""
-    a, b = (each - each.mean(axis=0) for each in (p, q))
-    spread = float((a**2).sum())
-    if spread < 1e-6:
-        return None
-    c, s = float((a * b).sum()) / spread, float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()) / spread
-    return np.array([[c, -s], [s, c]])

@@ -142,12 +142,14 @@ def finish(scene: Scene, tracks: Tracks, priors: Priors, side_px: float) -> Adju
     noise = robust_sigma(scene.residuals(tracks))
     bundle = Bundle(tracks, priors, huber_px=FINAL_HUBER * side_px, noise_px=noise)
     scene = bundle.adjust(scene)
-    independent, together = bundle.lens_sigmas_of_two_kinds(scene)
+    independent, together = bundle.lens_uncertainties(scene)
+    sigmas = np.maximum(independent, together)
     grown = float(np.max(together / np.where(independent > 0.0, independent, np.inf)))
     if grown > 1.0:
         bundle = Bundle(tracks, priors, huber_px=FINAL_HUBER * side_px, noise_px=grown * noise)
         scene = bundle.adjust(scene)
-    return Adjusted(scene, tracks, used, robust_sigma(scene.residuals(tracks)), bundle.lens_sigmas(scene))
+        sigmas = bundle.lens_sigmas(scene)
+    return Adjusted(scene, tracks, used, robust_sigma(scene.residuals(tracks)), sigmas)
 
 
 def no_positions(lenses: Array, lens_sigmas: Array, count: int) -> Priors:

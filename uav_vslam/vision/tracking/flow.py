@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.geometry.plane import similarity_between
 from uav_vslam.vision.images import quarter, to_full_resolution, to_shrunk
 
 Array = NDArray[np.float64]
@@ -32,9 +33,7 @@ NEAR_PX = 1.0  # a point found within it of its guess did not need the pyramid
 MAX_RETURN_PX = 0.4  # largest forward-backward error of a tracked point
 BORDER_PX = 8.0  # half a window: closer to the border the window is outside the image
 FEWEST_TURNED = 8  # points: the guess of fewer tells too little of a turn
-LEAST_TURN = (
-    0.035  # [rad], 2 degrees, or change of scale: below it, interpolating the image costs more than turning it gains
-)
+LEAST_TURN = 0.035  # [rad], or change of scale: up to 2 degrees interpolation costs more than turning gains
 SHIFT_STEP_PX = 2  # of the coarse image
 _FINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
 _COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
@@ -76,16 +75,14 @@ class FlowImage:
 def track_turning(first: FlowImage, second: FlowImage, pixels: Array, guess: Array) -> tuple[Array, Mask]:
     """Track points between images that may be turned about the optical axis; arguments and result as `track_points`.
 
-    Lucas-Kanade moves a window, but does not turn it: over ground that turns by 5 degrees between two images, points
+    Lucas-Kanade moves a window, but does not turn it: over ground that turns by 6 degrees between two images, points
     slide by 0.19 px, and on in the next image. So the first image is turned, and scaled, as the guess says: 0.02 px.
     """
-    if len(pixels) < FEWEST_TURNED:
+    A = similarity_between(pixels, guess) if len(pixels) >= FEWEST_TURNED else None
+    if A is None or np.linalg.norm((A - np.eye(2))[0]) < LEAST_TURN:
         return track_points(first, second, pixels, guess)
-    similarity = _similarity(pixels, guess)
-    if np.linalg.norm(similarity[:, :2] - np.eye(2), axis=0)[0] < LEAST_TURN:
-        return track_points(first, second, pixels, guess)
-    moved = pixels @ similarity[:, :2].T + similarity[:, 2]
-    return track_points(first.warped(similarity), second, moved, guess)
+    shift = guess.mean(axis=0) - A @ pixels.mean(axis=0)
+    return track_points(first.warped(np.column_stack([A, shift])), second, pixels @ A.T + shift, guess)
 
 
 def track_points(first: FlowImage, second: FlowImage, pixels: Array, guess: Array) -> tuple[Array, Mask]:
@@ -138,15 +135,6 @@ def inside(pixels: NDArray[np.floating], shape: tuple[int, ...], border_px: floa
     """Return which (N, 2) pixels are inside an image of (height, width), by default with their window."""
     high = np.array([shape[1], shape[0]]) - 1 - border_px
     return np.asarray(((pixels >= border_px) & (pixels <= high)).all(axis=1))
-
-
-def _similarity(pixels: Array, guess: Array) -> Array:
-    """Return the (2, 3) rotation, scale and shift from (N, 2) pixels to their guess, by least squares."""
-    centre, moved = pixels.mean(axis=0), guess.mean(axis=0)
-    z, w = (points @ np.array([1.0, 1.0j]) for points in (pixels - centre, guess - moved))
-    a = np.vdot(z, w) / max(np.vdot(z, z).real, 1.0)
-    A = np.array([[a.real, -a.imag], [a.imag, a.real]])
-    return np.column_stack([A, moved - A @ centre])
 
 
 def _distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
