@@ -50,10 +50,12 @@ def test_another_process_holds_its_domain_until_it_exits_in_any_way(
     assert wait_for(lambda: claim_once() == held)  # somebody else may have it for a while
 
 
-def test_a_domain_with_a_participant_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("index", [0, 1, 7], ids=lambda index: f"participant {index}")
+def test_a_domain_with_a_participant_is_skipped(monkeypatch: pytest.MonkeyPatch, index: int) -> None:
+    """A later participant alone, too: the first has ended."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
         with claimed_domain() as taken:
-            participant.bind(("", 7400 + 250 * taken + 10))
+            participant.bind(("", 7400 + 250 * taken + 10 + 2 * index))
         monkeypatch.setattr(domain.os, "getpid", lambda: taken - 1)
         assert claim_once() != taken
 

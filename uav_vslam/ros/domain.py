@@ -10,6 +10,7 @@ from uav_vslam.errors import ConfigError
 
 MAX_DOMAIN_ID = 101  # above, DDS ports collide with those that Linux gives to clients
 HIGHEST_DOMAIN_ID = 232  # of which DDS can compute ports
+MAX_PARTICIPANTS = 120  # of a domain on one host; more would use the next domain's ports
 
 
 def check_domain(domain_id: int | None) -> None:
@@ -47,9 +48,17 @@ def claimed_domain() -> Iterator[int]:
 
 
 def _has_participant(domain_id: int) -> bool:
-    """Return whether the domain's first unicast port is in use: a participant without a claim."""
+    """Return whether a participant without a claim uses the domain, such as a node that takes its time to end.
+
+    A participant takes the first free one of the domain's unicast ports, the others keep theirs when it leaves.
+    """
+    first = 7400 + 250 * domain_id + 10  # OMG DDSI-RTPS, default port numbers
+    return any(_in_use(port) for port in range(first, first + 2 * MAX_PARTICIPANTS, 2))
+
+
+def _in_use(port: int) -> bool:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        return not _bound(probe, ("", 7400 + 250 * domain_id + 10))
+        return not _bound(probe, ("", port))
 
 
 def _bound(endpoint: socket.socket, address: str | tuple[str, int]) -> bool:
