@@ -204,6 +204,30 @@ def test_a_copy_with_tracks_leaves_the_filter_alone(course) -> None:
     np.testing.assert_array_equal(f.covariance(), before[2])
 
 
+@pytest.mark.parametrize("name", ["eif", "ekf", "ukf"])
+def test_without_its_landmarks_a_copy_with_tracks_knows_the_same_of_the_vehicle(course, name: str) -> None:
+    f = course.filter(name=name, track_sigma_px=SIGMA_PX)
+    f.keep_pose()
+    f.add_landmarks(course.pixels(0, np.arange(10), np.random.default_rng(5)))
+    f.predict(course.increments[0])
+    f.keep_pose()
+    whole = seen_tracks(course)
+    tracks = Tracks(np.nan_to_num(whole.pixels[3:, :2]), whole.seen[3:, :2])
+    none = np.zeros(len(tracks), bool)
+    (one, passed, innovation), (other, others_passed, others_innovation) = (
+        some.with_tracks(tracks, probability=0.99, become_landmarks=none) for some in (f, f.without_landmarks())
+    )
+    assert len(f.landmarks) == 10
+    assert len(other.landmarks) == 0
+    np.testing.assert_array_equal(others_passed, passed)
+    assert others_innovation.nis == pytest.approx(innovation.nis, rel=1e-6)
+    for mine, others in ((one.nav_estimate(), other.nav_estimate()), (one.past_estimate(0), other.past_estimate(0))):
+        sigma = np.sqrt(np.diag(mine.covariance))
+        np.testing.assert_allclose((others.covariance - mine.covariance) / np.outer(sigma, sigma), 0.0, atol=1e-6)
+    np.testing.assert_allclose(other.nav.T_map_body.t, one.nav.T_map_body.t, atol=1e-9)
+    np.testing.assert_allclose(other.nav.v_map, one.nav.v_map, atol=1e-9)
+
+
 def test_past_poses_are_moved_with_the_map(course) -> None:
     """A correction of the whole map by a rigid motion moves the past poses with it."""
     f = course.filter(track_sigma_px=SIGMA_PX)

@@ -26,6 +26,7 @@ from scipy.special import chdtrc, chdtri
 from uav_vslam.config import EXACT_RIG, ImuConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, Update, VehicleObservation
+from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.estimation.linearisation import (
@@ -277,6 +278,13 @@ class Filter:
         other = copy.copy(self)
         passed = other.observe_tracks(tracks, probability=probability, become_landmarks=become_landmarks)
         return other, passed, other.update(NO_ROWS, np.zeros((0, STEREO_DOF)))
+
+    def without_landmarks(self) -> Self:
+        """Return a copy of this filter with the vehicle alone: what it takes in costs nothing for the landmarks."""
+        other = copy.copy(self)
+        other.belief = CovarianceBelief.from_covariance(self.belief.covariance(NO_ROWS))
+        other.landmarks = np.zeros((0, 3))
+        return other
 
     def points_left(self) -> Array:
         """Return the (N, 3) landmarks in the left camera frame [m]."""

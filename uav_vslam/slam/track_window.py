@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Uses the tracks of points that are no landmarks: each once, when it has ended or fills the window.
 
-Until then a track belongs to the estimate of the present only, a copy of the filter that has used all tracks so far.
-So no view is used twice, and none waits.
+Until then a track belongs to the estimate of the present only, a copy of the filter that has used all tracks so far; it
+has landmarks only if they are asked for. So no view is used twice, and none waits.
 """
 
 from collections.abc import Callable
@@ -105,13 +105,20 @@ class TrackWindow:
         views.remove(finished)
 
     def present(self, slam_filter: Filter, landmark_map: LandmarkMap, choose: Choice | None = None) -> Present:
-        """Return the estimate of the present; `choose` which tracks' points it has as additional landmarks."""
+        """Return the estimate of the present, of the vehicle alone.
+
+        Args:
+            slam_filter: is left as it is.
+            landmark_map: its landmarks.
+            choose: the estimate has all landmarks, too, and as additional ones the points of the tracks that this chooses.
+        """
         views = self.views
         used = self._longest(slam_filter, np.ones(len(views), bool))
         if len(used) == 0:
             return Present(slam_filter, None, used)
         new = used[:0] if choose is None else self._chosen(used, landmark_map, choose)
-        with_tracks, passed, innovation = slam_filter.with_tracks(
+        before = slam_filter.without_landmarks() if choose is None else slam_filter
+        with_tracks, passed, innovation = before.with_tracks(
             views.chosen(used), probability=self._config.gate_probability, become_landmarks=np.isin(used, new)
         )
         rows = used[passed]
