@@ -110,7 +110,7 @@ class TrackWindow:
         Args:
             slam_filter: is left as it is.
             landmark_map: its landmarks.
-            choose: the estimate has all landmarks, too, and as additional ones the points of the tracks that this chooses.
+            choose: the estimate has all landmarks, too, and the points of the tracks chosen as additional ones.
         """
         views = self.views
         used = self._longest(slam_filter, np.ones(len(views), bool))

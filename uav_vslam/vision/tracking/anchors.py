@@ -1,54 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ties tracked points to how they looked earlier, so that they slide less over the ground.
+"""Ties tracked points to how they looked first, so that they do not slide over the ground.
 
 From image to image, the small errors of optical flow add up: each one moves the patch that the next image is searched
-for, the template update problem of [matthews04]. Against one earlier image, the anchor, errors don't add up.
+for, the template update problem of [matthews04]. Against the first image, the anchor, errors don't add up, but by then
+the patch looks different: so it is aligned affinely.
 """
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from uav_vslam.vision.tracking.flow import FlowImage, track_turning
+from uav_vslam.vision.tracking.affine import Patches, fits, undeformed
+from uav_vslam.vision.tracking.flow import FlowImage
 from uav_vslam.vision.tracking.tracks import Tracks
 
-EVERY = 4  # frames from one anchor image to the next
-KEPT = 16  # frames that one serves; later, the ground looks different
-MOST_PX = 1.0  # of a correction: more is not the same point
-
-
-@dataclass(frozen=True, slots=True)
-class _Anchor:
-    """An image, and (N,) tracks with their (N, 2) pixels in it."""
-
-    frame: int
-    image: FlowImage
-    ids: NDArray[np.uint32]
-    pixels: NDArray[np.float64]
+MOST_PX = 1.5  # of a correction: more is not the same point
 
 
 class Anchors:
-    """The anchors of a stream of left images; each track has one at most."""
+    """The anchors of a stream of left images: a patch of each track, and how it is deformed now."""
 
     def __init__(self) -> None:
-        self._anchors: list[_Anchor] = []
-        self._frame = 0
+        self._ids = np.zeros(0, np.uint32)
+        self._patches = Patches.none()
+        self._shapes = undeformed(0)
+
+    def start(self, tracks: Tracks, left: FlowImage) -> None:
+        """Give an anchor to each track that has none, in the left image that its pixel is of."""
+        image = left.grey.astype(np.float32)
+        new = np.flatnonzero(~np.isin(tracks.ids, self._ids) & fits(image, tracks.pixels))
+        self._ids = np.concatenate([self._ids, tracks.ids[new]])
+        self._patches = self._patches.joined(Patches.cut(image, tracks.pixels[new]))
+        self._shapes = np.concatenate([self._shapes, undeformed(len(new))])
 
     def refined(self, tracks: Tracks, left: FlowImage) -> Tracks:
-        """Return the tracks of the next left image, those that have an anchor as tracked from it."""
-        self._frame += 1
-        pixels, tied, kept = tracks.pixels.copy(), np.zeros(len(tracks), bool), []
-        for anchor in self._anchors:
-            _, rows, own = np.intersect1d(tracks.ids, anchor.ids, return_indices=True)
-            if self._frame - anchor.frame >= KEPT or len(rows) == 0:
-                continue
-            there, good = track_turning(anchor.image, left, anchor.pixels[own], pixels[rows])
-            good &= np.linalg.norm(there - pixels[rows], axis=1) <= MOST_PX
-            pixels[rows[good]], tied[rows[good]] = there[good], True
-            kept.append(dataclasses.replace(anchor, ids=anchor.ids[own[good]], pixels=anchor.pixels[own[good]]))
-        if self._frame % EVERY == 0:
-            kept.append(_Anchor(self._frame, left, tracks.ids[~tied], pixels[~tied]))
-        self._anchors = kept
+        """Return the tracks of the next left image, tied to their anchors; where that fails, the anchor is lost."""
+        _, rows, own = np.intersect1d(tracks.ids, self._ids, return_indices=True)
+        patches, pixels = self._patches.chosen(own), tracks.pixels.copy()
+        found, shapes, tied = patches.found(left.grey.astype(np.float32), pixels[rows], self._shapes[own])
+        tied &= np.linalg.norm(found - pixels[rows], axis=1) <= MOST_PX
+        pixels[rows[tied]] = found[tied]
+        self._ids, self._patches, self._shapes = tracks.ids[rows[tied]], patches.chosen(tied), shapes[tied]
         return dataclasses.replace(tracks, pixels=pixels)

@@ -85,6 +85,8 @@ class TrackingFrontend(Frontend):
             return
         self._join(found)
         before = self._tracks
+        if self._anchors is not None:
+            self._anchors.start(before, self._left)
         pixels, good = self._follow(self._left, left, dt_s)
         self._flow.fit(before.pixels[good], pixels[good], dt_s)
         self._tracks = dataclasses.replace(before, pixels=pixels).chosen(good)

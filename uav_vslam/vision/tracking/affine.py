@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds patches of an earlier image again, though the view has changed: by affine alignment.
+
+Optical flow moves a window without changing its shape. Where the camera turns, comes closer or looks along a surface,
+the window then shows other ground, and its best place is off. Here the patch may be stretched, sheared and turned, too:
+inverse composition [baker04], of all patches at once, which are compared without their means and contrasts.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+HALF_PX = 10  # of a patch: with 7, errors are a half larger, with 14 a fifth smaller for a third more time
+STEPS = 5
+LONGEST_STEP_PX = 3.0  # of the place, and at the edge
+SETTLED_PX = 0.1  # of the last step
+DAMPING = 0.05  # of the mean curvature, on the shape: patches with one edge leave it open
+LEAST_CONTRAST = 1.0  # length of the grey values without their mean: flat ones have no direction
+LEAST_CORRELATION = 0.8
+MOST_SCALED = 1.6  # beyond, a patch shows other detail
+
+_V, _U = (each.ravel().astype(np.float32) for each in np.mgrid[-HALF_PX : HALF_PX + 1, -HALF_PX : HALF_PX + 1])
+_GRID: Floats = np.stack([_U, _V, np.ones_like(_U)])
+_SHAPE_PX = np.float32(HALF_PX)  # unit of the shape's parameters: displacement at the edge of the patch
+
+
+@dataclass(frozen=True, slots=True)
+class Patches:
+    """N patches of M pixels.
+
+    Attributes:
+        values: (N, M) of mean zero and length one.
+        gain: (N, M, 6) by which a difference of values is multiplied for a step of shape (4) and place (2).
+    """
+
+    values: Floats
+    gain: Floats
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return no patches."""
+        return cls(np.zeros((0, _U.size), np.float32), np.zeros((0, _U.size, 6), np.float32))
+
+    @classmethod
+    def cut(cls, image: Floats, pixels: Array) -> Self:
+        """Cut the patches around (N, 2) pixels out of an (H, W) image, see `fits`."""
+        if len(pixels) == 0:
+            return cls.none()
+        shape = undeformed(len(pixels))
+        by_u, by_v = (
+            _sampled(image, pixels + half, shape) - _sampled(image, pixels - half, shape)
+            for half in np.array([[0.5, 0.0], [0.0, 0.5]])
+        )
+        values, contrast = _normalised(_sampled(image, pixels, shape))
+        to_edge = [each * along / _SHAPE_PX for each in (by_u, by_v) for along in (_U, _V)]
+        J = np.stack([*to_edge, by_u, by_v], axis=-1) / contrast[..., None]
+        J -= J.mean(axis=1, keepdims=True)
+        J -= values[..., None] * (values[:, None] @ J)
+        H = np.swapaxes(J, 1, 2) @ J
+        curvature = np.trace(H, axis1=1, axis2=2)[:, None] / 6.0
+        H[:, np.arange(6), np.arange(6)] += curvature * np.array([DAMPING] * 4 + [0.0] * 2, np.float32) + 1e-9
+        return cls(values, J @ np.linalg.inv(H))
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def chosen(self, rows: NDArray[np.generic]) -> "Patches":
+        """Return some of the patches, by rows or mask."""
+        return Patches(self.values[rows], self.gain[rows])
+
+    def joined(self, other: "Patches") -> "Patches":
+        """Return these patches and then others."""
+        return Patches(np.concatenate([self.values, other.values]), np.concatenate([self.gain, other.gain]))
+
+    def found(self, image: Floats, pixels: Array, shape: Floats) -> tuple[Array, Floats, Mask]:
+        """Find the patches in another image.
+
+        Args:
+            image: (H, W).
+            pixels: (N, 2) where they should be, within a few pixels.
+            shape: (N, 2, 2) how they should be deformed.
+
+        Returns:
+            (N, 2) pixels and (N, 2, 2) shapes, and the (N,) mask of patches that have been found.
+        """
+        if len(self) == 0:
+            return pixels, shape, np.zeros(0, bool)
+        pixels = pixels.copy()
+        for _ in range(STEPS):
+            difference = _normalised(_sampled(image, pixels, shape))[0] - self.values
+            step = (difference[:, None] @ self.gain)[:, 0].clip(-LONGEST_STEP_PX, LONGEST_STEP_PX)
+            shape = shape @ np.linalg.inv(np.eye(2, dtype=np.float32) + step[:, :4].reshape(-1, 2, 2) / _SHAPE_PX)
+            moved = (shape @ step[:, 4:, None])[..., 0]
+            pixels -= moved
+        alike = np.sum(_normalised(_sampled(image, pixels, shape))[0] * self.values, axis=1)
+        scale = np.sqrt(np.abs(np.linalg.det(shape)))
+        good = (alike >= LEAST_CORRELATION) & (np.abs(np.log(scale)) <= np.log(MOST_SCALED))
+        good &= (np.linalg.norm(moved, axis=1) <= SETTLED_PX) & fits(image, pixels)
+        return pixels, shape, good
+
+
+def undeformed(count: int) -> Floats:
+    """Return (count, 2, 2) shapes of patches as they were cut."""
+    return np.tile(np.eye(2, dtype=np.float32), (count, 1, 1))
+
+
+def fits(image: Floats, pixels: Array) -> Mask:
+    """Return around which of (N, 2) pixels a patch is inside the image."""
+    high = np.array(image.shape[::-1]) - 1 - HALF_PX
+    return np.asarray(((pixels >= HALF_PX) & (pixels <= high)).all(axis=1))
+
+
+def _sampled(image: Floats, pixels: Array, shape: Floats) -> Floats:
+    """Return (N, M) values of the patches around (N, 2) pixels, deformed by (N, 2, 2) shapes."""
+    warp = np.concatenate([shape, pixels[..., None]], axis=2, dtype=np.float32)
+    u, v = np.swapaxes(warp, 0, 1) @ _GRID
+    return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
+
+
+def _normalised(values: Floats) -> tuple[Floats, Floats]:
+    """Return (N, M) values with mean zero and length one, flat ones shorter, and by what (N, 1) they were divided."""
+    values = values - values.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(values, axis=1, keepdims=True).clip(LEAST_CONTRAST)
+    return values / length, length
