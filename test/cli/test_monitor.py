@@ -37,11 +37,21 @@ def test_wrong_arguments_are_refused_in_one_line(capsys: pytest.CaptureFixture[s
     assert "nowhere.yaml" in refused(capsys, "monitor", "nowhere.yaml")
 
 
-def test_a_name_that_no_vehicle_can_have_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--vehicles", "a b", "'a b' is no ROS namespace"),
+        ("--every", "0", "'0' is not a time in seconds above 0"),
+        ("--wait", "soon", "'soon' is not a time in seconds above 0"),
+    ],
+)
+def test_a_name_or_time_that_can_not_be_is_refused(
+    option: str, value: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as leaving:
-        main(["monitor", "--vehicles", "a b", "--once"])
+        main(["monitor", option, value, "--once"])
     assert leaving.value.code == 2
-    assert "'a b' is no ROS namespace" in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_ctrl_c_ends_it_without_a_traceback(domain_id: int) -> None:

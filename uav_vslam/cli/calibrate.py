@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import add_results, positive
+from uav_vslam.cli.messages import warn_each
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -64,8 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Calibrate, write, print; return the exit status."""
-    import sys
-
     import cv2
 
     from uav_vslam.calibration.files import write_calibration
@@ -93,8 +92,7 @@ def run(args: argparse.Namespace) -> int:
     print_calibration(summary)
     print(f"results: {folder}")
     print(f"use it:  input: {{calibration: [{', '.join(str(file.resolve()) for file in files[:2])}]}}")
-    for text in found.warnings:
-        print(f"uav-vslam: warning: {text}", file=sys.stderr)
+    warn_each(found.warnings)
     return 0
 
 

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.messages import warn
+
 if TYPE_CHECKING:
     from uav_vslam.evaluation.comparison import Figures, PairedRun, Run
     from uav_vslam.evaluation.trajectory import Trajectory
@@ -99,7 +101,7 @@ def _report_offsets(runs: list[PairedRun], tree: Figures) -> None:
 
     for run, figures in zip(runs, tree["runs"], strict=True):
         if offset := figures["clock_offset"]:
-            print(f"uav-vslam: warning: {run.run.label}: {ClockOffset(**offset)}", file=sys.stderr)
+            warn(f"{run.run.label}: {ClockOffset(**offset)}")
 
 
 def _report_partial(run: PairedRun) -> None:

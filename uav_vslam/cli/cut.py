@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import non_negative
+from uav_vslam.cli.messages import warn
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.datasets.cut_options import CutOptions, add_cut_arguments, cut_options
 from uav_vslam.errors import UavVslamError
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     if args.trajectory and args.seed is not None:
         raise UavVslamError("--trajectory: starts have the errors of the estimate, none are drawn: leave out --seed")
     if require_new(args.out):  # before any work
-        print(f"uav-vslam: warning: {args.out}.partial, left by work that was cut short, is removed", file=sys.stderr)
+        warn(f"{args.out}.partial, left by work that was cut short, is removed")
     file = find_config(args.config) if args.config else None
     config = with_noise_of_files(load_vehicle(file, overrides=dict(override(item) for item in args.set)))
     flight = source_of(args.bag, args.vehicle, config.input)

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import first_given, namespace, non_negative, positive_number
+from uav_vslam.cli.messages import warn, warn_each
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -116,8 +116,8 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--zstd compresses mcap files; leave it out, or --storage {args.storage}")
     kept = configuration_file(args.out).exists()  # before any work: it may be refused
     if require_new(args.out):
-        _warn(f"{args.out}.partial, left by an import that was cut short, is removed; starting again")
-    problems = Problems(_warn)
+        warn(f"{args.out}.partial, left by an import that was cut short, is removed; starting again")
+    problems = Problems(warn)
     source: Source = args.read(args, problems)
     written = 0
     with progress_bar("importing", source.frame_count) as advance:
@@ -142,8 +142,7 @@ def _report(out: Path, source: Source, problems: Problems) -> None:
     """Print what the user should know, and list what was left out or sorted in in a file."""
     for note in source.notes:
         print(f"note: {note}")
-    for text in source.warnings:
-        _warn(text)
+    warn_each(source.warnings)
     if problems.lines:
         listed = out.with_name(f"{out.name}.warnings.txt")
         listed.write_text("\n".join(problems.lines) + "\n", encoding="utf-8")
@@ -151,10 +150,6 @@ def _report(out: Path, source: Source, problems: Problems) -> None:
         for what, summary in summaries.items():
             if summary:
                 print(f"{what}: {summary}; listed in {listed}")
-
-
-def _warn(text: str) -> None:
-    print(f"uav-vslam: warning: {text}", file=sys.stderr)
 
 
 def _sigma(args: argparse.Namespace) -> InitialSigma | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uav_vslam.cli.arguments import add_datum, datum_of, positive_number
+from uav_vslam.cli.messages import warn
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.cli.run import add_options, flown
 
@@ -38,14 +39,29 @@ count from its altitude. The map's x axis points east, or --yaw degrees counter-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    text = "bags or one fleet file, as for run, or the results folder of a run"
-    parser.add_argument("inputs", nargs="+", type=Path, metavar="BAG|FLEET.yaml|RESULT", help=text)
+    parser.add_argument(
+        "inputs",
+        nargs="+",
+        type=Path,
+        metavar="BAG|FLEET.yaml|RESULT",
+        help="bags or one fleet file, as for run, or the results folder of a run",
+    )
     add_options(parser)
-    text = "side of a cell of the height grid [m] (default 0.5)"
-    parser.add_argument("--cell", type=positive_number, default=0.5, metavar="M", help=text)
-    text = "recordings of a results folder (default: those that it names)"
+    parser.add_argument(
+        "--cell",
+        type=positive_number,
+        default=0.5,
+        metavar="M",
+        help="side of a cell of the height grid [m] (default 0.5)",
+    )
     add_datum(parser, "GeoTIFFs")
-    parser.add_argument("--bags", nargs="+", type=Path, metavar="BAG", help=text)
+    parser.add_argument(
+        "--bags",
+        nargs="+",
+        type=Path,
+        metavar="BAG",
+        help="recordings of a results folder (default: those that it names)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -59,7 +75,6 @@ def run(args: argparse.Namespace) -> int:
     if args.yaw is not None and args.datum is None:
         raise ConfigError("--yaw DEG turns the map about its origin; give that too, with --datum LAT LON ALT")
     datum = datum_of(args) if args.datum else None
-
     code, folder = 0, args.inputs[0]
     if not is_result(folder):
         if args.bags:
@@ -105,8 +120,8 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: D
     _draw(grid, overlap, folder)
     print_map(tree, _times_ms(mapper))
     if mapper.least_cell_m:
-        text = f"{mapper.refused[SMALL_CELLS]} pairs have pixels too large for cells of {cell_m:g} m"
-        print(f"uav-vslam: warning: {text}; use --cell {mapper.least_cell_m:.2g}", file=sys.stderr)
+        count, least_m = mapper.refused[SMALL_CELLS], mapper.least_cell_m
+        warn(f"{count} pairs have pixels too large for cells of {cell_m:g} m; use --cell {least_m:.2g}")
     return int(tree["surface"]["cells"])
 
 

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uav_vslam.cli.messages import warn
 from uav_vslam.datasets.bag import BagFlight
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.results_folder import read_results
@@ -88,7 +88,7 @@ def _poses(vehicle: str, tracks: dict[str, Trajectory]) -> dict[int, Pose]:
     """Return the best poses for mapping: smoothed ones, where there are peers at the place of the fused ones."""
     smoothed, fused = tracks.get("smoothed"), tracks.get("c_slam")
     if smoothed is None:
-        print(f"uav-vslam: warning: {vehicle} has no smoothed poses; its own-only ones blur the map", file=sys.stderr)
+        warn(f"{vehicle} has no smoothed poses; its own-only ones blur the map")
         return {pose.stamp_ns: pose.T_map_body for pose in tracks["s_slam"].estimates()}
     poses = smoothed.estimates()
     if fused is not None and fused.covariance is not None:

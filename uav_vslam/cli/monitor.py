@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uav_vslam.cli.arguments import namespace
+from uav_vslam.cli.arguments import namespace, positive_seconds
 
 if TYPE_CHECKING:
     from uav_vslam.monitor import Fleet
@@ -33,20 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--once", action="store_true", help="print one table and exit: 1 if nothing was received")
     parser.add_argument(
-        "--wait", type=seconds, default=5.0, metavar="S", help="with --once: after S seconds (default 5)"
+        "--wait", type=positive_seconds, default=5.0, metavar="S", help="with --once: after S seconds (default 5)"
     )
     parser.add_argument(
-        "--every", type=seconds, default=1.0, metavar="S", help="renew the view each S seconds (default 1)"
+        "--every", type=positive_seconds, default=1.0, metavar="S", help="renew the view each S seconds (default 1)"
     )
     parser.add_argument("--domain", type=int, metavar="ID", help="ROS domain (default: ROS_DOMAIN_ID)")
-
-
-def seconds(text: str) -> float:
-    """Parse a positive time [s]."""
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} must be above 0")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uav_vslam.cli.arguments import add_results, first_given, positive_number
+from uav_vslam.cli.messages import warn, warn_each
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -55,8 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Adjust, draw, write, print; return the exit status."""
-    import sys
-
     import cv2
 
     from uav_vslam.errors import ConfigError
@@ -70,13 +69,11 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--method homography has no use for {given}: it knows neither cameras nor heights")
     cv2.setNumThreads(1)
     folder = read_folder(args.folder, focal_px=args.focal_px)
-    for text in folder.warnings:
-        print(f"uav-vslam: warning: {text}", file=sys.stderr)
+    warn_each(folder.warnings)
     if args.method == "homography":
         return _chained(folder, args)
     found = _reconstructed(folder, args)
-    for text in found.warnings:
-        print(f"uav-vslam: warning: {text}", file=sys.stderr)
+    warn_each(found.warnings)
     with new_folder(args.results, args.name or f"{args.folder.resolve().name}_mosaic") as results:
         figures = _write(found, [*folder.warnings, *found.warnings], args.pixel, results)
         page = write_page([results])
@@ -87,8 +84,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
-    import sys
-
     from uav_vslam.errors import PictureError
     from uav_vslam.mapping.pictures.features import detect_all
     from uav_vslam.mapping.pictures.pairs import candidates, match_all
@@ -99,7 +94,7 @@ def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
     with progress_bar("finding points", len(folder.pictures)) as advance:
         detected = detect_all(folder.pictures, on_picture=advance)
     if detected.undecoded:
-        print(f"uav-vslam: warning: left out, can't be decoded: {listed(detected.undecoded)}", file=sys.stderr)
+        warn(f"left out, can't be decoded: {listed(detected.undecoded)}")
     if len(detected.pictures) < FEWEST:
         raise PictureError(f"{len(detected.pictures)} pictures can be decoded; a mosaic needs {FEWEST} or more")
     pictures, features = detected.pictures, detected.features

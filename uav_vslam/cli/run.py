@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import MODES, add_results, positive
+from uav_vslam.cli.messages import warn_each
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -86,13 +87,13 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     if args.map is not None:
         more |= {"start.method": "map", "start.map": str(args.map.resolve())}
     bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles), more)
-    _warn(text for config in configs.values() for text in idle_settings(config).values())
+    warn_each(text for config in configs.values() for text in idle_settings(config).values())
     links = partial(link_between, load_link(args.link)) if args.link else None
     flights = open_flights(bags, configs)
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}
     for flight in flights.values():
         _report_offset(flight)
-        _warn(f"{flight.vehicle}: {text}" for text in flight.warnings)
+        warn_each(f"{flight.vehicle}: {text}" for text in flight.warnings)
     truths = {name: _truth(flight) for name, flight in flights.items()}
     started = time.monotonic()
     with progress_bar("flying", sum(flight.frame_count for flight in flights.values())) as advance:
@@ -118,9 +119,9 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")
     for vehicle, track in tracks.items():
-        _warn(f"{vehicle}: {text}" for text in track.warnings)
+        warn_each(f"{vehicle}: {text}" for text in track.warnings)
     broken = sorted(track.broken for track in tracks.values() if track.broken)
-    _warn(broken)
+    warn_each(broken)
     return folder, 2 if broken else 0
 
 
@@ -131,7 +132,7 @@ def _truth(flight: BagFlight) -> Trajectory | None:
     truth = flight.truth()
     if not truth:
         return None
-    _warn(f"{flight.vehicle}: {text}" for text in truth_warnings(truth))
+    warn_each(f"{flight.vehicle}: {text}" for text in truth_warnings(truth))
     return trajectory_of(truth)
 
 
@@ -143,14 +144,6 @@ def _save_maps(tracks: dict[str, VehicleTrack], folder: Path) -> None:
         if track.saved_map is not None and len(track.saved_map):
             size = save_map(track.saved_map, folder / f"{vehicle}_map.npz")
             print(f"{vehicle}_map.npz: {len(track.saved_map)} landmarks in {size / 1e3:.0f} kB")
-
-
-def _warn(texts: Iterable[str]) -> None:
-    """Print warnings, each once: vehicles may share a bag and a configuration."""
-    import sys
-
-    for text in dict.fromkeys(texts):
-        print(f"uav-vslam: warning: {text}", file=sys.stderr)
 
 
 def _draw(
