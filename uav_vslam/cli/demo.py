@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run_in(folder: Path, args: argparse.Namespace) -> int:
-    from uav_vslam.cli import evaluate
+    from uav_vslam.cli.evaluate import evaluate
     from uav_vslam.cli.launch import launch, read_fleet
     from uav_vslam.config import find_config, parameter_file
     from uav_vslam.ros.domain import claimed_domain
@@ -65,15 +65,12 @@ def _run_in(folder: Path, args: argparse.Namespace) -> int:
         hint = "; see --verbose" if args.keep is None else f"; each process's output is in {folder / 'log'}"
         print(f"uav-vslam: the node graph failed (exit code {code}){hint}", file=sys.stderr)
         return code
-    return evaluate.evaluate(
-        argparse.Namespace(
-            inputs=[estimates, *fleet.replay.bags],
-            name="demo",
-            alignment="none",
-            results=args.results,
-            no_plots=args.no_plots,
-        ),
+    return evaluate(
+        [estimates, *fleet.replay.bags],
+        name="demo",
+        results=args.results,
         config=parameter_file({f"/{name}/**": config for name, config in fleet.vehicles.items()}),
+        draws=not args.no_plots,
         wall_s=time.monotonic() - started,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,8 +35,6 @@ BAG_FILES = {".mcap", ".db3", ".bag"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = EXAMPLES
     parser.add_argument(
         "inputs", type=Path, nargs="+", metavar="FILE|RESULTS|BAG", help="trajectory files and results folders, or bags"
     )
@@ -82,7 +81,14 @@ def run(args: argparse.Namespace) -> int:
     options = ("--times", "--segments", "--max-gap", "--truth-offset")
     if given := first_given({name: getattr(args, name[2:].replace("-", "_")) for name in options}):
         raise ConfigError(f"{given} serves files and results folders; evaluate {bags[0]} without, then its results")
-    return evaluate(args)
+    return evaluate(
+        args.inputs,
+        name=args.name or args.inputs[0].stem,
+        results=args.results,
+        config={"evaluated": [str(bag) for bag in args.inputs]},
+        alignment=args.alignment,
+        draws=not args.no_plots,
+    )
 
 
 def _is_bag(path: Path) -> bool:
@@ -91,8 +97,27 @@ def _is_bag(path: Path) -> bool:
     return (path / "metadata.yaml").exists() or any(file.suffix in BAG_FILES for file in path.iterdir())
 
 
-def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, wall_s: float = 0.0) -> int:
-    """Evaluate bags; the caller that made the recordings adds their configuration and its run time [s]."""
+def evaluate(
+    bags: Sequence[Path],
+    *,
+    name: str,
+    results: Path,
+    config: dict[str, Any],
+    alignment: str = "none",
+    draws: bool = True,
+    wall_s: float = 0.0,
+) -> int:
+    """Evaluate bags, write and print; return the exit status.
+
+    Args:
+        bags: recordings of estimates and of their inputs.
+        name: of the results folder.
+        results: folder of all results.
+        config: how the estimates were made, for the results.
+        alignment: of the estimates to the truth.
+        draws: also draw plots and the page.
+        wall_s: time that the run took [s]; 0 if it is not known.
+    """
     from uav_vslam.datasets.outputs import read_outputs
     from uav_vslam.datasets.recorded_result import flight_result
     from uav_vslam.evaluation.output import write_results
@@ -102,17 +127,16 @@ def evaluate(args: argparse.Namespace, *, config: dict[str, Any] | None = None, 
     from uav_vslam.report.plots import write_plots
     from uav_vslam.report.table import print_summary
 
-    outputs, damage = read_outputs(args.inputs)
-    config = config or {"evaluated": [str(bag) for bag in args.inputs]}
-    result = flight_result(args.name or args.inputs[0].stem, outputs, config=config, wall_s=wall_s)
+    outputs, damage = read_outputs(bags)
+    result = flight_result(name, outputs, config=config, wall_s=wall_s)
 
     def plot(result: FlightResult, folder: Path) -> list[Path]:
         return [*write_plots(result, folder), write_page([folder])]
 
-    print_summary(build_summary(result, git=None, alignment=args.alignment))  # first: a full disk must not cost it
-    folder = write_results(result, args.results, plot=None if args.no_plots else plot, alignment=args.alignment)
+    print_summary(build_summary(result, git=None, alignment=alignment))  # first: a full disk must not cost it
+    folder = write_results(result, results, plot=plot if draws else None, alignment=alignment)
     print(f"written to {folder}")
-    if not args.no_plots:
+    if draws:
         print(f"page: {folder / PAGE_NAME}")
     if damage is not None:
         print(f"uav-vslam: evaluated up to a break: {damage}", file=sys.stderr)
