@@ -20,7 +20,6 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 from scipy.special import chdtrc, chdtri
 
 from uav_vslam.config import EXACT_RIG, ImuConfig, RigConfig
@@ -40,6 +39,14 @@ from uav_vslam.estimation.linearisation import (
 from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transport, difference
 from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
 from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPose, Tracks, observe_tracks
+from uav_vslam.estimation.rig_belief import (
+    DisparityEstimate,
+    claimed_belief,
+    claimed_covariance,
+    claimed_variance,
+    disparity_variance,
+    rig_evidence,
+)
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.geometry.pose import POSE_DIM, Pose
@@ -52,7 +59,6 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseE
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MIN_VARIANCE_REDUCTION = 1e-6  # share of the prior variance: below it, a direction of the rig is unobserved
 HUBER_PROBABILITY = 0.999  # of a correct observation to keep full weight
 PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged
 
@@ -74,20 +80,6 @@ class Innovation:
     log_likelihood: float = 0.0
     accepted: bool = True
     downweighted: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class DisparityEstimate:
-    """What is known of the disparity's constant error.
-
-    Attributes:
-        mean_px, sigma_px: estimate and standard deviation [px].
-        miscalibrated: probability that the calibration is wrong.
-    """
-
-    mean_px: float
-    sigma_px: float
-    miscalibrated: float
 
 
 class Filter:
@@ -416,62 +408,28 @@ class Filter:
         C = self._model.to_map(self.nav)[:nav_dim]
         rows = np.concatenate([POSE, np.arange(m, self.belief.size)])
         with _stamped(self.nav.stamp_ns):
-            return self._claimed_belief().predicted(C, np.zeros((nav_dim, nav_dim))).information(rows)
-
-    def _claimed_disparity(self) -> tuple[int, float, float]:
-        """Return the disparity's row, variance, and how far it may be off in mean square [px^2].
-
-        Until the motion makes a wrong calibration likely, the estimate takes the right one for granted, which is more
-        accurate. What it claims must not.
-        """
-        row = self._errors.disparity.start
-        variance = float(self.belief.covariance(NO_ROWS)[row, row])
-        prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
-        return row, variance, self._errors.disparity_prior.mean_square(mean, variance, prior=prior)
+            belief = claimed_belief(self.belief, self._errors, self.rig_state)
+            return belief.predicted(C, np.zeros((nav_dim, nav_dim))).information(rows)
 
     def _claimed_covariance(self) -> Array:
-        """Return the covariance (vehicle, vehicle) with the uncertainty of the calibration."""
-        P = self.belief.covariance(NO_ROWS)
-        if not self._errors.has_disparity:
-            return P
-        row, variance, claimed = self._claimed_disparity()
-        effect = P[:, row] / variance
-        return P + (claimed - variance) * np.outer(effect, effect)
-
-    def _claimed_belief(self) -> Belief:
-        """Return the belief with the uncertainty of the calibration."""
-        if not self._errors.has_disparity:
-            return self.belief
-        row, variance, claimed = self._claimed_disparity()
-        if claimed == variance:  # nothing is uncertain, and a change takes a factor
-            return self.belief
-        return self.belief.information_changed(row, 1.0 / claimed - 1.0 / variance)[0]
+        return claimed_covariance(self.belief, self._errors, self.rig_state)
 
     def rig_evidence(self) -> float:
-        """Return the test statistic of the calibration, chi-square with a degree of freedom per attitude and disparity.
-
-        Under a correct prior the estimate has covariance P_0 - P. Zero if neither is a state.
-        """
-        rows = self._errors.calibrated
-        prior = submatrix(self._errors.prior_covariance, rows - self._errors.rows.start)
-        learnt = symmetrise(prior - submatrix(self.belief.covariance(NO_ROWS), rows))
-        values, vectors = eigh(learnt, prior)
-        along = vectors.T @ self._errors.calibration(self.rig_state)
-        known = values > MIN_VARIANCE_REDUCTION
-        return float(np.sum(along[known] ** 2 / values[known]))
+        """Return how strongly the data contradict the calibration, see `rig_belief.rig_evidence`."""
+        return rig_evidence(self.belief, self._errors, self.rig_state)
 
     def judge_disparity(self) -> None:
         """Exchange the prior of the disparity's error for what the measurements make of it, see `DisparityPrior`."""
         if not self._errors.has_disparity:
             return
-        row, prior, mean = self._errors.disparity.start, self._errors.disparity_variance, self.rig_state.disparity_px
-        variance = float(self.belief.covariance(NO_ROWS)[row, row])
+        prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
+        variance = disparity_variance(self.belief, self._errors)
         self.miscalibrated, now = self._errors.disparity_prior.given(mean, variance, prior=prior)
         if abs(np.log(now / prior)) < PRIOR_TOLERANCE:
             return
         change = 1.0 / now - 1.0 / prior
         with _stamped(self.nav.stamp_ns):
-            belief, column = self.belief.information_changed(row, change)
+            belief, column = self.belief.information_changed(self._errors.disparity.start, change)
             self._errors = self._errors.with_disparity_variance(now)
             self.correct(belief, -change * mean * column)
 
@@ -490,7 +448,8 @@ class Filter:
         """What is known of the disparity's error; None if it is no state."""
         if not self._errors.has_disparity:
             return None
-        return DisparityEstimate(self.rig_state.disparity_px, self._claimed_disparity()[2] ** 0.5, self.miscalibrated)
+        claimed = claimed_variance(disparity_variance(self.belief, self._errors), self._errors, self.rig_state)
+        return DisparityEstimate(self.rig_state.disparity_px, claimed**0.5, self.miscalibrated)
 
     def _predicted(self, landmarks: Indices, belief: Belief) -> PredictedObservation:
         return self._linear.observation(

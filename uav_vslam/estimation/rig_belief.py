@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a belief says about the rig's calibration: how far the disparity may be off, and the evidence against it.
+
+Until the motion makes a wrong calibration likely, the estimate takes the right one for granted, which is more accurate.
+What it claims must not: see `DisparityPrior`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from uav_vslam.estimation.belief import NO_ROWS, Belief
+from uav_vslam.estimation.rig_errors import RigErrors, RigState
+from uav_vslam.numerics import submatrix, symmetrise
+
+Array = NDArray[np.float64]
+
+MIN_VARIANCE_REDUCTION = 1e-6  # share of the prior variance: below it, a direction of the rig is unobserved
+
+
+@dataclass(frozen=True, slots=True)
+class DisparityEstimate:
+    """What is known of the disparity's constant error.
+
+    Attributes:
+        mean_px, sigma_px: estimate and standard deviation [px].
+        miscalibrated: probability that the calibration is wrong.
+    """
+
+    mean_px: float
+    sigma_px: float
+    miscalibrated: float
+
+
+def disparity_variance(belief: Belief, errors: RigErrors) -> float:
+    """Return the variance of the disparity's error, which must be a state [px^2]."""
+    row = errors.disparity.start
+    return float(belief.covariance(NO_ROWS)[row, row])
+
+
+def claimed_variance(variance: float, errors: RigErrors, state: RigState) -> float:
+    """Return how far an estimate of the disparity's error, with that variance, may be off in mean square [px^2]."""
+    return errors.disparity_prior.mean_square(state.disparity_px, variance, prior=errors.disparity_variance)
+
+
+def claimed_covariance(belief: Belief, errors: RigErrors, state: RigState) -> Array:
+    """Return the covariance (vehicle, vehicle) with the uncertainty of the calibration."""
+    P = belief.covariance(NO_ROWS)
+    if not errors.has_disparity:
+        return P
+    row = errors.disparity.start
+    variance = float(P[row, row])
+    effect = P[:, row] / variance
+    return P + (claimed_variance(variance, errors, state) - variance) * np.outer(effect, effect)
+
+
+def claimed_belief(belief: Belief, errors: RigErrors, state: RigState) -> Belief:
+    """Return the belief with the uncertainty of the calibration."""
+    if not errors.has_disparity:
+        return belief
+    variance = disparity_variance(belief, errors)
+    claimed = claimed_variance(variance, errors, state)
+    if claimed == variance:  # nothing is uncertain, and a change takes a factor
+        return belief
+    return belief.information_changed(errors.disparity.start, 1.0 / claimed - 1.0 / variance)[0]
+
+
+def rig_evidence(belief: Belief, errors: RigErrors, state: RigState) -> float:
+    """Return the test statistic of the calibration, chi-square with a degree of freedom per attitude and disparity.
+
+    Under a correct prior the estimate has covariance P_0 - P. Zero if neither is a state.
+    """
+    rows = errors.calibrated
+    prior = submatrix(errors.prior_covariance, rows - errors.rows.start)
+    learnt = symmetrise(prior - submatrix(belief.covariance(NO_ROWS), rows))
+    values, vectors = eigh(learnt, prior)
+    along = vectors.T @ errors.calibration(state)
+    known = values > MIN_VARIANCE_REDUCTION
+    return float(np.sum(along[known] ** 2 / values[known]))
