@@ -89,9 +89,9 @@ def test_each_packet_is_used_dropped_for_one_reason_or_waiting(make_small_packet
     for sequence in range(1, 4):
         inbox.add(make_small_packet(sequence))
     record = inbox.peers["uav2"]
-    record.try_use(record.packets[0], 3)
-    record.try_use(record.packets[0], 2)  # at the next epoch again
-    record.try_use(record.packets[1], 0)
+    record.record_use(record.packets[0], 3)
+    record.record_use(record.packets[0], 2)  # at the next epoch again
+    record.record_use(record.packets[1], 0)
     assert (record.waiting, len(record.used), dict(record.dropped)) == (2, 1, {})
     for sequence in range(4, 8):
         inbox.add(make_small_packet(sequence))

@@ -106,15 +106,15 @@ def consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config
     i, j = np.triu_indices(len(pairs), 1)
     a, b = pairs[:, 0], pairs[:, 1]
     offset = (peer[b[j]] - peer[b[i]]) - (own[a[j]] - own[a[i]])
-    S = _offset_covariance(P, a[i], a[j]) + _offset_covariance(R, b[i], b[j]) + 2 * config.floor_sigma_m**2 * np.eye(3)
+    S = offset_covariances(P, a[i], a[j]) + offset_covariances(R, b[i], b[j]) + 2 * config.floor_sigma_m**2 * np.eye(3)
     agree = mahalanobis2(offset, S) <= chdtri(POINT_DOF, 1.0 - config.gate_probability)
     graph = np.zeros((len(pairs), len(pairs)), dtype=bool)
     graph[i, j] = graph[j, i] = agree
     return largest_clique(graph)
 
 
-def _offset_covariance(covariance: Array, i: Pairs, j: Pairs) -> Array:
-    """Return (M, 3, 3) covariances of x_j - x_i."""
+def offset_covariances(covariance: Array, i: Pairs, j: Pairs) -> Array:
+    """Return the (M, 3, 3) covariances of x_j - x_i, for points x with joint covariance (3N, 3N)."""
     B = blocks(covariance)
     return np.asarray(B[i, i] + B[j, j] - B[i, j] - B[j, i])
 

@@ -61,9 +61,7 @@ class FrameLink:
         self._received = updated_map(packet, self._received)
         pairs = descriptor_matches(descriptors, self._received, config.ratio)
         points = PointPairs.of(positions, covariance, self._received, pairs, config.floor_sigma_m)
-        now = np.flatnonzero(
-            pairs[:, 1] < len(packet)
-        )  # the others are of earlier packets: for alignment only, not fused
+        now = np.flatnonzero(pairs[:, 1] < len(packet))  # earlier packets' serve the alignment, and are not fused
         is_new, self._newest = packet.order != self._newest, packet.order
         rows = self._inliers(points, now, config.min_common, is_new=is_new)
         return pairs[rows]

@@ -9,6 +9,7 @@ adds; any overlap makes it dependent. In between, the own-only motion propagates
 import dataclasses
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,21 @@ Pairs = NDArray[np.intp]
 MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that replays are deterministic
 ENOUGH_SHARED = 5  # common landmarks; with fewer, an older packet that shares more is preferred
 FEEDBACK = PacketPolicy(form=ANCHOR, max_landmarks=20)  # a few suffice, and one bound over many takes long
+
+
+@dataclass(frozen=True, slots=True)
+class _SharedRows:
+    """The landmarks that a peer's packet has in common with the own belief.
+
+    Attributes:
+        source: "vehicle/session" of the peer.
+        rows: (K,) of own landmarks.
+        ids: (K,) the peer's identifiers of them.
+    """
+
+    source: str
+    rows: NDArray[np.intp]
+    ids: NDArray[np.uint32]
 
 
 class Fusion:
@@ -66,7 +82,7 @@ class Fusion:
         self._shared: set[int] = set()
         self._offered: set[int] = set()  # landmarks of the last packet, if no feedback reports on them
         self._times_sent: Counter[int] = Counter()  # how often each landmark of the estimate was sent
-        self._used_rows: dict[str, tuple[str, NDArray[np.intp], NDArray[np.uint32]]] = {}  # source, own rows, its ids
+        self._shared_rows: dict[str, _SharedRows] = {}  # of each peer, at the last epoch
         self.belief: JointInformation | None = None
         self.epoch: FusedEpoch | None = None
 
@@ -101,24 +117,23 @@ class Fusion:
 
         It contains the peer's measurements, so the peer intersects with it; it may contain other peers' too.
         """
-        used = self._used_rows.get(peer)
-        if self.belief is None or self.epoch is None or used is None:
+        shared = self._shared_rows.get(peer)
+        if self.belief is None or self.epoch is None or shared is None:
             return None
-        addressee, rows, ids = used
-        columns = state_rows(POSE_DIM, rows)
+        columns = state_rows(POSE_DIM, shared.rows)
         fused = JointInformation(
             stamp_ns=self.belief.stamp_ns,
             vehicle=self.belief.vehicle,
             session=self.belief.session,
             T_map_body=self.epoch.pose.T_map_body,
-            ids=ids,
-            positions=self.epoch.positions[rows],
+            ids=shared.ids,
+            positions=self.epoch.positions[shared.rows],
             information=inverse_spd(submatrix(self.epoch.covariance, columns), "fused landmarks"),
-            descriptors=np.zeros((len(ids), 0), np.uint8),
+            descriptors=np.zeros((len(shared.ids), 0), np.uint8),
         )
-        packet = make_packet(fused, sequence=self._sequence, policy=FEEDBACK, matched_ids=ids.tolist())
-        others = sorted(self.epoch.sources - {packet.source, addressee})
-        packet = dataclasses.replace(packet, sources=(packet.source, addressee, *others))
+        packet = make_packet(fused, sequence=self._sequence, policy=FEEDBACK, matched_ids=shared.ids.tolist())
+        others = sorted(self.epoch.sources - {packet.source, shared.source})
+        packet = dataclasses.replace(packet, sources=(packet.source, shared.source, *others))
         return self._authentication.sign(dataclasses.replace(packet, checksum=checksum(packet)))
 
     def fuse(self, joint: JointInformation) -> FusedEpoch:
@@ -130,21 +145,21 @@ class Fusion:
         self.belief = self._memory.extended(joint, self._shared, self._offered)
         config = self._config
         fusing = EpochFusion(self.belief, scheme=config.scheme, weighing=config.weighing, prior_id=config.prior_id)
-        self._used_rows.clear()
+        self._shared_rows.clear()
         self._fuse_map(fusing)
         for peer, newest in self._newest(self.inbox):
             if not comparable(joint.descriptors, newest):
                 self.inbox.peers[peer].mark(newest, DESCRIPTOR_SIZE)
                 continue
             packet, pairs = self._select(fusing, newest)
-            self.inbox.peers[peer].try_use(packet, len(pairs))
+            self.inbox.peers[peer].record_use(packet, len(pairs))
             fusing.common[peer] = len(pairs)
             fusing.add(packet, pairs, self.frame(peer))
             if len(pairs):
-                self._used_rows[peer] = packet.source, pairs[:, 0], packet.ids[pairs[:, 1]]
+                self._shared_rows[peer] = _SharedRows(packet.source, pairs[:, 0], packet.ids[pairs[:, 1]])
         for peer, packet in self._newest(self.returned):
             pairs = self._matched_by_id(fusing, packet)
-            self.returned.peers[peer].try_use(packet, len(pairs))
+            self.returned.peers[peer].record_use(packet, len(pairs))
             fusing.add(packet, pairs, self.frame(peer))
         self._shared = self._shared & set(self.belief.ids.tolist()) | fusing.matched
         self.epoch = fusing.epoch()

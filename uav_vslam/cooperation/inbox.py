@@ -87,14 +87,15 @@ class PeerRecord:
         self.unused = dict.fromkeys(self.unused, SESSION_ENDED)
         self._settle()
 
-    def try_use(self, packet: LandmarkPacket, common: int) -> None:
+    def record_use(self, packet: LandmarkPacket, common: int) -> None:
         """Record how many landmarks a packet shared at an epoch."""
         self.common_landmarks = common
-        if common and packet.order in self.unused:
+        if common == 0:
+            self.mark(packet, NOTHING_COMMON)
+        elif packet.order in self.unused:
             del self.unused[packet.order]
             self.used.append((packet.session, packet.sequence))
             self.last_used = packet.order
-        self.mark(packet, NOTHING_COMMON)
 
     def mark(self, packet: LandmarkPacket, reason: str) -> None:
         """Record why an epoch did not use a packet; a later one may."""

@@ -30,11 +30,6 @@ class LoadedMap:
         self._anchors = np.array([section.anchor for section in saved.sections]).reshape(-1, 3)
         self._packets: dict[int, LandmarkPacket] = {}
 
-    @property
-    def hash(self) -> str:
-        """Of the map."""
-        return self._saved.hash
-
     def common(
         self, joint: JointInformation, positions: Array, covariance: Array, frame: PeerFrame
     ) -> tuple[LandmarkPacket, Pairs] | None:

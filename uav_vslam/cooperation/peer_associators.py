@@ -22,7 +22,14 @@ from scipy.special import chdtri
 
 from uav_vslam.association.hgtm import same_shapes
 from uav_vslam.config import FusionConfig
-from uav_vslam.cooperation.common_landmarks import POINT_DOF, blocks, comparable, descriptor_matches, find_common
+from uav_vslam.cooperation.common_landmarks import (
+    GROUND_DOF,
+    POINT_DOF,
+    blocks,
+    comparable,
+    descriptor_matches,
+    find_common,
+)
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.cooperation.two_point import gated as inliers
 from uav_vslam.cooperation.two_point import hypotheses
@@ -39,7 +46,6 @@ Pairs = NDArray[np.intp]
 InlierSelection = Callable[[PointPairs, FusionConfig], NDArray[np.intp]]
 
 FINE_PAIRS = 20  # "the first certain number of pairs": a third of a wideband packet
-GROUND_DOF = 2
 
 
 class PeerAssociator(Protocol):

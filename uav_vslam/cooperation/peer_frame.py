@@ -17,7 +17,6 @@ from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.cooperation.unknown_frame import Framed, FrameEstimate, framed
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import Fused
-from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.types import LandmarkPacket
 
 Array = NDArray[np.float64]
@@ -96,14 +95,13 @@ class CommonFrame:
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> InOwnFrame:
         """See `PeerFrame`."""
-        columns, rows = landmark_rows(POSE_DIM, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
-        E = np.zeros((len(columns), POSE_DIM + positions.size))
-        E[np.arange(len(columns)), columns] = 1.0
-        evidence = Evidence(
-            E=E,
-            innovation=(packet.positions[pairs[:, 1]] - positions[pairs[:, 0]]).ravel(),
-            R=packet.covariance[np.ix_(rows, rows)],
-            floor=self._config.floor_sigma_m**2 * np.eye(len(rows)),
+        rows = landmark_rows(0, pairs[:, 1])
+        evidence = Evidence.of_landmarks(
+            positions,
+            pairs[:, 0],
+            packet.positions[pairs[:, 1]],
+            packet.covariance[np.ix_(rows, rows)],
+            floor_sigma_m=self._config.floor_sigma_m,
             dependent=dependent,
         )
         return InOwnFrame(evidence)

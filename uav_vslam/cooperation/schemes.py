@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import (
     WEIGHTS,
     Fused,
@@ -17,8 +18,10 @@ from uav_vslam.estimation.covariance_intersection import (
     inverse_covariance_intersection,
     split_covariance_intersection,
 )
+from uav_vslam.geometry.pose import POSE_DIM
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,25 @@ class Evidence:
     R: Array
     floor: Array
     dependent: bool
+
+    @staticmethod
+    def of_landmarks(
+        own: Array, rows: Rows, peer: Array, R: Array, *, floor_sigma_m: float, dependent: bool
+    ) -> "Evidence":
+        """Return a peer's estimate of some own landmarks as evidence on position, rotation and landmarks.
+
+        Args:
+            own: (N, 3) own landmarks [m].
+            rows: (K,) of those that the peer shares.
+            peer, R: (K, 3) and (3K, 3K) its estimate and covariance of them, in the own frame [m], [m^2].
+            floor_sigma_m: of each pair: two detections are never of exactly the same point [m].
+            dependent: see `Evidence`.
+        """
+        columns = landmark_rows(POSE_DIM, rows)
+        E = np.zeros((len(columns), POSE_DIM + own.size))
+        E[np.arange(len(columns)), columns] = 1.0
+        floor = floor_sigma_m**2 * np.eye(len(columns))
+        return Evidence(E, (peer - own[rows]).ravel(), R, floor, dependent)
 
 
 def split_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:

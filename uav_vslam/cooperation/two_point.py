@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from uav_vslam.cooperation.common_landmarks import blocks
+from uav_vslam.cooperation.common_landmarks import offset_covariances
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
@@ -91,12 +91,10 @@ def _compatible(pairs: PointPairs, i: NDArray[np.intp], j: NDArray[np.intp]) -> 
 
 def _along(covariance: Array, offset: Array, i: NDArray[np.intp], j: NDArray[np.intp]) -> Array:
     """Return (M, 3) variances of x_j - x_i along the offset on the ground, across it, and up."""
-    B = blocks(covariance)
-    C = B[i, i] + B[j, j] - B[i, j] - B[j, i]
     length = np.maximum(np.linalg.norm(offset[:, :2], axis=1), np.finfo(float).tiny)
     x, y = offset[:, 0] / length, offset[:, 1] / length
     axes = np.zeros((len(i), 3, 3))
     axes[:, 0, 0], axes[:, 0, 1] = x, y
     axes[:, 1, 0], axes[:, 1, 1] = -y, x
     axes[:, 2, 2] = 1.0
-    return np.asarray(np.einsum("mab,mbc,mac->ma", axes, C, axes))
+    return np.asarray(np.einsum("mab,mbc,mac->ma", axes, offset_covariances(covariance, i, j), axes))

@@ -24,7 +24,7 @@ from uav_vslam.cooperation.point_pairs import FRAME_DIM, corrected, frame_jacobi
 from uav_vslam.cooperation.schemes import Evidence
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import Fused
-from uav_vslam.geometry.pose import POSE_DIM, Pose
+from uav_vslam.geometry.pose import Pose
 from uav_vslam.numerics import inverse_spd, symmetrise
 from uav_vslam.types import LandmarkPacket
 
@@ -90,15 +90,13 @@ def framed(
         floor_sigma_m: of each pair: two detections are never of exactly the same point [m].
         dependent: as of `Evidence`.
     """
-    columns, rows = landmark_rows(POSE_DIM, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
-    peer = packet.positions[pairs[:, 1]]
-    E = np.zeros((len(columns), POSE_DIM + positions.size))
-    E[np.arange(len(columns)), columns] = 1.0
-    whole = Evidence(
-        E=E,
-        innovation=(T_own_peer.apply(peer) - positions[pairs[:, 0]]).ravel(),
-        R=rotated(packet.covariance[np.ix_(rows, rows)], T_own_peer.R),
-        floor=floor_sigma_m**2 * np.eye(len(rows)),
+    rows, peer = landmark_rows(0, pairs[:, 1]), packet.positions[pairs[:, 1]]
+    whole = Evidence.of_landmarks(
+        positions,
+        pairs[:, 0],
+        T_own_peer.apply(peer),
+        rotated(packet.covariance[np.ix_(rows, rows)], T_own_peer.R),
+        floor_sigma_m=floor_sigma_m,
         dependent=dependent,
     )
     A = frame_jacobian(T_own_peer, peer)
