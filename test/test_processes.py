@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Workers exit with their parent process, whatever terminates it."""
+"""Workers exit with their parent process, whatever terminates it; processor time is read as it is counted."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from uav_vslam.errors import WorkerEnded
-from uav_vslam.processes import worker_pool
+from uav_vslam.processes import processor_time_s, worker_pool
 from waiting import wait_for
 
 PROGRAM = """
@@ -67,3 +67,18 @@ def test_each_worker_calls_the_initializer_first(capfd: pytest.CaptureFixture[st
 def test_a_worker_that_the_system_ends_is_told() -> None:
     with pytest.raises(WorkerEnded, match="memory is short: use --workers 1"), worker_pool(1) as pool:
         pool.submit(os.kill, pool.submit(os.getpid).result(), signal.SIGKILL).result()
+
+
+def test_the_processor_time_of_a_process_is_that_of_the_clock() -> None:
+    before_s, clock_s = processor_time_s(os.getpid()), time.process_time()
+    while time.process_time() - clock_s < 0.2:
+        pass
+    taken_s = time.process_time() - clock_s
+    assert processor_time_s(os.getpid()) - before_s == pytest.approx(taken_s, abs=0.05)  # the kernel counts in 10 ms
+
+
+def test_a_process_that_has_ended_has_no_processor_time() -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        process.wait()
+    with pytest.raises(OSError, match=str(process.pid)):
+        processor_time_s(process.pid)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes that never outlive their parent."""
+"""Child processes that never outlive their parent, and the processor time that processes take."""
 
 import ctypes
 import multiprocessing
@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from uav_vslam.errors import WorkerEnded
@@ -17,6 +18,7 @@ from uav_vslam.memory import keep_freed_memory
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
+_UTIME, _STIME = 11, 12  # places in /proc/PID/stat after the program's name
 
 
 def exit_with_parent(parent: int) -> None:
@@ -26,6 +28,16 @@ def exit_with_parent(parent: int) -> None:
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it exited before prctl took effect
         os._exit(1)
+
+
+def processor_time_s(pid: int) -> float:
+    """Return the processor time that a process has used, user and system; Linux only [s].
+
+    Raises:
+        OSError: there is no such process any more.
+    """
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+    return (int(fields[_UTIME]) + int(fields[_STIME])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager

@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from tf2_msgs.msg import TFMessage
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.pose import Pose
+from uav_vslam.processes import processor_time_s
 from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg
 from uav_vslam.ros.domain import claimed_domain
 from uav_vslam.ros.log_folder import log_folder
@@ -37,8 +37,6 @@ IMAGE_RATE_HZ = 50 / 7
 GRAVITY = 9.81
 WARM_UP_S = 3.0
 START_S = 60.0  # limit for the nodes to come up
-TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-UTIME, STIME = 11, 12  # places in /proc/PID/stat after the program's name
 BARE = "bare_odometry"
 ODOMETRY = {"ins_propagator": "ins/odometry", BARE: "bare/odometry"}
 NODES = (*ODOMETRY, "stereo_frontend", "slam_backend", "fusion")
@@ -75,12 +73,12 @@ def node_costs(seconds: float) -> Iterator[NodeCost]:
         source.wait_for_nodes()
         for rate_hz in IMU_RATES_HZ:
             source.play(WARM_UP_S, rate_hz)
-            before = {name: _processor_s(process.pid) for name, process in processes.items()}
+            before = {name: processor_time_s(process.pid) for name, process in processes.items()}
             begin_s = time.monotonic()
             source.latencies_s = {name: [] for name in ODOMETRY}
             source.play(seconds, rate_hz)
             elapsed_s = time.monotonic() - begin_s
-            cores = {name: (_processor_s(p.pid) - before[name]) / elapsed_s for name, p in processes.items()}
+            cores = {name: (processor_time_s(p.pid) - before[name]) / elapsed_s for name, p in processes.items()}
             for name in NODES:
                 ratio = cores[name] / cores[BARE] if rate_hz else None
                 latencies = source.latencies_s.get(name) if rate_hz else None
@@ -208,8 +206,3 @@ def _started(domain_id: int) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
             process.terminate()
         for process in processes.values():
             process.wait()
-
-
-def _processor_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[UTIME]) + int(fields[STIME])) / TICKS_PER_S

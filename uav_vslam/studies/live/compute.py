@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node graph in real time: the share of frames processed, and each process's share of a core."""
 
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from uav_vslam.evaluation.study import TABLE, Row
+from uav_vslam.processes import processor_time_s
 
 PROC = Path("/proc")
-UTIME, STIME = 11, 12  # places in /proc/PID/stat after the program's name
 
 NOTES = {
     "Frames": "processed_share: frames for which the graph published an own-only pose, of those that were played",
@@ -34,15 +33,12 @@ class Sample:
 def sample_children(parent: int, time_s: float) -> Sample:
     """Return what the child processes of a launcher have used so far; ending processes are left out."""
     found: dict[str, float] = {}
-    tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
     for pid, words in child_commands(parent).items():
         name = node_name(words)
         if not name:
             continue
         with suppress(OSError):
-            stat = (PROC / str(pid) / "stat").read_text(encoding="ascii", errors="replace")
-            fields = stat.rpartition(")")[2].split()
-            found[name] = found.get(name, 0.0) + tick_s * (int(fields[UTIME]) + int(fields[STIME]))
+            found[name] = found.get(name, 0.0) + processor_time_s(pid)
     return Sample(time_s, found)
 
 
