@@ -8,7 +8,7 @@ import pytest
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
-from uav_vslam.studies.features.correspondence import ground_points, pixels_of
+from uav_vslam.studies.features.correspondence import pixels_of, shown_points
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def pixels() -> np.ndarray:
 def test_points_are_on_the_ground_and_project_back(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
     relief, camera = ground_of(vehicle.scenario).relief, vehicle.rig.left
     T_world_cam = vehicle.truth.pose(0.0) @ vehicle.rig.T_body_left
-    points = ground_points(pixels, camera, T_world_cam, relief)
+    points = shown_points(pixels, camera, T_world_cam, relief)
     np.testing.assert_allclose(points[:, 2], relief.height(points[:, 0], points[:, 1]), atol=2e-3)
     np.testing.assert_allclose(pixels_of(points, camera, T_world_cam), pixels, atol=1e-6)
 
@@ -32,7 +32,7 @@ def test_points_are_on_the_ground_and_project_back(vehicle: SimulatedVehicle, pi
 def test_corresponding_pixels_of_rendered_images_correlate(vehicle: SimulatedVehicle, pixels: np.ndarray) -> None:
     relief, camera, flight = ground_of(vehicle.scenario).relief, vehicle.rig.left, RenderedFlight(vehicle)
     poses = [vehicle.truth.pose(float(t)) @ vehicle.rig.T_body_left for t in vehicle.frame_times_s]
-    there = pixels_of(ground_points(pixels, camera, poses[0], relief), camera, poses[1])
+    there = pixels_of(shown_points(pixels, camera, poses[0], relief), camera, poses[1])
     assert np.linalg.norm(there - pixels, axis=1).min() > 5
 
     def grey(frame: int, at: np.ndarray) -> np.ndarray:
@@ -45,5 +45,5 @@ def test_corresponding_pixels_of_rendered_images_correlate(vehicle: SimulatedVeh
 
 def test_no_pixels_have_no_points(vehicle: SimulatedVehicle) -> None:
     relief, camera = ground_of(vehicle.scenario).relief, vehicle.rig.left
-    points = ground_points(np.zeros((0, 2)), camera, vehicle.truth.pose(0.0) @ vehicle.rig.T_body_left, relief)
+    points = shown_points(np.zeros((0, 2)), camera, vehicle.truth.pose(0.0) @ vehicle.rig.T_body_left, relief)
     assert points.shape == (0, 3)

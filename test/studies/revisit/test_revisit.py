@@ -4,9 +4,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from uav_vslam.simulation.landmarks import scatter_landmarks
-from uav_vslam.simulation.scenario import SCENARIOS, Scenario, simulate_vehicle
-from uav_vslam.simulation.terrain import relief_of
+from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.slam.landmark_map import LONG_FRAMES
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.revisit.compute import (
@@ -16,12 +14,10 @@ from uav_vslam.studies.revisit.compute import (
     RENDERED,
     Loop,
     RevisitChecker,
-    ground_points,
     revisit_jobs,
     revisit_loops,
 )
 from uav_vslam.studies.revisit.rows import RETURN_M, back_at, revisit_rows, revisit_series
-from uav_vslam.types import StereoFeatures
 
 
 @dataclasses.dataclass
@@ -55,17 +51,6 @@ def test_images_and_points_by_their_seeds_and_every_method_among_them():
         (FORGETTING, 2, "none"),
     ]
     assert (jobs[0].configs["one"].backend.sigma_px, jobs[2].configs["one"].backend.sigma_px) == (1.0, 0.3)  # kagaru
-
-
-def test_pixels_are_traced_to_the_points_that_they_show():
-    scenario = Scenario(vehicles=1, frames=3)
-    vehicle = simulate_vehicle(scenario, 0)
-    points = scatter_landmarks([vehicle]).points_world
-    T_left_world = (vehicle.truth.pose(float(vehicle.frame_times_s[2])) @ vehicle.rig.T_body_left).inverse()
-    near = points[np.linalg.norm(points[:, :2] - vehicle.truth.position(0.0)[:2], axis=1) < 20.0]
-    pixels = np.tile(vehicle.rig.left.project(T_left_world.apply(near)), 2).astype(np.float32)
-    features = StereoFeatures(0, pixels, np.zeros((len(near), 128), np.uint8))
-    np.testing.assert_allclose(ground_points(vehicle, relief_of(scenario), 2, features), near, atol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,13 @@ import pytest
 
 from uav_vslam.config import load_vehicle
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
-from uav_vslam.studies.rig.compute import RIGID, VARIANTS, conditions, run_study
+from uav_vslam.studies.engine.variants import CALIBRATIONS
+from uav_vslam.studies.rig.compute import RIGID, conditions, run_study
 from uav_vslam.vision.stereo_points import StereoFrontend
 
 TINY = Scenario(frames=3, vehicles=1, scale=0.25)
 SIFT = {"frontend.method": "sift"}  # which looks without regard to the rig, so that both methods can share what it saw
-CONFIGS = {name: load_vehicle(None, overrides=keys | SIFT) for name, keys in VARIANTS.items()}
+CONFIGS = {name: load_vehicle(None, overrides=keys | SIFT) for name, keys in CALIBRATIONS.items()}
 FIXED, ESTIMATED, DISPARITY = CONFIGS
 
 

@@ -18,9 +18,6 @@ from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.matching import MATCHERS
 
 Array = NDArray[np.float64]
-View = tuple[
-    Keypoints, Array, Pose, PinholeCamera
-]  # keypoints, undistorted full-resolution pixels, T_world_cam, camera
 
 EVERY = 10  # frames from one evaluated image to the next
 LATER = 5  # frames to the second image of a pair in time
@@ -32,6 +29,23 @@ IMAGE_NOTES = {
     "4 px of the true position of the first one's ground point; recall: of the keypoints whose point the other image "
     "also has a keypoint of",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One image of a pair.
+
+    Attributes:
+        keypoints: as the extractor found them.
+        pixels: (N, 2) theirs, undistorted and at full resolution [px].
+        T_world_cam: true pose.
+        camera: its lens.
+    """
+
+    keypoints: Keypoints
+    pixels: Array
+    T_world_cam: Pose
+    camera: PinholeCamera
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +67,13 @@ def kept_frames(frames: int) -> set[int]:
 
 def image_pairs(flight: ExtractedFlight) -> Iterator[tuple[str, View, View]]:
     """Yield what kind of pair it is and both views."""
+    rig, T_left_right = flight.rig, flight.rig.T_right_left.inverse()
     for frame in range(0, len(flight.steps) - LATER, EVERY):
-        pair, T = flight.pairs[frame], flight.T_world_left[frame]
-        left: View = (pair.left, pair.pixels_left, T, flight.rig.left)
-        T_right = T @ flight.rig.T_right_left.inverse()
-        yield "left and right", left, (pair.right, pair.pixels_right, T_right, flight.rig.right)
-        later = flight.pairs[frame + LATER]
-        yield "in time", left, (later.left, later.pixels_left, flight.T_world_left[frame + LATER], flight.rig.left)
+        pair, T_world_left = flight.pairs[frame], flight.T_world_left[frame]
+        later, T_world_later = flight.pairs[frame + LATER], flight.T_world_left[frame + LATER]
+        left = View(pair.left, pair.pixels_left, T_world_left, rig.left)
+        yield "left and right", left, View(pair.right, pair.pixels_right, T_world_left @ T_left_right, rig.right)
+        yield "in time", left, View(later.left, later.pixels_left, T_world_later, rig.left)
 
 
 def score_matchers(flight: ExtractedFlight, *, ratio: float) -> list[MatcherScore]:
@@ -69,7 +83,7 @@ def score_matchers(flight: ExtractedFlight, *, ratio: float) -> list[MatcherScor
         right = _same_points(flight, a, b)
         for name, match in MATCHERS.items():
             started_ns = time.process_time_ns()
-            matches = match(a[0], b[0], ratio)
+            matches = match(a.keypoints, b.keypoints, ratio)
             ms = 1e-6 * (time.process_time_ns() - started_ns)
             good = int(right[matches[:, 0], matches[:, 1]].sum())
             score = Score(len(matches), good, good, int(right.any(axis=1).sum()))
@@ -80,8 +94,8 @@ def score_matchers(flight: ExtractedFlight, *, ratio: float) -> list[MatcherScor
 def _same_points(flight: ExtractedFlight, a: View, b: View) -> NDArray[np.bool_]:
     """Return (Na, Nb), which keypoints of two views show the same point of the ground."""
     assert flight.relief is not None
-    points = ground_points(flight.relief, a[2], a[3], a[1])
-    off_px = np.linalg.norm(shown_at(b[2], b[3], points)[:, None] - b[1], axis=2)
+    points = ground_points(flight.relief, a.T_world_cam, a.camera, a.pixels)
+    off_px = np.linalg.norm(shown_at(b.T_world_cam, b.camera, points)[:, None] - b.pixels, axis=2)
     return np.asarray(off_px <= flight.tolerance_px)
 
 

@@ -15,12 +15,13 @@ import gtsam
 import numpy as np
 
 from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
+from uav_vslam.evaluation.study import Row
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.slam.backend import SlamBackend
-from uav_vslam.studies.bench.stages import Row, medians
+from uav_vslam.studies.bench.stages import medians
 from uav_vslam.studies.engine.factors import Motion
 from uav_vslam.studies.engine.frame_chain import Identities
 from uav_vslam.studies.engine.own_only import dead_reckon

@@ -7,10 +7,10 @@ from typing import Any
 
 import cv2
 
+from uav_vslam.evaluation.study import Row
 from uav_vslam.slam.packet import ANCHOR, PacketPolicy
 from uav_vslam.studies.bench import back_end, matching, stages
 from uav_vslam.studies.bench.recordings import recordings
-from uav_vslam.studies.engine.study import Row
 from uav_vslam.vision.compact_descriptors import COMPACT
 
 

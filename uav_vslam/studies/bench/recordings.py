@@ -22,8 +22,9 @@ from uav_vslam.datasets.flight_writer import FlightRecording, ImageCoding, write
 from uav_vslam.datasets.importing.euroc import TRUTH_FOLDER, read_euroc
 from uav_vslam.datasets.importing.source import write_source
 from uav_vslam.datasets.rosbag import typestore
+from uav_vslam.evaluation.study import Row
 from uav_vslam.simulation.scenario import SimulatedVehicle
-from uav_vslam.studies.bench.stages import Row, Work, take_turns
+from uav_vslam.studies.bench.stages import Work, take_turns
 from uav_vslam.types import StereoFrame
 
 

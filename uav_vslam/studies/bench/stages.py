@@ -18,6 +18,7 @@ from scipy.optimize import minimize_scalar
 from uav_vslam.config import FrontendConfig, FusionConfig, ImuConfig
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.estimation.covariance_intersection import WEIGHT_BOUNDS, WEIGHTS, EstimatePair, Split
+from uav_vslam.evaluation.study import Row
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import preintegrate
@@ -39,7 +40,6 @@ from uav_vslam.vision.tracking.frontend import TrackingFrontend
 
 Array = NDArray[np.float64]
 Work = Callable[[], object]
-Row = dict[str, Any]
 
 OWN_LANDMARKS = 100
 

@@ -7,11 +7,8 @@ of the same flights. Shares and ratios have no unit; `_worst`, `_max` and `_mean
 """
 
 from collections.abc import Sequence
-from typing import Any
 
-from uav_vslam.evaluation.study import TABLE
-
-Row = dict[str, Any]
+from uav_vslam.evaluation.study import TABLE, Row
 
 IDENTITY = ("method", "condition")
 COLUMNS: dict[str, str] = {

@@ -15,7 +15,6 @@ from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.link import Link
 from uav_vslam.errors import UavVslamError
 from uav_vslam.estimation.belief import landmark_rows
-from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import PacketLink, cooperate
 from uav_vslam.geometry.pose import POSE_DIM
@@ -23,6 +22,7 @@ from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.own_only import prepare
+from uav_vslam.studies.engine.scores import errors_and_nees
 from uav_vslam.studies.engine.separate_frames import OwnOnlyTracks, fly_own_only, with_mistaken_landmarks
 from uav_vslam.studies.engine.write_back import WRITE_BACK, fly_with_write_back
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket
@@ -169,8 +169,8 @@ def _scored(
     truth: Trajectory,
     figures: Mapping[str, float],
 ) -> Outcome:
-    own_error, own_nees = _errors(own, truth)
-    error, fused_nees = _errors(estimate, truth)
+    own_error, own_nees = errors_and_nees(own, truth)
+    error, fused_nees = errors_and_nees(estimate, truth)
     assert estimate.covariance is not None
     sigma = np.sqrt(np.trace(estimate.covariance[:, :3, :3], axis1=1, axis2=2))
     times_s = _seconds(truth, estimate.stamps_ns)
@@ -210,14 +210,6 @@ def _failed(scenario: Scenario, setting: Setting, name: str, failure: str) -> Ou
 
 def _own(track: VehicleTrack) -> Trajectory:
     return Trajectory.from_estimates([output.report.pose for output in track.outputs])
-
-
-def _errors(estimate: Trajectory, truth: Trajectory) -> tuple[Array, Array]:
-    """Return distances [m] and NEES at every frame; a simulation has the truth at each of them."""
-    found = nees(estimate, truth)
-    assert found is not None
-    at = np.searchsorted(truth.stamps_ns, estimate.stamps_ns)
-    return np.linalg.norm(estimate.positions - truth.positions[at], axis=1), found.position
 
 
 def _seconds(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> Array:

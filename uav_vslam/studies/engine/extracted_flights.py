@@ -136,7 +136,7 @@ def recorded_flight(condition: str, flight: RecordedFlight, config: VehicleConfi
     )
 
 
-def ground_points(relief: Relief, T_world_cam: Pose, camera: PinholeCamera, pixels: Array) -> Array:
+def ground_points(relief: Relief, T_world_cam: Pose, camera: PinholeCamera, pixels: NDArray[np.floating]) -> Array:
     """Return the (N, 3) points of the ground that (N, 2) undistorted pixels show [m]."""
     return intersect(relief, T_world_cam.t, camera.bearings(pixels) @ T_world_cam.R.T)
 

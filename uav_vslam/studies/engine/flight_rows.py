@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.studies.engine.columns import Row
+from uav_vslam.evaluation.study import Row
 from uav_vslam.studies.engine.flights import LABELS, TRACKS, Method, NeesCurve, Outcome, run_seed
 from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, ratio, ratio_interval, rms
 from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
@@ -52,7 +52,7 @@ def flight_rows(methods: Sequence[Method], outcomes: Sequence[Outcome]) -> list[
 def method_rows(method: Method, outcomes: Sequence[Outcome], tracks: Sequence[str]) -> list[Row]:
     """Return one row per track that was flown; the INS's covariance is not scored."""
     good = [outcome for outcome in outcomes if outcome.figures]
-    scores = {track: _scores(good, track) for track in TRACKS}
+    scores = {track: scores_of(good, track) for track in TRACKS}
     ends = {track: rms(values_of(scores[track], "end_m")) for track in TRACKS}
     return [
         {
@@ -105,12 +105,12 @@ def _mean_curve(curves: Sequence[NeesCurve]) -> dict[str, list[float]]:
 
 
 def _ratio_to_own(outcomes: Sequence[Outcome], track: str) -> Row:
-    own, other = (rms(values_of(_scores(outcomes, name), "ate_m")) for name in ("s_slam", track))
+    own, other = (rms(values_of(scores_of(outcomes, name), "ate_m")) for name in ("s_slam", track))
     squares = (_of_seeds(outcomes, name, "ate_m") ** 2 for name in ("s_slam", track))
     return {"ratio_to_s_slam": ratio(other, own), **ratio_interval(*squares)}
 
 
-def _scores(outcomes: Sequence[Outcome], track: str) -> list[dict[str, Any]]:
+def scores_of(outcomes: Sequence[Outcome], track: str) -> list[dict[str, Any]]:
     """Return the scores of every run of a track."""
     return [scores for o in outcomes for scores in (o.figures or {}).get(track, {}).values()]
 
@@ -119,7 +119,7 @@ def _of_seeds(
     outcomes: Sequence[Outcome], track: str, key: str, pool: Callable[[Sequence[float]], float | None] = rms
 ) -> Array:
     """Return (S,) figures of each seed, pooled over its vehicles; NaN where there are none."""
-    return np.array([pool(values_of(_scores([outcome], track), key)) for outcome in outcomes], dtype=np.float64)
+    return np.array([pool(values_of(scores_of([outcome], track), key)) for outcome in outcomes], dtype=np.float64)
 
 
 def _ms(outcomes: Sequence[Outcome], name: str) -> float | None:

@@ -50,8 +50,10 @@ class FrameChain:
             ValueError: the motion to a later frame is missing, or the first frame has one.
         """
         self.frame += 1
-        if (motion is None) != (self.frame == 0):
-            raise ValueError(f"frame {self.frame} {'needs the' if self.frame else 'is the start and takes no'} motion")
+        if motion is None and self.frame > 0:
+            raise ValueError(f"frame {self.frame} needs the motion since the one before")
+        if motion is not None and self.frame == 0:
+            raise ValueError("frame 0 is the start and takes no motion")
         graph = gtsam.NonlinearFactorGraph()
         if motion is None:
             graph.push_back(start_factor(self._start))

@@ -2,12 +2,14 @@
 """Rendered flights whose images are kept for maps, with the poses that the estimator gives them."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from uav_vslam.fleet import CooperativeTrack
 from uav_vslam.mapping.anchoring import anchored
 from uav_vslam.mapping.flight_views import flight_views
+from uav_vslam.mapping.surface.grid import HeightGrid
+from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.mapping.view import View
 from uav_vslam.offline import FlightSource, fly
 from uav_vslam.pipeline import VehicleTrack
@@ -51,6 +53,17 @@ class KeptFlight:
         poses = {pose.stamp_ns: pose.T_map_body for pose in self.poses(kind)}
         images = ((frame.stamp_ns, frame.left) for frame in self.frames)
         return flight_views(self.simulated.name, self.simulated.rig, poses, images)
+
+
+def height_grid(flights: Sequence[KeptFlight], kind: str, cell_m: float) -> HeightGrid:
+    """Map flights by motion stereo, with one kind of poses; `cell_m` is the side of a cell [m]."""
+    grid = HeightGrid(cell_m)
+    mapper = SurfaceMapper(grid)
+    for flight in flights:
+        for view in flight.views(kind):
+            mapper.add_view(view)
+    mapper.finish()
+    return grid
 
 
 def kept_flights(scenario: Scenario, ground: Ground) -> list[KeptFlight]:

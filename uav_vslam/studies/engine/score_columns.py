@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from uav_vslam.evaluation.scores import ERROR_KEYS, NEES_KEYS
-from uav_vslam.studies.engine.columns import Row
+from uav_vslam.evaluation.study import Row
 from uav_vslam.studies.engine.pool import mean, rms
 
 COLUMN_OF = {

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES, chi_square_band, nees, summarise
 from uav_vslam.evaluation.scores import track_scores
 from uav_vslam.evaluation.study import Row
+from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.studies.engine.own_only import INS, Run
 from uav_vslam.studies.engine.pool import CONFIDENCE, mean, mean_interval, median, rms
 from uav_vslam.studies.engine.score_columns import pooled_scores
@@ -72,6 +73,14 @@ def nees_figures(runs: Sequence[tuple[int, Array]]) -> Row:
     }
 
 
+def errors_and_nees(estimate: Trajectory, truth: Trajectory) -> tuple[Array, Array]:
+    """Return distances from the truth [m] and position NEES over 3, (F,) each; the truth has all stamps."""
+    found = nees(estimate, truth)
+    assert found is not None
+    at = np.searchsorted(truth.stamps_ns, estimate.stamps_ns)
+    return np.linalg.norm(estimate.positions - truth.positions[at], axis=1), found.position
+
+
 def is_finished(run: Run) -> bool:
     """Return whether a run reached the end of its flight, finite and without re-initialisation."""
     estimate = run.track.estimate
@@ -91,6 +100,11 @@ def breakdowns(runs: Sequence[Run]) -> dict[str, str]:
         if run.track.failure:
             reasons.setdefault(run.name, f"{run.name} (first in {run.condition}, seed {run.seed}): {run.track.failure}")
     return {"Breakdowns": "; ".join(reasons.values())} if reasons else {}
+
+
+def position_errors_m(run: Run) -> Array:
+    """Return the (F,) distances of a finished run from the truth at the frames [m]."""
+    return np.asarray(np.linalg.norm(run.track.estimate.positions - run.truth.positions, axis=1))
 
 
 def end_error_m(run: Run) -> float:

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from uav_vslam.studies.engine.columns import Row, check_rows
+from uav_vslam.evaluation.study import Row
+from uav_vslam.studies.engine.columns import check_rows
 
 
 class Progress(Protocol):

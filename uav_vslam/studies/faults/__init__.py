@@ -12,11 +12,12 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     """Fly each front end through every fault."""
     from uav_vslam.simulation.scenario import Scenario
     from uav_vslam.studies.engine.flights import kagaru_configs
-    from uav_vslam.studies.faults.compute import NOTES, VARIANTS, jobs, run_study
+    from uav_vslam.studies.engine.variants import FRONT_ENDS
+    from uav_vslam.studies.faults.compute import NOTES, jobs, run_study
     from uav_vslam.studies.faults.plot import draw_faults
 
     scenario = Scenario(frames=args.frames, scale=args.scale, vehicles=1)
-    work = jobs(scenario, kagaru_configs(args.variant or VARIANTS), seeds)
+    work = jobs(scenario, kagaru_configs(args.variant or FRONT_ENDS), seeds)
     return Findings(run_study(work, workers=args.workers, on_flight=progress(len(work))), NOTES, draw=draw_faults)
 
 

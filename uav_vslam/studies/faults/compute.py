@@ -2,6 +2,7 @@
 """Rendered flights whose cameras fail for a while: what the diagnostics report, and how the estimate recovers."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,10 +22,6 @@ NONE = "none"
 BEGIN_SHARE = 0.3  # of the flight
 MANY = 20  # associated landmarks count as recovered
 NEVER, LASTING = "never", "lasting"
-VARIANTS: dict[str, dict[str, object]] = {
-    "klt": {"frontend.method": "klt"},
-    "sift": {"frontend.method": "sift"},
-}
 
 NOTES = {
     "Faults": f"from {100 * BEGIN_SHARE:.0f} % of the flight on, the same on every seed; one vehicle alone",
@@ -92,10 +89,9 @@ def _recovered_frames(track: VehicleTrack, vehicle: SimulatedVehicle, end: float
 
 def _row(flown: Sequence[FaultRun]) -> Row:
     reports = [output.report for one in flown for output in one.track.outputs]
-    alarms: dict[str, int] = {}
+    alarms: Counter[str] = Counter()
     for one in flown:
-        for subject, count in one.track.alarms.items():
-            alarms[subject] = alarms.get(subject, 0) + count
+        alarms.update(one.track.alarms)
     nees = [one.figures["nees_position"] for one in flown if one.figures["nees_position"] is not None]
     recovered = [one.recovered_frames for one in flown]
     words = [value for value in recovered if isinstance(value, str)]

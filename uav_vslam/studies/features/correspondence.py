@@ -6,16 +6,15 @@ from numpy.typing import NDArray
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
-from uav_vslam.simulation.camera_render import intersect
 from uav_vslam.simulation.terrain import Relief
+from uav_vslam.studies.engine.extracted_flights import ground_points
 
 Array = NDArray[np.float64]
 
 
-def ground_points(pixels: NDArray[np.floating], camera: PinholeCamera, T_world_cam: Pose, relief: Relief) -> Array:
+def shown_points(pixels: NDArray[np.floating], camera: PinholeCamera, T_world_cam: Pose, relief: Relief) -> Array:
     """Return the (N, 3) ground points [m] seen at (N, 2) raw pixels."""
-    rays_world = camera.bearings(camera.undistort(np.asarray(pixels, float))) @ T_world_cam.R.T
-    return intersect(relief, T_world_cam.t, rays_world)
+    return ground_points(relief, T_world_cam, camera, camera.undistort(pixels))
 
 
 def pixels_of(points_world: Array, camera: PinholeCamera, T_world_cam: Pose) -> Array:

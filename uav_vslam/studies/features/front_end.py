@@ -12,8 +12,8 @@ from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
+from uav_vslam.studies.engine.extracted_flights import ground_points, shown_at
 from uav_vslam.studies.features.compute import CORRECT_PX
-from uav_vslam.studies.features.correspondence import ground_points, pixels_of
 from uav_vslam.studies.features.sets import ImageSet, spaced_pairs
 from uav_vslam.vision.features import make_extractor
 from uav_vslam.vision.matching import MATCHERS
@@ -56,10 +56,9 @@ def _across_rig(seed: int, config: FrontendConfig) -> Row:
     for number, t in enumerate(vehicle.frame_times_s):
         pixels = frontend.process(flight.frame(number)).pixels
         T_world_body = vehicle.truth.pose(float(t))
-        points = ground_points(pixels[:, :2], rig.left, T_world_body @ rig.T_body_left, relief)
-        errors.append(
-            np.linalg.norm(pixels[:, 2:] - pixels_of(points, rig.right, T_world_body @ rig.T_body_right), axis=1)
-        )
+        points = ground_points(relief, T_world_body @ rig.T_body_left, rig.left, pixels[:, :2])
+        expected = shown_at(T_world_body @ rig.T_body_right, rig.right, points)
+        errors.append(np.linalg.norm(pixels[:, 2:] - expected, axis=1))
     return _row(f"flight {seed}, left and right", "stereo front end", np.concatenate(errors))
 
 

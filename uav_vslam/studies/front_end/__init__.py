@@ -12,10 +12,11 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     """Measure each front end's points under every condition, and run SLAM on them."""
     from uav_vslam.simulation.scenario import Scenario
     from uav_vslam.studies.engine.flights import kagaru_configs
-    from uav_vslam.studies.front_end.compute import NOTES, VARIANTS, methods, run_study
+    from uav_vslam.studies.engine.variants import FRONT_ENDS
+    from uav_vslam.studies.front_end.compute import NOTES, methods, run_study
     from uav_vslam.studies.front_end.plot import draw_front_ends
 
-    compared = methods(Scenario(frames=args.frames, scale=args.scale), kagaru_configs(args.variant or VARIANTS))
+    compared = methods(Scenario(frames=args.frames, scale=args.scale), kagaru_configs(args.variant or FRONT_ENDS))
     rows = run_study(compared, seeds, workers=args.workers, on_flight=progress(len(compared) * len(seeds)))
     return Findings(rows, NOTES, draw=draw_front_ends)
 

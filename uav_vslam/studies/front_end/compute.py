@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from uav_vslam.config import VehicleConfig
 from uav_vslam.evaluation.study import Row
 from uav_vslam.offline import FlightSource
-from uav_vslam.simulation.camera_render import RenderedFlight, intersect
+from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.simulation.terrain import Relief, relief_of
+from uav_vslam.studies.engine.extracted_flights import ground_points
 from uav_vslam.studies.engine.flights import Figures, Method, fly_sources
 from uav_vslam.studies.engine.pool import in_pool, mean, ratio, rms
-from uav_vslam.studies.engine.score_columns import pooled_scores
+from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 from uav_vslam.types import StereoFeatures
 from uav_vslam.vision.frontends import make_frontend
 
@@ -32,10 +33,6 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "motion blur 3 px": {"blur_px": 3.0},
 }
 FLOWN = (EQUAL,)  # the conditions in which SLAM runs as well; the others measure the points alone
-VARIANTS: dict[str, dict[str, object]] = {
-    "klt": {"frontend.method": "klt"},
-    "sift": {"frontend.method": "sift"},
-}
 BEYOND_PX = 1.0
 
 NOTES = {
@@ -95,7 +92,7 @@ def right_errors(vehicle: SimulatedVehicle, frame: int, features: StereoFeatures
     T_world_body = vehicle.truth.pose(float(vehicle.frame_times_s[frame]))
     rig = vehicle.true_rig(frame)
     T_world_left = T_world_body @ rig.T_body_left
-    points = intersect(relief, T_world_left.t, rig.left.bearings(features.pixels[:, :2]) @ T_world_left.R.T)
+    points = ground_points(relief, T_world_left, rig.left, features.pixels[:, :2])
     expected = rig.right.project((T_world_body @ rig.T_body_right).inverse().apply(points))
     return np.asarray(features.pixels[:, 2:] - expected)
 
@@ -152,15 +149,13 @@ def _points_a_frame(seen: Sequence[FrontEndRun]) -> float:
 
 def _flight_figures(seen: Sequence[FrontEndRun]) -> Row:
     flown = [flight.figures for flight in seen if flight.figures]
-
-    def values(track: str, key: str) -> list[float]:
-        found = [report.get(key) for figures in flown for report in figures.get(track, {}).values()]
-        return [float(value) for value in found if value is not None]
-
+    own, fused = (
+        [scores for figures in flown for scores in figures.get(track, {}).values()] for track in ("s_slam", "c_slam")
+    )
     return {
-        **pooled_scores([report for figures in flown for report in figures.get("s_slam", {}).values()]),
-        "c_slam_nees_position": mean(values("c_slam", "nees_position")),
-        "c_slam_ratio_to_s_slam": ratio(rms(values("c_slam", "ate_m")), rms(values("s_slam", "ate_m"))),
+        **pooled_scores(own),
+        "c_slam_nees_position": mean(values_of(fused, "nees_position")),
+        "c_slam_ratio_to_s_slam": ratio(rms(values_of(fused, "ate_m")), rms(values_of(own, "ate_m"))),
         "failures": len(seen) - len(flown),
         "runs": len(seen),
     }

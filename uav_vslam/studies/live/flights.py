@@ -10,9 +10,9 @@ import yaml
 
 from uav_vslam.config import VehicleConfig, parameter_file
 from uav_vslam.datasets.outputs import read_outputs
+from uav_vslam.evaluation.study import Row
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.engine.node_graph import Launcher, fly_graph, record_fleet
-from uav_vslam.studies.engine.study import Row
 from uav_vslam.studies.live.compute import Sample, frame_rows, processor_rows, sample_children
 
 PERIOD_S = 0.5

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import RETENTION_POLICIES
+from uav_vslam.evaluation.segments import distances_m
 from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.engine.own_only import Run, Trial, own_only
 from uav_vslam.studies.engine.pool import mean, median, rms
-from uav_vslam.studies.engine.scores import FAILURE_RULE, is_finished, pooled
+from uav_vslam.studies.engine.scores import FAILURE_RULE, is_finished, pooled, position_errors_m
 
 Array = NDArray[np.float64]
 
@@ -84,10 +85,9 @@ def _row(name: str, runs: list[Run]) -> Row:
 
 
 def _curve(runs: list[Run]) -> dict[str, list[float]]:
-    steps = np.linalg.norm(np.diff(runs[0].truth.positions, axis=0), axis=1)
-    errors = [np.linalg.norm(run.track.estimate.positions - run.truth.positions, axis=1) for run in runs]
+    errors = [position_errors_m(run) for run in runs]
     return {
-        "distance_m": _rounded(np.concatenate([[0.0], np.cumsum(steps)])),
+        "distance_m": _rounded(distances_m(runs[0].truth)),
         "error_m": _rounded(np.sqrt(np.mean(np.square(errors), axis=0))),
         "ms_per_frame": _rounded(np.median([run.track.frame_ms for run in runs], axis=0)),
         "landmarks": _rounded(np.mean([run.track.landmarks for run in runs], axis=0)),

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import FusionConfig, StartConfig, VehicleConfig, find_config, load_vehicle
 from uav_vslam.errors import UavVslamError
-from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import cooperate
@@ -26,6 +25,7 @@ from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.slam.saved_map import save_map
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, median, rms
+from uav_vslam.studies.engine.scores import errors_and_nees
 from uav_vslam.types import NS_PER_S, PoseEstimate
 
 Array = NDArray[np.float64]
@@ -221,12 +221,7 @@ def _flight(
     truth = true_trajectory(vehicle)
     errors_m, values = {}, {}
     for name, poses in estimates.items():
-        estimate = Trajectory.from_estimates(poses[vehicle.name])
-        at = np.searchsorted(truth.stamps_ns, estimate.stamps_ns)
-        found = nees(estimate, truth)
-        assert found is not None
-        errors_m[name] = np.linalg.norm(estimate.positions - truth.positions[at], axis=1)
-        values[name] = found.position
+        errors_m[name], values[name] = errors_and_nees(Trajectory.from_estimates(poses[vehicle.name]), truth)
     start, first_ns = track.start.pose, int(vehicle.frame_stamps_ns[0])
     by_then = [
         pose for pose in estimates[WITH_MAP][vehicle.name] if pose.stamp_ns - first_ns <= SETTLED_WITHIN_S * NS_PER_S

@@ -10,17 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import UavVslamError
+from uav_vslam.evaluation.study import Row
 from uav_vslam.mapping.homography_chain import chain_homographies, chained_mosaic
 from uav_vslam.mapping.orthomosaic import KeyFrames, blended_mosaic
 from uav_vslam.mapping.orthomosaic.heights import GridHeights
 from uav_vslam.mapping.orthomosaic.seams import Seams, seams
-from uav_vslam.mapping.surface.grid import HeightGrid
-from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.mapping.view import View
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.terrain import Ground, ground_of
-from uav_vslam.studies.engine.columns import Row
-from uav_vslam.studies.engine.kept_flights import KeptFlight, kept_flights
+from uav_vslam.studies.engine.kept_flights import KeptFlight, height_grid, kept_flights
 from uav_vslam.studies.engine.pool import mean, median, rms
 from uav_vslam.studies.orthomosaic.displacement import Displacements, displacements
 from uav_vslam.studies.orthomosaic.stitcher import stitched
@@ -78,12 +76,7 @@ def measured(job: Job) -> list[Measured]:
 
 
 def _orthomosaic(job: Job, ground: Ground, flights: Sequence[KeptFlight], kind: str, condition: str) -> Measured:
-    grid = HeightGrid(cell_m=CELL_M)
-    mapper = SurfaceMapper(grid)
-    for flight in flights:
-        for view in flight.views(kind):
-            mapper.add_view(view)
-    mapper.finish()
+    grid = height_grid(flights, kind, CELL_M)
     keys = _key_frames(flights, kind)
     started = time.process_time()
     mosaic = blended_mosaic(lambda: keys, GridHeights(grid), job.m_per_px)

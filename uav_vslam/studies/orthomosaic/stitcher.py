@@ -52,11 +52,8 @@ def _stitched(images: Sequence[Image]) -> tuple[Image, Array] | None:
     if status != cv2.Stitcher_OK:
         return None
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    extractor = SiftExtractor(FrontendConfig(max_features=FEATURES))
-    first, whole = (
-        extractor.detect(images[0]),
-        SiftExtractor(FrontendConfig(max_features=FEATURES_OF_PICTURE)).detect(grey),
-    )
+    first = SiftExtractor(FrontendConfig(max_features=FEATURES)).detect(images[0])
+    whole = SiftExtractor(FrontendConfig(max_features=FEATURES_OF_PICTURE)).detect(grey)
     pairs = nn_mutual(first, whole, RATIO)
     a, b = first.pixels[pairs[:, 0]], whole.pixels[pairs[:, 1]]
     agreeing = same_homography(a, b)

@@ -19,10 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
     """Fly with each error of the calibration alone, and with all."""
     from uav_vslam.studies.engine.flights import kagaru_configs
-    from uav_vslam.studies.perturbed.compute import LANDMARKS, NOTES, RENDERED, VARIANTS, run_study
+    from uav_vslam.studies.engine.variants import CALIBRATIONS
+    from uav_vslam.studies.perturbed.compute import LANDMARKS, NOTES, RENDERED, run_study
     from uav_vslam.studies.perturbed.plot import draw_perturbed
 
-    configs = kagaru_configs(args.variant or VARIANTS)
+    configs = kagaru_configs(args.variant or CALIBRATIONS)
     levels = {LANDMARKS: seeds, RENDERED: seeds[: args.rendered_seeds]}
     advance = progress(sum(map(len, levels.values())))
     rows, series = run_study(configs, levels, frames=args.frames, workers=args.workers, on_seed=advance)

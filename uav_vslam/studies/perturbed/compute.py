@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.evaluation.study import TABLE
+from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.studies.engine.columns import Row
 from uav_vslam.studies.engine.flight_rows import nees_series
 from uav_vslam.studies.engine.flights import Method, Outcome, fly_sources
 from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, ratio, ratio_interval, rms
@@ -27,11 +26,6 @@ from uav_vslam.vision.frontends import make_frontend
 
 LANDMARKS, RENDERED = "landmark level", "rendered images"
 S_SLAM = "s_slam"
-VARIANTS: dict[str, dict[str, Any]] = {
-    "calibration judged": {"rig.flexing": False},
-    "attitude estimated": {"rig.flexing": True},
-    "calibration doubted": {"rig.miscalibrated_probability": 0.5},
-}
 
 NOTES = {
     "Flights": "one vehicle alone, config kagaru, ADIS16480; at landmark level pixels have white noise of "

@@ -17,13 +17,13 @@ from uav_vslam.datasets.sensor_setup import with_noise_of_files
 from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.consistency import nees
+from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
 from uav_vslam.offline import track_vehicle
 from uav_vslam.simulation.recording import recording_of
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of
-from uav_vslam.studies.engine.columns import Row
 from uav_vslam.studies.engine.pool import in_pool, mean, rms
 from uav_vslam.studies.engine.scores import nees_figures
 from uav_vslam.studies.recordings.ways import PLAIN, WAYS, Made, Plain

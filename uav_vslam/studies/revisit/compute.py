@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig, find_config, load_vehicle
-from uav_vslam.simulation.camera_render import RenderedFlight, intersect
+from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario, SimulatedVehicle, simulate_vehicle
-from uav_vslam.simulation.terrain import Relief, relief_of
+from uav_vslam.simulation.terrain import relief_of
 from uav_vslam.slam.backend import FrameReport
 from uav_vslam.slam.landmark_map import LONG_FRAMES
+from uav_vslam.studies.engine.extracted_flights import ground_points
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.own_only import Flight, Run, dead_reckon, run_backend
 from uav_vslam.studies.engine.pool import in_pool
@@ -146,12 +147,6 @@ def fly_loop(job: Job, on_frame: Callable[[], None] = lambda: None) -> list[Loop
     return loops
 
 
-def ground_points(vehicle: SimulatedVehicle, relief: Relief, frame: int, features: StereoFeatures) -> Array:
-    """Return the (N, 3) points of the ground that a frame's left pixels truly show [m]."""
-    T_world_left = vehicle.truth.pose(float(vehicle.frame_times_s[frame])) @ vehicle.rig.T_body_left
-    return intersect(relief, T_world_left.t, vehicle.rig.left.bearings(features.pixels[:, :2]) @ T_world_left.R.T)
-
-
 def _prepare(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array]]:
     """Return a flight, and the truth of each frame's features in the form of `RevisitChecker`."""
     vehicle, relief = simulate_vehicle(job.scenario, 0), relief_of(job.scenario)
@@ -159,7 +154,9 @@ def _prepare(job: Job, on_frame: Callable[[], None]) -> tuple[Flight, list[Array
     seen, truth = [], []
     for frame, (features, identities) in enumerate(_features(job, vehicle, landmarks)):
         seen.append(features)
-        truth.append(np.column_stack([identities, ground_points(vehicle, relief, frame, features)]))
+        T_world_left = vehicle.truth.pose(float(vehicle.frame_times_s[frame])) @ vehicle.rig.T_body_left
+        points = ground_points(relief, T_world_left, vehicle.rig.left, features.pixels[:, :2])
+        truth.append(np.column_stack([identities, points]))
         on_frame()
     stamps = [features.stamp_ns for features in seen]
     increments, ins = dead_reckon(vehicle.initial, job.scenario.imu_config, vehicle.imu.samples(), stamps)

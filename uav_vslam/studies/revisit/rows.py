@@ -6,13 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.evaluation.segments import distances_m
 from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.slam.landmark_map import LONG_FRAMES
-from uav_vslam.studies.engine.own_only import Run
 from uav_vslam.studies.engine.pool import CONFIDENCE, mean, ratio, ratio_interval, rms
 from uav_vslam.studies.engine.score_columns import SCORES
-from uav_vslam.studies.engine.scores import FAILURE_RULE, end_error_m, is_finished, pooled
+from uav_vslam.studies.engine.scores import FAILURE_RULE, end_error_m, is_finished, pooled, position_errors_m
 from uav_vslam.studies.revisit.compute import FALSE_BEYOND_M, FORGETTING, NOISE, TWIN_SHARE, Loop
 
 Array = NDArray[np.float64]
@@ -54,13 +54,12 @@ def revisit_series(loops: Sequence[Loop]) -> list[Row]:
     for level, name in dict.fromkeys((loop.level, loop.run.name) for loop in loops):
         runs = [x.run for x in loops if (x.level, x.run.name) == (level, name) and is_finished(x.run)]
         if runs:
-            steps = np.linalg.norm(np.diff(runs[0].truth.positions, axis=0), axis=1)
-            errors = np.sqrt(np.mean([np.square(_errors(run)) for run in runs], axis=0))
+            errors = np.sqrt(np.mean([np.square(position_errors_m(run)) for run in runs], axis=0))
             curves.append(
                 {
                     "method": name,
                     "condition": level,
-                    "distance_m": np.round(np.concatenate([[0.0], np.cumsum(steps)]), 2).tolist(),
+                    "distance_m": np.round(distances_m(runs[0].truth), 2).tolist(),
                     "error_m": np.round(errors, 4).tolist(),
                     "seeds": [run.seed for run in runs],
                     "ends_m": [round(end_error_m(run), 4) for run in runs],
@@ -75,7 +74,9 @@ def _row(loops: Sequence[Loop], forgetting: Sequence[Loop]) -> Row:
     common = sorted(set(ends) & set(reference))
     squares, squares_without = (np.array([end[seed] ** 2 for seed in common]) for end in (ends, reference))
     return {
-        "drift_before_rms_m": rms([_errors(x.run)[back_at(x.run.truth)] for x in loops if is_finished(x.run)]),
+        "drift_before_rms_m": rms(
+            [position_errors_m(x.run)[back_at(x.run.truth)] for x in loops if is_finished(x.run)]
+        ),
         "end_rms_m": figures["end_rms_m"],
         "end_ratio_to_forgetting": ratio(
             rms([ends[seed] for seed in common]), rms([reference[seed] for seed in common])
@@ -102,7 +103,3 @@ def back_at(truth: Trajectory) -> int:
 
 def _ends(loops: Sequence[Loop]) -> dict[int, float]:
     return {loop.run.seed: end_error_m(loop.run) for loop in loops if is_finished(loop.run)}
-
-
-def _errors(run: Run) -> Array:
-    return np.asarray(np.linalg.norm(run.track.estimate.positions - run.truth.positions, axis=1))

@@ -12,10 +12,11 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
     """Fly with each rig."""
     from uav_vslam.simulation.scenario import Scenario
     from uav_vslam.studies.engine.flights import kagaru_configs
-    from uav_vslam.studies.rig.compute import NOTES, VARIANTS, conditions, run_study
+    from uav_vslam.studies.engine.variants import CALIBRATIONS
+    from uav_vslam.studies.rig.compute import NOTES, conditions, run_study
     from uav_vslam.studies.rig.plot import draw_rig
 
-    scenario, configs = Scenario(frames=args.frames, vehicles=1), kagaru_configs(args.variant or VARIANTS)
+    scenario, configs = Scenario(frames=args.frames, vehicles=1), kagaru_configs(args.variant or CALIBRATIONS)
     advance = progress(len(conditions(scenario)) * len(seeds))
     return Findings(run_study(scenario, configs, seeds, workers=args.workers, on_flight=advance), NOTES, draw=draw_rig)
 

@@ -11,17 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from uav_vslam.config import VehicleConfig
 from uav_vslam.evaluation.study import Row
 from uav_vslam.simulation.scenario import Scenario
+from uav_vslam.studies.engine.flight_rows import scores_of
 from uav_vslam.studies.engine.flights import LABELS, Method, Outcome, run_seed
 from uav_vslam.studies.engine.pool import in_pool, mean, ratio
-from uav_vslam.studies.engine.score_columns import pooled_scores
+from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
+from uav_vslam.studies.engine.variants import CALIBRATIONS
 
 INS, S_SLAM = "ins", "s_slam"  # the tracks of interest
 RIGID = "rigid"
-VARIANTS: dict[str, dict[str, object]] = {
-    "calibration judged": {"rig.flexing": False},
-    "attitude estimated": {"rig.flexing": True},
-    "calibration doubted": {"rig.miscalibrated_probability": 0.5},
-}
 VIBRATIONS_DEG = (0.02, 0.05)  # rms about each axis, new in each frame
 BIASES_DEG = (0.02, 0.05)  # constant, about one axis
 DISPARITIES_PX = (0.2, 0.3)  # constant
@@ -34,7 +31,9 @@ NOTES = {
     "for each frame, rms about each axis; a bias is constant. Axes are the right camera's: about x its points "
     "move along the disparity, about y off their epipolar lines, z is the optical axis. With a disparity error its "
     "principal point is off along the disparity",
-    "Methods": "; ".join(f"{name}: {key} = {value}" for name, keys in VARIANTS.items() for key, value in keys.items()),
+    "Methods": "; ".join(
+        f"{name}: {key} = {value}" for name, keys in CALIBRATIONS.items() for key, value in keys.items()
+    ),
     "Errors": "root mean squares over the seeds at the end and over the flight, in the common frame without alignment; "
     "end_ratio_to_rigid is over the first method's on the rigid rig",
     "NEES": "of the position, over 3, mean over the frames after the 20th and over the seeds: 1 is consistent",
@@ -104,19 +103,14 @@ def _rows(flown: Mapping[Method, Sequence[Outcome]]) -> list[Row]:
 def _figures(outcomes: Sequence[Outcome], track: str) -> Row:
     """Pool one track over the seeds; the INS's covariance is not scored, and it leaves no frame out."""
     good = [outcome for outcome in outcomes if outcome.figures]
-    figures = pooled_scores([report for outcome in good for report in (outcome.figures or {})[track].values()])
+    figures = pooled_scores(scores_of(good, track))
     if track == INS:
         return figures
     return {
         **figures,
-        "nees_position_end": mean(_values(good, track, "nees_position_end")),
+        "nees_position_end": mean(values_of(scores_of(good, track), "nees_position_end")),
         "processed_share": mean([outcome.processed for outcome in good]),
         "failures": len(outcomes) - len(good),
         "runs": len(outcomes),
         "ms_per_frame": mean([outcome.ms_per_frame for outcome in good]),
     }
-
-
-def _values(outcomes: Sequence[Outcome], track: str, key: str) -> list[float]:
-    found = [report[key] for outcome in outcomes for report in (outcome.figures or {})[track].values()]
-    return [value for value in found if value is not None]

@@ -10,12 +10,10 @@ import cv2
 import numpy as np
 
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.mapping.surface.grid import HeightGrid
-from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.terrain import ground_of
 from uav_vslam.studies.engine.flights import true_trajectory
-from uav_vslam.studies.engine.kept_flights import KeptFlight, kept_flights
+from uav_vslam.studies.engine.kept_flights import KeptFlight, height_grid, kept_flights
 from uav_vslam.studies.surface.scoring import Scores, Surface, pose_scores, score
 from uav_vslam.studies.surface.sparse import DelaunaySurface, extra_points, landmarks
 from uav_vslam.vision.images import to_grey8
@@ -84,12 +82,7 @@ def surfaces_of(flights: list[KeptFlight], kind: str, cell_m: float) -> Iterator
     """Yield the surface by each method, with one kind of poses."""
     frames = sum(len(flight.frames) for flight in flights)
     started = time.process_time()
-    grid = HeightGrid(cell_m)
-    mapper = SurfaceMapper(grid)
-    for flight in flights:
-        for view in flight.views(kind):
-            mapper.add_view(view)
-    mapper.finish()
+    grid = height_grid(flights, kind, cell_m)
     raster = grid.extent.grown(MARGIN)
     window = grid.window(raster)
     ms = 1e3 * (time.process_time() - started) / frames

@@ -3,7 +3,7 @@
 
 from collections.abc import Sequence
 
-from uav_vslam.studies.engine.columns import Row
+from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.studies.engine.flights import LABELS
 from uav_vslam.studies.engine.pool import mean, rms
 from uav_vslam.studies.surface.compute import MappedSeed
@@ -20,7 +20,7 @@ def surface_rows(found: Sequence[MappedSeed]) -> list[Row]:
     rows: list[Row] = []
     for method, kind in found[0].surfaces:
         scores = [seed.surfaces[method, kind] for seed in found]
-        row: Row = {"table": "Surfaces", "method": method, "condition": f"{kind} poses", "runs": len(found)}
+        row: Row = {TABLE: "Surfaces", "method": method, "condition": f"{kind} poses", "runs": len(found)}
         for key in scores[0]:
             values = [score[key] for score in scores if score[key] is not None]
             row[key] = mean([float(value) for value in values if value is not None])
@@ -33,7 +33,7 @@ def pose_rows(found: Sequence[MappedSeed]) -> list[Row]:
     rows: list[Row] = []
     for kind in found[0].poses:
         scores = [score for seed in found for score in seed.poses[kind]]
-        row: Row = {"table": "Poses", "method": LABELS.get(kind, kind), "condition": "rendered images"}
+        row: Row = {TABLE: "Poses", "method": LABELS.get(kind, kind), "condition": "rendered images"}
         row |= {
             key: rms([score[name] for score in scores if score[name] is not None]) for key, name in POSE_KEYS.items()
         }
