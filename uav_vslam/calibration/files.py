@@ -36,7 +36,7 @@ def write_calibration(rig: StereoRig, folder: Path) -> list[Path]:
 
 def rectification(rig: StereoRig) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return R and P of both cameras as CameraInfo defines them: rotation to and projection of the rectified pair."""
-    size = rig.left.width, rig.left.height
+    size = rig.left.size
     T = rig.T_right_left
     if rig.left.model == "equidistant":
         R_left, R_right, P_left, P_right, _ = cv2.fisheye.stereoRectify(

@@ -194,7 +194,7 @@ def coverage(found: StereoCalibration, side: str) -> float:
 
 def cells(pixels: Array, camera: PinholeCamera) -> NDArray[np.intp]:
     """Return column and row of the image's cell of (N, 2) pixels."""
-    return np.clip(np.floor(pixels / [camera.width, camera.height] * CELLS), 0, CELLS - 1).astype(np.intp)
+    return np.clip(np.floor(pixels / camera.size * CELLS), 0, CELLS - 1).astype(np.intp)
 
 
 def _half_check(pairs: Sequence[BoardPair], size: tuple[int, int], lens: Lens) -> HalfCheck:

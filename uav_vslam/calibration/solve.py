@@ -137,7 +137,7 @@ def reproject(rig: StereoRig, pairs: Sequence[BoardPair]) -> Residuals:
         rig: calibrated from other pairs, for example.
         pairs: corners.
     """
-    bundle = Bundle(pairs, (rig.left.width, rig.left.height), rig.left.model)
+    bundle = Bundle(pairs, rig.left.size, rig.left.model)
     start = bundle.pack(rig, [board_pose(pair.left, rig.left) for pair in pairs])
     parameters, _ = bundle.refine(start, np.arange(bundle.shared, len(start)))
     return bundle.split(bundle.residuals(parameters))

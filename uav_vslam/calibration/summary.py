@@ -29,7 +29,7 @@ def build_summary(found: StereoCalibration, board: Board, *, name: str, git: str
         "board": {"columns": board.columns, "rows": board.rows, "square_m": board.square_m},
         "model": found.lens.model,
         "fixed": list(found.lens.fixed),
-        "image_size": [solution.rig.left.width, solution.rig.left.height],
+        "image_size": list(solution.rig.left.size),
         "pairs_used": len(found.pairs),
         "reprojection_px": _errors(solution.residuals),
         "baseline_m": solution.rig.baseline_m,

@@ -100,7 +100,7 @@ class BagFlight:
     @property
     def image_size(self) -> tuple[int, int]:
         """Width and height of both images [px]."""
-        return self.rig.left.width, self.rig.left.height
+        return self.rig.left.size
 
     def iter_events(self) -> Iterator[ImuSample | StereoFrame]:
         """Yield IMU samples, moved to the body, and image pairs in stamp order; at equal stamps the sample comes first.

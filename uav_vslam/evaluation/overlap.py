@@ -96,7 +96,7 @@ def _seen(view: View, other: View, camera: PinholeCamera, reach: float) -> tuple
     in_other = np.where(ahead[:, None], in_other, [0.0, 0.0, 1.0])
     ahead &= np.linalg.norm(in_other[:, :2], axis=1) <= reach * in_other[:, 2]
     pixels = camera.distort(camera.project(in_other))
-    inside = ahead & np.all((pixels >= 0) & (pixels < [camera.width, camera.height]), axis=1)
+    inside = ahead & np.all((pixels >= 0) & (pixels < camera.size), axis=1)
     rays, other_rays = points - view.T_world_cam.t, points - other.T_world_cam.t
     lengths = np.linalg.norm(rays, axis=1) * np.linalg.norm(other_rays, axis=1)
     cosine = np.einsum("ni,ni->n", rays, other_rays) / np.maximum(lengths, np.finfo(float).tiny)

@@ -59,6 +59,11 @@ class PinholeCamera:
             )
 
     @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image [px]."""
+        return self.width, self.height
+
+    @property
     def K(self) -> Array:
         """(3, 3) intrinsic matrix."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])

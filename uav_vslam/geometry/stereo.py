@@ -40,7 +40,7 @@ class StereoRig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_right_left", self.T_body_right.inverse() @ self.T_body_left)
-        if (self.left.width, self.left.height) != (self.right.width, self.right.height):
+        if self.left.size != self.right.size:
             raise CalibrationError(
                 f"left images are {self.left.width}x{self.left.height} px but right ones "
                 f"{self.right.width}x{self.right.height}; record both cameras at the same size"

@@ -88,7 +88,7 @@ def check_images(
 
 def _check_size(name: str, images: Sequence[NDArray[Any]], camera: PinholeCamera | None) -> list[Finding]:
     sizes = {(image.shape[1], image.shape[0]) for image in images}
-    if camera is None or sizes <= {(camera.width, camera.height)}:
+    if camera is None or sizes <= {camera.size}:
         return []
     seen = ", ".join(f"{width}x{height}" for width, height in sorted(sizes))
     allowed = f"{camera.width}x{camera.height} px, as in the calibration"

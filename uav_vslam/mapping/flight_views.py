@@ -27,7 +27,7 @@ class LeftCamera:
         Raises:
             InvalidMessage: the image has another size than the calibration, or a type that can't be used.
         """
-        met, wanted = pixels.shape[1::-1], (self._lens.camera.width, self._lens.camera.height)
+        met, wanted = pixels.shape[1::-1], self._lens.camera.size
         if met != wanted:  # undistortion would stretch it without a word
             raise InvalidMessage("image_size", f"left image is {met} px but its calibration is for {wanted} px")
         image = to_bgr8(pixels) if pixels.ndim == 3 and pixels.shape[2] == 3 else to_grey8(pixels)

@@ -131,10 +131,8 @@ class StereoFrontendNode(VehicleNode):
         while self._waiting:
             features = self._extracted(self._frontend, self._waiting.popleft())
             self._alarm(self._frontend.alarms)
-            size = (rig.left.width, rig.left.height)
-            self._publisher.publish(
-                features_to_msg(features, frame_id=self._rig.left_frame(self._image_frame), size=size)
-            )
+            frame_id = self._rig.left_frame(self._image_frame)
+            self._publisher.publish(features_to_msg(features, frame_id=frame_id, size=rig.left.size))
             self.counts["features"] += len(features)
 
     def _extracted(self, frontend: Frontend, frame: StereoFrame) -> Features:

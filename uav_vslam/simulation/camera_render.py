@@ -86,7 +86,7 @@ class CameraRenderer:
         self._drawn = scaled(camera, float(supersample))
         self._ground = ground
         self._texture = ground.colours if colour and ground.colours is not None else ground.texture
-        self._rays_cam = self._drawn.bearings(self._drawn.undistort(_grid(self._drawn.width, self._drawn.height)))
+        self._rays_cam = self._drawn.bearings(self._drawn.undistort(_grid(*self._drawn.size)))
 
     def render(self, T_world_cam: Pose, *, blur: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float32]:
         """Return the (H, W) image without noise, in grey levels, or (H, W, 3) BGR.
@@ -102,7 +102,7 @@ class CameraRenderer:
         if self._ground.farm is not None:
             image = self._with_solids(image, T_world_cam, points)
         if self._supersample > 1:
-            image = cv2.resize(image, (self._camera.width, self._camera.height), interpolation=cv2.INTER_AREA)
+            image = cv2.resize(image, self._camera.size, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.filter2D(image, cv2.CV_32F, motion_kernel(*blur), borderType=cv2.BORDER_REFLECT_101))
 
     def _ground_image(self, texels: Array) -> NDArray[np.generic]:

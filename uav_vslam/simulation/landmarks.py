@@ -146,7 +146,7 @@ def _project(rig: StereoRig, points_body: Array) -> tuple[Array, NDArray[np.bool
 
 
 def _inside(rig: StereoRig, pixels: Array) -> NDArray[np.bool_]:
-    limit = np.array([rig.left.width, rig.left.height] * 2) - 1.0
+    limit = np.array(rig.left.size * 2) - 1.0
     return np.asarray(np.all((pixels >= 0) & (pixels <= limit), axis=-1))
 
 

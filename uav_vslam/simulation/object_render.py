@@ -140,7 +140,7 @@ class SolidPainter:
         west, south, east, north = solid.bounds
         corners = np.array([[x, y, z] for x in (west, east) for y in (south, north) for z in _heights(solid)])
         in_cam = self._pose.inverse().apply(corners)
-        width, height = self._camera.width, self._camera.height
+        width, height = self._camera.size
         if in_cam[:, 2].min() < IN_FRONT_M:
             return slice(0, height), slice(0, width)
         seen = self._camera.distort(self._camera.project(in_cam))

@@ -496,11 +496,7 @@ class SlamBackend:
         in_view = projectable(rig, points_left)
         room = min(most, self._config.max_in_view - int(in_view.sum()))
         taken = rig.left.project(points_left[in_view])
-        return spread(pixels, max(0, room), size=self._image_size, taken=taken)
-
-    @property
-    def _image_size(self) -> tuple[int, int]:
-        return self._rig.left.width, self._rig.left.height
+        return spread(pixels, max(0, room), size=self._rig.left.size, taken=taken)
 
 
 def crosses_epoch(previous_ns: int | None, stamp_ns: int, epoch_s: float) -> bool:

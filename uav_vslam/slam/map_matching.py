@@ -110,5 +110,5 @@ class MapMatcher:
     def _capped(self, slam_filter: Filter, landmark_map: LandmarkMap, matches: Matches) -> Matches:
         """Cap the number of updates, oldest landmarks first, spread over the image."""
         order = np.argsort(landmark_map.born[matches.landmarks], kind="stable")
-        size = (slam_filter.rig.left.width, slam_filter.rig.left.height)
-        return matches.chosen(order[spread(matches.pixels[order, :2], self._config.max_observations, size=size)])
+        pixels, size = matches.pixels[order, :2], slam_filter.rig.left.size
+        return matches.chosen(order[spread(pixels, self._config.max_observations, size=size)])

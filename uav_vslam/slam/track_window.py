@@ -159,8 +159,8 @@ class TrackWindow:
         if len(rows) == 0:
             return rows
         rows = rows[np.argsort(-self.views.counts[rows], kind="stable")]
-        size = (slam_filter.rig.left.width, slam_filter.rig.left.height)
-        return np.sort(rows[spread(self.views.chosen(rows).newest_pixels[:, :2], PRESENT_TRACKS, size=size)])
+        pixels, size = self.views.chosen(rows).newest_pixels[:, :2], slam_filter.rig.left.size
+        return np.sort(rows[spread(pixels, PRESENT_TRACKS, size=size)])
 
     def _chosen(self, rows: Rows, landmark_map: LandmarkMap, choose: Choice) -> Rows:
         """Return those of some tracks that were seen often enough for a landmark, have none yet, and are chosen."""

@@ -52,5 +52,5 @@ class Frontend(ABC):
             if image.size == 0:
                 raise InvalidMessage("image", f"the {name} image could not be read")
             if image.shape[:2] != (camera.height, camera.width):
-                met, wanted = image.shape[1::-1], (camera.width, camera.height)
+                met, wanted = image.shape[1::-1], camera.size
                 raise InvalidMessage("image_size", f"{name} image is {met} px but its calibration is for {wanted} px")

@@ -70,7 +70,7 @@ class StereoFrontend(Frontend):
         pixels = np.hstack([detected.pixels_left[pairs[:, 0]], detected.pixels_right[pairs[:, 1]]])
         _, keep = self._gate.check(pixels)
         pairs, pixels = pairs[keep], pixels[keep]
-        size = (self._rig.left.width, self._rig.left.height)
+        size = self._rig.left.size
         chosen = spread(pixels[:, :2], self._config.max_matches, size=size)  # strongest first
         descriptors = detected.left.descriptors[pairs[chosen, 0]]
         return StereoFeatures(detected.stamp_ns, pixels[chosen].astype(np.float32), descriptors)

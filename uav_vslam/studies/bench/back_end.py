@@ -49,7 +49,7 @@ def back_end(landmarks: int, frames: int, *, lag_s: float = FRAME_LAG_S, factori
     """
     vehicle = simulate_vehicle(Scenario(frames=WARM_UP + frames), 0)
     field = scatter_landmarks([vehicle], per_frame=ABUNDANCE * landmarks)
-    seen = thin_out(observe(vehicle, field), landmarks, size=(vehicle.rig.left.width, vehicle.rig.left.height))
+    seen = thin_out(observe(vehicle, field), landmarks, size=vehicle.rig.left.size)
     ours, theirs = _our_back_end(vehicle, seen), _gtsam(vehicle, seen, lag_s, factorisation)
     for k in range(WARM_UP):
         ours(k)

@@ -39,7 +39,7 @@ class BoardCalibration:
         """Return the rig as it is calibrated, with the lens coefficients that are estimated too."""
         rng = np.random.default_rng(np.random.SeedSequence([self.seed, STREAM]))
         pairs = [_pair(rig, f"{k:02}", rng) for k in range(PAIRS)]
-        found = solve(pairs, (rig.left.width, rig.left.height), LENS).rig
+        found = solve(pairs, rig.left.size, LENS).rig
         return StereoRig(found.left, found.right, rig.T_body_left, rig.T_body_left @ found.T_right_left.inverse())
 
 
@@ -47,7 +47,7 @@ def _pair(rig: StereoRig, name: str, rng: np.random.Generator) -> BoardPair:
     """Return the corners of a board, tilted by up to 35 degrees about two axes, that both cameras see as a whole."""
     x, y = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
     board = SQUARE_M * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]).astype(np.float64)
-    limit = np.array([rig.left.width, rig.left.height] * 2) - BORDER_PX
+    limit = np.array(rig.left.size * 2) - BORDER_PX
     while True:
         R = so3_exp([*rng.uniform(-0.6, 0.6, 2), rng.uniform(-0.4, 0.4)])
         ray = np.array([*rng.uniform([-0.5, -0.4], [0.5, 0.4]), 1.0])
