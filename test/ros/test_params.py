@@ -29,7 +29,7 @@ from uav_vslam.ros.stereo_frontend_node import StereoFrontendNode  # noqa: E402
 from uav_vslam.simulation.camera_render import RenderedFlight  # noqa: E402
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks  # noqa: E402
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle  # noqa: E402
-from uav_vslam.slam.backend import FrameReport  # noqa: E402
+from uav_vslam.slam.frame_report import FrameReport  # noqa: E402
 from uav_vslam.slam.state_folder import state_folder  # noqa: E402
 
 pytestmark = pytest.mark.ros

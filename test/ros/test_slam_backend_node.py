@@ -17,7 +17,7 @@ from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.preintegration import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
 from uav_vslam.ros.slam_backend_node import MANY_BLIND, MANY_COASTED, SlamBackendNode  # noqa: E402
-from uav_vslam.slam.backend import FrameReport  # noqa: E402
+from uav_vslam.slam.frame_report import FrameReport  # noqa: E402
 from uav_vslam.slam.stage import SlamStage  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState, PoseEstimate, StereoFeatures  # noqa: E402
 

@@ -11,11 +11,12 @@ from uav_vslam.config import EXACT_RIG, FILTERS, STATE_MODELS, BackendConfig, Ri
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
-from uav_vslam.slam.backend import VISIT_FRAMES, FrameReport, SlamBackend, crosses_epoch
+from uav_vslam.slam.backend import VISIT_FRAMES, SlamBackend
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import MAX_LOST
 from uav_vslam.slam.map_matching import MapMatcher
 from uav_vslam.slam.relocalisation import MIN_INLIERS
-from uav_vslam.types import NS_PER_S, ImuIncrement, StereoFeatures
+from uav_vslam.types import ImuIncrement, StereoFeatures
 
 FRAMES = 25
 SYNCHRONISED = RigConfig(time_offset_sigma_s=0.0)
@@ -214,28 +215,6 @@ def test_a_lost_vehicle_relocalises_in_its_map(flight: Flight) -> None:
     report = backend.process(flight.features[1], flight.increments[1])
     assert report.relocalised
     assert report.associated >= MIN_INLIERS
-
-
-@pytest.mark.parametrize(
-    ("previous_s", "now_s", "epoch_s", "crossed"),
-    [
-        (0.9, 1.0, 1.0, True),
-        (0.9, 1.1, 1.0, True),
-        (1.0, 1.1, 1.0, False),
-        (1.0, 1.9, 1.0, False),
-        (0.9, 3.5, 1.0, True),
-        (1.2, 1.3, 0.25, True),
-        (1.26, 1.3, 0.25, False),
-    ],
-)
-def test_an_epoch_is_crossed_by_the_first_stamp_at_or_after_its_multiple(previous_s, now_s, epoch_s, crossed) -> None:
-    day = 1_283_212_800 * NS_PER_S
-    previous, now = (day + round(t * NS_PER_S) for t in (previous_s, now_s))
-    assert crosses_epoch(previous, now, epoch_s) is crossed
-
-
-def test_the_first_frame_crosses_no_epoch() -> None:
-    assert not crosses_epoch(None, 5 * NS_PER_S, 1.0)
 
 
 def test_an_indefinite_filter_is_reinitialised_from_the_imu(flight: Flight) -> None:

@@ -14,7 +14,8 @@ from uav_vslam.estimation.filter import Filter
 from uav_vslam.simulation.flight_path import PATTERNS, racetrack_pattern
 from uav_vslam.simulation.landmarks import LandmarkField, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
-from uav_vslam.slam.backend import FrameReport, SlamBackend
+from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.revisits import recognise
 from uav_vslam.studies.engine.own_only import dead_reckon

@@ -11,7 +11,7 @@ from uav_vslam.estimation.filter import Innovation
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.propagation import VELOCITY
-from uav_vslam.slam.backend import FrameReport
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.stage import SlamStage
 from uav_vslam.slam.start_monitor import (
     MAX_COASTED,

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import BackendConfig, VehicleConfig
 from uav_vslam.geometry.rotation import so3_log
-from uav_vslam.slam.backend import FrameReport, SlamBackend
+from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.track_views import TrackViews
 from uav_vslam.slam.track_window import TrackWindow
 from uav_vslam.types import PoseEstimate, StereoFeatures

@@ -48,12 +48,12 @@ from uav_vslam.ros.map_services import offer_map_services
 from uav_vslam.ros.qos import LATCHED, MOTION, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
-from uav_vslam.slam.backend import FrameReport
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
 from uav_vslam.slam.clocked_stage import ClockedStage
+from uav_vslam.slam.frame_report import FrameReport
+from uav_vslam.slam.health import MIN_FEATURES
 from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
-from uav_vslam.slam.start_monitor import MIN_FEATURES
 from uav_vslam.slam.state_folder import state_folder
 from uav_vslam.types import NS_PER_S, NavEstimate
 from uav_vslam.types import JointInformation as Joint

@@ -21,6 +21,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import lacks_readings, unknown_motion_since
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import ROTATION
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import MIN_FEATURES, FilterHealth
 from uav_vslam.slam.imu_doubt import ImuDoubt
 from uav_vslam.slam.landmark_map import LandmarkMap
@@ -46,51 +47,6 @@ LEVEL_RAD = 0.01  # 1 sigma of the tilt; while it is larger, its corrections loo
 JUDGED_AFTER_S = 3.0  # and since then, or since the start, a wrong velocity does
 TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
-
-
-@dataclass(frozen=True, slots=True)
-class FrameReport:
-    """The result of one frame.
-
-    Attributes:
-        pose: own-only pose with its covariance.
-        nav: the whole navigation estimate, for the INS.
-        features: stereo points offered.
-        associated: points that corrected the state, landmarks and tracks; 0 means dead reckoning.
-        relocalised: gating failed and the whole map was searched.
-        innovation: None without an update.
-        landmarks: landmarks in the state afterwards.
-        recovery: why the filter was re-initialised at this frame; empty if it was not.
-        as_calibrated: `nav` with the covariance that it has if the calibration is right; None if re-initialised.
-        rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
-        disparity: its constant error as the filter estimates it; None if it does not.
-        closures: associated landmarks that had not been seen for long.
-        tracked: stereo points whose track was in the frame before.
-        coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
-        gate_probability: of the gate on observations.
-        sightings: (K, 2) identifier and feature row of each point that corrected the state, and of each new landmark.
-        late_sightings: (K, 2) the same of the frame before, if its landmarks had to wait for the angular rate.
-        smoothed: the oldest past pose as it leaves the window; None until that is full, and without one.
-    """
-
-    pose: PoseEstimate
-    nav: NavEstimate
-    features: int
-    associated: int
-    relocalised: bool
-    innovation: Innovation | None
-    landmarks: int
-    recovery: str = ""
-    as_calibrated: NavEstimate | None = None
-    rig_evidence: float = 0.0
-    disparity: DisparityEstimate | None = None
-    closures: int = 0
-    tracked: int = 0
-    coasted: bool = False
-    gate_probability: float = 1.0
-    sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
-    late_sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
-    smoothed: PoseEstimate | None = None
 
 
 @dataclass(slots=True)
@@ -497,12 +453,3 @@ class SlamBackend:
         room = min(most, self._config.max_in_view - int(in_view.sum()))
         taken = rig.left.project(points_left[in_view])
         return spread(pixels, max(0, room), size=self._rig.left.size, taken=taken)
-
-
-def crosses_epoch(previous_ns: int | None, stamp_ns: int, epoch_s: float) -> bool:
-    """Return whether a multiple of the epoch is in (previous, stamp]: then packets are made and fused.
-
-    It depends on stamps alone, so that all nodes of a vehicle agree without communicating.
-    """
-    period = round(epoch_s * NS_PER_S)
-    return previous_ns is not None and stamp_ns // period != previous_ns // period

@@ -9,7 +9,7 @@ error, see `DisparityPrior`, and for the rest by `Filter.rig_evidence`.
 from scipy.special import chdtri
 
 from uav_vslam.config import RigConfig
-from uav_vslam.slam.backend import FrameReport
+from uav_vslam.slam.frame_report import FrameReport
 
 FALSE_ALARM = 1e-8  # probability that a correct rig is said to be contradicted, per frame
 MISCALIBRATED = 0.99  # probability of a wrong calibration

@@ -15,8 +15,10 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.preintegration import bridged, lacks_readings, unknown_motion_since
 from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
-from uav_vslam.slam.backend import FrameReport, SlamBackend, crosses_epoch
+from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.epochs import crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.noise_monitor import NoiseMonitor

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from uav_vslam.ins.propagation import VELOCITY
-from uav_vslam.slam.backend import FrameReport
+from uav_vslam.slam.frame_report import FrameReport
+from uav_vslam.slam.health import MIN_FEATURES
 from uav_vslam.types import NS_PER_S, NavEstimate
 
 WATCHED_S = 5.0  # later the start hardly matters
@@ -21,7 +22,6 @@ SIGNIFICANCE = 1e-4  # false-alarm probability per frame of a correct start
 NEGLIGIBLE = 0.01  # [m/s] corrections below are negligible at any covariance
 MAX_NIS_PER_DOF = 2.0  # of all updates since the start; a consistent filter is within a few percent of 1
 MAX_COASTED = 3  # frames with enough features, but none that the prediction explains
-MIN_FEATURES = 20  # fewer, in the frame or in the map, are too few to judge
 
 REMEDY = "check initial_state and its covariance, the IMU noise and the calibration"
 

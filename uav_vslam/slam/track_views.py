@@ -65,7 +65,8 @@ class TrackViews:
         self.pixels, self.seen = np.delete(self.pixels, frame, axis=1), np.delete(self.seen, frame, axis=1)
         self.remove(np.asarray(~self.seen.any(axis=1)))
 
-    def remove(self, rows: Mask) -> None:
-        """Remove tracks."""
-        for name in ("tracks", "pixels", "seen", "descriptors"):
-            setattr(self, name, getattr(self, name)[~rows])
+    def remove(self, which: Mask) -> None:
+        """Remove those of the T tracks."""
+        kept = ~which
+        self.tracks, self.pixels = self.tracks[kept], self.pixels[kept]
+        self.seen, self.descriptors = self.seen[kept], self.descriptors[kept]

@@ -18,7 +18,8 @@ from uav_vslam.config import BackendConfig, VehicleConfig, find_config, load_veh
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.scenario import Scenario
-from uav_vslam.slam.backend import FrameReport, SlamBackend
+from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.map_matching import MapMatcher
 from uav_vslam.studies.association.image_matching import MatcherScore, kept_frames, score_matchers
 from uav_vslam.studies.engine.association_stages import Score

@@ -21,7 +21,8 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.simulation.landmarks import PER_FRAME, LandmarkField, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
-from uav_vslam.slam.backend import FrameReport, SlamBackend
+from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.pool import in_pool
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, StereoFeatures

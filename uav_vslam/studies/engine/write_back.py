@@ -22,7 +22,8 @@ from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import cholesky, inverse_spd, symmetrise
-from uav_vslam.slam.backend import SlamBackend, crosses_epoch
+from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.epochs import crosses_epoch
 from uav_vslam.slam.packet import PacketPolicy, make_packet
 from uav_vslam.studies.engine.own_only import Flight, Track
 from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate

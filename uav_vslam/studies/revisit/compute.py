@@ -14,7 +14,7 @@ from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.terrain import relief_of
-from uav_vslam.slam.backend import FrameReport
+from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.landmark_map import LONG_FRAMES
 from uav_vslam.studies.engine.extracted_flights import ground_points
 from uav_vslam.studies.engine.flights import true_trajectory

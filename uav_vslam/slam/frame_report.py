@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The result of one frame of the own-only SLAM."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.filter import Innovation
+from uav_vslam.estimation.rig_belief import DisparityEstimate
+from uav_vslam.types import NavEstimate, PoseEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class FrameReport:
+    """What the back end has made of a frame.
+
+    Attributes:
+        pose: own-only pose with its covariance.
+        nav: the whole navigation estimate, for the INS.
+        features: stereo points offered.
+        associated: points that corrected the state, landmarks and tracks; 0 means dead reckoning.
+        relocalised: gating failed and the whole map was searched.
+        innovation: None without an update.
+        landmarks: landmarks in the state afterwards.
+        recovery: why the filter was re-initialised at this frame; empty if it was not.
+        as_calibrated: `nav` with the covariance that it has if the calibration is right; None if re-initialised.
+        rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
+        disparity: its constant error as the filter estimates it; None if it does not.
+        closures: associated landmarks that had not been seen for long.
+        tracked: stereo points whose track was in the frame before.
+        coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
+        gate_probability: of the gate on observations.
+        sightings: (K, 2) identifier and feature row of each point that corrected the state, and of each new landmark.
+        late_sightings: (K, 2) the same of the frame before, if its landmarks had to wait for the angular rate.
+        smoothed: the oldest past pose as it leaves the window; None until that is full, and without one.
+    """
+
+    pose: PoseEstimate
+    nav: NavEstimate
+    features: int
+    associated: int
+    relocalised: bool
+    innovation: Innovation | None
+    landmarks: int
+    recovery: str = ""
+    as_calibrated: NavEstimate | None = None
+    rig_evidence: float = 0.0
+    disparity: DisparityEstimate | None = None
+    closures: int = 0
+    tracked: int = 0
+    coasted: bool = False
+    gate_probability: float = 1.0
+    sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    late_sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    smoothed: PoseEstimate | None = None
