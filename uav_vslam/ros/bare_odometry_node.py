@@ -6,13 +6,13 @@ out  bare/odometry    nav_msgs/Odometry, the same message for each reading
 """
 
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from uav_vslam.ros.qos import SENSOR, STATE
 from uav_vslam.ros.runtime import run_node
+from uav_vslam.ros.timers import create_wall_timer
 
 
 class BareOdometryNode(Node):
@@ -23,8 +23,7 @@ class BareOdometryNode(Node):
         self._message = Odometry()
         self._odometry = self.create_publisher(Odometry, "bare/odometry", STATE)
         self.create_subscription(Imu, "imu/data_raw", self._on_imu, SENSOR)
-        wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, lambda: None, clock=wall_clock)  # Python handles a signal only when the executor wakes
+        create_wall_timer(self, 1.0, lambda: None)  # Python handles a signal only when the executor wakes
 
     def _on_imu(self, message: Imu) -> None:
         self._message.header.stamp = message.header.stamp

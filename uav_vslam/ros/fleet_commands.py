@@ -74,16 +74,16 @@ def node_specs(
         raise ConfigError("an emulated link needs all vehicles on one computer; leave out the vehicles or the link")
     sim_time = bool(fleet.replay.bags) if use_sim_time is None else use_sim_time
     specs = [NodeSpec("recorder", "recorder", "/", {"output": record, "vehicles": list(here)})] if record else []
-    specs += [
-        spec
-        for name, config in here.items()
-        for spec in _vehicle_specs(
-            fleet, name, {"vehicle": name, "use_sim_time": sim_time, **differences(config)}, link
-        )
-    ]
-    for name, config in here.items() if maps else ():
-        parameters = {"vehicle": name, "use_sim_time": sim_time, **differences(config), "map.folder": f"{maps}/{name}"}
-        specs.append(NodeSpec("mapper", "mapper", f"/{name}", parameters))
+    of_vehicle = {
+        name: {"vehicle": name, "use_sim_time": sim_time, **differences(config)} for name, config in here.items()
+    }
+    for name, parameters in of_vehicle.items():
+        specs += _vehicle_specs(fleet, name, parameters, link)
+    if maps:
+        specs += [
+            NodeSpec("mapper", "mapper", f"/{name}", parameters | {"map.folder": f"{maps}/{name}"})
+            for name, parameters in of_vehicle.items()
+        ]
     if vehicles:
         specs = [_on_radio(fleet, spec) if spec.executable == "fusion" else spec for spec in specs]
     if link is not None:

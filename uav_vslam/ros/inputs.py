@@ -80,16 +80,15 @@ class Input:
         """Resubscribe with less if nothing better is offered; return whether it did."""
         if self.received:
             return False
-        offers = [o.qos_profile for o in node.get_publishers_info_by_topic(self.subscription.topic_name)]
+        offers = [info.qos_profile for info in node.get_publishers_info_by_topic(self.subscription.topic_name)]
+        if not offers:
+            return False
         reliability, durability = self.qos.reliability, self.qos.durability
-        if offers and all(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
+        if all(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
             reliability = ReliabilityPolicy.BEST_EFFORT
         # Of many latched publishers, others may come later: they would not be received any more.
-        if (
-            offers
-            and self.qos is not LATCHED_BY_MANY
-            and all(o.durability == DurabilityPolicy.VOLATILE for o in offers)
-        ):
+        may_come_later = self.qos is LATCHED_BY_MANY
+        if not may_come_later and all(offer.durability == DurabilityPolicy.VOLATILE for offer in offers):
             durability = DurabilityPolicy.VOLATILE
         if (reliability, durability) == (self.qos.reliability, self.qos.durability):
             return False

@@ -19,7 +19,6 @@ from collections import deque
 
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
@@ -47,6 +46,7 @@ from uav_vslam.ros.inputs import Input, image_topics
 from uav_vslam.ros.odometry_data import OdometryData
 from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STAMPS, STATE
 from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam.stamps import Admitted, TimeJump
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
@@ -87,8 +87,7 @@ class InsPropagatorNode(VehicleNode):
         self._batches, self._reading_ns = Batches(at_once=True), -1
         self._sensors = ImuListener(self, self._on_reading, self._batches)
         if self._period_s:
-            wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
-            self._timer = self.create_timer(self._period_s, self._take_waiting, clock=wall_clock)
+            self._timer = create_wall_timer(self, self._period_s, self._take_waiting)
         self._images = [
             self.listen(kind, name, self._on_stamped, qos, instead_of=stands_for, raw=True)
             for kind, name, qos, stands_for in self._stamped_topics()

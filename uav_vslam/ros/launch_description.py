@@ -57,10 +57,10 @@ def _nodes(context: Any, names: list[str]) -> list[Node]:
         use_sim_time=given["use_sim_time"].lower() == "true" if given["use_sim_time"] else None,
         record=given["record"],
     )
-    view = (
-        [_rviz(any(spec.parameters.get("use_sim_time") for spec in specs))] if given["rviz"].lower() == "true" else []
-    )
-    return [*(_action(spec, given["log_level"]) for spec in specs), *view]
+    nodes = [_action(spec, given["log_level"]) for spec in specs]
+    if given["rviz"].lower() == "true":
+        nodes.append(_rviz(any(spec.parameters.get("use_sim_time") for spec in specs)))
+    return nodes
 
 
 def _action(spec: NodeSpec, log_level: str) -> Node:

@@ -3,8 +3,8 @@
 
 in   /<sender>/landmark_information        uav_vslam_msgs/LandmarkInformation of every vehicle
      /<receiver>/fusion/feedback           the same type, peers' fused estimates of its landmarks
-out  /<receiver>/received/<sender>            the same bytes, as delivered by the link
-     /<receiver>/received/feedback            likewise
+out  /<receiver>/received/<sender>         the same bytes, as delivered by the link
+     /<receiver>/received/feedback         likewise
      /diagnostics                          fate of the packets, by direction
 
 A receiver uses it if its fusion node's /<sender>/landmark_information is remapped to /<receiver>/received/<sender>,
@@ -18,7 +18,6 @@ from itertools import permutations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
@@ -33,6 +32,7 @@ from uav_vslam.ros.qos import RADIO
 from uav_vslam.ros.radio import PeerInput
 from uav_vslam.ros.readiness import DiscoveryReport
 from uav_vslam.ros.runtime import FOLLOW_PERIOD_S, run_node
+from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam_msgs.msg import LandmarkInformation
 
 POLL_S = 0.01  # largest additional delay
@@ -66,10 +66,9 @@ class LinkEmulatorNode(Node):
         self._inputs += [self._listen(feedback_to(name), partial(self._on_feedback, name)) for name in vehicles]
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         DiscoveryReport(self, lambda: unmatched(self._inputs))
-        wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(POLL_S, self._deliver, clock=wall_clock)
-        self.create_timer(FOLLOW_PERIOD_S, self._follow, clock=wall_clock)
-        self.create_timer(REPORT_S, self._report, clock=wall_clock)
+        create_wall_timer(self, POLL_S, self._deliver)
+        create_wall_timer(self, FOLLOW_PERIOD_S, self._follow)
+        create_wall_timer(self, REPORT_S, self._report)
         self.get_logger().info(f"{len(self._links)} links: {config}")
 
     def _listen(self, topic: str, callback: Callable[[bytes], None]) -> PeerInput:

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import ColorRGBA
 from std_srvs.srv import Trigger
@@ -31,6 +30,7 @@ from uav_vslam.ros.convert import cloud_to_msg, header, image_from_msg, pose_fro
 from uav_vslam.ros.inputs import image_topics
 from uav_vslam.ros.qos import IMAGES, LATCHED, SENSOR
 from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.ros.timers import create_wall_timer
 
 MESH_STEP_M = 2.0  # sides of the triangles that are published
 COLOUR = ColorRGBA(r=0.55, g=0.6, b=0.45, a=1.0)
@@ -53,8 +53,7 @@ class MapperNode(VehicleNode):
             self.listen(kind, name, self._on_image, IMAGES, instead_of=topic)
         self.listen(PoseWithCovarianceStamped, "slam/smoothed", self._on_pose, SENSOR)
         self.create_service(Trigger, "~/save_map", self._on_save)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(self.own.map.publish_s, self._publish, clock=steady)
+        create_wall_timer(self, self.own.map.publish_s, self._publish)
 
     def _new_map(self, *, beside: bool) -> FlownMap:
         """Return an empty map, if need be in a folder beside earlier ones."""

@@ -31,6 +31,7 @@ from uav_vslam.ros.domain import claimed_domain
 from uav_vslam.ros.log_folder import log_folder
 from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, SENSOR, STATE
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
+from uav_vslam_msgs.msg import NavigationState
 
 IMU_RATES_HZ = (0, 200, 400)  # 0: at rest, before the first message
 IMAGE_RATE_HZ = 50 / 7
@@ -118,8 +119,6 @@ class _Source:
         """Publish the frames and the start state of a vehicle at rest, once."""
         if self._latched:
             return
-        from uav_vslam_msgs.msg import NavigationState
-
         state = NavState(self._stamp_ns, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
         start = navigation_to_msg(
             NavEstimate(state, 1e-4 * np.eye(15)), frame_id="uav1/map", child_frame_id="uav1/base_link"
@@ -135,13 +134,13 @@ class _Source:
         """Wait until all nodes are up and take what they need, and the odometry has been found."""
         end_s = time.monotonic() + START_S
         topics = [f"/uav1/{topic}" for topic in ODOMETRY.values()]
-        while self._missing_nodes() or not all(map(self._node.count_publishers, topics)):
+        while not self._nodes_are_up() or not all(map(self._node.count_publishers, topics)):
             if time.monotonic() > end_s:
                 raise UavVslamError(f"the nodes {', '.join(NODES)} did not come up within {START_S:g} s")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def _missing_nodes(self) -> bool:
-        return self._imu.get_subscription_count() < len(ODOMETRY) or not {*NODES} <= {*self._node.get_node_names()}
+    def _nodes_are_up(self) -> bool:
+        return self._imu.get_subscription_count() >= len(ODOMETRY) and set(NODES) <= set(self._node.get_node_names())
 
     def play(self, seconds: float, rate_hz: int) -> None:
         """Publish readings in real time; none at a rate of 0."""

@@ -17,6 +17,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.exchange import Receiver
 from uav_vslam.errors import InvalidMessage
+from uav_vslam.ros.fleet_commands import feedback_to, packets_of
 from uav_vslam.ros.inputs import Input
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
 from uav_vslam.ros.qos import RADIO, compatible_qos
@@ -97,10 +98,10 @@ class Radio:
         self._publisher = self._advertise("landmark_information", mode, event_callbacks=events)
         for peer in self._peers:
             on_packet = partial(receiver.on_packet, peer)
-            self._inputs.append(self._listen(peer, f"/{peer}/landmark_information", on_packet, RADIO[mode]))
+            self._inputs.append(self._listen(peer, packets_of(peer), on_packet, RADIO[mode]))
             self._node.watch(self._inputs[-1])
         if settings.returns_feedback:
-            self._returns = {peer: self._advertise(f"/{peer}/fusion/feedback", mode) for peer in self._peers}
+            self._returns = {peer: self._advertise(feedback_to(peer), mode) for peer in self._peers}
             self._inputs.append(self._listen("feedback", "fusion/feedback", receiver.on_feedback, RADIO[mode]))
 
     @property

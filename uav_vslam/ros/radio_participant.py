@@ -6,7 +6,6 @@ Neither parameters nor logs nor the vehicle's other topics are announced there. 
 
 from collections.abc import Sequence
 
-from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -14,6 +13,7 @@ from rclpy.parameter import Parameter
 
 from uav_vslam.config.nodes import FusionNodeConfig
 from uav_vslam.ros.params import read
+from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam.ros.transport import DISCOVERY_RANGE, STATIC_PEERS, environment
 
 POLL_S = 0.05  # period of serving the second context: packets come once a second
@@ -63,7 +63,7 @@ class Participant:
 
     def serve(self, owner: Node) -> None:
         """Let a node's executor serve this one too."""
-        owner.create_timer(POLL_S, self._spin, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_wall_timer(owner, POLL_S, self._spin)
 
     def close(self) -> None:
         """Leave the radio."""

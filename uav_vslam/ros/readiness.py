@@ -6,8 +6,9 @@ not lost.
 from collections.abc import Callable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+
+from uav_vslam.ros.timers import create_wall_timer
 
 DISCOVERY = "/discovery"  # apart from /diagnostics, which is for the operator
 PERIOD_S = 1.0
@@ -25,7 +26,7 @@ class DiscoveryReport:
         """Report for `node`; `unmatched` returns its inputs without a publisher so far."""
         self._node, self._unmatched = node, unmatched
         self._publisher = node.create_publisher(DiagnosticArray, DISCOVERY, 10)
-        node.create_timer(PERIOD_S, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_wall_timer(node, PERIOD_S, self._report)
 
     def _report(self) -> None:
         if not self._publisher.get_subscription_count():

@@ -19,7 +19,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from uav_vslam.config.nodes import RecorderNodeConfig
@@ -31,6 +30,7 @@ from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.readiness import DiscoveryReport
 from uav_vslam.ros.runtime import run_node
+from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam_msgs.msg import FrameQuality, FusionStatus
 
 VEHICLE_TOPICS = {
@@ -69,9 +69,8 @@ class RecorderNode(Node):
                 self._record(f"/{vehicle}/{name}", message_type, vehicle)
         self._record("/diagnostics", DiagnosticArray, "")
         DiscoveryReport(self, self._unmatched)
-        wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(REPORT_S, self._report, clock=wall_clock)
-        self.create_timer(PERIOD_S, self._take_messages, clock=wall_clock)
+        create_wall_timer(self, REPORT_S, self._report)
+        create_wall_timer(self, PERIOD_S, self._take_messages)
         self.get_logger().info(f"recording to {output}")
 
     def destroy_node(self) -> None:
@@ -86,7 +85,6 @@ class RecorderNode(Node):
 
     def _record(self, topic: str, message_type: Any, vehicle: str) -> None:
         package, name = message_type.__module__.split(".")[0], message_type.__name__
-
         batches = Batches(at_once=True)
 
         def write(data: bytes, _: Any) -> None:

@@ -21,7 +21,6 @@ from typing import Any
 
 import yaml
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock as ClockMsg
@@ -50,6 +49,7 @@ from uav_vslam.ros.qos import IMAGE, LATCHED, RESUMABLE, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
 from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording
 from uav_vslam.ros.runtime import run_node
+from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam_msgs.msg import NavigationState, StereoFeatures
 
 INS_ANSWER = "ins/odometry"
@@ -91,10 +91,9 @@ class ReplayNode(Node):
             self._subscribe_to(vehicle)
         self._readiness = Readiness(self, self._vehicles)
         self._steps = self._replay()
-        wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(STEP_S, self._step, clock=wall_clock)
+        create_wall_timer(self, STEP_S, self._step)
         if not self._lockstep:
-            self.create_timer(ANSWERS_S, self._take_answers, clock=wall_clock)
+            create_wall_timer(self, ANSWERS_S, self._take_answers)
 
     @property
     def _lockstep(self) -> bool:

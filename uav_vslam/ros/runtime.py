@@ -38,6 +38,7 @@ from uav_vslam.ros.log_folder import log_folder
 from uav_vslam.ros.params import VehicleParameters, declare, read
 from uav_vslam.ros.qos import LATCHED_BY_MANY
 from uav_vslam.ros.readiness import DiscoveryReport
+from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam.ros.transport import environment, udp_alone
 from uav_vslam.slam.state_folder import state_folder
 from uav_vslam.stamps import TimeLine
@@ -84,10 +85,9 @@ class VehicleNode(PausableNode):
         self._startup, self._recent_drops = Start(self.get_clock()), RecentDrops()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         DiscoveryReport(self, lambda: unmatched(self._inputs))
-        wall_clock = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=wall_clock)
-        self.create_timer(FOLLOW_PERIOD_S, self._follow_reliability, clock=wall_clock)
-        self.create_timer(START_S, self._report_missing, clock=wall_clock)
+        create_wall_timer(self, DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
+        create_wall_timer(self, FOLLOW_PERIOD_S, self._follow_reliability)
+        create_wall_timer(self, START_S, self._report_missing)
         if self.own.autostart:
             self.begin()
 
@@ -139,7 +139,6 @@ class VehicleNode(PausableNode):
             raw: the callback gets serialised messages.
             group: as for create_subscription.
         """
-
         one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic, raw, group)
         one.shared = qos is LATCHED_BY_MANY
         one.subscribe(self)

@@ -14,7 +14,7 @@ out  odometry                              nav_msgs/Odometry per frame, map fram
      slam/smoothed                         geometry_msgs/PoseWithCovarianceStamped per frame, map frame: the pose of
                                            backend.window frames ago as later ones have corrected it
      slam/quality                          uav_vslam_msgs/FrameQuality per frame, for evaluation without ground truth
-srv  ~/reset, ~/pause                         see lifecycle.py
+srv  ~/reset, ~/pause                      see lifecycle.py
      ~/save_map                            std_srvs/Trigger: all landmarks mapped so far, into the parameter map_file
      ~/load_map                            std_srvs/Trigger: the map of map_file, to start in (start.method map)
 """
