@@ -16,6 +16,7 @@ from uav_vslam.cooperation.common_landmarks import (
     gated,
     ground_covariance,
 )
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.slam.packet import ANCHOR, DENSE, PacketPolicy, make_packet
 
@@ -58,7 +59,7 @@ def scene(make_joint):
         positions = truth + rng.normal(0, 0.5 * SIGMA_M, truth.shape) + shift_m * np.array([0.7, -0.7, 0.1])
         peer = make_joint(positions, P, vehicle="uav2", identities=appearance)
         packet = make_packet(peer, sequence=1, policy=policy)
-        pairs = associate(own.positions, P[6:, 6:], own.descriptors, packet, config=config)
+        pairs = associate(OwnLandmarks(own.positions, P[6:, 6:], own.descriptors), packet, config=config)
         return [(int(a), int(packet.ids[b]) - 1) for a, b in pairs]
 
     return match
@@ -84,7 +85,7 @@ def test_descriptors_of_another_kind_match_nothing(make_joint) -> None:
         short = own.descriptors[:, :64]
         assert comparable(own.descriptors, packet)
         assert not comparable(short, packet)
-        assert len(associate(own.positions, np.eye(15), short, packet, config=CONFIG)) == 0
+        assert len(associate(OwnLandmarks(own.positions, np.eye(15), short), packet, config=CONFIG)) == 0
 
 
 @pytest.mark.parametrize("wrong", [2, 5, 8])
@@ -119,7 +120,8 @@ def test_an_empty_map_has_no_matches(make_joint, own_count: int, peer_count: int
         for n, v in ((own_count, "uav1"), (peer_count, "uav2"))
     )
     packet = make_packet(peer, sequence=1, policy=PacketPolicy(max_landmarks=9))
-    pairs = associate(own.positions, np.eye(3 * own_count), own.descriptors, packet, config=CONFIG)
+    landmarks = OwnLandmarks(own.positions, np.eye(3 * own_count), own.descriptors)
+    pairs = associate(landmarks, packet, config=CONFIG)
     assert pairs.shape == (0, 2)
 
 

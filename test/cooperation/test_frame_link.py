@@ -7,6 +7,7 @@ import pytest
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation import received_map
 from uav_vslam.cooperation.frame_link import MISFITS, FrameLink
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
 
@@ -37,7 +38,7 @@ def meet(make_joint, sent_map):
             identifiers=rows.astype(np.uint32),
             **key,
         )
-        pairs = link.find_common(own.positions, P[6:, 6:], own.descriptors, packet, config=CONFIG)
+        pairs = link.find_common(OwnLandmarks(own.positions, P[6:, 6:], own.descriptors), packet, config=CONFIG)
         return [(int(a), int(rows[b])) for a, b in pairs]
 
     return receive
@@ -170,6 +171,6 @@ def test_empty_maps_have_no_matches(sent_map) -> None:
     link, nothing = FrameLink(), np.zeros((0, 3))
     appearance = np.zeros((0, 128), np.uint8)
     packet = sent_map(nothing, np.zeros((0, 0)), appearance)
-    pairs = link.find_common(nothing, np.zeros((0, 0)), appearance, packet, config=CONFIG)
+    pairs = link.find_common(OwnLandmarks(nothing, np.zeros((0, 0)), appearance), packet, config=CONFIG)
     assert pairs.shape == (0, 2)
     assert link.reason == "0 matches, 8 needed"

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contract of every method of data association between vehicles, and what tells the methods apart."""
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from uav_vslam.config import FUSION_ASSOCIATIONS, FusionConfig
 from uav_vslam.cooperation.common_landmarks import find_common
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_associators import FINE_PAIRS, PEER_ASSOCIATORS, associate
 from uav_vslam.cooperation.peer_frame import CommonFrame
 from uav_vslam.errors import ConfigError
@@ -64,9 +66,8 @@ def _covariance(count: int) -> np.ndarray:
 
 def found(joint: JointInformation, packet: LandmarkPacket, name: str, **config: float) -> list[tuple[int, int]]:
     """Return the pairs, each as the row of the own landmark and that of the peer's in its map."""
-    covariance = joint.covariance[6:, 6:]
     settings = FusionConfig(association=name, **config)
-    pairs = associate(joint.positions, covariance, joint.descriptors, packet, config=settings)
+    pairs = associate(OwnLandmarks.of(joint), packet, config=settings)
     assert pairs.shape[1] == 2
     assert np.issubdtype(pairs.dtype, np.integer)
     return [(int(a), int(packet.ids[b]) - 1) for a, b in pairs]
@@ -108,13 +109,8 @@ def test_no_landmark_is_used_twice(maps: Maps, name: str) -> None:
 
 def test_descriptors_of_another_kind_match_nothing(maps: Maps, name: str) -> None:
     joint, packet = maps(20)
-    pairs = associate(
-        joint.positions,
-        joint.covariance[6:, 6:],
-        joint.descriptors[:, :64],
-        packet,
-        config=FusionConfig(association=name),
-    )
+    short = dataclasses.replace(OwnLandmarks.of(joint), descriptors=joint.descriptors[:, :64])
+    pairs = associate(short, packet, config=FusionConfig(association=name))
     assert pairs.shape == (0, 2)
 
 
@@ -143,7 +139,7 @@ def test_places_reject_mistaken_landmarks_and_descriptors_alone_do_not(maps: Map
 def test_the_frame_of_a_peer_uses_the_configured_method(maps: Maps, name: str) -> None:
     joint, packet = maps(40, mistaken=20)
     frame = CommonFrame(FusionConfig(association=name))
-    pairs = frame.find_common(joint.positions, joint.covariance[6:, 6:], joint.descriptors, packet)
+    pairs = frame.find_common(OwnLandmarks.of(joint), packet)
     assert [(int(a), int(packet.ids[b]) - 1) for a, b in pairs] == found(joint, packet, name)
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.cooperation.common_landmarks import blocks
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.point_pairs import FRAME_DIM, PointPairs, corrected, frame_jacobian, rotated
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy
@@ -68,7 +69,9 @@ def test_pairs_are_selected_from_map_and_packet(sent_map) -> None:
     factor = rng.normal(size=(9, 9))
     packet = sent_map(rng.normal(0, 9, (3, 3)), factor @ factor.T, np.zeros((3, 128), np.uint8))
     positions, P = rng.normal(size=(4, 3)), np.diag(np.arange(12.0))
-    pairs = PointPairs.of(positions, P, packet, np.array([[3, 1], [0, 2]]), 0.3)
+    pairs = PointPairs.of(
+        OwnLandmarks(positions, P, np.zeros((4, 128), np.uint8)), packet, np.array([[3, 1], [0, 2]]), 0.3
+    )
     np.testing.assert_array_equal(pairs.own, positions[[3, 0]])
     np.testing.assert_array_equal(pairs.peer, packet.positions[[1, 2]])
     np.testing.assert_array_equal(np.diag(pairs.own_covariance), [9, 10, 11, 0, 1, 2])

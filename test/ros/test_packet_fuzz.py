@@ -21,6 +21,7 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.authentication import Authentication, FleetKey, NoAuthentication
 from uav_vslam.cooperation.common_landmarks import find_common
 from uav_vslam.cooperation.inbox import Inbox
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
 from uav_vslam.slam.packet import ANCHOR, PacketPolicy, checksum, make_packet, validate
@@ -226,7 +227,7 @@ def test_without_a_key_what_gets_in_can_be_computed_with(packets: list[LandmarkP
         assert np.abs(packet.positions - packet.origin).max(initial=0.0) <= 1e6
         assert np.isfinite(packet.covariance).all()
         assert np.isfinite(np.linalg.cholesky(packet.covariance)).all()
-        find_common(own.positions, np.eye(30), own.descriptors, packet, config=FusionConfig())
+        find_common(OwnLandmarks(own.positions, np.eye(30), own.descriptors), packet, config=FusionConfig())
     capfd.readouterr()
 
 

@@ -12,6 +12,7 @@ from scipy.special import chdtri, gammaln
 
 from uav_vslam.association.clique import largest_clique
 from uav_vslam.config import FusionConfig
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.received_map import PeerLandmarks
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.numerics import inverse_spd, mahalanobis2, submatrix
@@ -28,33 +29,24 @@ MAX_GATE_SHARE = 0.5  # of the map: a match whose gate covers more of it, given 
 LOG_CHANCE = np.log(1e-3)  # largest expected number of sets of matches that agree as well, of wrong ones alone
 
 
-def find_common(
-    positions: Array,
-    covariance: Array,
-    descriptors: NDArray[np.uint8],
-    packet: LandmarkPacket,
-    *,
-    config: FusionConfig,
-) -> Pairs:
+def find_common(own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
     """Match own landmarks with a packet's: the default of `peer_associators`, which has the others.
 
     Args:
-        positions: (N, 3) own landmarks in the common frame [m].
-        covariance: (3N, 3N) their joint covariance [m^2].
-        descriptors: (N, D) as extracted; compressed here with the packet's basis.
+        own: in the common frame.
         packet: the peer's.
         config: ratio and gate.
 
     Returns:
         (K, 2) rows of own landmarks and of the packet.
     """
-    pairs = descriptor_matches(descriptors, packet, config.ratio)
-    peer_positions, peer_covariance = packet.positions, packet.covariance
-    proposed = len(pairs)
-    pairs = pairs[gated(pairs, positions, covariance, peer_positions, peer_covariance, config)]
-    pairs = pairs[consistent(pairs, positions, covariance, peer_positions, peer_covariance, config)]
-    S = ground_covariance(pairs, covariance, peer_covariance, config)
-    return pairs[beyond_chance(S, proposed, map_area(positions), config)]
+    pairs = descriptor_matches(own.descriptors, packet, config.ratio)
+    proposed, peer_covariance = len(pairs), packet.covariance
+    maps = own.positions, own.covariance, packet.positions, peer_covariance
+    pairs = pairs[gated(pairs, *maps, config)]
+    pairs = pairs[consistent(pairs, *maps, config)]
+    S = ground_covariance(pairs, own.covariance, peer_covariance, config)
+    return pairs[beyond_chance(S, proposed, map_area(own.positions), config)]
 
 
 def gated(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:

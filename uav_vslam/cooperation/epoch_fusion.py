@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.cooperation.fused_pose import FusedEpoch, move
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_frame import PeerFrame
 from uav_vslam.cooperation.schemes import SCHEMES
 from uav_vslam.cooperation.unknown_frame import FrameEstimate
@@ -43,9 +44,10 @@ class EpochFusion:
         self.map_landmarks = 0
 
     @property
-    def landmark_covariance(self) -> Array:
-        """(3N, 3N) of the landmarks as fused so far [m^2]."""
-        return self._belief.total[POSE_DIM:, POSE_DIM:]
+    def landmarks(self) -> OwnLandmarks:
+        """The own landmarks as fused so far."""
+        covariance = self._belief.total[POSE_DIM:, POSE_DIM:]
+        return OwnLandmarks(self.positions, covariance, self.joint.descriptors)
 
     def add(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
         """Fuse a packet through (K, 2) pairs of own landmarks and its own.

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.alignment import MIN_INLIERS, Alignment, Refusal, align, follow
 from uav_vslam.cooperation.common_landmarks import comparable, descriptor_matches
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.cooperation.received_map import ReceivedMap, updated_map
 from uav_vslam.types import LandmarkPacket
 
-Array = NDArray[np.float64]
 Pairs = NDArray[np.intp]
 
 MISFITS = 3  # packets in a row that contradict the frame
@@ -40,15 +40,7 @@ class FrameLink:
         self._received: ReceivedMap | None = None
         self._misfits = 0
 
-    def find_common(
-        self,
-        positions: Array,
-        covariance: Array,
-        descriptors: NDArray[np.uint8],
-        packet: LandmarkPacket,
-        *,
-        config: FusionConfig,
-    ) -> Pairs:
+    def find_common(self, own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
         """Match as `common_landmarks.find_common`, with landmarks in the own frame, and update the alignment.
 
         Without an alignment nothing matches.
@@ -56,11 +48,11 @@ class FrameLink:
         if packet.session != self._session:
             self._reset("no frame found since it started")
             self._session = packet.session
-        if not comparable(descriptors, packet):
+        if not comparable(own.descriptors, packet):
             return np.zeros((0, 2), np.intp)
         self._received = updated_map(packet, self._received)
-        pairs = descriptor_matches(descriptors, self._received, config.ratio)
-        points = PointPairs.of(positions, covariance, self._received, pairs, config.floor_sigma_m)
+        pairs = descriptor_matches(own.descriptors, self._received, config.ratio)
+        points = PointPairs.of(own, self._received, pairs, config.floor_sigma_m)
         now = np.flatnonzero(pairs[:, 1] < len(packet))  # earlier packets' serve the alignment, and are not fused
         is_new, self._newest = packet.order != self._newest, packet.order
         rows = self._inliers(points, now, config.min_common, is_new=is_new)

@@ -170,7 +170,7 @@ class Fusion:
         if self._loaded is None:
             return
         frame = CommonFrame(self._config)
-        found = self._loaded.common(fusing.joint, fusing.positions, fusing.landmark_covariance, frame)
+        found = self._loaded.common(fusing.landmarks, frame)
         if found is not None:
             fusing.add_map(*found, frame)
 
@@ -217,8 +217,7 @@ class Fusion:
 
     def _common(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
         """Return (K, 2) rows of common landmarks: own, and the packet's."""
-        covariance, descriptors = fusing.landmark_covariance, fusing.joint.descriptors
-        return self.frame(packet.vehicle).find_common(fusing.positions, covariance, descriptors, packet)
+        return self.frame(packet.vehicle).find_common(fusing.landmarks, packet)
 
     def _matched_by_id(self, fusing: EpochFusion, packet: LandmarkPacket) -> Pairs:
         """Return (K, 2) rows of own landmarks and of feedback with equal identifiers, checked in the peer's frame.
@@ -232,4 +231,4 @@ class Fusion:
             return nothing
         _, own, theirs = np.intersect1d(fusing.joint.ids, packet.ids, return_indices=True)
         pairs = np.column_stack([own, theirs])
-        return self.frame(packet.vehicle).agreeing(fusing.positions, fusing.landmark_covariance, packet, pairs)
+        return self.frame(packet.vehicle).agreeing(fusing.landmarks, packet, pairs)

@@ -9,10 +9,11 @@ same section may be used again and again. A vehicle that started in the map depe
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_frame import PeerFrame
 from uav_vslam.slam.packet.covariance import code_dense
 from uav_vslam.slam.saved_map import MapSection, SavedMap
-from uav_vslam.types import JointInformation, LandmarkPacket
+from uav_vslam.types import LandmarkPacket
 from uav_vslam.vision.compact_descriptors import RAW
 
 Array = NDArray[np.float64]
@@ -30,22 +31,19 @@ class LoadedMap:
         self._anchors = np.array([section.anchor for section in saved.sections]).reshape(-1, 3)
         self._packets: dict[int, LandmarkPacket] = {}
 
-    def common(
-        self, joint: JointInformation, positions: Array, covariance: Array, frame: PeerFrame
-    ) -> tuple[LandmarkPacket, Pairs] | None:
+    def common(self, own: OwnLandmarks, frame: PeerFrame) -> tuple[LandmarkPacket, Pairs] | None:
         """Return the section with most common landmarks, and the (K, 2) pairs of own rows and its; None without any.
 
         Args:
-            joint: the own belief.
-            positions, covariance: (N, 3) and (3N, 3N) of its landmarks, as fused so far [m], [m^2].
+            own: landmarks of the own belief, as fused so far.
             frame: the map's, common with the own.
         """
         best: tuple[LandmarkPacket, Pairs] | None = None
-        for row in self._nearest(positions):
+        for row in self._nearest(own.positions):
             packet = self._packet(row)
-            if packet.descriptors.shape[1] != joint.descriptors.shape[1]:
+            if packet.descriptors.shape[1] != own.descriptors.shape[1]:
                 continue
-            pairs = frame.find_common(positions, covariance, joint.descriptors, packet)
+            pairs = frame.find_common(own, packet)
             if len(pairs) > (0 if best is None else len(best[1])):
                 best = packet, pairs
         return best

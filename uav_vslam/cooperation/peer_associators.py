@@ -30,6 +30,7 @@ from uav_vslam.cooperation.common_landmarks import (
     descriptor_matches,
     find_common,
 )
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.cooperation.two_point import gated as inliers
 from uav_vslam.cooperation.two_point import hypotheses
@@ -41,7 +42,6 @@ from uav_vslam.vision.matching.gtm import same_neighbours
 from uav_vslam.vision.matching.nn_ratio import match_gated, squared_distances
 
 Array = NDArray[np.float64]
-Descriptors = NDArray[np.uint8]
 Pairs = NDArray[np.intp]
 InlierSelection = Callable[[PointPairs, FusionConfig], NDArray[np.intp]]
 
@@ -51,57 +51,41 @@ FINE_PAIRS = 20  # "the first certain number of pairs": a third of a wideband pa
 class PeerAssociator(Protocol):
     """Associates own landmarks with those of a packet in the same frame; deterministic."""
 
-    def __call__(
-        self,
-        positions: Array,
-        covariance: Array,
-        descriptors: Descriptors,
-        packet: LandmarkPacket,
-        *,
-        config: FusionConfig,
-    ) -> Pairs:
+    def __call__(self, own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
         """Return (K, 2) rows of own landmarks and of the packet, none used twice; see `find_common`."""
         ...
 
 
-def associate(
-    positions: Array, covariance: Array, descriptors: Descriptors, packet: LandmarkPacket, *, config: FusionConfig
-) -> Pairs:
+def associate(own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
     """Return the common landmarks by the configured method; none if fewer than `min_common`.
 
     Args:
-        positions: (N, 3) own landmarks in the common frame [m].
-        covariance: (3N, 3N) their joint covariance [m^2].
-        descriptors: (N, D) as extracted; compressed here with the packet's basis.
+        own: in the common frame.
         packet: the peer's.
         config: method, ratio, gate and the smallest number of pairs that is accepted.
 
     Returns:
         (K, 2) rows of own landmarks and of the packet.
     """
-    pairs = PEER_ASSOCIATORS[config.association](positions, covariance, descriptors, packet, config=config)
+    pairs = PEER_ASSOCIATORS[config.association](own, packet, config=config)
     return pairs if len(pairs) >= config.min_common else pairs[:0]
 
 
-def nn(
-    positions: Array, covariance: Array, descriptors: Descriptors, packet: LandmarkPacket, *, config: FusionConfig
-) -> Pairs:
+def nn(own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
     """Match mutual nearest descriptors that pass the ratio test."""
-    return descriptor_matches(descriptors, packet, config.ratio)
+    return descriptor_matches(own.descriptors, packet, config.ratio)
 
 
-def gated(
-    positions: Array, covariance: Array, descriptors: Descriptors, packet: LandmarkPacket, *, config: FusionConfig
-) -> Pairs:
+def gated(own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
     """Match mutual nearest descriptors with ratio test among the pairs inside the gate."""
-    if len(packet) == 0 or not comparable(descriptors, packet):
+    if len(packet) == 0 or not comparable(own.descriptors, packet):
         return np.zeros((0, 2), np.intp)
-    k, m = np.arange(len(positions)), np.arange(len(packet))
-    S = blocks(covariance)[k, k][:, None] + blocks(packet.covariance)[m, m] + config.floor_sigma_m**2 * np.eye(3)
-    distance2 = mahalanobis2(packet.positions - positions[:, None], S)
+    k, m = np.arange(len(own)), np.arange(len(packet))
+    S = blocks(own.covariance)[k, k][:, None] + blocks(packet.covariance)[m, m] + config.floor_sigma_m**2 * np.eye(3)
+    distance2 = mahalanobis2(packet.positions - own.positions[:, None], S)
     basis = packet.descriptor_basis
     return match_gated(
-        in_basis(descriptors, basis),
+        in_basis(own.descriptors, basis),
         packet.descriptors,
         distance2 <= chdtri(POINT_DOF, 1.0 - config.gate_probability),
         config.ratio,
@@ -109,22 +93,18 @@ def gated(
     )
 
 
-def cds(
-    positions: Array, covariance: Array, descriptors: Descriptors, packet: LandmarkPacket, *, config: FusionConfig
-) -> Pairs:
+def cds(own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
     """Match as `nn`, and keep only a connected dominating set of the packet's landmarks on the ground."""
-    pairs = nn(positions, covariance, descriptors, packet, config=config)
+    pairs = nn(own, packet, config=config)
     return pairs[np.isin(pairs[:, 1], dominating_points(packet.positions[:, :2]))]
 
 
-def coarse_fine(
-    positions: Array, covariance: Array, descriptors: Descriptors, packet: LandmarkPacket, *, config: FusionConfig
-) -> Pairs:
+def coarse_fine(own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
     """Match mutual nearest descriptors without ratio test, and keep those with the smallest distances."""
-    pairs = descriptor_matches(descriptors, packet, 1.0)
+    pairs = descriptor_matches(own.descriptors, packet, 1.0)
     if len(pairs) == 0:
         return pairs
-    distance2 = squared_distances(in_basis(descriptors, packet.descriptor_basis), packet.descriptors)
+    distance2 = squared_distances(in_basis(own.descriptors, packet.descriptor_basis), packet.descriptors)
     order = np.argsort(distance2[pairs[:, 0], pairs[:, 1]], kind="stable")
     return pairs[np.sort(order[:FINE_PAIRS])]
 
@@ -132,11 +112,9 @@ def coarse_fine(
 def with_outlier_rejection(method: PeerAssociator, select: InlierSelection) -> PeerAssociator:
     """Add outlier rejection to a method."""
 
-    def associate_and_reject(
-        positions: Array, covariance: Array, descriptors: Descriptors, packet: LandmarkPacket, *, config: FusionConfig
-    ) -> Pairs:
-        pairs = method(positions, covariance, descriptors, packet, config=config)
-        return pairs[select(PointPairs.of(positions, covariance, packet, pairs, config.floor_sigma_m), config)]
+    def associate_and_reject(own: OwnLandmarks, packet: LandmarkPacket, *, config: FusionConfig) -> Pairs:
+        pairs = method(own, packet, config=config)
+        return pairs[select(PointPairs.of(own, packet, pairs, config.floor_sigma_m), config)]
 
     return associate_and_reject
 

@@ -11,6 +11,7 @@ from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation import common_landmarks
 from uav_vslam.cooperation.alignment import Alignment
 from uav_vslam.cooperation.frame_link import FrameLink
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.cooperation.schemes import Evidence
@@ -34,12 +35,10 @@ class PeerFrame(Protocol):
     def alignment(self) -> Alignment | None:
         """The newest alignment; None if not found yet, or not needed."""
 
-    def find_common(
-        self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
-    ) -> Pairs:
-        """Return (K, 2) rows of own landmarks and of the packet; the arguments are `peer_associators.associate`'s."""
+    def find_common(self, own: OwnLandmarks, packet: LandmarkPacket) -> Pairs:
+        """Return (K, 2) rows of own landmarks and of the packet, see `peer_associators.associate`."""
 
-    def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
+    def agreeing(self, own: OwnLandmarks, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
         """Return those of (K, 2) pairs, matched by identifier, that pass the gate; none in an unknown frame."""
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> "FramedPacket":
@@ -82,16 +81,14 @@ class CommonFrame:
     def alignment(self) -> None:
         """Always None."""
 
-    def find_common(
-        self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
-    ) -> Pairs:
+    def find_common(self, own: OwnLandmarks, packet: LandmarkPacket) -> Pairs:
         """See `PeerFrame`."""
-        return associate(positions, covariance, descriptors, packet, config=self._config)
+        return associate(own, packet, config=self._config)
 
-    def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
+    def agreeing(self, own: OwnLandmarks, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
         """See `PeerFrame`."""
-        peer = packet.positions, packet.covariance
-        return pairs[common_landmarks.gated(pairs, positions, covariance, *peer, self._config)]
+        maps = own.positions, own.covariance, packet.positions, packet.covariance
+        return pairs[common_landmarks.gated(pairs, *maps, self._config)]
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> InOwnFrame:
         """See `PeerFrame`."""
@@ -124,15 +121,13 @@ class UnknownFrame:
         """See `PeerFrame`."""
         return self._link.alignment
 
-    def find_common(
-        self, positions: Array, covariance: Array, descriptors: NDArray[np.uint8], packet: LandmarkPacket
-    ) -> Pairs:
+    def find_common(self, own: OwnLandmarks, packet: LandmarkPacket) -> Pairs:
         """See `PeerFrame`; updates the alignment."""
-        return self._link.find_common(positions, covariance, descriptors, packet, config=self._config)
+        return self._link.find_common(own, packet, config=self._config)
 
-    def agreeing(self, positions: Array, covariance: Array, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
+    def agreeing(self, own: OwnLandmarks, packet: LandmarkPacket, pairs: Pairs) -> Pairs:
         """See `PeerFrame`; at least two, because one pair alone cannot confirm a frame."""
-        points = PointPairs.of(positions, covariance, packet, pairs, self._config.floor_sigma_m)
+        points = PointPairs.of(own, packet, pairs, self._config.floor_sigma_m)
         return pairs[self._link.agreeing(points)]
 
     def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Framed:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.cooperation.common_landmarks import blocks
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.received_map import PeerLandmarks
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.geometry.pose import Pose
@@ -42,16 +43,14 @@ class PointPairs:
     floor_sigma_m: float
 
     @staticmethod
-    def of(
-        positions: Array, covariance: Array, packet: PeerLandmarks, pairs: Rows, floor_sigma_m: float
-    ) -> "PointPairs":
-        """Select (K, 2) rows of own landmarks, (N, 3) with covariance (3N, 3N), and of a packet's."""
-        own, peer = landmark_rows(0, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
+    def of(own: OwnLandmarks, packet: PeerLandmarks, pairs: Rows, floor_sigma_m: float) -> "PointPairs":
+        """Select (K, 2) rows of own landmarks and of a packet's."""
+        at, at_peer = landmark_rows(0, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
         return PointPairs(
-            positions[pairs[:, 0]],
+            own.positions[pairs[:, 0]],
             packet.positions[pairs[:, 1]],
-            covariance[np.ix_(own, own)],
-            packet.covariance[np.ix_(peer, peer)],
+            own.covariance[np.ix_(at, at)],
+            packet.covariance[np.ix_(at_peer, at_peer)],
             floor_sigma_m,
         )
 

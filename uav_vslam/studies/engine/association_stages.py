@@ -11,10 +11,10 @@ from scipy.special import chdtri
 
 from uav_vslam.config import FUSION_ASSOCIATIONS, FusionConfig
 from uav_vslam.cooperation.common_landmarks import POINT_DOF, descriptor_matches, find_common
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.evaluation.study import Row
-from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import mahalanobis2
 from uav_vslam.studies.engine.pool import ratio
 from uav_vslam.types import JointInformation, LandmarkPacket
@@ -83,29 +83,26 @@ def pairs_by_stage(joint: JointInformation, packet: LandmarkPacket, config: Fusi
         packet: a peer's.
         config: ratio, gate and floor; any number of pairs is accepted.
     """
-    covariance = joint.covariance[POSE_DIM:, POSE_DIM:]
+    own = OwnLandmarks.of(joint)
     one_way = descriptor_matches(joint.descriptors, packet, config.ratio, mutual=False)
     mutual = descriptor_matches(joint.descriptors, packet, config.ratio)
-    points = PointPairs.of(joint.positions, covariance, packet, mutual, config.floor_sigma_m)
+    points = PointPairs.of(own, packet, mutual, config.floor_sigma_m)
     offset, S = points.own - points.peer, points.pair_covariances(np.eye(3))
     distance2 = mahalanobis2(offset, S)
     left = (
         one_way,
         mutual,
         mutual[distance2 <= chdtri(POINT_DOF, 1.0 - config.gate_probability)],
-        find_common(joint.positions, covariance, joint.descriptors, packet, config=config),
+        find_common(own, packet, config=config),
     )
     return dict(zip(STAGES, left, strict=True))
 
 
 def pairs_by_method(joint: JointInformation, packet: LandmarkPacket, config: FusionConfig) -> dict[str, Pairs]:
     """Return the pairs that each method finds; arguments as of `pairs_by_stage`."""
-    covariance = joint.covariance[POSE_DIM:, POSE_DIM:]
+    own = OwnLandmarks.of(joint)
     configs = {name: dataclasses.replace(config, association=name) for name in FUSION_ASSOCIATIONS}
-    return {
-        name: associate(joint.positions, covariance, joint.descriptors, packet, config=one)
-        for name, one in configs.items()
-    }
+    return {name: associate(own, packet, config=one) for name, one in configs.items()}
 
 
 def score(pairs: Pairs, joint: JointInformation, packet: LandmarkPacket, truth: Identities) -> Score:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.errors import UavVslamError
 from uav_vslam.estimation.belief import landmark_rows
@@ -20,7 +21,6 @@ from uav_vslam.estimation.covariance_intersection import minimising_weight
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.information import InformationBelief
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.numerics import cholesky, inverse_spd, symmetrise
 from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.epochs import crosses_epoch
@@ -177,8 +177,7 @@ def _exchange(
     joints = {name: backend.joint_information() for name, backend in backends.items()}
     for receiver, sender in itertools.permutations(backends, 2):
         packet, own = packets[sender], joints[receiver]
-        P = own.covariance[POSE_DIM:, POSE_DIM:]
-        pairs = associate(own.positions, P, own.descriptors, packet, config=config.fusion)
+        pairs = associate(OwnLandmarks.of(own), packet, config=config.fusion)
         if len(pairs):
             shared = Shared.of(packet, pairs[:, 1])
             write(backends[receiver].filter, pairs[:, 0], shared, received.get((sender, receiver)))
