@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_vslam.ins.startup_buffer import StartupBuffer
+from uav_vslam.ins.startup_buffer import MAX_APART_S, MAX_UNCOVERED_S, StartupBuffer
 from uav_vslam.types import NS_PER_S, ImuSample
 
 
@@ -55,3 +55,18 @@ def test_ahead_is_relative_to_the_newest_reading() -> None:
     early.take()
     assert early.ahead_s(0) == -21.0
     assert early.ahead_s(24 * NS_PER_S) == 3.0
+
+
+def test_a_start_from_long_before_the_readings_is_refused() -> None:
+    early, first_ns = StartupBuffer(), 100 * NS_PER_S
+    assert early.refusal(0) == ""  # nothing to compare it with yet
+    for k in range(4):
+        early.add(reading(first_ns + k * NS_PER_S // 2))
+    covered_ns = first_ns - round(MAX_UNCOVERED_S * NS_PER_S)
+    assert early.refusal(covered_ns) == ""
+    assert "2.0 s before the first IMU sample" in early.refusal(covered_ns - 1000)
+    assert early.refusal(covered_ns - 1000, in_flight=True) == ""  # the back end makes no newer one
+    newest_ns = first_ns + 3 * NS_PER_S // 2
+    stale_ns = newest_ns - round(MAX_APART_S * NS_PER_S)
+    assert early.refusal(stale_ns, in_flight=True) == ""
+    assert "30.0 s before the newest IMU sample" in early.refusal(stale_ns - 1000, in_flight=True)

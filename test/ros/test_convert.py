@@ -12,6 +12,7 @@ pytest.importorskip("rclpy", reason="needs ROS")
 from geometry_msgs.msg import TwistWithCovariance, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
+from same_records import assert_same
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from uav_vslam.config import InputConfig
@@ -32,7 +33,6 @@ from uav_vslam.types import (
 )
 
 STAMP_NS = 1_283_212_800_123_456_789
-ROTATION = 2e-15  # matrix to quaternion and back: 1.6e-15 at worst of 100 000; all else is bitwise equal
 NAN, INFINITY = float("nan"), float("inf")
 
 
@@ -93,22 +93,6 @@ def joint(request: pytest.FixtureRequest, make_joint: Callable[..., JointInforma
 def serialised(message: Any) -> Any:
     """Return the message after serialisation and deserialisation."""
     return deserialize_message(serialize_message(message), type(message))
-
-
-def assert_same(got: Any, sent: Any) -> None:
-    """Compare two records field by field: rotations nearly, everything else exactly."""
-    assert type(got) is type(sent)
-    if isinstance(sent, Pose):
-        np.testing.assert_allclose(got.R, sent.R, rtol=0, atol=ROTATION)
-        np.testing.assert_array_equal(got.t, sent.t)
-    elif dataclasses.is_dataclass(sent):
-        for field in dataclasses.fields(sent):
-            assert_same(getattr(got, field.name), getattr(sent, field.name))
-    elif isinstance(sent, np.ndarray):
-        assert got.dtype == sent.dtype
-        np.testing.assert_array_equal(got, sent)
-    else:
-        assert got == sent
 
 
 @pytest.mark.parametrize("count", [0, 5])

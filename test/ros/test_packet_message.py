@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS")
 from rclpy.serialization import deserialize_message, serialize_message
+from same_records import assert_same
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.fusion import Fusion
@@ -43,18 +44,6 @@ def packet_of(make_joint) -> Maker:
 def travelled(message: LandmarkInformation) -> LandmarkInformation:
     """Return the message as a subscriber gets it."""
     return deserialize_message(serialize_message(message), LandmarkInformation)
-
-
-def assert_same(got: Any, sent: Any) -> None:
-    assert type(got) is type(sent)
-    if dataclasses.is_dataclass(sent):
-        for field in dataclasses.fields(sent):
-            assert_same(getattr(got, field.name), getattr(sent, field.name))
-    elif isinstance(sent, np.ndarray):
-        assert got.dtype == sent.dtype
-        np.testing.assert_array_equal(got, sent)
-    else:
-        assert got == sent
 
 
 @pytest.mark.parametrize("policy", [DENSE, COMPACT], ids=lambda p: p.form)

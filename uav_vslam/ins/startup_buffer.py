@@ -49,6 +49,27 @@ class StartupBuffer:
         """Return the time from a start at this stamp to the first reading that is buffered [s]."""
         return (self._first_reading_ns(stamp_ns) - stamp_ns) / NS_PER_S
 
+    def refusal(self, stamp_ns: int, *, in_flight: bool = False) -> str:
+        """Return why a start at this stamp is of no use; empty if it is of use, or without readings.
+
+        Args:
+            stamp_ns: of the start state [ns].
+            in_flight: the start is the back end's newest estimate. It makes no newer one without our increments, so
+                an unknown motion since is accepted.
+        """
+        ahead_s, uncovered_s = self.ahead_s(stamp_ns), self.uncovered_s(stamp_ns)
+        if ahead_s is not None and ahead_s < -MAX_APART_S:
+            return (
+                f"{-ahead_s:.1f} s before the newest IMU sample, more than {MAX_APART_S:g} s; stamp it with its time "
+                "of validity"
+            )
+        if uncovered_s > MAX_UNCOVERED_S and not in_flight:
+            return (
+                f"{uncovered_s:.1f} s before the first IMU sample received, more than {MAX_UNCOVERED_S:g} s: the "
+                "motion since is unknown; publish a newer one, or start with the vehicle at rest (start.method: static)"
+            )
+        return ""
+
     def _first_reading_ns(self, otherwise_ns: int) -> int:
         """Return the stamp of the first reading that is buffered, or another one if there is none [ns]."""
         return next((item.stamp_ns for item in self._items if isinstance(item, ImuSample)), otherwise_ns)

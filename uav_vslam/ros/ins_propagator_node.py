@@ -212,8 +212,9 @@ class InsPropagatorNode(VehicleNode):
         if ahead_s > MAX_APART_S:
             return
         self._given = None
-        if refusal := self._start_refusal(given.state.stamp_ns, ahead_s):
-            self._refuse_start("start_stamp", f"initial_state is stamped {given.state.stamp_ns} ns, {refusal}")
+        stamp_ns = given.state.stamp_ns
+        if refusal := self._startup_buffer.refusal(stamp_ns, in_flight=stamp_ns == self._corrected_ns):
+            self._refuse_start("start_stamp", f"initial_state is stamped {stamp_ns} ns, {refusal}")
         elif conflict := self._sensors.conflict(self._given_frame):
             self._refuse_start("start_frame", f"initial_state {conflict}")
         else:
@@ -223,21 +224,6 @@ class InsPropagatorNode(VehicleNode):
         """Drop a start state; until another is taken, nothing else says why there is no estimate."""
         self.drop(reason, text)
         self.alarms["start"] = f"no start: {text}"
-
-    def _start_refusal(self, stamp_ns: int, ahead_s: float) -> str:
-        """Return why a start state of this stamp is of no use; empty if it is."""
-        if ahead_s < -MAX_APART_S:
-            return (
-                f"{-ahead_s:.1f} s before the newest IMU sample, more than {MAX_APART_S:g} s; stamp it with its time "
-                "of validity"
-            )
-        uncovered_s = self._startup_buffer.uncovered_s(stamp_ns)
-        if uncovered_s > MAX_UNCOVERED_S and stamp_ns != self._corrected_ns:  # no newer correction comes without us
-            return (
-                f"{uncovered_s:.1f} s before the first IMU sample received, more than {MAX_UNCOVERED_S:g} s: the "
-                "motion since is unknown; publish a newer one, or start with the vehicle at rest (start.method: static)"
-            )
-        return ""
 
     def _start(self, initial: NavEstimate) -> None:
         self.alarms.pop("start", None)
