@@ -17,7 +17,7 @@ from functools import partial
 from itertools import permutations
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
@@ -25,6 +25,7 @@ from rclpy.serialization import deserialize_message
 from uav_vslam.config.nodes import LinkNodeConfig
 from uav_vslam.cooperation.link import Link, link_between
 from uav_vslam.errors import ConfigError
+from uav_vslam.ros.diagnostics import status_message
 from uav_vslam.ros.fleet_commands import feedback_to, link_output, packets_of
 from uav_vslam.ros.inputs import unmatched
 from uav_vslam.ros.params import declare, read
@@ -108,20 +109,13 @@ class LinkEmulatorNode(Node):
             one.follow(self)
 
     def _report(self) -> None:
-        values: dict[str, Any] = {}
+        values: dict[str, str] = {}
         for (sender, receiver), link in self._links.items():
             for fate, count in sorted(link.packets.items()):
                 values[f"{sender}>{receiver}/{fate}"] = f"{count} packets, {link.size_bytes[fate]} B"
             values[f"{sender}>{receiver}/queued"] = f"{link.queued_bytes} B"
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.OK,
-            name="fleet: link_emulator",
-            message="relaying",
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(status_message("fleet: link_emulator", values, text="relaying", stamp=stamp))
 
 
 def main(args: list[str] | None = None) -> int:

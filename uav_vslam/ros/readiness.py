@@ -5,9 +5,10 @@ not lost.
 
 from collections.abc import Callable, Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
+from uav_vslam.ros.diagnostics import status_message
 from uav_vslam.ros.timers import create_wall_timer
 
 DISCOVERY = "/discovery"  # apart from /diagnostics, which is for the operator
@@ -36,8 +37,7 @@ class DiscoveryReport:
             READERS: " ".join(f"{p.topic_name}={p.get_subscription_count()}" for p in self._node.publishers),
         }
         name = f"{_owner(self._node.get_namespace())}: {self._node.get_name()}"
-        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-        self._publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name=name, values=pairs)]))
+        self._publisher.publish(status_message(name, values))
 
 
 class Readiness:

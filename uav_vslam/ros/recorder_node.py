@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -26,6 +26,7 @@ from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import RawRecorder
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.batches import Batches, take_waiting
+from uav_vslam.ros.diagnostics import status_message
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.ros.readiness import DiscoveryReport
@@ -111,13 +112,9 @@ class RecorderNode(Node):
         return [one.topic_name for one in self._inputs if one.get_publisher_count() == 0]
 
     def _report(self) -> None:
-        values = [
-            KeyValue(key="written", value=str(self._written)),
-            KeyValue(key="dropped", value=str(self._dropped)),
-        ]
+        values = {"written": str(self._written), "dropped": str(self._dropped)}
         level, text = self._health()
-        status = DiagnosticStatus(level=level, name="fleet: recorder", message=text, values=values)
-        self._diagnostics.publish(DiagnosticArray(status=[status]))
+        self._diagnostics.publish(status_message("fleet: recorder", values, level=level, text=text))
 
     def _health(self) -> tuple[bytes, str]:
         """Return level and text of the status."""

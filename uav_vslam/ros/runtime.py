@@ -12,7 +12,7 @@ from typing import Any
 
 import cv2
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
@@ -29,6 +29,7 @@ from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.memory import keep_freed_memory
 from uav_vslam.monitor import DROPPED
+from uav_vslam.ros.diagnostics import status_message
 from uav_vslam.ros.domain import check_domain
 from uav_vslam.ros.executor import LeanExecutor
 from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
@@ -265,17 +266,11 @@ class VehicleNode(PausableNode):
 
     def _publish_diagnostics(self) -> None:
         level, text = self._health()
-        values = {**{key: str(count) for key, count in sorted(self.counts.items())}, **self.notes}
-        status = DiagnosticStatus(
-            level=level,
-            name=f"{self.vehicle}: {self.get_name()}",
-            message=text,
-            hardware_id=self.vehicle,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        values = {key: str(count) for key, count in sorted(self.counts.items())} | self.notes
+        name, stamp = f"{self.vehicle}: {self.get_name()}", self.get_clock().now().to_msg()
+        self._diagnostics.publish(
+            status_message(name, values, level=level, text=text, vehicle=self.vehicle, stamp=stamp)
         )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
 
 
 def _pauses_text(pauses: dict[str, float]) -> str:
