@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from uav_vslam.cooperation.point_pairs import FRAME_DIM, corrected, rotated
 from uav_vslam.cooperation.schemes import SCHEMES
-from uav_vslam.cooperation.unknown_frame import Framed, framed
+from uav_vslam.cooperation.unknown_frame import UnknownFramePacket, eliminate_frame
 from uav_vslam.estimation.covariance_intersection import Fused, Split, split_covariance_intersection
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import rotation_from_rpy, so3_log
@@ -54,8 +54,8 @@ def independent(P: np.ndarray) -> Split:
 
 def fuse(
     packet, T=T_TRUE, positions=POINTS, *, P=OWN, scheme="split_ci", weighing="position_trace", dependent=False
-) -> tuple[Framed, Fused]:
-    in_own_frame = framed(positions, packet, PAIRS, T, floor_sigma_m=FLOOR_M, dependent=dependent)
+) -> tuple[UnknownFramePacket, Fused]:
+    in_own_frame = eliminate_frame(positions, packet, PAIRS, T, floor_sigma_m=FLOOR_M, dependent=dependent)
     return in_own_frame, SCHEMES[scheme](independent(P), in_own_frame.evidence, weighing)
 
 
@@ -189,7 +189,7 @@ def test_the_packets_covariance_is_rotated_with_its_landmarks(packet_of) -> None
 
 
 def test_two_pairs_constrain_their_distance_and_slope(packet_of) -> None:
-    in_own_frame = framed(POINTS, packet_of(), PAIRS[:2], T_TRUE, floor_sigma_m=FLOOR_M, dependent=False)
+    in_own_frame = eliminate_frame(POINTS, packet_of(), PAIRS[:2], T_TRUE, floor_sigma_m=FLOOR_M, dependent=False)
     assert in_own_frame.evidence.E.shape == (2, len(OWN))
     np.testing.assert_allclose(in_own_frame.evidence.E[:, :POSE_DIM], 0.0)
     fused = SCHEMES["split_ci"](independent(OWN), in_own_frame.evidence, "position_trace")

@@ -15,7 +15,7 @@ from uav_vslam.cooperation.own_landmarks import OwnLandmarks
 from uav_vslam.cooperation.peer_associators import associate
 from uav_vslam.cooperation.point_pairs import PointPairs
 from uav_vslam.cooperation.schemes import Evidence
-from uav_vslam.cooperation.unknown_frame import Framed, FrameEstimate, framed
+from uav_vslam.cooperation.unknown_frame import FrameEstimate, UnknownFramePacket, eliminate_frame
 from uav_vslam.estimation.belief import landmark_rows
 from uav_vslam.estimation.covariance_intersection import Fused
 from uav_vslam.types import LandmarkPacket
@@ -57,7 +57,7 @@ class FramedPacket(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class InOwnFrame:
+class CommonFramePacket:
     """A packet that is already in the own frame."""
 
     evidence: Evidence
@@ -90,7 +90,7 @@ class CommonFrame:
         maps = own.positions, own.covariance, packet.positions, packet.covariance
         return pairs[common_landmarks.gated(pairs, *maps, self._config)]
 
-    def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> InOwnFrame:
+    def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> CommonFramePacket:
         """See `PeerFrame`."""
         rows = landmark_rows(0, pairs[:, 1])
         evidence = Evidence.of_landmarks(
@@ -101,7 +101,7 @@ class CommonFrame:
             floor_sigma_m=self._config.floor_sigma_m,
             dependent=dependent,
         )
-        return InOwnFrame(evidence)
+        return CommonFramePacket(evidence)
 
 
 class UnknownFrame:
@@ -130,8 +130,8 @@ class UnknownFrame:
         points = PointPairs.of(own, packet, pairs, self._config.floor_sigma_m)
         return pairs[self._link.agreeing(points)]
 
-    def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> Framed:
+    def framed(self, positions: Array, packet: LandmarkPacket, pairs: Pairs, *, dependent: bool) -> UnknownFramePacket:
         """See `PeerFrame`; the evidence does not depend on the frame's estimate."""
         assert self._link.alignment is not None  # there are pairs
         T_own_peer, floor_m = self._link.alignment.T_own_peer, self._config.floor_sigma_m
-        return framed(positions, packet, pairs, T_own_peer, floor_sigma_m=floor_m, dependent=dependent)
+        return eliminate_frame(positions, packet, pairs, T_own_peer, floor_sigma_m=floor_m, dependent=dependent)

@@ -45,7 +45,7 @@ class FrameEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Framed:
+class UnknownFramePacket:
     """A packet in an unknown frame.
 
     Attributes:
@@ -71,7 +71,7 @@ class Framed:
         return FrameEstimate(corrected(self.T_own_peer, G @ fused.delta - gain @ self.whole.innovation), covariance)
 
 
-def framed(
+def eliminate_frame(
     positions: Array,
     packet: LandmarkPacket,
     pairs: NDArray[np.intp],
@@ -79,7 +79,7 @@ def framed(
     *,
     floor_sigma_m: float,
     dependent: bool,
-) -> Framed:
+) -> UnknownFramePacket:
     """Express a packet's landmarks in the own frame and eliminate the frame's four degrees of freedom.
 
     Args:
@@ -108,4 +108,4 @@ def framed(
         floor=floor_sigma_m**2 * np.eye(N.shape[1]),
         dependent=dependent,
     )
-    return Framed(evidence, T_own_peer, A, whole)
+    return UnknownFramePacket(evidence, T_own_peer, A, whole)

@@ -53,7 +53,7 @@ class CalibrationError:
     def applied(self, rig: StereoRig) -> StereoRig:
         """Return the rig as the calibration has it."""
         left, right = (
-            _told_camera(camera, self.focal[side], self.principal_point_px[side])
+            _assumed_camera(camera, self.focal[side], self.principal_point_px[side])
             for side, camera in enumerate((rig.left, rig.right))
         )
         turned = rotated_right(rig, self.attitude_rad)
@@ -97,7 +97,7 @@ def errors_of(seed: int) -> dict[str, CalibrationError | BoardCalibration]:
     return errors | constant | {BOARD: BoardCalibration(seed)}
 
 
-def _told_camera(camera: PinholeCamera, focal: float, shift_px: Array) -> PinholeCamera:
+def _assumed_camera(camera: PinholeCamera, focal: float, shift_px: Array) -> PinholeCamera:
     scale = 1.0 + float(focal)
     cx, cy = camera.cx + float(shift_px[0]), camera.cy + float(shift_px[1])
     return dataclasses.replace(camera, fx=scale * camera.fx, fy=scale * camera.fy, cx=cx, cy=cy)
