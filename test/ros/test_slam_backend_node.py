@@ -87,7 +87,7 @@ def coasting_at(frame: int, *, features: int) -> FrameReport:
     ("reason", "subject", "text"),
     [
         ("unpaired", "unpaired", "most frames are dropped"),
-        ("imu_doubt", "imu", "the IMU measures (0.0, 0.0, -9.8) m/s^2"),
+        ("imu_fault", "imu", "the IMU measures (0.0, 0.0, -9.8) m/s^2"),
     ],
 )
 def test_inputs_that_can_not_be_right_are_failures(

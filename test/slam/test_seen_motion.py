@@ -7,7 +7,7 @@ import numpy as np
 
 from uav_vslam.ins.preintegration import unknown_motion
 from uav_vslam.ins.preintegrator import advance
-from uav_vslam.slam.imu_doubt import ImuDoubt
+from uav_vslam.slam.imu_fault import ImuFaultDetector
 from uav_vslam.slam.seen_motion import MIN_INLIERS, MotionFinder, Step
 from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.types import ImuIncrement, NavEstimate, StereoFeatures
@@ -50,7 +50,9 @@ def step(flight, finder: MotionFinder, number: int, features: StereoFeatures, in
     vehicle = flight.vehicle
     at = vehicle.true_state(int(vehicle.frame_stamps_ns[number - 1]))
     imu = vehicle.scenario.imu_config
-    return finder.step(increment, features, at, rig=vehicle.rig, imu=imu, threshold_px=4.0, doubt=ImuDoubt(imu.gravity))
+    return finder.step(
+        increment, features, at, rig=vehicle.rig, imu=imu, threshold_px=4.0, imu_fault=ImuFaultDetector(imu.gravity)
+    )
 
 
 def unknown(flight, number: int) -> ImuIncrement:

@@ -170,8 +170,8 @@ class SlamBackendNode(VehicleNode):
         for reason, count in self._clocked.dropped.items():
             self.counts[f"{DROPPED}{reason}"] = count
         self.report_failure("unpaired", self._stage.unpaired)
-        doubt = self._stage.imu_doubt
-        self.report_failure("imu", f"{doubt}; until then the motion is that of the images alone" if doubt else "")
+        fault = self._stage.imu_fault
+        self.report_failure("imu", f"{fault}; until then the motion is that of the images alone" if fault else "")
         if self._finds_start:
             self.notes["start"] = f"searching: {self._stage.missing_start}"
 

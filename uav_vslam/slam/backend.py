@@ -23,7 +23,7 @@ from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import MIN_FEATURES, FilterHealth
-from uav_vslam.slam.imu_doubt import ImuDoubt
+from uav_vslam.slam.imu_fault import ImuFaultDetector
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, rows_to_remove
 from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
@@ -96,7 +96,7 @@ class SlamBackend:
         self._map = LandmarkMap()
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
-        self._motion, self._doubt = MotionFinder(), ImuDoubt(config.imu.gravity)
+        self._motion, self._imu_fault = MotionFinder(), ImuFaultDetector(config.imu.gravity)
         self._track_noise = TrackNoise(rig)
         self._nav = initial
         self._confirmed = initial  # the newest estimate that an image has confirmed
@@ -152,12 +152,14 @@ class SlamBackend:
         if confirmed:
             self._confirmed = self._nav
         missed = not confirmed and min(len(features), outcome.known) >= MIN_FEATURES
-        if increment is not None and self._doubt.add(increment, R_map_body, coasted=missed, apart_rad=step.apart_rad):
-            self._nav, outcome.recovery = self._since_confirmed(), self._doubt.reason
+        if increment is not None and self._imu_fault.add(
+            increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
+        ):
+            self._nav, outcome.recovery = self._since_confirmed(), self._imu_fault.reason
         if outcome.recovery:
             outcome.give_up()
             self._recover()
-            if self._doubt.reason:  # the motion from here on is that of the tracks
+            if self._imu_fault.reason:  # the motion from here on is that of the tracks
                 self._window.add_frame(self._filter, features)
         added = self._add_landmarks(outcome.matches, features)
         self._postponed = None if self._filter.can_add_landmarks else features
@@ -268,7 +270,7 @@ class SlamBackend:
         """Return the estimate of the newest frame, as if the readings since the last confirmed one had been missing."""
         before, now, imu = self._confirmed, self._nav.state, self._vehicle_config.imu
         unknown = unknown_motion_since(before.state, now.stamp_ns, imu)
-        if self._doubt.turns:
+        if self._imu_fault.is_gyro_healthy:
             covariance = unknown.covariance.copy()
             covariance[:3, :3] = TURNED_RAD**2 * np.eye(3)
             turned = before.state.T_map_body.R.T @ now.T_map_body.R
@@ -276,9 +278,9 @@ class SlamBackend:
         return advance(before, unknown, imu)
 
     @property
-    def imu_doubt(self) -> str:
-        """Why the motion is taken from the images alone; empty while the IMU is believed."""
-        return self._doubt.reason
+    def imu_fault(self) -> str:
+        """Why the motion is taken from the images alone; empty without a fault of the IMU."""
+        return self._imu_fault.reason
 
     def _recover(self) -> None:
         self._reset(reinitialised(self._nav, since_s=self._since_start_s, imu=self._vehicle_config.imu))
@@ -336,7 +338,7 @@ class SlamBackend:
             rig=self._filter.rig,
             imu=self._vehicle_config.imu,
             threshold_px=self._config.pnp_px,
-            doubt=self._doubt,
+            imu_fault=self._imu_fault,
         )
 
     def _correct(self, features: StereoFeatures, *, by_landmarks: bool) -> tuple[Matches, Innovation | None, int]:

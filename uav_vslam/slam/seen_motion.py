@@ -23,7 +23,7 @@ from uav_vslam.ins.preintegration import (
     UNKNOWN_SPEED_SIGMA,
     unknown_motion_since,
 )
-from uav_vslam.slam.imu_doubt import ImuDoubt
+from uav_vslam.slam.imu_fault import ImuFaultDetector
 from uav_vslam.types import ImuIncrement, NavState, StereoFeatures
 from uav_vslam.vision.pnp import pnp_ransac
 
@@ -69,9 +69,9 @@ class MotionFinder:
         rig: StereoRig,
         imu: ImuConfig,
         threshold_px: float,
-        doubt: ImuDoubt,
+        imu_fault: ImuFaultDetector,
     ) -> Step:
-        """Return a frame with its motion, which is the one seen if the IMU's is unknown or not to be believed.
+        """Return a frame with its motion, which is the one seen if the IMU's is unknown or faulty.
 
         Args:
             increment: motion since the frame before.
@@ -80,7 +80,7 @@ class MotionFinder:
             rig: calibration.
             imu: gravity.
             threshold_px: largest reprojection error of a track.
-            doubt: whether the IMU is believed.
+            imu_fault: whether the readings can be used.
 
         Returns:
             Tracks that contradict the motion seen have ended; if it remains unknown, there are no points at all.
@@ -89,11 +89,11 @@ class MotionFinder:
         if increment is None or before is None:
             return Step(increment, features)
         unknown = _unknown_share(increment)
-        if unknown <= SEEN_BEYOND and not doubt.is_suspected:
+        if unknown <= SEEN_BEYOND and not imu_fault.is_suspected:
             return Step(increment, features)
         found = _motion_seen(before, features, rig, threshold_px)
         apart_rad = float(np.linalg.norm(so3_log(increment.delta_R.T @ found[0].R))) if found else None
-        if doubt.reason:
+        if imu_fault.reason:
             increment, unknown = unknown_motion_since(start, increment.stamp_ns, imu), 1.0
         if unknown <= SEEN_BEYOND:
             return Step(increment, features, apart_rad=apart_rad)

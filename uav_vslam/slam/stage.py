@@ -158,9 +158,9 @@ class SlamStage:
         )
 
     @property
-    def imu_doubt(self) -> str:
-        """Why the motion is taken from the images alone; empty while the IMU is believed."""
-        return self._backend.imu_doubt if self._backend is not None else ""
+    def imu_fault(self) -> str:
+        """Why the motion is taken from the images alone; empty without a fault of the IMU."""
+        return self._backend.imu_fault if self._backend is not None else ""
 
     @property
     def session(self) -> int:
@@ -292,7 +292,7 @@ class SlamStage:
             )
         increment = self._motion(self._backend, features.stamp_ns, increment)
         report = self._backend.process(features, increment)
-        self._was_motion_unknown |= self._backend.imu_doubt != ""
+        self._was_motion_unknown |= self._backend.imu_fault != ""
         at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
         self._previous_ns = features.stamp_ns
         joint = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether readings of the IMU can be true, asked while no point of an image is where they lead to expect it.
+"""Detects a faulty IMU, while no point of an image is where its readings lead to expect it.
 
 A wrong start and a wrong rig make frames contradict the prediction as well. But only a wrong IMU measures a force that
 is not the reaction to gravity, or another rotation than the images', which hardly depends on the baseline.
@@ -16,9 +16,9 @@ from uav_vslam.types import ImuIncrement
 
 Array = NDArray[np.float64]
 
-DOUBTED_AFTER = 3  # consecutive frames that show nothing where it is expected,
-DOUBTED_AFTER_S = 0.4  # and at least this time: a moment may well exceed the limits below
-BELIEVED_AFTER = 20  # consecutive frames, of readings that are plausible again
+FAULTY_AFTER = 3  # consecutive frames that show nothing where it is expected,
+FAULTY_AFTER_S = 0.4  # and at least this time: a moment may well exceed the limits below
+HEALTHY_AFTER = 20  # consecutive frames, of readings that are plausible again
 MOST_ACCEL = 5.0  # [m/s^2] of the mean: more is no flight in this attitude
 MOST_RATE = 0.2  # [rad/s] of the mean difference between IMU and images
 
@@ -32,19 +32,19 @@ class _Readings:
     apart_rad: float | None
 
 
-class ImuDoubt:
-    """Watches the readings, and says whether they are to be believed.
+class ImuFaultDetector:
+    """Monitors the readings.
 
     Attributes:
-        reason: why they aren't; empty while they are.
-        turns: whether the angular rates are, of readings that aren't.
+        reason: what is wrong with them; empty without a fault.
+        is_gyro_healthy: whether the angular rates agree with the images'.
     """
 
     def __init__(self, gravity: float) -> None:
         self._gravity = np.array([0.0, 0.0, gravity])
         self._recent: deque[_Readings] = deque()
         self._coasted = self._plausible = 0
-        self.reason, self.turns = "", True
+        self.reason, self.is_gyro_healthy = "", True
 
     @property
     def is_suspected(self) -> bool:
@@ -52,7 +52,7 @@ class ImuDoubt:
         return self._coasted > 0 or self.reason != ""
 
     def add(self, increment: ImuIncrement, R_map_body: Array, *, coasted: bool, apart_rad: float | None) -> bool:
-        """Add the readings up to a frame and return whether they are doubted from now on.
+        """Add the readings up to a frame and return whether they are faulty from now on.
 
         Args:
             increment: as the IMU has it.
@@ -68,16 +68,16 @@ class ImuDoubt:
         finding = self._finding()
         if self.reason:
             self._plausible = 0 if finding or apart_rad is None else self._plausible + 1
-            if self._plausible >= BELIEVED_AFTER:
+            if self._plausible >= HEALTHY_AFTER:
                 self.reason, self._plausible = "", 0
             return False
-        self.reason = finding if self._coasted >= DOUBTED_AFTER else ""
+        self.reason = finding if self._coasted >= FAULTY_AFTER else ""
         return self.reason != ""
 
     def _keep(self, readings: _Readings) -> None:
         """Keep what the findings are about: the last frames."""
         self._recent.append(readings)
-        while len(self._recent) > DOUBTED_AFTER and self._lasted_s - self._recent[0].dt_s >= DOUBTED_AFTER_S:
+        while len(self._recent) > FAULTY_AFTER and self._lasted_s - self._recent[0].dt_s >= FAULTY_AFTER_S:
             self._recent.popleft()
 
     @property
@@ -87,11 +87,11 @@ class ImuDoubt:
     def _finding(self) -> str:
         """Return what is wrong with the readings of the last frames; empty if nothing is, or it can not be judged."""
         seen = [one for one in self._recent if one.apart_rad is not None]
-        if not seen or self._lasted_s < DOUBTED_AFTER_S:
+        if not seen or self._lasted_s < FAULTY_AFTER_S:
             return ""
         rate = sum(one.apart_rad or 0.0 for one in seen) / sum(one.dt_s for one in seen)
-        self.turns = rate <= MOST_RATE
-        if not self.turns:
+        self.is_gyro_healthy = rate <= MOST_RATE
+        if not self.is_gyro_healthy:
             return f"the IMU's rotation differs from the images' by {rate:.1f} rad/s: check its unit, axes and stamps"
         force = np.sum([one.gained for one in self._recent], axis=0) / self._lasted_s
         if np.linalg.norm(force - self._gravity) > MOST_ACCEL:

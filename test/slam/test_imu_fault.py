@@ -10,7 +10,7 @@ import pytest
 from uav_vslam.config import ImuConfig, VehicleConfig
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegration import preintegrate
-from uav_vslam.slam.imu_doubt import BELIEVED_AFTER, DOUBTED_AFTER, ImuDoubt
+from uav_vslam.slam.imu_fault import FAULTY_AFTER, HEALTHY_AFTER, ImuFaultDetector
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.types import ImuIncrement, ImuSample
 
@@ -40,16 +40,16 @@ WRONG = {
 
 
 def fly(flight, wrong, frames: range) -> tuple[list[FrameOutput], list[str]]:
-    """Fly with wrong readings up to some frames; return the outputs, and the doubt after each."""
+    """Fly with wrong readings up to some frames; return the outputs, and the fault after each."""
     stage = flight.tracking_stage(SIGMA_PX)
-    outputs, doubts = [], []
+    outputs, faults = [], []
     for k, (features, increment) in enumerate(flight.frames):
         stage.add_features(features)
         if increment is not None:
             stage.add_increment(wrong(increment) if k in frames else increment)
         outputs += stage.run()
-        doubts.append(stage.imu_doubt)
-    return outputs, doubts
+        faults.append(stage.imu_fault)
+    return outputs, faults
 
 
 @pytest.mark.parametrize("kind", WRONG)
@@ -58,11 +58,11 @@ def test_an_imu_that_can_not_be_right_is_left_out_within_few_frames(flown, kind:
     ends, claimed = [], []
     for seed in SEEDS:
         flight = flown(seed, frames=FRAMES, tracked_px=SIGMA_PX)
-        outputs, doubts = fly(flight, WRONG[kind], range(FIRST, FRAMES))
-        begun = next(k for k, doubt in enumerate(doubts) if doubt)
-        assert FIRST + DOUBTED_AFTER - 1 <= begun <= FIRST + SLOWEST
-        assert doubts[-1]
-        assert outputs[begun].report.recovery == doubts[begun]
+        outputs, faults = fly(flight, WRONG[kind], range(FIRST, FRAMES))
+        begun = next(k for k, fault in enumerate(faults) if fault)
+        assert FIRST + FAULTY_AFTER - 1 <= begun <= FIRST + SLOWEST
+        assert faults[-1]
+        assert outputs[begun].report.recovery == faults[begun]
         assert not any(output.report.coasted or output.report.recovery for output in outputs[begun + 1 :])
         errors_m, nees = flight.errors_and_nees(outputs)
         ends.append(errors_m[-1])
@@ -73,16 +73,16 @@ def test_an_imu_that_can_not_be_right_is_left_out_within_few_frames(flown, kind:
 
 def test_an_imu_that_is_right_again_is_believed_again(flown) -> None:
     flight = flown(310, frames=FRAMES, tracked_px=SIGMA_PX)
-    outputs, doubts = fly(flight, WRONG["sign"], range(FIRST, FIRST + 8))
-    assert any(doubts)
-    believed = len(doubts) - doubts[::-1].index(next(doubt for doubt in doubts[::-1] if doubt))
-    assert believed <= FIRST + 8 + DOUBTED_AFTER + BELIEVED_AFTER
+    outputs, faults = fly(flight, WRONG["sign"], range(FIRST, FIRST + 8))
+    assert any(faults)
+    believed = len(faults) - faults[::-1].index(next(fault for fault in faults[::-1] if fault))
+    assert believed <= FIRST + 8 + FAULTY_AFTER + HEALTHY_AFTER
     assert not any(output.report.coasted for output in outputs[believed:])
     _, nees = flight.errors_and_nees(outputs)
     assert nees[believed:].mean() <= 1.5
 
 
-def test_a_wrong_rig_or_start_is_no_reason_to_doubt_the_imu(flown) -> None:
+def test_a_wrong_rig_or_start_is_no_fault_of_the_imu(flown) -> None:
     flight = flown(311, frames=FRAMES, tracked_px=SIGMA_PX)
     rig = flight.vehicle.rig
     turned = dataclasses.replace(rig.T_body_right, R=rig.T_body_right.R @ so3_exp(np.array([0.0, 0.02, 0.0])))
@@ -99,33 +99,33 @@ def test_a_wrong_rig_or_start_is_no_reason_to_doubt_the_imu(flown) -> None:
         if increment is not None:
             stage.add_increment(increment)
         coasted += sum(output.report.coasted for output in stage.run())
-        assert stage.imu_doubt == ""
-    assert coasted > DOUBTED_AFTER
+        assert stage.imu_fault == ""
+    assert coasted > FAULTY_AFTER
 
 
-def test_a_moment_of_high_acceleration_is_no_reason_to_doubt_the_imu() -> None:
-    doubt, upright = ImuDoubt(9.81), np.eye(3)
+def test_a_moment_of_high_acceleration_is_no_fault_of_the_imu() -> None:
+    detector, upright = ImuFaultDetector(9.81), np.eye(3)
     samples = [ImuSample(k * 5_000_000, np.zeros(3), np.array([12.0, 0.0, 9.81])) for k in range(200)]
     zero = np.zeros(3)
     for k in range(20):
         span = k * 50_000_000, (k + 1) * 50_000_000
         pushed = preintegrate(samples, *span, gyro_bias=zero, accel_bias=zero, imu=ImuConfig())
         missed = 2 <= k < 9  # 0.35 s
-        assert not doubt.add(pushed, upright, coasted=missed, apart_rad=0.001)
-        assert doubt.is_suspected == missed
+        assert not detector.add(pushed, upright, coasted=missed, apart_rad=0.001)
+        assert detector.is_suspected == missed
 
 
-def test_while_images_show_nothing_doubts_stay_as_they_are() -> None:
-    doubt, upright, zero = ImuDoubt(9.81), np.eye(3), np.zeros(3)
+def test_while_images_show_nothing_a_fault_stays_as_it_is() -> None:
+    detector, upright, zero = ImuFaultDetector(9.81), np.eye(3), np.zeros(3)
     samples = [ImuSample(k * 5_000_000, zero, np.array([0.0, 0.0, 9.81])) for k in range(4000)]
     span = itertools.pairwise(range(0, 4000 * 5_000_000, 100_000_000))
     level = [preintegrate(samples, *ends, gyro_bias=zero, accel_bias=zero, imu=ImuConfig()) for ends in span]
     upside_down = np.diag([1.0, -1.0, -1.0])
-    assert not any(doubt.add(one, upside_down, coasted=True, apart_rad=None) for one in level[:10])
-    assert any(doubt.add(one, upside_down, coasted=True, apart_rad=0.001) for one in level[10:12])
-    for one in level[12 : 14 + BELIEVED_AFTER]:
-        doubt.add(one, upright, coasted=False, apart_rad=None)
-    assert doubt.reason
-    for one in level[-BELIEVED_AFTER - 5 :]:
-        doubt.add(one, upright, coasted=False, apart_rad=0.001)
-    assert not doubt.reason
+    assert not any(detector.add(one, upside_down, coasted=True, apart_rad=None) for one in level[:10])
+    assert any(detector.add(one, upside_down, coasted=True, apart_rad=0.001) for one in level[10:12])
+    for one in level[12 : 14 + HEALTHY_AFTER]:
+        detector.add(one, upright, coasted=False, apart_rad=None)
+    assert detector.reason
+    for one in level[-HEALTHY_AFTER - 5 :]:
+        detector.add(one, upright, coasted=False, apart_rad=0.001)
+    assert not detector.reason
