@@ -118,7 +118,7 @@ def assert_same(graph: list[PoseEstimate], twin: list[PoseEstimate]) -> None:
 
 def assert_parity(outputs: dict[str, RecordedOutputs], case: Case) -> None:
     for name, track in case.tracks.items():
-        assert_same(outputs[name].own_only, [output.report.pose for output in track.outputs])
+        assert_same(outputs[name].own_only, track.poses)
         smoothed = [output.report.smoothed for output in track.outputs]
         assert_same(outputs[name].smoothed, [pose for pose in smoothed if pose is not None])
         assert_same(outputs[name].fused, case.cooperative[name].poses)

@@ -91,7 +91,7 @@ def test_the_same_flight_twice_gives_the_same_bytes() -> None:
     runs = [fly_fleet(seed=4) for _ in range(2)]
     for name in ("uav1", "uav2"):
         (tracks_a, fused_a), (tracks_b, fused_b) = ((run[1][name], run[2][name]) for run in runs)
-        own = [[output.report.pose for output in track.outputs] for track in (tracks_a, tracks_b)]
+        own = [track.poses for track in (tracks_a, tracks_b)]
         for a, b in itertools.chain(zip(*own, strict=True), zip(fused_a.poses, fused_b.poses, strict=True)):
             assert a.stamp_ns == b.stamp_ns
             assert a.T_map_body.matrix.tobytes() == b.T_map_body.matrix.tobytes()
@@ -237,7 +237,7 @@ def test_after_a_start_in_flight_the_filter_is_consistent() -> None:
     for seed in SEEDS_IN_FLIGHT:
         source, track = flown_from_nowhere(seed)
         first_ns = track.outputs[0].report.pose.stamp_ns
-        estimate = Trajectory.from_estimates([output.report.pose for output in track.outputs])
+        estimate = Trajectory.from_estimates(track.poses)
         truth = in_start_frame(true_trajectory(source.simulated), first_ns)
         assert truth is not None
         values = nees(estimate, truth)

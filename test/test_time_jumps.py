@@ -44,7 +44,7 @@ def fly(vehicle: SimulatedVehicle, events: Sequence[Event], policy: str = "bridg
 def nees(vehicle: SimulatedVehicle, track: VehicleTrack, *, after_ns: int, offset_s: float = 0.0) -> list[float]:
     """Return the position NEES per axis of each frame; stamps after one are off by an offset."""
     found = []
-    for pose in (output.report.pose for output in track.outputs):
+    for pose in track.poses:
         true_ns = pose.stamp_ns - round(offset_s * NS_PER_S) if pose.stamp_ns > after_ns else pose.stamp_ns
         error = pose.T_map_body.t - vehicle.true_state(true_ns).T_map_body.t
         found.append(error @ np.linalg.solve(pose.covariance[:3, :3], error) / 3.0)

@@ -249,7 +249,7 @@ def link_counters(member: CooperativeTrack) -> LinkCounters:
 def _vehicle_result(
     track: VehicleTrack, member: CooperativeTrack | None, truth: Trajectory | None, config: VehicleConfig
 ) -> VehicleResult:
-    own = [output.report.pose for output in track.outputs]
+    own = track.poses
     if truth is not None and own and config.start.defines_map:
         truth = in_start_frame(truth, own[0].stamp_ns)
     return VehicleResult(

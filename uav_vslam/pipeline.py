@@ -53,6 +53,11 @@ class VehicleTrack:
     broken: str = ""
     warnings: list[str] = field(default_factory=list)
 
+    @property
+    def poses(self) -> list[PoseEstimate]:
+        """Own-only pose at each frame processed."""
+        return [output.report.pose for output in self.outputs]
+
 
 class VehiclePipeline:
     """Front end, INS and back end of one vehicle."""

@@ -131,7 +131,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Flown]:
             said.append((pose.stamp_ns, "odometry", serialize_message(odometry)))
         file = folder / f"{vehicle}.pickle"
         file.write_bytes(pickle.dumps({"vehicle": vehicle, "messages": said}))
-        poses = [output.report.pose for output in pipeline.track.outputs]
+        poses = pipeline.track.poses
         stamps_ns = np.array([pose.stamp_ns for pose in poses])
         estimated = np.array([pose.T_map_body.t for pose in poses])
         flown[vehicle] = Flown(file, stamps_ns, estimated, simulated.truth.position(simulated.frame_times_s))

@@ -30,7 +30,7 @@ def joints(flown: OwnOnlyTracks, vehicle: str):
 
 
 def ate(flown: OwnOnlyTracks, vehicle: str) -> float:
-    estimate = Trajectory.from_estimates([output.report.pose for output in flown.tracks[vehicle].outputs])
+    estimate = Trajectory.from_estimates(flown.tracks[vehicle].poses)
     error = absolute_error(estimate, flown.truths[vehicle])
     assert error is not None
     return error.ate_m

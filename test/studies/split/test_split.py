@@ -63,7 +63,7 @@ def test_a_leg_flies_as_the_bag_of_the_cut(
     fleet = load_fleet(tmp_path / "pair" / FLEET_FILE)
     tracks, members = fly([open_flight(fleet.replay.bags, name) for name in fleet.vehicles], fleet.vehicles)
     for name, track in tracks.items():
-        own = Trajectory.from_estimates([output.report.pose for output in track.outputs])
+        own = Trajectory.from_estimates(track.poses)
         fused = Trajectory.from_estimates(members[name].poses)
         for label, expected in ((S_SLAM, own), (C_SLAM["wideband"], fused)):
             found = outcomes[0].tracks[label][name]

@@ -144,7 +144,7 @@ def _fused(scenario: Scenario, setting: Setting, config: VehicleConfig, flown: O
             "recovery_packets": monitor.until_used(member.fusion, setting.link),
         }
         estimate = Trajectory.from_estimates(member.poses)
-        outcomes.append(_scored(scenario, setting, name, _own(track), estimate, flown.truths[name], figures))
+        outcomes.append(_scored(scenario, setting, name, track, estimate, flown.truths[name], figures))
     return outcomes
 
 
@@ -155,7 +155,7 @@ def _written_back(
     return [
         _failed(scenario, setting, name, track.failure)
         if track.failure
-        else _scored(scenario, setting, name, _own(flown.tracks[name]), track.estimate, flown.truths[name], {})
+        else _scored(scenario, setting, name, flown.tracks[name], track.estimate, flown.truths[name], {})
         for name, track in found.items()
     ]
 
@@ -164,11 +164,12 @@ def _scored(
     scenario: Scenario,
     setting: Setting,
     name: str,
-    own: Trajectory,
+    alone: VehicleTrack,
     estimate: Trajectory,
     truth: Trajectory,
     figures: Mapping[str, float],
 ) -> Outcome:
+    own = Trajectory.from_estimates(alone.poses)
     own_error, own_nees = errors_and_nees(own, truth)
     error, fused_nees = errors_and_nees(estimate, truth)
     assert estimate.covariance is not None
@@ -206,10 +207,6 @@ def _failed(scenario: Scenario, setting: Setting, name: str, failure: str) -> Ou
         correction=np.zeros((0, 3)),
         failure=failure,
     )
-
-
-def _own(track: VehicleTrack) -> Trajectory:
-    return Trajectory.from_estimates([output.report.pose for output in track.outputs])
 
 
 def _seconds(truth: Trajectory, stamps_ns: NDArray[np.int64]) -> Array:

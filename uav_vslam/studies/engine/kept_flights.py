@@ -43,7 +43,7 @@ class KeptFlight:
         if kind == "truth":
             return true_trajectory(self.simulated).estimates()
         if kind == "s_slam":
-            return [output.report.pose for output in self.track.outputs]
+            return self.track.poses
         if kind == "c_slam":
             return list(self.member.poses)
         return anchored(self.track.smoothed, self.member.poses) if kind == "anchored" else self.track.smoothed

@@ -5,7 +5,7 @@ Another start pose only moves a vehicle's own map.
 """
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,17 +100,23 @@ def mistaken(
     track, ids = flown.tracks[vehicle], sorted(among)
     drawn = np.random.default_rng([seed, FLEET, STREAM + 1]).uniform(size=len(ids)) < share
     wrong = {k for k, is_wrong in zip(ids, drawn, strict=True) if is_wrong}
-    outputs = []
-    for output in track.outputs:
-        joint = output.joint
-        if joint is not None:
-            rows = np.flatnonzero([k in wrong for k in joint.ids.tolist()])
-            descriptors = joint.descriptors.copy()
-            descriptors[rows] = descriptors[np.roll(rows, 1)]
-            joint = dataclasses.replace(joint, descriptors=descriptors)
-        outputs.append(dataclasses.replace(output, joint=joint))
-    modified = {**flown.tracks, vehicle: dataclasses.replace(track, outputs=outputs)}
-    return dataclasses.replace(flown, tracks=modified), wrong
+
+    def confused(joint: JointInformation) -> JointInformation:
+        rows = np.flatnonzero([k in wrong for k in joint.ids.tolist()])
+        descriptors = joint.descriptors.copy()
+        descriptors[rows] = descriptors[np.roll(rows, 1)]
+        return dataclasses.replace(joint, descriptors=descriptors)
+
+    return dataclasses.replace(flown, tracks={**flown.tracks, vehicle: with_joints(track, confused)}), wrong
+
+
+def with_joints(track: VehicleTrack, change: Callable[[JointInformation], JointInformation]) -> VehicleTrack:
+    """Return a track with other joint information at its epochs."""
+    outputs = [
+        output if output.joint is None else dataclasses.replace(output, joint=change(output.joint))
+        for output in track.outputs
+    ]
+    return dataclasses.replace(track, outputs=outputs)
 
 
 def with_mistaken_landmarks(flown: OwnOnlyTracks, share: float, seed: int) -> OwnOnlyTracks:

@@ -174,10 +174,7 @@ def _methods(common: Sequence[Meeting], truth: Identities, config: FusionConfig)
 
 
 def _alone(flown: OwnOnlyTracks) -> dict[str, Trajectory]:
-    return {
-        name: Trajectory.from_estimates([output.report.pose for output in track.outputs])
-        for name, track in flown.tracks.items()
-    }
+    return {name: Trajectory.from_estimates(track.poses) for name, track in flown.tracks.items()}
 
 
 def _scored_tracks(tracks: Mapping[str, tuple[Mapping[str, Trajectory], OwnOnlyTracks]], metric: Metric) -> ByVehicle:

@@ -26,6 +26,7 @@ from uav_vslam.slam.saved_map import save_map
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.pool import in_pool, mean, mean_interval, median, rms
 from uav_vslam.studies.engine.scores import errors_and_nees
+from uav_vslam.studies.engine.separate_frames import with_joints
 from uav_vslam.types import NS_PER_S, PoseEstimate
 
 Array = NDArray[np.float64]
@@ -146,7 +147,7 @@ def run_seed(job: Job) -> list[Flight]:
         in_map = dataclasses.replace(config, start=StartConfig(method="map", map=str(path)))
         tracks = {source.vehicle: track for source in sources[1:] if (track := _fly(source, in_map)) is not None}
         estimates = {setting.name: _fused(tracks, in_map, setting) for setting in SETTINGS} if tracks else {}
-    estimates[ALONE] = {name: [output.report.pose for output in track.outputs] for name, track in tracks.items()}
+    estimates[ALONE] = {name: track.poses for name, track in tracks.items()}
     errors = MapErrors.of(vehicles[0], mapping)
     return [_flight(vehicle, tracks.get(vehicle.name), estimates, errors) for vehicle in vehicles[1:]]
 
@@ -174,13 +175,7 @@ def _fused(tracks: dict[str, VehicleTrack], config: VehicleConfig, setting: Toge
 
 def _undeclared(track: VehicleTrack) -> VehicleTrack:
     """Return a track whose beliefs do not name the map that they depend on."""
-    outputs = [
-        output
-        if output.joint is None
-        else dataclasses.replace(output, joint=dataclasses.replace(output.joint, prior_id="", other_sources=()))
-        for output in track.outputs
-    ]
-    return dataclasses.replace(track, outputs=outputs)
+    return with_joints(track, lambda joint: dataclasses.replace(joint, prior_id="", other_sources=()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +192,7 @@ class MapErrors:
     @staticmethod
     def of(vehicle: SimulatedVehicle, track: VehicleTrack) -> "MapErrors":
         """Return those of a track."""
-        poses = track.smoothed or [output.report.pose for output in track.outputs]
+        poses = track.smoothed or track.poses
         return MapErrors(
             [pose.T_map_body for pose in poses], [vehicle.true_state(pose.stamp_ns).T_map_body for pose in poses]
         )

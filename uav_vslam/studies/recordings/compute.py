@@ -99,7 +99,7 @@ def _fly(seed: int, way: str, made: Made, config: VehicleConfig) -> Flown:
     except UavVslamError as error:
         return Flown(seed, way, float("nan"), np.zeros(0), 0, 0, str(error))
     recorded = flight.truth()
-    estimate = Trajectory.from_estimates([output.report.pose for output in track.outputs])
+    estimate = Trajectory.from_estimates(track.poses)
     assert recorded is not None
     truth = trajectory_of(recorded)
     errors, consistency = absolute_error(estimate, truth), nees(estimate, truth)

@@ -133,7 +133,7 @@ def run_seed(job: tuple[list[RecordedFlight], Cut, VehicleConfig, int]) -> Outco
         return Outcome(seed, failure=str(error))
     found = {
         INS: {name: [output.dead_reckoning.pose for output in track.outputs] for name, track in tracks.items()},
-        S_SLAM: {name: [output.report.pose for output in track.outputs] for name, track in tracks.items()},
+        S_SLAM: {name: track.poses for name, track in tracks.items()},
     } | {label: {name: member.poses for name, member in fleet.items()} for label, fleet in fleets.items()}
     return Outcome(
         seed,

@@ -100,7 +100,7 @@ def fly_in_flight(scenario: Scenario) -> InFlight | None:
     errors = np.array([_errors(vehicle, output.report.nav.state) for output in track.outputs])
     bad = np.flatnonzero((errors[:, 0] >= SETTLED_VELOCITY) | (errors[:, 1] >= SETTLED_TILT_DEG))
     settled = 0 if len(bad) == 0 else int(bad[-1]) + 1
-    estimate = Trajectory.from_estimates([output.report.pose for output in track.outputs])
+    estimate = Trajectory.from_estimates(track.poses)
     truth = in_start_frame(true_trajectory(vehicle), first.stamp_ns)
     assert truth is not None
     found = nees(estimate, truth)
