@@ -88,6 +88,7 @@ class VehiclePipeline:
         if initial is not None:
             self._slam.start(initial)
         self._refused: Counter[str] = Counter()
+        self._imu_fault = ""  # as it was reported
         self.track = VehicleTrack(vehicle)
 
     @property
@@ -169,6 +170,8 @@ class VehiclePipeline:
     def _complete(self, increments: list[ImuIncrement]) -> list[FrameOutput]:
         for increment in increments:
             self._slam.add_increment(increment)
+        if increments:
+            self._report_imu(self._preintegrator.statistics.fault)
         outputs = list(self._timed(self._slam.run()))
         self.track.start = self._slam.initial
         self.track.outputs += outputs
@@ -176,6 +179,12 @@ class VehiclePipeline:
         dropped = {**self._slam.dropped, **self._refused, **self._stamps.refused}
         self.track.dropped = {reason: count for reason, count in dropped.items() if count}
         return outputs
+
+    def _report_imu(self, fault: str) -> None:
+        """Warn of a fault of the readings, once: the rates in its text vary."""
+        if fault and not self._imu_fault:
+            self.track.warnings.append(fault)
+            self._imu_fault = fault
 
     def _timed(self, outputs: Iterable[FrameOutput]) -> Iterator[FrameOutput]:
         """Yield the back end's outputs and record the time that each took; results never depend on it."""

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`uav-vslam run` says at its start which changed settings decide nothing."""
+"""`uav-vslam run` says which changed settings decide nothing, and what is wrong with readings that it uses."""
 
 import dataclasses
+import itertools
 from pathlib import Path
+from typing import Any
 
 import pytest
+from faulty import IMU
 
 from uav_vslam.cli.main import main
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
+from uav_vslam.studies.recordings.foreign import edited, rewritten, shifted
 
 WARNING = "uav-vslam: warning: "
 
@@ -29,3 +33,20 @@ def test_association_with_klt_is_warned_about_once_for_all_vehicles(
     lines = [line for line in capsys.readouterr().err.splitlines() if "backend.association" in line]
     assert len(lines) == count
     assert all(line.startswith(f"{WARNING}backend.association = hgtm decides almost nothing") for line in lines)
+
+
+def test_imu_readings_stamped_in_bursts_are_warned_about_once(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their motion counts at the wrong time, and nothing else in the results tells."""
+    number = itertools.count()
+
+    def as_they_arrive(reading: Any) -> Any:
+        place = next(number) % 20  # in its batch
+        return shifted(reading, place * (50_000 - 5_000_000))
+
+    bag = rewritten(flight, tmp_path / "bursts", edited(IMU, as_they_arrive))
+    arguments = ["--vehicles", "uav1", "--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path / "out")]
+    assert main(["run", str(bag), *arguments]) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "bursts" in line]
+    assert line.startswith(f"{WARNING}uav1: IMU readings are stamped in bursts, 20000 Hz within")

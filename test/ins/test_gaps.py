@@ -125,3 +125,23 @@ def test_a_gap_is_as_uncertain_whenever_its_increment_is_made() -> None:
             early.append(next(arriving))
         assert early.cut(start_ns, stamp_ns) == late.cut(start_ns, stamp_ns)
         assert early.period_s == late.period_s
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_readings_lost_at_random_are_no_bursts(loss: float) -> None:
+    spacing, stamps_ns = UsualSpacing(), flown().imu.stamps_ns
+    for stamp_ns in stamps_ns[np.random.default_rng(7).random(len(stamps_ns)) >= loss].tolist():
+        spacing.add(stamp_ns)
+        assert spacing.bursts_hz is None
+
+
+@pytest.mark.parametrize("within_ns", [0, 50_000, 500_000])
+def test_bursts_are_told_by_their_rates(within_ns: int) -> None:
+    """Of 20 readings; where they have one stamp, only the first is used, and the rest is even."""
+    spacing = UsualSpacing()
+    for k in range(4000):
+        stamp_ns = k // 20 * 100 * MS + k % 20 * within_ns
+        if within_ns or k % 20 == 0:
+            spacing.add(stamp_ns)
+    expected = None if within_ns == 0 else pytest.approx((NS_PER_S / within_ns, 200.0), rel=0.05)
+    assert spacing.bursts_hz == expected

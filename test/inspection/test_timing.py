@@ -16,6 +16,14 @@ def test_readings_that_are_stamped_in_bursts_are_not_called_missing() -> None:
     assert finding.seen == "10000 Hz within bursts, 200.9 Hz on average"
 
 
+def test_bursts_that_are_far_apart_are_no_gaps_in_the_recording() -> None:
+    """To record again would not help."""
+    number = np.arange(2000, dtype=np.int64)
+    (finding,) = check_imu_rate(number // 20 * 100_000_000 + number % 20 * 50_000)
+    assert (finding.subject, finding.severity.value) == ("IMU stamps", "error")
+    assert "let the driver stamp the time of each reading" in finding.remedy
+
+
 def test_readings_that_are_missing_are_counted() -> None:
     (finding,) = check_imu_rate(EVEN_NS[np.arange(2000) % 10 > 1])
     assert "398 of 1998 readings are missing" in finding.seen

@@ -111,6 +111,21 @@ def test_one_sample_from_the_future_costs_one_sample(make: Make, method: str) ->
     assert node.counts["imu_gaps"] == 0
 
 
+def test_readings_stamped_when_a_batch_of_them_arrives_are_an_alarm(make: Make) -> None:
+    """As a USB driver stamps them: their motion counts up to 0.1 s late."""
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 1.0)
+    assert "imu_stamps" not in node.alarms
+    for k in range(400):
+        stamp_ns = NOW_NS + (11 + k // 20) * 100_000_000 + k % 20 * 50_000
+        reading = Imu(header=header(stamp_ns, node.base_frame), linear_acceleration=Vector3(z=node.config.imu.gravity))
+        deliver(node, "imu/data_raw", reading)
+        if k % 20 == 0:
+            deliver(node, "left/camera_info", CameraInfo(header=header(stamp_ns - 1_000_000, "left_optical")))
+    assert "stamped in bursts, 20000 Hz" in node.alarms["imu_stamps"]
+
+
 def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_ever(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:

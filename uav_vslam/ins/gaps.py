@@ -28,6 +28,7 @@ UNKNOWN_VARIANCE = np.repeat([UNKNOWN_RATE_SIGMA**2, UNKNOWN_ACCEL_SIGMA**2], 3)
 WINDOW, EVERY = 1000, 20  # spacings that the usual one is taken from, and how often
 ALIKE, FREQUENT = 0.1, 0.02  # spacings are alike within a share, and frequent from a share of all on
 DENSEST = 40.0  # of the mean spacing, when all but one of so many are lost at random: what is closer is a burst
+BURSTS = 3.0  # of the median spacing in the mean one, at least, and readings come in bursts; lost at random it is 1.5
 ENOUGH, A_FEW, ASSUMED_NS = 100, 5, 10_000_000  # with fewer that differ, or hardly any, the usual one is at most 10 ms
 
 
@@ -39,6 +40,7 @@ class UsualSpacing:
 
     Attributes:
         period_s: as of the last reading added [s]; 0 before the second.
+        bursts_hz: rate within bursts and on average, if the readings come in such [Hz].
     """
 
     def __init__(self) -> None:
@@ -46,6 +48,7 @@ class UsualSpacing:
         self._last_ns: int | None = None
         self._until_next = 0
         self.period_s = 0.0
+        self.bursts_hz: tuple[float, float] | None = None
 
     def add(self, stamp_ns: int) -> None:
         """Add a reading's stamp, later than those before."""
@@ -56,7 +59,17 @@ class UsualSpacing:
         self._until_next -= 1
         if self._until_next <= 0 or len(self._spacings_ns) < ENOUGH:
             self._until_next = EVERY
-            self.period_s = _usual_ns(np.sort(self._spacings_ns)) / NS_PER_S
+            spacings_ns = np.sort(self._spacings_ns)
+            self.period_s = _usual_ns(spacings_ns) / NS_PER_S
+            self.bursts_hz = _bursts_hz(spacings_ns)
+
+
+def _bursts_hz(spacings_ns: NDArray[np.int64]) -> tuple[float, float] | None:
+    """Return the rates within bursts and on average of (N,) sorted spacings; None if they are no bursts, or too few."""
+    median_ns, mean_ns = float(np.median(spacings_ns)), float(np.minimum(spacings_ns, BLIND_S * NS_PER_S).mean())
+    if len(spacings_ns) < ENOUGH or mean_ns < BURSTS * median_ns:
+        return None
+    return NS_PER_S / median_ns, NS_PER_S / mean_ns
 
 
 def _usual_ns(spacings_ns: NDArray[np.int64]) -> float:

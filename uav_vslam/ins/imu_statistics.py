@@ -19,6 +19,17 @@ class ImuStatistics:
         return self._spacing.period_s
 
     @property
+    def fault(self) -> str:
+        """What is wrong with the stamps of the newest readings; normally empty."""
+        if self._spacing.bursts_hz is None:
+            return ""
+        within_hz, mean_hz = self._spacing.bursts_hz
+        return (
+            f"IMU readings are stamped in bursts, {within_hz:.0f} Hz within and {mean_hz:.0f} Hz on average: their "
+            "motion counts at wrong times, which no claim allows for; let the driver stamp the time of each reading"
+        )
+
+    @property
     def imu(self) -> ImuConfig:
         """The configuration, with the measured noise if that is far larger."""
         return self._noise.imu

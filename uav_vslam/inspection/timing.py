@@ -58,16 +58,18 @@ def check_imu_rate(stamps_ns: Stamps) -> list[Finding]:
         found.append(warning("IMU rate", f"{rate_hz:.1f} Hz", allowed, "record the IMU at its full rate"))
     gaps = _gaps(stamps_ns, MAX_GAP_S)
     lost = _lost(stamps_ns)
-    if len(gaps) and period_s <= MAX_GAP_S:
+    if lost > limits.BURST_SHARE * len(stamps_ns):
+        mean_hz = (len(np.unique(stamps_ns)) - 1) * NS_PER_S / (stamps_ns.max() - stamps_ns.min())
+        seen = f"{rate_hz:.0f} Hz within bursts, {mean_hz:.1f} Hz on average"
+        remedy = "they are stamped when bursts of them arrive: let the driver stamp the time of each reading"
+        steps_s = _steps_s(stamps_ns)
+        judge = error if steps_s[gaps].sum() > limits.UNUSABLE_SHARE * steps_s.sum() else warning
+        found.append(judge("IMU stamps", seen, "even steps", remedy))
+    elif len(gaps) and period_s <= MAX_GAP_S:
         allowed = f"at most {MAX_GAP_S:g} s between readings"
         found.append(
             warning("IMU gaps", _gap_text(stamps_ns, gaps), allowed, "motion in a gap is unknown: record again")
         )
-    elif lost > limits.BURST_SHARE * len(stamps_ns):
-        mean_hz = (len(np.unique(stamps_ns)) - 1) * NS_PER_S / (stamps_ns.max() - stamps_ns.min())
-        seen = f"{rate_hz:.0f} Hz within bursts, {mean_hz:.1f} Hz on average"
-        remedy = "they are stamped when bursts of them arrive: let the driver stamp the time of each reading"
-        found.append(warning("IMU stamps", seen, "even steps", remedy))
     elif lost > limits.LOST_SHARE * len(stamps_ns):
         seen, allowed = f"{lost} of {len(stamps_ns) + lost} readings are missing", f"{limits.LOST_SHARE:.0%}"
         found.append(warning("IMU gaps", seen, allowed, "check the link to the IMU, or the recorder's load"))

@@ -302,6 +302,7 @@ class InsPropagatorNode(VehicleNode):
             self._publish_increment(increment)
         if increments:
             self._report_gaps(increments[-1].stamp_ns, preintegrator.gaps - before)
+            self._report_bursts(preintegrator.statistics.fault)
 
     def _report_gaps(self, stamp_ns: int, gaps: int) -> None:
         """Count increments with gaps in their readings, and warn of them for a while."""
@@ -309,6 +310,12 @@ class InsPropagatorNode(VehicleNode):
         recent = self._gaps.count(stamp_ns, gaps)
         text = f"{recent} increments of the last {RECENT_S:g} s lack IMU readings"
         self.report_alarm("imu", text if recent else "")
+
+    def _report_bursts(self, text: str) -> None:
+        """Warn of readings stamped in bursts while they are."""
+        if text and "imu_stamps" not in self.alarms:
+            self.get_logger().warning(text)
+        self.report_alarm("imu_stamps", text)
 
     def _propagate(self, live: LiveOdometry, item: ImuSample | int) -> None:
         if not isinstance(item, ImuSample) or not live.add_imu(item):
