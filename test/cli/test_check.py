@@ -15,6 +15,7 @@ from remembered import remembered_sift
 
 from uav_vslam.cli import check
 from uav_vslam.cli.main import main
+from uav_vslam.datasets.rosbag import RawMessage
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.recordings.foreign import renamed, rewritten
@@ -107,6 +108,28 @@ def test_the_block_to_paste_has_the_start_that_the_report_advises(
     config = tmp_path / "mine.yaml"
     config.write_text("\n".join(line[4:] for line in block.splitlines() if line.startswith("    ")))
     assert main(["check", str(bag), "--vehicles", "uav1", "--config", str(config)]) == 0
+
+
+def test_the_block_of_a_vehicle_with_another_name_finds_its_start(flight: Path, tmp_path: Path) -> None:
+    """Its images and IMU are named from the root, its start state is in its namespace."""
+
+    def of_a_drone(raw: RawMessage) -> RawMessage | None:
+        if raw.topic.startswith("/uav2/"):
+            return None
+        topic = f"/drone{raw.topic.removeprefix('/uav1')}" if raw.topic.startswith("/uav1/") else raw.topic
+        topic = topic.replace("/drone/left/", "/cam0/").replace("/drone/right/", "/cam1/")
+        return dataclasses.replace(raw, topic=topic)
+
+    bag = rewritten(flight, tmp_path / "bag", of_a_drone)
+    base = ["--set", "input.frames.base=uav1/base_link"]  # the frames keep their names
+    code, printed, _ = checked(bag, *base)
+    words, _, block = printed.partition("To put into a configuration")[2].partition("\n")
+    assert (code, words) == (1, " (--config FILE --vehicles drone):")
+    config = tmp_path / "mine.yaml"
+    config.write_text("\n".join(line[4:] for line in block.splitlines() if line.startswith("    ")))
+    as_advised = [*base, "--config", str(config), "--vehicles", "drone"]
+    assert checked(bag, *as_advised)[0] == 0
+    assert main(["run", str(bag), *as_advised, "--no-plots", "--results", str(tmp_path / "out")]) == 0
 
 
 def test_the_progress_ends_at_its_total(sound: tuple[int, str, Progress], flight: Path, tmp_path: Path) -> None:

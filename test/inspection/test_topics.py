@@ -89,3 +89,12 @@ def test_vehicles_are_found_by_any_of_their_topics() -> None:
     topics = recorded(images=["/uav2/right/image_raw/compressed"], imus=["/uav1/imu/data_raw", "/imu"])
     assert vehicles_of(topics, InputConfig()) == ["uav1", "uav2"]
     assert vehicles_of(recorded(imus=["/imu"]), InputConfig()) == ["uav1"]
+
+
+def test_a_second_imu_of_a_vehicle_is_no_vehicle() -> None:
+    """MAVROS has it in a namespace of its own."""
+    names = ["/uav1/mavros/imu/data_raw", "/uav1/imu/data_raw", "/fleet/uav2/imu/data_raw"]
+    topics = recorded(images=["/uav1/left/image_raw", "/fleet/uav2/left/image_raw"], imus=names)
+    assert vehicles_of(topics, InputConfig()) == ["fleet/uav2", "uav1"]
+    inner = recorded(images=["/uav1/left/image_raw", "/uav1/payload/left/image_raw"])
+    assert vehicles_of(inner, InputConfig()) == ["uav1", "uav1/payload"]

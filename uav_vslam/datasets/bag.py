@@ -310,6 +310,7 @@ def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], topic: st
     own = sorted(t for t in topics if t.startswith(f"/{topic.split('/')[1]}/"))
     there = ", ".join(own or sorted(topics)) or "nothing"
     remedy = "set input.calibration" if topic == TF_STATIC else "set input.topics"
+    remedy += ", or input.calibration" if topic.endswith("camera_info") else ""
     return BagError(f"bag {_names(bags)} lacks {topic}; it holds {there}; record that topic, or {remedy}")
 
 

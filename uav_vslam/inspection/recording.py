@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig, replaced
-from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.bag import DEFAULT_VEHICLE, open_flight
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo, topics_of
 from uav_vslam.datasets.sensor_setup import with_noise_of_files
@@ -38,6 +38,7 @@ class Inspection:
         noise: of the IMU, by sensor; empty if there are too few readings.
         start_method: start.method to set where no start state was recorded; empty to leave it.
         block: configuration to paste; empty if nothing is to be set.
+        block_of: vehicle that has to be named beside the block, which has absolute topics; empty for the usual one.
     """
 
     vehicle: str
@@ -46,6 +47,7 @@ class Inspection:
     noise: dict[str, NoiseLevels] = field(default_factory=dict)
     start_method: str = ""
     block: str = ""
+    block_of: str = ""
 
     @property
     def usable(self) -> bool:
@@ -100,6 +102,7 @@ def inspect_bags(
         found.findings += _refused(paths, vehicle, used)
     noise = recommended(found.noise)
     found.block = topics.configuration_block(to_set, guess, noise, start_method=found.start_method)
+    found.block_of = vehicle if foreign and vehicle != DEFAULT_VEHICLE else ""
     return survey, found
 
 

@@ -37,7 +37,8 @@ def text(survey: Survey, inspection: Inspection) -> str:
     if inspection.offsets is not None and inspection.offsets.spread_s > 0:
         lines += _bars(inspection.offsets)
     if inspection.block:
-        lines += ["", "  To put into a configuration (--config FILE):", ""]
+        named = f" --vehicles {inspection.block_of}" if inspection.block_of else ""
+        lines += ["", f"  To put into a configuration (--config FILE{named}):", ""]
         lines += textwrap.indent(inspection.block, "    ").splitlines()
     return "\n".join(lines)
 

@@ -48,13 +48,19 @@ class Guess:
 
 
 def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[str]:
-    """Return the namespaces that hold any of the configured topics, sorted; `DEFAULT_VEHICLE` if none does."""
+    """Return the namespaces that hold any of the configured topics, sorted; `DEFAULT_VEHICLE` if none does.
+
+    One inside another's that lacks images belongs to that vehicle, as /uav1/mavros/imu/data_raw does.
+    """
     if config.topics.left.startswith("/"):
         return [DEFAULT_VEHICLE]
     names = [name for role in TYPES for name in image_names(getattr(config.topics, role))]
     endings = tuple(f"/{name}" for name in names if not name.startswith("/"))
     found = {topic[: -len(end)].strip("/") for topic in topics for end in endings if topic.endswith(end)}
-    return sorted(found - {""}) or [DEFAULT_VEHICLE]
+    sides = {name for side in SIDES for name in image_names(getattr(config.topics, side))}
+    seeing = {name for name in found if any(f"/{name}/{images}" in topics for images in sides)}
+    parts = {name for name in found - seeing for other in found if name.startswith(f"{other}/")}
+    return sorted(found - parts - {""}) or [DEFAULT_VEHICLE]
 
 
 def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
@@ -121,7 +127,8 @@ def check_topics(survey: Survey, guess: Guess) -> list[Finding]:
                 seen, allowed = f"{name} holds {survey.topics[name].msgtype}", " or ".join(TYPES[role])
                 found.append(warning(f"{role} topic", seen, allowed, "it is not read: record that type"))
     if "/" in survey.vehicle:
-        remedy = f"for `uav-vslam run`, set input.topics.left: /{survey.vehicle}/{survey.input.topics.left}, and so on"
+        left = survey.input.topic(survey.vehicle, "left")
+        remedy = f"for `uav-vslam run`, set input.topics.left: {left}, and so on"
         found.append(warning("namespace", f"{survey.vehicle} has several levels", "one, as results are named", remedy))
     for role, stream in survey.streams.items():
         if stream.errors:
