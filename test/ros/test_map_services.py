@@ -2,6 +2,7 @@
 """The back end's services save the same map as the offline twin, and load one to start in; errors are responses."""
 
 import itertools
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,3 +146,18 @@ def test_what_goes_wrong_is_the_response_and_the_node_goes_on(node: Node, tmp_pa
         assert response.success == (reason == "")
         assert reason in response.message
     assert len(load_map(tmp_path / "empty.npz")) == 0
+
+
+def test_an_empty_map_neither_replaces_another_nor_is_one_to_start_in(
+    node: Node, ground: Ground, tmp_path: Path
+) -> None:
+    """After a reset nothing is mapped."""
+    file, empty = tmp_path / "uav2_map.npz", tmp_path / "empty.npz"
+    shutil.copy(ground.file, file)
+    saved = node.call("save_map", file)
+    assert (saved.success, saved.message.startswith("no landmark is mapped so far")) == (False, True)
+    assert load_map(file).hash == load_map(ground.file).hash
+    assert node.call("save_map", empty).success
+    loaded = node.call("load_map", empty)
+    assert (loaded.success, "has no landmarks to start in" in loaded.message) == (False, True)
+    assert node.call("load_map", ground.file).success

@@ -73,8 +73,9 @@ class PausableNode(LifecycleNode):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             self.reset()
-            response.success, response.message = True, "started again"
-            self.get_logger().warning("reset by ~/reset: it starts again")
+            waits = f"forgotten, but the node is {self.paused} and ignores messages" if self.paused else ""
+            response.success, response.message = self.paused != FINALIZED, waits or "started again"
+            self.get_logger().warning(f"reset by ~/reset: {waits or 'it starts again'}")
         except (UavVslamError, OSError) as error:
             response.success, response.message = False, str(error)
         return response

@@ -224,12 +224,14 @@ class SlamStage:
         """Take over a map to start in.
 
         Raises:
-            MapError: the vehicle has started already, or does not start in a map.
+            MapError: the vehicle has started already, or does not start in a map, or the map is empty.
         """
         if self._config.start.method != "map":
             raise MapError(f"start.method is {self._config.start.method}; a map is loaded to start in by method map")
         if self.initial is not None:
             raise MapError("the vehicle has its start state already; load the map before the flight")
+        if not len(saved):
+            raise MapError(f"the map of {saved.origin.vehicle} has no landmarks to start in; save it in flight")
         self._map, self._search = saved, None
 
     @property
