@@ -323,6 +323,26 @@ def test_a_wrong_override_is_told(setting: str, said: str, good: Path, capsys: p
     assert said in refused(capsys, "run", good, "--set", setting)
 
 
+def test_the_check_that_is_advised_needs_the_settings_of_the_run(
+    good: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without them it would judge other topics."""
+    line = refused(capsys, "run", good, "--set", "input.topics.imu=nowhere")
+    assert line.rstrip().endswith(f"All faults: uav-vslam check {good}, with the settings given here")
+
+
+def test_a_wrong_value_is_looked_for_where_it_stands(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("/**: {ros__parameters: {backend: {sigma_px: 0.5}}}")
+    line = refused(capsys, "run", good, "--config", file, "--set", "backend.sigma_px=-1")
+    assert f": overrides of {file}: backend.sigma_px = -1 is not allowed" in line
+    file.write_text("/**: {ros__parameters: {backend: {sigma_px: -2}}}")
+    line = refused(capsys, "run", good, "--config", file, "--set", "imu.gyro_noise=-1")
+    assert f": {file}: backend.sigma_px = -2 is not allowed" in line
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -189,6 +189,7 @@ def test_image_stamps_that_do_not_go_on_are_told_while_they_do_not(make: Make) -
         stamp = header(NOW_NS + k * STEP_NS, node.base_frame)
         deliver(node, "imu/data_raw", Imu(header=stamp, linear_acceleration=Vector3(z=node.config.imu.gravity)))
     assert "left/camera_info has brought no new stamp for 2 s" in node.alarms["images"]
+    assert node.alarms["images"].endswith("a file with the calibration can replace it (input.calibration)")
     rest(node, NOW_NS + 500 * STEP_NS, 0.5)
     assert "images" not in node.alarms
 

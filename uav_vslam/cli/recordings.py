@@ -57,6 +57,7 @@ def open_flights(bags: Sequence[Path], configs: Mapping[str, VehicleConfig]) -> 
         BagError: a path is missing or not a bag, or a topic is missing.
         CalibrationError: a sensor's place is unknown, or calibration and images contradict each other.
     """
+    from uav_vslam.config import differences
     from uav_vslam.datasets.bag import open_flight
     from uav_vslam.datasets.rosbag import topics_of
     from uav_vslam.errors import BagError, CalibrationError
@@ -68,5 +69,6 @@ def open_flights(bags: Sequence[Path], configs: Mapping[str, VehicleConfig]) -> 
             flight.check_images()
     except (BagError, CalibrationError) as error:
         text = f"{error}" if f"{error}".endswith("?") else f"{error}."
-        raise type(error)(f"{text} All faults: uav-vslam check {' '.join(map(str, bags))}") from None
+        same = ", with the settings given here" if any(map(differences, configs.values())) else ""
+        raise type(error)(f"{text} All faults: uav-vslam check {' '.join(map(str, bags))}{same}") from None
     return flights

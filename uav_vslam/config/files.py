@@ -89,7 +89,13 @@ def load_vehicle(path: Path | None, *, overrides: Mapping[str, Any] | None = Non
         ConfigError: the file can't be read, or a key or value is wrong.
     """
     values = {} if path is None else _beside(_read_parameters(path), path)
-    return build(VehicleConfig, values | dict(overrides or {}), where=str(path or "overrides"))
+    try:
+        return build(VehicleConfig, values | dict(overrides or {}), where=str(path or "overrides"))
+    except ConfigError:
+        if path is None or not overrides:
+            raise
+        build(VehicleConfig, values, where=str(path))  # a fault of the file is the one to name
+        return build(VehicleConfig, values | dict(overrides), where=f"overrides of {path}")
 
 
 def load_resolved(path: Path) -> dict[str, VehicleConfig]:

@@ -170,9 +170,12 @@ class InsPropagatorNode(VehicleNode):
             self.alarms.pop("images", None)
         elif "images" not in self.alarms:
             topic = self._stamped_topics()[0][3]
+            instead = (
+                "; a file with the calibration can replace it (input.calibration)" if self._sensors.has_infos else ""
+            )
             self.alarms["images"] = (
                 f"{topic} has brought no new stamp for {SILENT_NS / NS_PER_S:g} s of readings: it has to come with "
-                "each image, and with its stamp"
+                f"each image, and with its stamp{instead}"
             )
             self.get_logger().warning(self.alarms["images"])
 
