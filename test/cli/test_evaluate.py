@@ -64,7 +64,8 @@ def write_flight(folder, fleet=("uav1", "uav2"), mode="wideband"):
                 inputs.write(f"/{vehicle}/left/camera_info", "sensor_msgs/msg/CameraInfo", info, stamp_ns)
             peers = [name for name in fleet if name != vehicle] if mode != "none" else []
             for k in (10, 20):
-                data = encode(status(vehicle, k, mode, peers))
+                then = mode.split(", then ")  # one, or the first and the second status's
+                data = encode(status(vehicle, k, then[0] if k == 10 else then[-1], peers))
                 stamp_ns = START_NS + 100_000_000 * k
                 out.write(f"/{vehicle}/fusion/status", "uav_vslam_msgs/msg/FusionStatus", data, stamp_ns)
 
@@ -128,6 +129,14 @@ def test_a_vehicle_without_peer_has_no_cooperative_track(tmp_path, fleet, mode):
     assert summary["vehicles"]["uav1"]["c_slam"] is None
     assert summary["pooled"]["c_slam"] is None
     assert summary["mode"] == mode
+
+
+def test_a_vehicle_that_was_switched_to_none_in_flight_keeps_its_cooperative_track(tmp_path):
+    write_flight(tmp_path, mode="wideband, then none")
+    run(tmp_path / "estimates", tmp_path / "inputs", "--results", tmp_path / "results", "--no-plots")
+    summary = json.loads((tmp_path / "results" / "latest" / "summary.json").read_text())
+    assert summary["mode"] == "none"
+    assert summary["vehicles"]["uav2"]["c_slam"]["ate_m"] == pytest.approx(0.5)
 
 
 def test_recorded_frames_are_judged_without_truth(tmp_path, capsys):

@@ -45,8 +45,11 @@ def _vehicle_result(name: str, recorded: RecordedOutputs, fleet: dict[str, Recor
 
 
 def _has_peer(recorded: RecordedOutputs, fleet: dict[str, RecordedOutputs]) -> bool:
-    """Tell whether the fused track means anything: without a peer it repeats the own-only one."""
-    if not recorded.fused or recorded.link is None or recorded.link.mode == "none":
+    """Tell whether the fused track means anything: without a peer it repeats the own-only one.
+
+    The mode is the last one: who was switched to `none` in flight had fused before.
+    """
+    if not recorded.fused or recorded.link is None or (recorded.link.mode == "none" and not recorded.link.packets_used):
         return False
     return bool(recorded.link.peers) or len(fleet) > 1
 
