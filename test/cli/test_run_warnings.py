@@ -35,6 +35,17 @@ def test_association_with_klt_is_warned_about_once_for_all_vehicles(
     assert all(line.startswith(f"{WARNING}backend.association = hgtm decides almost nothing") for line in lines)
 
 
+@pytest.mark.parametrize(("mode", "count"), [("wideband", 1), ("none", 0)])
+def test_vehicles_that_can_not_share_a_frame_are_warned_about(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], mode: str, count: int
+) -> None:
+    """Their C-SLAM would be S-SLAM, without a word; so short a flight ends before a start is found."""
+    changes = ["--set", "start.method=in_flight", "--mode", mode, "--no-plots", "--results", str(tmp_path)]
+    assert main(["run", str(flight), *changes]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "map frame of their own" in line]
+    assert [line.partition(" each")[0] for line in lines] == [f"{WARNING}uav1, uav2"] * count
+
+
 def test_imu_readings_stamped_in_bursts_are_warned_about_once(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

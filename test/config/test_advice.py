@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said about settings that were changed but decide nothing with the others."""
+"""What is said about settings that decide nothing with the others, or keep vehicles apart."""
 
 import pytest
 
-from uav_vslam.config import idle_settings, load_vehicle
+from uav_vslam.config import idle_settings, load_vehicle, separate_maps
 from uav_vslam.config.settings import all_settings
 from uav_vslam.config.vehicle import VehicleConfig
 
@@ -29,3 +29,21 @@ def test_with_detection_in_every_pair_both_methods_decide() -> None:
 @pytest.mark.parametrize("name", CHANGED)
 def test_the_reference_says_so_too(name: str) -> None:
     assert "klt" in all_settings(VehicleConfig)[name].text
+
+
+@pytest.mark.parametrize(
+    ("second", "apart"),
+    [
+        ({"start.method": "static"}, True),
+        ({"start.method": "in_flight", "fusion.common_origin": False}, False),
+        ({"start.method": "in_flight", "fusion.mode": "none"}, False),
+        ({"start.method": "given"}, False),  # in the other's frame, say
+        ({"start.method": "map"}, False),
+    ],
+)
+def test_vehicles_of_which_each_defines_its_map_do_not_share_one(second: dict[str, object], apart: bool) -> None:
+    first = load_vehicle(None, overrides={"start.method": "in_flight"})
+    found = separate_maps({"uav1": first, "uav2": load_vehicle(None, overrides=second)})
+    assert found.startswith("uav1, uav2 each start in a map frame of their own") == apart
+    assert bool(found) == apart
+    assert separate_maps({"uav1": first}) == ""

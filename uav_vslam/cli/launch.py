@@ -149,6 +149,7 @@ def launch(
     Returns:
         The exit code of the first process that failed, 128 + the signal that interrupted a replay, or 0.
     """
+    from uav_vslam.config import separate_maps
     from uav_vslam.ros.domain import check_domain
     from uav_vslam.ros.fleet_commands import node_specs, without_parameter_services
     from uav_vslam.ros.supervisor import ESCALATION, SAVING, Supervisor, node_command
@@ -166,6 +167,8 @@ def launch(
     commands = [node_command(spec, log_level) for spec in specs]
     _remove_leftovers()
     _warn_without_key(fleet)
+    if apart := separate_maps(fleet.vehicles):
+        print(f"uav-vslam: warning: {apart}", file=sys.stderr)
     escalation = SAVING if maps else ESCALATION
     supervisor = Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line, escalation=escalation)
     return supervisor.run(commands)

@@ -74,7 +74,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from functools import partial
 
     from uav_vslam.cli.recordings import bags_and_configs, open_flights
-    from uav_vslam.config import idle_settings, load_link
+    from uav_vslam.config import idle_settings, load_link, separate_maps
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
     from uav_vslam.evaluation.output import write_results
@@ -88,6 +88,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
         more |= {"start.method": "map", "start.map": str(args.map.resolve())}
     bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles), more)
     warn_each(text for config in configs.values() for text in idle_settings(config).values())
+    warn_each(filter(None, [separate_maps(configs)]))
     links = partial(link_between, load_link(args.link)) if args.link else None
     flights = open_flights(bags, configs)
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}

@@ -3,12 +3,12 @@
 
 settings    the metadata of a setting, and the checks made from it
 imu, input, vehicle, fleet, nodes    the settings
-advice      settings that decide nothing with the others
+advice      settings that decide nothing with the others, or keep vehicles apart
 files       YAML files
 reference   the reference page docs/reference/parameters.md
 """
 
-from uav_vslam.config.advice import idle_settings
+from uav_vslam.config.advice import idle_settings, separate_maps
 from uav_vslam.config.files import (
     difference_file,
     find_config,
@@ -80,4 +80,5 @@ __all__ = [
     "load_vehicle",
     "parameter_file",
     "replaced",
+    "separate_maps",
 ]

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that were changed but decide nothing with the others: said at start-up, or comparisons would mislead."""
+"""Settings that decide nothing with the others, or keep vehicles apart: said at start-up, or results would mislead."""
+
+from collections.abc import Mapping
 
 from uav_vslam.config.settings import differences
 from uav_vslam.config.vehicle import VehicleConfig
@@ -20,3 +22,18 @@ def idle_settings(config: VehicleConfig) -> dict[str, str]:
         for name, reason in reasons.items()
         if name in changed
     }
+
+
+def separate_maps(configs: Mapping[str, VehicleConfig]) -> str:
+    """Return why vehicles, by name, that cooperate in one frame do not have one; empty if they may have it."""
+    apart = [
+        name
+        for name, config in configs.items()
+        if config.start.defines_map and config.fusion.common_origin and config.fusion.mode != "none"
+    ]
+    if len(apart) < 2:
+        return ""
+    return (
+        f"{', '.join(apart)} each start in a map frame of their own (start.method = static or in_flight), where peers' "
+        "landmarks can't be found: set fusion.common_origin = false, or give start states in one frame"
+    )
