@@ -9,7 +9,7 @@ import pytest
 
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.inspection.finding import Severity
-from uav_vslam.inspection.rotation import RatePairs, check_rotation, mean_rates, rates_of_rotations
+from uav_vslam.inspection.rotation import CAMERAS, RatePairs, check_rotation, mean_rates, rates_of_rotations
 
 TURNS = [
     R
@@ -41,6 +41,21 @@ def test_a_rotation_that_nothing_explains_is_a_warning() -> None:
     right, rng = pairs(np.eye(3), 1.0), np.random.default_rng(4)
     (finding,) = check_rotation(RatePairs(rng.permutation(right.gyro), right.reference, 0.01, "the truth"))
     assert finding.severity is Severity.WARNING
+
+
+@pytest.mark.parametrize(("late_ms", "seen"), [(45, "45 ms late"), (-120, "120 ms early")])
+def test_an_offset_of_the_clocks_is_found(late_ms: int, seen: str) -> None:
+    stamps = np.arange(0, 10_000_000_000, 5_000_000)
+    rate = 0.4 * np.sin(stamps[:, None] / 1e9 * np.array([8.0, 9.0, 11.0]))
+    starts = np.arange(500_000_000, 9_000_000_000, 200_000_000)
+
+    def if_late(late_ns: int) -> np.ndarray:
+        return mean_rates(stamps + late_ms * 1_000_000 - late_ns, rate, starts, starts + 200_000_000)
+
+    true = mean_rates(stamps, rate, starts, starts + 200_000_000)
+    (finding,) = check_rotation(RatePairs(if_late(0), true, 0.01, CAMERAS, if_late))
+    assert (finding.severity, seen in finding.seen) == (Severity.ERROR, True)
+    assert f"timeshift_cam_imu: {late_ms / 1000:g} " in finding.remedy
 
 
 def test_a_vehicle_that_hardly_turns_is_not_judged() -> None:

@@ -299,6 +299,13 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
         lambda: [ending(IMU, 0.5, 685)],
         [("warning", "IMU coverage", ("12 after the last",))],
     ),
+    "IMU stamped late": (
+        lambda: [later(IMU, 60_000_000)],
+        [
+            ("warning", "gyroscope against the truth", ("60 ms late", "correct the stamps")),
+            ("error", "gyroscope against the cameras", ("60 ms late", "timeshift_cam_imu: 0.06")),
+        ],
+    ),
     "IMU of another clock": (
         lambda: [later(IMU, -50_000_000_000)],
         [("error", "IMU clock", ("50 s before", "one clock")), ("error", "IMU coverage", ("24 after the last",))],

@@ -2,11 +2,12 @@
 """Gyroscope against a reference rotation, of truth or cameras: scale and axes.
 
 Mean rates over short intervals are compared, w = s A r + b: s is 1, or that of degrees; A is the identity, a turn by
-multiples of 90 degrees, or a mirror; b is the gyroscope's bias.
+multiples of 90 degrees, or a mirror; b is the gyroscope's bias. If that explains nothing, clocks that differ may.
 """
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,10 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 SCALES = {1.0: "", 180.0 / math.pi: "in degrees, not in radians", math.pi / 180.0: "in radians taken for degrees"}
+CAMERAS = "the cameras"
 MIN_INTERVALS = 4
+LATE_MS = range(-300, 301, 5)  # offsets of the clocks that are tried
+LATE_SHARE = 0.5  # of the difference: an offset that leaves less explains it
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +38,14 @@ class RatePairs:
         reference: (K, 3) of the reference.
         sigma: standard deviation of the reference, per axis.
         source: the reference, in words.
+        gyro_if_late: (K, 3) of the gyroscope if its stamps are late [ns]; None if unknown.
     """
 
     gyro: Array
     reference: Array
     sigma: float
     source: str
+    gyro_if_late: Callable[[int], Array] | None = None
 
 
 def mean_rates(stamps_ns: Stamps, gyro: Array, starts_ns: Stamps, ends_ns: Stamps) -> Array:
@@ -85,6 +91,16 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
     )
     best = _misfit(gyro, reference, scale, axes)
     if best > limits.ROTATION_MISFIT:
+        late_ms, left = _lateness(pairs)
+        if left <= min(limits.ROTATION_MISFIT, LATE_SHARE * misfit):
+            seen += (
+                f"; {100 * left:.0f} % if the IMU's stamps are {abs(late_ms)} ms {'late' if late_ms > 0 else 'early'}"
+            )
+            remedy = f"correct the stamps of the IMU or of {pairs.source}"
+            if pairs.source != CAMERAS:
+                return [warning(subject, seen, allowed, remedy)]
+            remedy += f", or give a Kalibr camchain with timeshift_cam_imu: {late_ms / 1000:g} by input.calibration"
+            return [error(subject, seen, allowed, remedy)]
         remedy = f"check the extrinsics of camera and IMU, and the clocks of the IMU and {pairs.source}"
         return [warning(subject, f"{seen}; no other unit or axes explain it", allowed, remedy)]
     said = [SCALES[scale], _axes_text(axes)]
@@ -94,6 +110,24 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
         + (["give the IMU's mounting in /tf_static or input.calibration"] if _axes_text(axes) else [])
     )
     return [error(subject, seen, allowed, remedy)]
+
+
+def _lateness(pairs: RatePairs) -> tuple[int, float]:
+    """Return how late the gyroscope's stamps would explain the difference best [ms], and what it would then be."""
+    if pairs.gyro_if_late is None:
+        return 0, math.inf
+    found = [(_misfit_if_late(pairs, late_ms), abs(late_ms), late_ms) for late_ms in LATE_MS]
+    left, _, late_ms = min(found)
+    return late_ms, left
+
+
+def _misfit_if_late(pairs: RatePairs, late_ms: int) -> float:
+    assert pairs.gyro_if_late is not None
+    gyro = pairs.gyro_if_late(late_ms * 1_000_000)
+    good = np.isfinite(gyro).all(axis=1) & np.isfinite(pairs.reference).all(axis=1)
+    if good.sum() < MIN_INTERVALS:
+        return math.inf
+    return _misfit(_centred(gyro[good]), _centred(pairs.reference[good]), 1.0, np.eye(3))
 
 
 def check_rate_size(gyro: Array) -> list[Finding]:
