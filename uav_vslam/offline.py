@@ -26,10 +26,12 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.processes import worker_pool
+from uav_vslam.slam.health import MIN_FEATURES
 from uav_vslam.smoothing.flight import FilteredFlight
 from uav_vslam.smoothing.smoother import smooth
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures, StereoFrame
 
+MOSTLY = 0.5  # of the frames
 POLL_S = 0.2
 
 
@@ -103,6 +105,7 @@ def track_vehicle(
         )
     _count_unpaired(source, pipeline.track)
     _check_measured(pipeline.track)
+    _report_coasting(pipeline.track)
     if keep_map:
         keep_saved_map(pipeline)
     if smoothing:
@@ -110,6 +113,17 @@ def track_vehicle(
     if not keep_features:
         pipeline.track.features.clear()
     return pipeline.track
+
+
+def _report_coasting(track: VehicleTrack) -> None:
+    """Warn of a flight that is mostly dead reckoning although its frames have features, as the nodes do."""
+    reports = [output.report for output in track.outputs]
+    missed = sum(report.coasted and report.features >= MIN_FEATURES for report in reports)
+    if missed > MOSTLY * len(reports):
+        track.warnings.append(
+            f"{missed} of {len(reports)} frames had features, but none where the estimate expects it: what it claims "
+            "is in doubt: check start state, units of the IMU, clocks and calibration (uav-vslam check)"
+        )
 
 
 def keep_saved_map(pipeline: VehiclePipeline) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from faulty import IMU
+from faulty import IMU, later
 
 from uav_vslam.cli.main import main
 from uav_vslam.simulation.recording import record
@@ -61,3 +61,17 @@ def test_imu_readings_stamped_in_bursts_are_warned_about_once(
     assert main(["run", str(bag), *arguments]) == 0
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "bursts" in line]
     assert line.startswith(f"{WARNING}uav1: IMU readings are stamped in bursts, 20000 Hz within")
+
+
+@pytest.mark.parametrize("late_ns", [0, 30_000_000])
+def test_a_flight_that_is_mostly_dead_reckoning_is_warned_about(
+    late_ns: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Here for the IMU's clock; the figures of the innovations, of the few frames left, look conservative."""
+    bag = rewritten(Path(__file__).parents[2] / "bags" / "sample", tmp_path / "late", later(IMU, late_ns))
+    arguments = ["--vehicles", "uav1", "--config", "sample", "--no-plots", "--no-maps", "--no-smoothing"]
+    assert main(["run", str(bag), *arguments, "--results", str(tmp_path / "out")]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "none where the estimate expects it" in line]
+    assert [line.startswith(f"{WARNING}uav1: ") and "of 64 frames had features" in line for line in lines] == [True] * (
+        late_ns > 0
+    )
