@@ -42,6 +42,15 @@ def test_the_mode_is_read_and_switched_by_a_typed_command(fusion: int, capfd: py
         switch_mode(node, "uav2", "loud", wait_s=60.0)
 
 
+def test_a_vehicle_may_be_in_a_namespace_of_a_fleet(domain_id: int, capfd: pytest.CaptureFixture[str]) -> None:
+    command = [sys.executable, "-m", "uav_vslam.ros.fusion_node", "--ros-args", "-r", "__ns:=/fleet/uav2"]
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as node:
+        assert main(["mode", "/fleet/uav2", "narrowband", "--domain", str(domain_id), "--wait", "60"]) == 0
+        node.kill()
+    assert capfd.readouterr().out == "fleet/uav2: narrowband\n"
+
+
 def test_an_unknown_mode_is_refused_before_the_vehicle_is_looked_for(capsys: pytest.CaptureFixture[str]) -> None:
     assert set(MODES) == set(MODE_BUDGETS)
     with pytest.raises(SystemExit, match="2"):

@@ -111,3 +111,19 @@ def test_what_ros_refuses_is_one_line_too(run: Run, arguments: list[str], said: 
     assert done.stderr.startswith("uav_vslam: ")
     assert said in done.stderr
     assert ".c:" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("node", "arguments", "said"),
+    [
+        ("stereo_frontend", ["-p", "input.topics.left:=/cam-0/image"], "'/cam-0/image'"),
+        ("fusion", ["-p", "peers:=['uav 2']"], "topic name must not contain characters other than alphanumerics"),
+        ("recorder", ["-p", "output:=bag", "-p", "vehicles:=['uav-1']"], "'/uav-1/"),
+    ],
+)
+def test_a_topic_that_can_not_be_is_one_line(node: str, arguments: list[str], said: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", f"uav_vslam.ros.{node}_node", "--ros-args", "-r", "__ns:=/uav1", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if not line.startswith("[INFO]")]
+    assert (line.startswith("uav_vslam: "), said in line, "; correct the " in line) == (True, True, True)

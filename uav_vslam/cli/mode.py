@@ -23,8 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _vehicle(text: str) -> str:
-    """Return a vehicle's name, which may be given as its namespace, with slashes."""
-    return namespace(text.strip("/"))
+    """Return a vehicle's name, which may be given as its namespace, with slashes; /fleet/uav1 has two levels."""
+    return "/".join(namespace(level) for level in text.strip("/").split("/"))
 
 
 def run(args: argparse.Namespace) -> int:

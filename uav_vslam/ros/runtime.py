@@ -15,8 +15,9 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import Executor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter_service import ParameterService
@@ -26,7 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from uav_vslam.config import VehicleConfig, idle_settings
 from uav_vslam.config.nodes import NODES
-from uav_vslam.errors import ConfigError, UavVslamError
+from uav_vslam.errors import ConfigError, UavVslamError, one_line
 from uav_vslam.memory import keep_freed_memory
 from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.diagnostics import status_message
@@ -308,7 +309,7 @@ def run_node(
     try:
         with environment({} if shared_memory else udp_alone()):
             _initialise(args)
-            node = factory()
+            node = _made(factory)
         executor = executor_type()
         executor.add_node(node)
         while not stopping:  # each node has a timer on wall time, which ends the wait
@@ -326,6 +327,23 @@ def run_node(
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _made(factory: Callable[[], Node]) -> Node:
+    """Make the node.
+
+    Raises:
+        ConfigError: a parameter names a topic, or a vehicle of which one is made, that ROS can't have.
+    """
+    try:
+        return factory()
+    except NameValidationException as error:
+        raise ConfigError(f"{one_line(error)}; correct the parameter that names it") from None
+    except rclpy_implementation.RCLError as error:
+        if "resolve name" not in str(error):
+            raise
+        text = one_line(error).partition(", at /")[0]
+        raise ConfigError(f"{text}; correct the topics and vehicles that parameters name") from None
 
 
 def _initialise(args: list[str] | None) -> None:
