@@ -6,9 +6,10 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from sensor_msgs.msg import CompressedImage  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from uav_vslam.ros.inputs import STREAM, Input, silent, stopped, unmatched  # noqa: E402
+from uav_vslam.ros.inputs import STREAM, Input, image_topics, silent, stopped, unmatched  # noqa: E402
 from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, RESUMABLE, STATE  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -130,3 +131,23 @@ def test_a_missing_topic_is_reported_unless_a_substitute_is_received(listener):
     assert spin_until(listener, lambda: compressed.received, lambda: publisher.publish(String(data="x")))
     assert silent([raw, compressed]) == []
     assert unmatched([raw, compressed]) == []
+
+
+@pytest.mark.parametrize(
+    ("remappings", "compressed"),
+    [
+        ([], "/uav1/left/compressed"),
+        (["left:=/cam/left"], "/cam/left/compressed"),
+        (["left:=/cam/left", "left/compressed:=/jpeg"], "/jpeg"),
+    ],
+    ids=["as configured", "with the raw one", "by itself"],
+)
+def test_compressed_images_are_remapped_with_the_raw_ones(listener, remappings, compressed):
+    rules = [argument for rule in remappings for argument in ("-r", rule)]
+    node = rclpy.create_node("front", namespace="uav1", context=listener.context, cli_args=["--ros-args", *rules])
+    received = []
+    name = image_topics(node, "left")[CompressedImage]
+    Input(CompressedImage, name, received.append, STATE, "left").subscribe(node)
+    camera = listener.create_publisher(CompressedImage, compressed, STATE)
+    assert spin_until(node, lambda: bool(received), lambda: camera.publish(CompressedImage()))
+    node.destroy_node()

@@ -17,6 +17,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import CompressedImage, Image
 
 from uav_vslam.config.input import COMPRESSED, image_names
@@ -131,9 +132,21 @@ class Input:
         self.callback(message)
 
 
-def image_topics(topic: str) -> dict[type, str]:
-    """Return the types and names under which a camera's images may come."""
-    return {CompressedImage if name.endswith(COMPRESSED) else Image: name for name in image_names(topic)}
+def image_topics(node: Node, topic: str) -> dict[type, str]:
+    """Return the types and names under which a camera's images may come.
+
+    Remapping the raw topic moves the compressed one with it, as `image_transport` does, unless that is remapped itself.
+    """
+    validate_topic_name(topic)  # names it; to resolve an impossible one does not
+    raw, moved = node.resolve_topic_name(topic), topic
+    if raw != node.resolve_topic_name(topic, only_expand=True):
+        moved = raw
+    topics: dict[type, str] = {}
+    for name in image_names(topic):
+        remapped = node.resolve_topic_name(name) != node.resolve_topic_name(name, only_expand=True)
+        follows = name != topic and not remapped
+        topics[CompressedImage if name.endswith(COMPRESSED) else Image] = moved + COMPRESSED if follows else name
+    return topics
 
 
 def mixed(inputs: Iterable[Input], node: Node) -> dict[str, str]:

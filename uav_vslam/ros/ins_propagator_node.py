@@ -99,7 +99,7 @@ class InsPropagatorNode(VehicleNode):
         topics = self.config.input.topics
         if self._sensors.has_infos:
             return [(CameraInfo, topics.left_info, STAMPS, topics.left_info)]
-        return [(kind, name, IMAGE, topics.left) for kind, name in image_topics(topics.left).items()]
+        return [(kind, name, IMAGE, topics.left) for kind, name in image_topics(self, topics.left).items()]
 
     def _forget_flight(self) -> None:
         """Be as before the first message; where the start is searched for, increments are needed before it."""

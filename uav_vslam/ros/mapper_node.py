@@ -49,7 +49,7 @@ class MapperNode(VehicleNode):
         self._mesh = self.advertise(Marker, "map/mesh", LATCHED)
         self._rig = RigListener(self, self._on_rig)
         topic = self.config.input.topics.left
-        for kind, name in image_topics(topic).items():
+        for kind, name in image_topics(self, topic).items():
             self.listen(kind, name, self._on_image, IMAGES, instead_of=topic)
         self.listen(PoseWithCovarianceStamped, "slam/smoothed", self._on_pose, SENSOR)
         self.create_service(Trigger, "~/save_map", self._on_save)

@@ -61,7 +61,7 @@ class StereoFrontendNode(VehicleNode):
             topic, on_image = getattr(given.topics, side), partial(self._on_image, side, add)
             self._choices[side] = {
                 kind: self.listen(kind, name, on_image, IMAGE, instead_of=topic)
-                for kind, name in image_topics(topic).items()
+                for kind, name in image_topics(self, topic).items()
             }
 
     def configure(self, config: VehicleConfig) -> None:
