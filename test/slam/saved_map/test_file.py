@@ -91,6 +91,15 @@ def test_a_file_that_is_no_map_is_not_replaced(saved: SavedMap, tmp_path: Path) 
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
+def test_arrays_of_somebody_else_are_not_replaced(saved: SavedMap, tmp_path: Path) -> None:
+    """An archive as NumPy writes it, but no map."""
+    path = tmp_path / "flight.npz"
+    np.savez(path, positions=np.ones(3))
+    with pytest.raises(MapError, match="is no map, and is not replaced"):
+        save_map(saved, path)
+    assert np.load(path)["positions"].tolist() == [1.0, 1.0, 1.0]
+
+
 def test_a_map_that_cannot_be_put_in_its_place_leaves_nothing_behind(saved: SavedMap, tmp_path: Path) -> None:
     (tmp_path / "map.npz" / "in the way").mkdir(parents=True)
     with pytest.raises(MapError, match="can't be written"):

@@ -41,7 +41,7 @@ def save_map(saved: SavedMap, file: Path | str) -> int:
         MapError: the file can't be written, or is there and no map.
     """
     path = Path(file)
-    is_map = path.is_file() and (path.stat().st_size == 0 or zipfile.is_zipfile(path))
+    is_map = path.is_file() and (path.stat().st_size == 0 or _holds_header(path))
     if path.exists() and not (is_map or path.is_dir()):  # a folder can't be replaced
         raise MapError(f"{path} is no map, and is not replaced; name another file")
     content = io.BytesIO()
@@ -53,6 +53,15 @@ def save_map(saved: SavedMap, file: Path | str) -> int:
             f"{path}: the map can't be written ({error.strerror}); name a file in a folder that is writable"
         ) from None
     return content.getbuffer().nbytes
+
+
+def _holds_header(path: Path) -> bool:
+    """Return whether a file is an archive of arrays with a map's header: other archives are somebody's data."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "header.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
 
 
 def load_map(file: Path | str) -> SavedMap:
