@@ -26,6 +26,11 @@ def test_with_detection_in_every_pair_both_methods_decide() -> None:
     assert idle_settings(load_vehicle(None, overrides={**CHANGED, "frontend.method": "sift"})) == {}
 
 
+def test_without_tracks_nothing_is_anchored() -> None:
+    sift = load_vehicle(None, overrides={"frontend.method": "sift", "frontend.anchored": True})
+    assert idle_settings(sift) == {"frontend.anchored": "frontend.anchored has no effect: only klt tracks points"}
+
+
 @pytest.mark.parametrize("name", CHANGED)
 def test_the_reference_says_so_too(name: str) -> None:
     assert "klt" in all_settings(VehicleConfig)[name].text

@@ -10,7 +10,8 @@ from uav_vslam.config.vehicle import VehicleConfig
 def idle_settings(config: VehicleConfig) -> dict[str, str]:
     """Return by dotted name why a setting that differs from its default decides nothing, or almost."""
     if config.frontend.method != "klt":
-        return {}
+        anchored = {"frontend.anchored": "frontend.anchored has no effect: only klt tracks points"}
+        return anchored if config.frontend.anchored else {}
     reasons = {
         "frontend.matcher": "has no effect: klt finds the points of the right image by optical flow",
         "backend.association": "decides almost nothing: klt's tracks keep their landmarks from frame to frame, and "

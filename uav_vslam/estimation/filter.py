@@ -272,9 +272,10 @@ class Filter:
         return other, passed, other.update(NO_ROWS, np.zeros((0, STEREO_DOF)))
 
     def without_landmarks(self) -> Self:
-        """Return a copy of this filter with the vehicle alone: what it takes in costs nothing for the landmarks."""
+        """Return a copy of the vehicle alone: with its marginal covariance, an update costs nothing for landmarks."""
         other = copy.copy(self)
-        other.belief = CovarianceBelief.from_covariance(self.belief.covariance(NO_ROWS))
+        with _stamped(self.nav.stamp_ns):
+            other.belief = CovarianceBelief(self.belief.covariance(NO_ROWS), self.vehicle)
         other.landmarks = np.zeros((0, 3))
         return other
 

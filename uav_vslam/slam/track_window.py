@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Uses the tracks of points that are no landmarks: each once, when it has ended or fills the window.
 
-Until then a track belongs to the estimate of the present only, a copy of the filter that has used all tracks so far; it
-has landmarks only if they are asked for. So no view is used twice, and none waits.
+Until then a track belongs to the estimate of the present only, a copy of the filter that has used all tracks so far: no
+view is used twice, and none waits. The copy has landmarks only where they are asked for.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class Present:
     """The estimate with all tracks.
 
     Attributes:
-        filter: a copy that has used them.
+        filter: a copy that has used them, or the filter itself without tracks.
         innovation: None without tracks.
         rows: (K,) those used; if some were chosen as landmarks, these.
     """
@@ -105,12 +105,13 @@ class TrackWindow:
         views.remove(finished)
 
     def present(self, slam_filter: Filter, landmark_map: LandmarkMap, choose: Choice | None = None) -> Present:
-        """Return the estimate of the present, of the vehicle alone.
+        """Return the estimate of the present.
 
         Args:
             slam_filter: is left as it is.
             landmark_map: its landmarks.
-            choose: the estimate has all landmarks, too, and the points of the tracks chosen as additional ones.
+            choose: which points of the tracks are landmarks, besides the filter's; None for an estimate that need not
+                have any.
         """
         views = self.views
         used = self._longest(slam_filter, np.ones(len(views), bool))

@@ -55,10 +55,10 @@ def test_other_ground_and_too_large_a_change_of_scale_are_not_found(image: Float
     _, _, good = patches.found(np.ascontiguousarray(image[::-1, ::-1]), pixels, undeformed(len(pixels)))
     assert good.mean() < 0.05
     for scale, least, most in ((0.9 * MOST_SCALED, 0.9, 1.0), (1.1 * MOST_SCALED, 0.0, 0.1)):
-        A = scale * np.eye(2)
-        inner = pixels[np.abs((pixels - CENTRE) * scale).max(axis=1) < 180.0]
-        near = (0.97 * scale * undeformed(len(inner))).astype(np.float32)
-        true = (inner - CENTRE) * scale + CENTRE
+        A = np.diag([scale, 1.0 / np.sqrt(scale)])
+        inner = pixels[np.abs((pixels - CENTRE) @ A).max(axis=1) < 180.0]
+        near = np.tile((0.97 * A + 0.03 * np.eye(2)).astype(np.float32), (len(inner), 1, 1))
+        true = (inner - CENTRE) @ A + CENTRE
         _, _, good = Patches.cut(image, inner).found(warped(image, A), true, near)
         assert least <= good.mean() <= most
 
@@ -76,6 +76,23 @@ def test_flat_ground_is_not_found_and_breaks_nothing(image: Floats, pixels: Arra
         assert np.isfinite(found).all()
         assert np.isfinite(shapes).all()
         assert not good.any()
+
+
+@pytest.mark.parametrize("pattern", ["edge", "stripes"])
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0, 60.0])
+def test_along_an_edge_a_patch_stays_put_and_across_it_is_found(pattern: str, degrees: float) -> None:
+    across = np.array([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])
+    along = np.array([-across[1], across[0]])
+    v, u = np.mgrid[:200, :200] - 100.0
+    distance = u * across[0] + v * across[1]
+    wave = np.sin(distance / 4.0) if pattern == "stripes" else np.tanh(distance / 2.0)
+    image = (120.0 + 60.0 * wave).astype(np.float32)
+    pixels = np.full((5, 2), 100.0) + np.arange(5)[:, None] * 0.7 * along
+    start = pixels + np.array([0.3, 0.1])
+    found, _, good = Patches.cut(image, pixels).found(image, start, undeformed(5))
+    assert good.all()
+    np.testing.assert_allclose((found - pixels) @ across, 0.0, atol=0.04)
+    np.testing.assert_allclose((found - start) @ along, 0.0, atol=0.1)
 
 
 def test_no_patch_is_no_trouble(image: Floats) -> None:

@@ -79,4 +79,22 @@ def test_a_point_at_the_border_has_no_anchor_and_goes_on(images: list[FlowImage]
     anchors.start(started(start), images[0])
     moved = start + 0.4
     np.testing.assert_array_equal(anchors.refined(started(moved), images[0]).pixels, moved)
+
+
+def test_without_tracks_there_are_no_anchors(images: list[FlowImage]) -> None:
+    anchors, start = Anchors(), CENTRE[None]
+    anchors.start(started(start), images[0])
     assert len(anchors.refined(Tracks.none(), images[0])) == 0
+    moved = start + 0.3
+    np.testing.assert_array_equal(anchors.refined(started(moved), images[0]).pixels, moved)
+
+
+def test_a_point_that_was_hidden_gets_a_new_anchor(images: list[FlowImage]) -> None:
+    anchors, start = Anchors(), CENTRE[None]
+    anchors.start(started(start), images[0])
+    hidden = FlowImage.of(np.full_like(images[0].grey, 128))
+    moved = start + 0.3
+    tracks = anchors.refined(started(moved), hidden)
+    np.testing.assert_array_equal(tracks.pixels, moved)
+    anchors.start(tracks, images[0])
+    np.testing.assert_allclose(anchors.refined(started(start), images[0]).pixels, moved, atol=0.02)

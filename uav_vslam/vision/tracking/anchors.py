@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ties tracked points to how they looked first, so that they do not slide over the ground.
+"""Ties tracked points to how they looked first, so that they slide far less over the ground.
 
 From image to image, the small errors of optical flow add up: each one moves the patch that the next image is searched
 for, the template update problem of [matthews04]. Against the first image, the anchor, errors don't add up, but by then
-the patch looks different: so it is aligned affinely.
+the patch looks different: so it is aligned affinely. Where that fails, the point's present look is its new anchor.
 """
 
 import dataclasses
@@ -29,12 +29,12 @@ class Anchors:
         """Give an anchor to each track that has none, in the left image that its pixel is of."""
         image = left.grey.astype(np.float32)
         new = np.flatnonzero(~np.isin(tracks.ids, self._ids) & fits(image, tracks.pixels))
-        self._ids = np.concatenate([self._ids, tracks.ids[new]])
         self._patches = self._patches.joined(Patches.cut(image, tracks.pixels[new]))
+        self._ids = np.concatenate([self._ids, tracks.ids[new]])
         self._shapes = np.concatenate([self._shapes, undeformed(len(new))])
 
     def refined(self, tracks: Tracks, left: FlowImage) -> Tracks:
-        """Return the tracks of the next left image, tied to their anchors; where that fails, the anchor is lost."""
+        """Return the tracks of the next left image, tied to their anchors; where that fails, the track has none."""
         _, rows, own = np.intersect1d(tracks.ids, self._ids, return_indices=True)
         patches, pixels = self._patches.chosen(own), tracks.pixels.copy()
         found, shapes, tied = patches.found(left.grey.astype(np.float32), pixels[rows], self._shapes[own])
