@@ -28,7 +28,7 @@ from uav_vslam.types import NavEstimate, NavState
 
 Array = NDArray[np.float64]
 
-MAX_STEPS = 15  # five are usual
+MAX_STEPS = 30  # five are usual; heavy tails, and landmarks that are given up, take more
 SETTLED = 0.2  # standard deviations by which the last step may move the states, in any direction (Newton decrement)
 LOST = 1.0  # standard deviations of the last step with which there is no result
 GATED_AFTER = 2  # steps: before, the residuals say little about noise and outliers
