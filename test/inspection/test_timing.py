@@ -13,7 +13,7 @@ def test_readings_that_are_stamped_in_bursts_are_not_called_missing() -> None:
     number = np.arange(2000, dtype=np.int64)
     (finding,) = check_imu_rate(number // 10 * 50_000_000 + number % 10 * 100_000)
     assert finding.subject == "IMU stamps"
-    assert finding.seen == "10000 Hz within bursts, 200.9 Hz on average"
+    assert finding.seen == "10000 Hz within bursts, 200.9 Hz on average outside gaps"
 
 
 def test_bursts_that_are_far_apart_are_no_gaps_in_the_recording() -> None:
@@ -22,6 +22,21 @@ def test_bursts_that_are_far_apart_are_no_gaps_in_the_recording() -> None:
     (finding,) = check_imu_rate(number // 20 * 100_000_000 + number % 20 * 50_000)
     assert (finding.subject, finding.severity.value) == ("IMU stamps", "error")
     assert "let the driver stamp the time of each reading" in finding.remedy
+
+
+def test_a_pause_longer_than_the_flight_is_a_gap_and_no_bursts() -> None:
+    minute = np.arange(12_000, dtype=np.int64) * 5_000_000
+    (finding,) = check_imu_rate(np.concatenate([minute, minute + 500_000_000_000]))
+    assert (finding.subject, finding.severity.value) == ("IMU gaps", "warning")
+    assert finding.seen == "1 gap: 440 s at 59.99 s"
+
+
+def test_bursts_are_no_error_because_of_one_long_pause() -> None:
+    number = np.arange(2000, dtype=np.int64)
+    bursts = number // 10 * 50_000_000 + number % 10 * 100_000
+    (finding,) = check_imu_rate(np.concatenate([bursts, bursts + 500_000_000_000]))
+    assert (finding.subject, finding.severity.value) == ("IMU stamps", "warning")
+    assert finding.seen == "10000 Hz within bursts, 198.0 Hz on average outside gaps"
 
 
 def test_readings_that_are_missing_are_counted() -> None:

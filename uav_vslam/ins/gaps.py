@@ -28,7 +28,7 @@ UNKNOWN_VARIANCE = np.repeat([UNKNOWN_RATE_SIGMA**2, UNKNOWN_ACCEL_SIGMA**2], 3)
 WINDOW, EVERY = 1000, 20  # spacings that the usual one is taken from, and how often
 ALIKE, FREQUENT = 0.1, 0.02  # spacings are alike within a share, and frequent from a share of all on
 DENSEST = 40.0  # of the mean spacing, when all but one of so many are lost at random: what is closer is a burst
-BURSTS = 3.0  # of the median spacing in the mean one, at least, and readings come in bursts; lost at random it is 1.5
+BURSTS = 3.0  # mean over median spacing from which readings come in bursts; losses at random give 1/ln 2 = 1.44
 ENOUGH, A_FEW, ASSUMED_NS = 100, 5, 10_000_000  # with fewer that differ, or hardly any, the usual one is at most 10 ms
 
 
@@ -40,7 +40,7 @@ class UsualSpacing:
 
     Attributes:
         period_s: as of the last reading added [s]; 0 before the second.
-        bursts_hz: rate within bursts and on average, if the readings come in such [Hz].
+        bursts_hz: see `bursts_hz`, of the newest spacings; None if the readings don't come in bursts.
     """
 
     def __init__(self) -> None:
@@ -61,11 +61,15 @@ class UsualSpacing:
             self._until_next = EVERY
             spacings_ns = np.sort(self._spacings_ns)
             self.period_s = _usual_ns(spacings_ns) / NS_PER_S
-            self.bursts_hz = _bursts_hz(spacings_ns)
+            self.bursts_hz = bursts_hz(spacings_ns)
 
 
-def _bursts_hz(spacings_ns: NDArray[np.int64]) -> tuple[float, float] | None:
-    """Return the rates within bursts and on average of (N,) sorted spacings; None if they are no bursts, or too few."""
+def bursts_hz(spacings_ns: NDArray[np.int64]) -> tuple[float, float] | None:
+    """Return the rates within bursts and on average of readings (N,) apart [ns]; None if they don't come in bursts.
+
+    A gap counts as BLIND_S at most, so the average is that outside gaps. Bursts of two are never found: the median of
+    spacings that alternate is about their mean.
+    """
     median_ns, mean_ns = float(np.median(spacings_ns)), float(np.minimum(spacings_ns, BLIND_S * NS_PER_S).mean())
     if len(spacings_ns) < ENOUGH or mean_ns < BURSTS * median_ns:
         return None

@@ -25,8 +25,9 @@ class ImuStatistics:
             return ""
         within_hz, mean_hz = self._spacing.bursts_hz
         return (
-            f"IMU readings are stamped in bursts, {within_hz:.0f} Hz within and {mean_hz:.0f} Hz on average: their "
-            "motion counts at wrong times, which no claim allows for; let the driver stamp the time of each reading"
+            f"IMU readings are stamped in bursts, {within_hz:.0f} Hz within and {mean_hz:.0f} Hz on average "
+            "outside gaps: motion is integrated at wrong times, and the covariance does not allow for it; let the "
+            "driver stamp the time of each reading"
         )
 
     @property

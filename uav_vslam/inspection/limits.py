@@ -6,7 +6,6 @@ import math
 # Time
 MISSING_PERIODS = 1.5  # an interval longer than so many periods lacks a message
 LOST_SHARE = 0.01  # of a stream's messages: fewer are lost by any driver now and then
-BURST_SHARE = 2.0  # readings "missing" per reading, by the median period: more, and they come in bursts
 UNUSABLE_SHARE = 0.5  # if more of a stream is useless, so is the stream
 STUCK_SHARE = 0.9  # the same of stamps that repeat the one before: half do if each message was recorded twice
 MIN_IMU_RATE_HZ = 50.0  # small aircraft turn to and fro at up to 10 Hz; the midpoint rule needs five readings a period

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from uav_vslam.datasets.bag import REORDER_NS
 from uav_vslam.datasets.survey import Stream
 from uav_vslam.geometry.stereo import SIDES
+from uav_vslam.ins.gaps import BLIND_S, bursts_hz
 from uav_vslam.ins.preintegration import MAX_GAP_S
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, error, ok, warning
@@ -58,11 +59,11 @@ def check_imu_rate(stamps_ns: Stamps) -> list[Finding]:
         found.append(warning("IMU rate", f"{rate_hz:.1f} Hz", allowed, "record the IMU at its full rate"))
     gaps = _gaps(stamps_ns, MAX_GAP_S)
     lost = _lost(stamps_ns)
-    if lost > limits.BURST_SHARE * len(stamps_ns):
-        mean_hz = (len(np.unique(stamps_ns)) - 1) * NS_PER_S / (stamps_ns.max() - stamps_ns.min())
-        seen = f"{rate_hz:.0f} Hz within bursts, {mean_hz:.1f} Hz on average"
+    bursts = bursts_hz(np.diff(np.unique(stamps_ns)).astype(np.int64))
+    if bursts is not None:
+        seen = f"{bursts[0]:.0f} Hz within bursts, {bursts[1]:.1f} Hz on average outside gaps"
         remedy = "they are stamped when bursts of them arrive: let the driver stamp the time of each reading"
-        steps_s = _steps_s(stamps_ns)
+        steps_s = np.minimum(_steps_s(stamps_ns), BLIND_S)  # one long pause does not make the rest useless
         judge = error if steps_s[gaps].sum() > limits.UNUSABLE_SHARE * steps_s.sum() else warning
         found.append(judge("IMU stamps", seen, "even steps", remedy))
     elif len(gaps) and period_s <= MAX_GAP_S:
