@@ -328,7 +328,7 @@ def test_the_check_that_is_advised_needs_the_settings_of_the_run(
 ) -> None:
     """Without them it would judge other topics."""
     line = refused(capsys, "run", good, "--set", "input.topics.imu=nowhere")
-    assert line.rstrip().endswith(f"All faults: uav-vslam check {good}, with the settings given here")
+    assert line.rstrip().endswith(f"All faults: uav-vslam check {good}, with the same configuration")
 
 
 def test_a_wrong_value_is_looked_for_where_it_stands(

@@ -177,12 +177,13 @@ def test_without_autostart_a_node_waits_to_be_configured_and_activated(make: Mak
 
 def test_a_reset_says_whether_the_node_runs_afterwards(make: Make) -> None:
     flight = make()
+    forgotten = "flight forgotten, but the node is {} and ignores messages: {}"
     assert change(flight, "fusion", Transition.TRANSITION_DEACTIVATE)
     answer = call(flight, Trigger, "fusion/reset", Trigger.Request())
-    assert (answer.success, answer.message) == (True, "forgotten, but the node is paused and ignores messages")
+    assert (answer.success, answer.message) == (True, forgotten.format("paused", "activate it"))
     assert change(flight, "fusion", Transition.TRANSITION_INACTIVE_SHUTDOWN)
     answer = call(flight, Trigger, "fusion/reset", Trigger.Request())
-    assert (answer.success, answer.message) == (False, "forgotten, but the node is finalized and ignores messages")
+    assert (answer.success, answer.message) == (False, forgotten.format("finalized", "restart its process"))
 
 
 def test_a_node_that_is_shut_down_ignores_messages_for_good(make: Make) -> None:

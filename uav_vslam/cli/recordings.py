@@ -69,6 +69,6 @@ def open_flights(bags: Sequence[Path], configs: Mapping[str, VehicleConfig]) -> 
             flight.check_images()
     except (BagError, CalibrationError) as error:
         text = f"{error}" if f"{error}".endswith("?") else f"{error}."
-        same = ", with the settings given here" if any(map(differences, configs.values())) else ""
+        same = ", with the same configuration" if any(map(differences, configs.values())) else ""
         raise type(error)(f"{text} All faults: uav-vslam check {' '.join(map(str, bags))}{same}") from None
     return flights

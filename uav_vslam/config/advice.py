@@ -35,6 +35,6 @@ def separate_maps(configs: Mapping[str, VehicleConfig]) -> str:
     if len(apart) < 2:
         return ""
     return (
-        f"{', '.join(apart)} each start in a map frame of their own (start.method = static or in_flight), where peers' "
-        "landmarks can't be found: set fusion.common_origin = false, or give start states in one frame"
+        f"{', '.join(apart)} each start in a map frame of their own (start.method = static or in_flight), so peers' "
+        "landmarks can't be associated: set fusion.common_origin = false, or give start states in one frame"
     )

@@ -53,7 +53,7 @@ class FrameLink:
         self._received = updated_map(packet, self._received)
         pairs = descriptor_matches(own.descriptors, self._received, config.ratio)
         points = PointPairs.of(own, self._received, pairs, config.floor_sigma_m)
-        now = np.flatnonzero(pairs[:, 1] < len(packet))  # earlier packets' serve the alignment, and are not fused
+        now = np.flatnonzero(pairs[:, 1] < len(packet))  # landmarks of earlier packets only align the frames
         is_new, self._newest = packet.order != self._newest, packet.order
         rows = self._inliers(points, now, config.min_common, is_new=is_new)
         return pairs[rows]

@@ -45,12 +45,12 @@ class PointPairs:
     @staticmethod
     def of(own: OwnLandmarks, packet: PeerLandmarks, pairs: Rows, floor_sigma_m: float) -> "PointPairs":
         """Select (K, 2) rows of own landmarks and of a packet's."""
-        at, at_peer = landmark_rows(0, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
+        own_rows, peer_rows = landmark_rows(0, pairs[:, 0]), landmark_rows(0, pairs[:, 1])
         return PointPairs(
             own.positions[pairs[:, 0]],
             packet.positions[pairs[:, 1]],
-            own.covariance[np.ix_(at, at)],
-            packet.covariance[np.ix_(at_peer, at_peer)],
+            own.covariance[np.ix_(own_rows, own_rows)],
+            packet.covariance[np.ix_(peer_rows, peer_rows)],
             floor_sigma_m,
         )
 

@@ -50,7 +50,7 @@ class Guess:
 def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[str]:
     """Return the namespaces that hold any of the configured topics, sorted; `DEFAULT_VEHICLE` if none does.
 
-    One inside another's that lacks images belongs to that vehicle, as /uav1/mavros/imu/data_raw does.
+    A namespace without images inside another one is part of that vehicle, as in /uav1/mavros/imu/data_raw.
     """
     if config.topics.left.startswith("/"):
         return [DEFAULT_VEHICLE]

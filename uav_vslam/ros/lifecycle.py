@@ -73,9 +73,11 @@ class PausableNode(LifecycleNode):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             self.reset()
-            waits = f"forgotten, but the node is {self.paused} and ignores messages" if self.paused else ""
-            response.success, response.message = self.paused != FINALIZED, waits or "started again"
-            self.get_logger().warning(f"reset by ~/reset: {waits or 'it starts again'}")
+            response.success, response.message = self.paused != FINALIZED, "started again"
+            if self.paused:
+                remedy = "restart its process" if self.paused == FINALIZED else "activate it"
+                response.message = f"flight forgotten, but the node is {self.paused} and ignores messages: {remedy}"
+            self.get_logger().warning(f"reset: {response.message}")
         except (UavVslamError, OSError) as error:
             response.success, response.message = False, str(error)
         return response

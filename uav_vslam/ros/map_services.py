@@ -4,7 +4,7 @@
 ~/save_map    std_srvs/Trigger: all landmarks mapped until the last epoch, into the file of the parameter map_file
 ~/load_map    std_srvs/Trigger: the map of that file, for a vehicle that waits to start in one (start.method map)
 
-What goes wrong is in the response, and the node goes on.
+Neither takes a map without landmarks. What goes wrong is in the response, and the node goes on.
 """
 
 from collections.abc import Callable

@@ -338,7 +338,7 @@ def _made(factory: Callable[[], Node]) -> Node:
     try:
         return factory()
     except NameValidationException as error:
-        raise ConfigError(f"{one_line(error)}; correct the parameter that names it") from None
+        raise ConfigError(f"{one_line(error)}; correct the parameter or remapping that names it") from None
     except rclpy_implementation.RCLError as error:
         if "resolve name" not in str(error):
             raise

@@ -9,5 +9,5 @@ from rclpy.timer import Timer
 
 
 def create_wall_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
-    """Call back once in a period of a steady clock."""
+    """Call `callback` every `period_s` seconds of a steady clock."""
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
