@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
-from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, missing
+from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, later, missing
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, load_vehicle
@@ -118,6 +118,13 @@ def test_a_calibration_file_stands_for_camera_info_and_frames(clean: Path, tmp_p
     broken.write_text("cam0: {camera_model: omni}")
     found = inspected(bag, load_vehicle(None, overrides={"input.calibration": [str(broken)]}))
     assert {"calibration files", "left_info topic", "camera frames"} <= {f.subject for f in faults(found.findings)}
+
+
+def test_the_clock_offset_to_set_counts_the_one_of_the_calibration_file(clean: Path, tmp_path: Path) -> None:
+    bag = rewritten(clean, tmp_path / "bag", later(IMU, 60_000_000))
+    files = [str(kalibr_of(clean, tmp_path, timeshift_s=-0.02))]
+    found = inspected(bag, load_vehicle(None, overrides={"input.calibration": files}))
+    assert_named(found, [("error", "gyroscope against the cameras", ("80 ms late", "timeshift_cam_imu: 0.06 "))])
 
 
 @pytest.mark.parametrize("topic", ["/tf_static", LEFT, RIGHT, *INFOS, IMU, START, TRUTH])

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Unit and axes of a gyroscope are recovered from a reference rotation, for every mounting by right angles."""
 
+import dataclasses
 import itertools
 import math
 
@@ -56,6 +57,64 @@ def test_an_offset_of_the_clocks_is_found(late_ms: int, seen: str) -> None:
     (finding,) = check_rotation(RatePairs(if_late(0), true, 0.01, CAMERAS, if_late))
     assert (finding.severity, seen in finding.seen) == (Severity.ERROR, True)
     assert f"timeshift_cam_imu: {late_ms / 1000:g} " in finding.remedy
+
+
+def slow(late_ms: int, *, from_s: float = 0.5, noise: float = 0.002) -> RatePairs:
+    """Motion of 0.3 to 1.5 Hz, of which the IMU's stamps are late, and whose readings begin at 0 s."""
+    stamps = np.arange(0, 20_000_000_000, 5_000_000)
+    rate = 0.3 * np.sin(2.0 * np.pi * stamps[:, None] / 1e9 * np.array([0.3, 0.7, 1.5]))
+    starts = np.arange(round(from_s * 1e9), 19_000_000_000, 200_000_000)
+
+    def if_late(late_ns: int) -> np.ndarray:
+        return mean_rates(stamps + late_ms * 1_000_000 - late_ns, rate, starts, starts + 200_000_000)
+
+    true = mean_rates(stamps, rate, starts, starts + 200_000_000)
+    true += np.random.default_rng(2).normal(0.0, noise, true.shape)
+    return RatePairs(if_late(0), true, noise, CAMERAS, if_late)
+
+
+@pytest.mark.parametrize("late_ms", [30, -30])
+def test_an_offset_that_slow_motion_hides_is_warned_about(late_ms: int) -> None:
+    (finding,) = check_rotation(slow(late_ms))
+    assert finding.severity is Severity.WARNING
+    assert f"30 ms {'late' if late_ms > 0 else 'early'}" in finding.seen
+    assert finding.allowed == "less than 10 ms"
+
+
+@pytest.mark.parametrize(("late_ms", "noise"), [(0, 0.002), (5, 0.002), (0, 0.05)])
+def test_a_small_offset_and_noise_are_no_fault(late_ms: int, noise: float) -> None:
+    (finding,) = check_rotation(slow(late_ms, noise=noise))
+    assert finding.severity is Severity.OK
+
+
+def test_the_offset_to_set_counts_the_one_that_is_set() -> None:
+    (finding,) = check_rotation(dataclasses.replace(slow(30), offset_ns=-12_000_000))
+    assert "timeshift_cam_imu: 0.018 (to about 5 ms)" in finding.remedy
+
+
+def test_an_offset_that_leaves_few_intervals_is_no_match() -> None:
+    """Of noise, some offset fits the four intervals that are left."""
+    rng = np.random.default_rng(4)
+    gyro, reference = rng.normal(0.0, 0.3, (2, 20, 3))
+
+    def if_late(late_ns: int) -> np.ndarray:
+        few = np.where(np.arange(20)[:, None] < 4, reference, np.nan)
+        return few if late_ns == 200_000_000 else gyro
+
+    (finding,) = check_rotation(RatePairs(gyro, reference, 0.01, CAMERAS, if_late))
+    assert "no other unit or axes explain it" in finding.seen
+
+
+def test_an_offset_for_which_the_reference_stands_still_is_no_match() -> None:
+    right = pairs(np.eye(3), 1.0)
+    reference = np.vstack([right.reference[:5], np.zeros((7, 3))])
+
+    def if_late(late_ns: int) -> np.ndarray:
+        return np.where(np.arange(12)[:, None] < 5, np.nan, right.gyro) if late_ns < 0 else right.gyro
+
+    with np.errstate(all="raise"):
+        (finding,) = check_rotation(RatePairs(right.gyro, reference, 0.01, CAMERAS, if_late))
+    assert "no other unit or axes explain it" in finding.seen
 
 
 def test_a_vehicle_that_hardly_turns_is_not_judged() -> None:

@@ -104,7 +104,8 @@ def _check_rates(
     if survey.truth is not None and len(survey.truth) > 2:
         found += check_rotation(rotations_by_truth(survey.truth, stamps, gyro))
     if rig is not None and looked.steps:
-        found += check_rotation(rotations_by_cameras(looked.steps, rig, stamps, gyro))
+        offset_ns = survey.setup.time_offset_ns
+        found += check_rotation(rotations_by_cameras(looked.steps, rig, stamps, gyro, offset_ns=offset_ns))
     return found
 
 

@@ -2,7 +2,8 @@
 """Gyroscope against a reference rotation, of truth or cameras: scale and axes.
 
 Mean rates over short intervals are compared, w = s A r + b: s is 1, or that of degrees; A is the identity, a turn by
-multiples of 90 degrees, or a mirror; b is the gyroscope's bias. If that explains nothing, clocks that differ may.
+multiples of 90 degrees, or a mirror; b is the gyroscope's bias. If the difference is
+small, or that does not explain it, an offset between the clocks is looked for.
 """
 
 import itertools
@@ -27,6 +28,8 @@ CAMERAS = "the cameras"
 MIN_INTERVALS = 4
 LATE_MS = range(-300, 301, 5)  # offsets of the clocks that are tried
 LATE_SHARE = 0.5  # of the difference: an offset that leaves less explains it
+LATE_WARNED_MS = 10  # three sigma of `rig.time_offset_sigma_s`: the filter estimates smaller offsets
+COVERED_SHARE = 0.5  # of the intervals without an offset: one that leaves fewer is no match
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +41,9 @@ class RatePairs:
         reference: (K, 3) of the reference.
         sigma: standard deviation of the reference, per axis.
         source: the reference, in words.
-        gyro_if_late: (K, 3) of the gyroscope if its stamps are late [ns]; None if unknown.
+        gyro_if_late: returns the (K, 3) rates of the gyroscope [rad/s], NaN where not covered, if its stamps are late
+            by so many ns; None if unknown.
+        offset_ns: what is added to the stamps of the reference already [ns].
     """
 
     gyro: Array
@@ -46,6 +51,7 @@ class RatePairs:
     sigma: float
     source: str
     gyro_if_late: Callable[[int], Array] | None = None
+    offset_ns: int = 0
 
 
 def mean_rates(stamps_ns: Stamps, gyro: Array, starts_ns: Stamps, ends_ns: Stamps) -> Array:
@@ -75,7 +81,7 @@ def rates_of_rotations(R_reference_start: Array, R_reference_end: Array, seconds
 
 def check_rotation(pairs: RatePairs) -> list[Finding]:
     """Check scale and axes of the gyroscope."""
-    good = np.isfinite(pairs.gyro).all(axis=1) & np.isfinite(pairs.reference).all(axis=1)
+    good = _covered(pairs.gyro, pairs.reference)
     gyro, reference = (_centred(one[good]) for one in (pairs.gyro, pairs.reference))
     subject = f"gyroscope against {pairs.source}"
     turned = _rms(reference)
@@ -84,7 +90,7 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
     misfit = _misfit(gyro, reference, 1.0, np.eye(3))
     seen = f"rms difference {100 * misfit:.0f} % over {good.sum()} intervals of {math.degrees(turned):.1f} deg/s rms"
     if misfit <= limits.ROTATION_MISFIT:
-        return [ok(subject, seen)]
+        return [_late_but_alike(pairs, subject, seen, misfit) if misfit > _noise(pairs, turned) else ok(subject, seen)]
     allowed = f"at most {100 * limits.ROTATION_MISFIT:.0f} %"
     scale, axes = min(
         itertools.product(SCALES, _axes()), key=lambda one: (round(_misfit(gyro, reference, *one), 2), _changes(*one))
@@ -93,14 +99,8 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
     if best > limits.ROTATION_MISFIT:
         late_ms, left = _lateness(pairs)
         if left <= min(limits.ROTATION_MISFIT, LATE_SHARE * misfit):
-            seen += (
-                f"; {100 * left:.0f} % if the IMU's stamps are {abs(late_ms)} ms {'late' if late_ms > 0 else 'early'}"
-            )
-            remedy = f"correct the stamps of the IMU or of {pairs.source}"
-            if pairs.source != CAMERAS:
-                return [warning(subject, seen, allowed, remedy)]
-            remedy += f", or give a Kalibr camchain with timeshift_cam_imu: {late_ms / 1000:g} by input.calibration"
-            return [error(subject, seen, allowed, remedy)]
+            judge = error if pairs.source == CAMERAS else warning
+            return [judge(subject, seen + _late_text(late_ms, left), allowed, _late_remedy(pairs, late_ms))]
         remedy = f"check the extrinsics of camera and IMU, and the clocks of the IMU and {pairs.source}"
         return [warning(subject, f"{seen}; no other unit or axes explain it", allowed, remedy)]
     said = [SCALES[scale], _axes_text(axes)]
@@ -112,22 +112,59 @@ def check_rotation(pairs: RatePairs) -> list[Finding]:
     return [error(subject, seen, allowed, remedy)]
 
 
+def _noise(pairs: RatePairs, turned: float) -> float:
+    """Return the misfit that the noise of the reference alone leaves."""
+    return math.sqrt(3.0) * pairs.sigma / turned
+
+
+def _late_but_alike(pairs: RatePairs, subject: str, seen: str, misfit: float) -> Finding:
+    """Judge rates that agree: in slow motion a ruinous offset of the clocks leaves little difference."""
+    late_ms, left = _lateness(pairs)
+    if abs(late_ms) < LATE_WARNED_MS or left > LATE_SHARE * misfit:
+        return ok(subject, seen)
+    allowed = f"less than {LATE_WARNED_MS} ms"
+    return warning(subject, seen + _late_text(late_ms, left), allowed, _late_remedy(pairs, late_ms))
+
+
+def _late_text(late_ms: int, left: float) -> str:
+    return f"; {100 * left:.0f} % if the IMU's stamps are {abs(late_ms)} ms {'late' if late_ms > 0 else 'early'}"
+
+
+def _late_remedy(pairs: RatePairs, late_ms: int) -> str:
+    """Return what to do; the images' offset is the one that is set already and the remainder measured here."""
+    remedy = f"correct the stamps of the IMU or of {pairs.source}"
+    if pairs.source != CAMERAS:
+        return remedy
+    timeshift_s = pairs.offset_ns / NS_PER_S + late_ms / 1000
+    return (
+        f"{remedy}, or give a Kalibr camchain with timeshift_cam_imu: {timeshift_s:.4g} (to about {LATE_MS.step} ms) "
+        "by input.calibration"
+    )
+
+
 def _lateness(pairs: RatePairs) -> tuple[int, float]:
-    """Return how late the gyroscope's stamps would explain the difference best [ms], and what it would then be."""
+    """Return the lateness that fits best [ms] and the misfit left; 0 and infinity if none can be judged."""
     if pairs.gyro_if_late is None:
         return 0, math.inf
-    found = [(_misfit_if_late(pairs, late_ms), abs(late_ms), late_ms) for late_ms in LATE_MS]
+    enough = max(MIN_INTERVALS, COVERED_SHARE * int(_covered(pairs.gyro, pairs.reference).sum()))
+    found = [
+        (_misfit_of(pairs.gyro_if_late(late_ms * 1_000_000), pairs.reference, enough), abs(late_ms), late_ms)
+        for late_ms in LATE_MS
+    ]
     left, _, late_ms = min(found)
     return late_ms, left
 
 
-def _misfit_if_late(pairs: RatePairs, late_ms: int) -> float:
-    assert pairs.gyro_if_late is not None
-    gyro = pairs.gyro_if_late(late_ms * 1_000_000)
-    good = np.isfinite(gyro).all(axis=1) & np.isfinite(pairs.reference).all(axis=1)
-    if good.sum() < MIN_INTERVALS:
+def _misfit_of(gyro: Array, reference: Array, enough: float) -> float:
+    """Return the misfit of (K, 3) rates; infinity if it is undefined, or if not enough intervals are covered."""
+    good = _covered(gyro, reference)
+    if good.sum() < enough or _rms(_centred(reference[good])) == 0.0:
         return math.inf
-    return _misfit(_centred(gyro[good]), _centred(pairs.reference[good]), 1.0, np.eye(3))
+    return _misfit(_centred(gyro[good]), _centred(reference[good]), 1.0, np.eye(3))
+
+
+def _covered(gyro: Array, reference: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(gyro).all(axis=1) & np.isfinite(reference).all(axis=1))
 
 
 def check_rate_size(gyro: Array) -> list[Finding]:
