@@ -2,17 +2,19 @@
 """Frames are processed in order once rig and start state are known."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from uav_vslam.config import RigConfig, StartConfig, VehicleConfig
 from uav_vslam.config.vehicle import OutputFramesConfig
-from uav_vslam.errors import FilterDivergence
+from uav_vslam.errors import FilterDivergence, MapError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.rig_monitor import RigMonitor
+from uav_vslam.slam.saved_map import MapOrigin, SavedMap, save_map
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 
 IN_FLIGHT = StartConfig(method="in_flight")
@@ -34,6 +36,15 @@ def feed(stage: SlamStage, frames) -> list[FrameOutput]:
             stage.add_increment(increment)
         outputs += stage.run()
     return outputs
+
+
+def test_an_empty_map_is_refused_wherever_it_comes_from(tmp_path: Path) -> None:
+    empty, file = SavedMap(MapOrigin("uav2", 1, frame="uav2/map", stamp_ns=0)), tmp_path / "empty.npz"
+    save_map(empty, file)
+    with pytest.raises(MapError, match="has no landmarks to start in"):
+        SlamStage(VehicleConfig(start=StartConfig(method="map", map=str(file))), vehicle="uav1")
+    with pytest.raises(MapError, match="has no landmarks to start in"):
+        SlamStage(VehicleConfig(start=StartConfig(method="map")), vehicle="uav1").load_map(empty)
 
 
 def stamps(outputs: list[FrameOutput]) -> list[int]:

@@ -91,7 +91,7 @@ class SlamStage:
         """Wait for start state and rig; with `keep_map` all landmarks are collected for `saved_map`.
 
         Raises:
-            MapError: the map of `start.map` can't be read.
+            MapError: the map of `start.map` can't be read, or is empty and to be started in.
         """
         self._config, self._vehicle, self._session = config, vehicle, session
         self._in_flight = config.start.searches
@@ -106,7 +106,7 @@ class SlamStage:
         self._was_motion_unknown = False
         self._motion_lost = self._start_unreachable = 0
         self._archive = self._new_archive() if keep_map else None
-        self._map = load_map(config.start.map) if config.start.map else None
+        self._map = self._checked(load_map(config.start.map)) if config.start.map else None
         self.rig: StereoRig | None = None
         self.initial: NavEstimate | None = None
 
@@ -230,9 +230,17 @@ class SlamStage:
             raise MapError(f"start.method is {self._config.start.method}; a map is loaded to start in by method map")
         if self.initial is not None:
             raise MapError("the vehicle has its start state already; load the map before the flight")
-        if not len(saved):
+        self._map, self._search = self._checked(saved), None
+
+    def _checked(self, saved: SavedMap) -> SavedMap:
+        """Return a map; refuse an empty one to start in, in which the vehicle would search for good.
+
+        Raises:
+            MapError: it has no landmarks.
+        """
+        if self._config.start.method == "map" and not len(saved):
             raise MapError(f"the map of {saved.origin.vehicle} has no landmarks to start in; save it in flight")
-        self._map, self._search = saved, None
+        return saved
 
     @property
     def _start_map(self) -> SavedMap | None:
