@@ -91,10 +91,11 @@ def test_a_file_that_is_no_map_is_not_replaced(saved: SavedMap, tmp_path: Path) 
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_arrays_of_somebody_else_are_not_replaced(saved: SavedMap, tmp_path: Path) -> None:
+@pytest.mark.parametrize("header", [None, "mine", "{}", '{"format": "my flight"}', 3.0])
+def test_arrays_of_somebody_else_are_not_replaced(saved: SavedMap, tmp_path: Path, header: str | float | None) -> None:
     """An archive as NumPy writes it, but no map."""
     path = tmp_path / "flight.npz"
-    np.savez(path, positions=np.ones(3))
+    np.savez(path, positions=np.ones(3), **({} if header is None else {"header": np.array(header)}))
     with pytest.raises(MapError, match="is no map, and is not replaced"):
         save_map(saved, path)
     assert np.load(path)["positions"].tolist() == [1.0, 1.0, 1.0]

@@ -59,8 +59,11 @@ def _holds_header(path: Path) -> bool:
     """Return whether a file is an archive of arrays with a map's header: other archives are somebody's data."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return "header.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
+            if "header.npy" not in archive.namelist():
+                return False
+        with np.load(path, allow_pickle=False) as content:
+            return bool(json.loads(str(content["header"]))["format"] == FORMAT)
+    except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
         return False
 
 
