@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import MODES
+from uav_vslam.cli.messages import warn
 
 if TYPE_CHECKING:
     from uav_vslam.config import FleetConfig, LinkConfig, VehicleConfig
@@ -168,7 +169,7 @@ def launch(
     _remove_leftovers()
     _warn_without_key(fleet)
     if apart := separate_maps(fleet.vehicles):
-        print(f"uav-vslam: warning: {apart}", file=sys.stderr)
+        warn(apart)
     escalation = SAVING if maps else ESCALATION
     supervisor = Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line, escalation=escalation)
     return supervisor.run(commands)

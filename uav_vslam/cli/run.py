@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.arguments import MODES, add_results, positive
-from uav_vslam.cli.messages import warn_each
+from uav_vslam.cli.messages import warn, warn_each
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -88,7 +88,8 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
         more |= {"start.method": "map", "start.map": str(args.map.resolve())}
     bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles), more)
     warn_each(text for config in configs.values() for text in idle_settings(config).values())
-    warn_each(filter(None, [separate_maps(configs)]))
+    if apart := separate_maps(configs):
+        warn(apart)
     links = partial(link_between, load_link(args.link)) if args.link else None
     flights = open_flights(bags, configs)
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}
