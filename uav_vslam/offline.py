@@ -31,7 +31,7 @@ from uav_vslam.smoothing.flight import FilteredFlight
 from uav_vslam.smoothing.smoother import smooth
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures, StereoFrame
 
-MOSTLY = 0.5  # of the frames
+COASTING_SHARE = 0.5  # of the frames, from which the whole flight is in doubt
 POLL_S = 0.2
 
 
@@ -116,13 +116,13 @@ def track_vehicle(
 
 
 def _report_coasting(track: VehicleTrack) -> None:
-    """Warn of a flight that is mostly dead reckoning although its frames have features, as the nodes do."""
+    """Warn of a flight that is mostly dead reckoning although its frames have features."""
     reports = [output.report for output in track.outputs]
     missed = sum(report.coasted and report.features >= MIN_FEATURES for report in reports)
-    if missed > MOSTLY * len(reports):
+    if missed > COASTING_SHARE * len(reports):
         track.warnings.append(
             f"{missed} of {len(reports)} frames had features, but none where the estimate expects it: what it claims "
-            "is in doubt: check start state, units of the IMU, clocks and calibration (uav-vslam check)"
+            "is in doubt; check start state, units of the IMU, clocks and calibration (uav-vslam check)"
         )
 
 
