@@ -2,8 +2,8 @@
 """Gyroscope against a reference rotation, of truth or cameras: scale and axes.
 
 Mean rates over short intervals are compared, w = s A r + b: s is 1, or that of degrees; A is the identity, a turn by
-multiples of 90 degrees, or a mirror; b is the gyroscope's bias. If the difference is
-small, or that does not explain it, an offset between the clocks is looked for.
+multiples of 90 degrees, or a mirror; b is the gyroscope's bias. If the difference is small, or that does not explain
+it, an offset between the clocks is looked for.
 """
 
 import itertools

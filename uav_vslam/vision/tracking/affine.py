@@ -5,8 +5,7 @@ Optical flow moves a window without changing its shape. Where the camera turns, 
 the window then shows other ground, and its best place is off. Here the patch may be stretched, sheared and turned, too:
 the pixel at offset o from the centre of a patch that was cut is now at pixel + shape o. All patches are aligned at
 once by inverse composition [baker04], and compared without their means and contrasts. Images are grey levels, pixels
-(u, v) of the raw image. In float32, as the images are: thousands of samples a patch, and steps of a hundredth of a
-pixel are enough.
+(u, v) of the raw image. All is in float32, as the samples are: a hundredth of a pixel is exact enough.
 """
 
 from dataclasses import dataclass
