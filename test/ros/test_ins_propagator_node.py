@@ -124,6 +124,9 @@ def test_readings_stamped_when_a_batch_of_them_arrives_are_an_alarm(make: Make) 
         if k % 20 == 0:
             deliver(node, "left/camera_info", CameraInfo(header=header(stamp_ns - 1_000_000, "left_optical")))
     assert "stamped in bursts, 20000 Hz" in node.alarms["imu_stamps"]
+    assert "imu" not in node.alarms  # nothing is missing between bursts
+    node.reset()
+    assert "imu_stamps" not in node.alarms
 
 
 def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_ever(

@@ -110,6 +110,7 @@ class InsPropagatorNode(VehicleNode):
         self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
         self._given_frame = ""
         self._corrected_ns = -1  # newest correction before the start: the back end is in flight
+        self.alarms.pop("imu_stamps", None)
 
     def reset(self) -> None:
         """Start again, at whatever stamps come next.
@@ -304,15 +305,15 @@ class InsPropagatorNode(VehicleNode):
         for increment in increments:
             self._publish_increment(increment)
         if increments:
-            self._report_gaps(increments[-1].stamp_ns, preintegrator.gaps - before)
             self._report_bursts(preintegrator.statistics.fault)
+            self._report_gaps(increments[-1].stamp_ns, preintegrator.gaps - before)
 
     def _report_gaps(self, stamp_ns: int, gaps: int) -> None:
-        """Count increments with gaps in their readings, and warn of them for a while."""
+        """Count increments with gaps in their readings, and warn of them for a while: not of those between bursts."""
         self.counts["imu_gaps"] += gaps
         recent = self._gaps.count(stamp_ns, gaps)
         text = f"{recent} increments of the last {RECENT_S:g} s lack IMU readings"
-        self.report_alarm("imu", text if recent else "")
+        self.report_alarm("imu", text if recent and "imu_stamps" not in self.alarms else "")
 
     def _report_bursts(self, text: str) -> None:
         """Warn of readings stamped in bursts while they are."""
