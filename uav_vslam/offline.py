@@ -26,7 +26,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
 from uav_vslam.processes import worker_pool
-from uav_vslam.slam.health import MIN_FEATURES
+from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
 from uav_vslam.smoothing.flight import FilteredFlight
 from uav_vslam.smoothing.smoother import smooth
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures, StereoFrame
@@ -122,7 +122,7 @@ def _report_coasting(track: VehicleTrack) -> None:
     if missed > COASTING_SHARE * len(reports):
         track.warnings.append(
             f"{missed} of {len(reports)} frames had features, but none where the estimate expects it: what it claims "
-            "is in doubt; check start state, units of the IMU, clocks and calibration (uav-vslam check)"
+            f"is in doubt; {COASTING_REMEDY} (uav-vslam check)"
         )
 
 

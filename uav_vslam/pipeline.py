@@ -88,7 +88,7 @@ class VehiclePipeline:
         if initial is not None:
             self._slam.start(initial)
         self._refused: Counter[str] = Counter()
-        self._imu_fault = ""  # as it was reported
+        self._is_imu_fault_reported = False
         self.track = VehicleTrack(vehicle)
 
     @property
@@ -182,9 +182,9 @@ class VehiclePipeline:
 
     def _report_imu(self, fault: str) -> None:
         """Warn of a fault of the readings, once: the rates in its text vary."""
-        if fault and not self._imu_fault:
+        if fault and not self._is_imu_fault_reported:
             self.track.warnings.append(fault)
-            self._imu_fault = fault
+            self._is_imu_fault_reported = True
 
     def _timed(self, outputs: Iterable[FrameOutput]) -> Iterator[FrameOutput]:
         """Yield the back end's outputs and record the time that each took; results never depend on it."""

@@ -51,7 +51,7 @@ from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
 from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.frame_report import FrameReport
-from uav_vslam.slam.health import MIN_FEATURES
+from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
 from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.slam.state_folder import state_folder
@@ -243,8 +243,8 @@ class SlamBackendNode(VehicleNode):
         text = ""
         if coasted >= MANY_COASTED:
             text = (
-                f"{coasted} frames of the last {RECENT_S:g} s had features, but none where the estimate expects it: "
-                "check start state, units of the IMU, clocks and calibration"
+                f"{coasted} frames of the last {RECENT_S:g} s had features, but none where the estimate "
+                f"expects it: {COASTING_REMEDY}"
             )
         elif blind >= MANY_BLIND:
             text = f"{blind} frames of the last {RECENT_S:g} s had fewer than {MIN_FEATURES} features: see front end"

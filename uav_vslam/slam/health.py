@@ -9,6 +9,7 @@ WINDOW = 20  # frames
 MAX_NIS_PER_DOF = 4.0  # over a window a consistent filter is within a few percent of 1, a badly tuned one below 2
 MAX_LOST = 30  # consecutive frames with enough features, none of which passes a gate
 MIN_FEATURES = 20  # fewer, in the frame or in the map, are too few to judge
+COASTING_REMEDY = "check start state, units of the IMU, clocks and calibration"  # of frames that match no prediction
 
 
 class FilterHealth:

@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.vision.tracking.flow import inside
+
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -116,10 +118,9 @@ def undeformed(count: int) -> Floats:
     return np.tile(np.eye(2, dtype=np.float32), (count, 1, 1))
 
 
-def fits(image: Floats, pixels: Array) -> Mask:
+def fits(image: NDArray[np.generic], pixels: Array) -> Mask:
     """Return around which of (N, 2) pixels a patch is inside the image."""
-    high = np.array(image.shape[::-1]) - 1 - HALF_PX
-    return np.asarray(((pixels >= HALF_PX) & (pixels <= high)).all(axis=1))
+    return inside(pixels, image.shape, HALF_PX)
 
 
 def _sampled(image: Floats, pixels: Array, shape: Floats) -> Floats:

@@ -27,9 +27,11 @@ class Anchors:
 
     def start(self, tracks: Tracks, left: FlowImage) -> None:
         """Give an anchor to each track that has none, in the left image that its pixel is of."""
-        image = left.grey.astype(np.float32)
-        new = np.flatnonzero(~np.isin(tracks.ids, self._ids) & fits(image, tracks.pixels))
-        self._patches = self._patches.joined(Patches.cut(image, tracks.pixels[new]))
+        new = np.flatnonzero(~np.isin(tracks.ids, self._ids) & fits(left.grey, tracks.pixels))
+        if len(new) == 0:
+            return
+        patches = Patches.cut(left.grey.astype(np.float32), tracks.pixels[new])
+        self._patches = self._patches.joined(patches)
         self._ids = np.concatenate([self._ids, tracks.ids[new]])
         self._shapes = np.concatenate([self._shapes, undeformed(len(new))])
 
