@@ -27,8 +27,10 @@ def test_with_detection_in_every_pair_both_methods_decide() -> None:
 
 
 def test_without_tracks_nothing_is_anchored() -> None:
-    sift = load_vehicle(None, overrides={"frontend.method": "sift", "frontend.anchored": True})
-    assert idle_settings(sift) == {"frontend.anchored": "frontend.anchored has no effect: only klt tracks points"}
+    sift = load_vehicle(None, overrides={"frontend.method": "sift", "frontend.anchored": False})
+    assert idle_settings(sift) == {
+        "frontend.anchored": "frontend.anchored = False has no effect: only klt tracks points"
+    }
 
 
 @pytest.mark.parametrize("name", CHANGED)

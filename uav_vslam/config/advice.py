@@ -6,23 +6,20 @@ from collections.abc import Mapping
 from uav_vslam.config.settings import differences
 from uav_vslam.config.vehicle import VehicleConfig
 
+_WITH_TRACKS = {
+    "frontend.matcher": "has no effect: klt finds the points of the right image by optical flow",
+    "backend.association": "decides almost nothing: klt's tracks keep their landmarks from frame to frame, and "
+    "only features whose track has none are associated",
+}
+_WITHOUT_TRACKS = {"frontend.anchored": "has no effect: only klt tracks points"}
+
 
 def idle_settings(config: VehicleConfig) -> dict[str, str]:
     """Return by dotted name why a setting that differs from its default decides nothing, or almost."""
-    if config.frontend.method != "klt":
-        anchored = {"frontend.anchored": "frontend.anchored has no effect: only klt tracks points"}
-        return anchored if config.frontend.anchored else {}
-    reasons = {
-        "frontend.matcher": "has no effect: klt finds the points of the right image by optical flow",
-        "backend.association": "decides almost nothing: klt's tracks keep their landmarks from frame to frame, and "
-        "only features whose track has none are associated",
-    }
     changed = differences(config)
-    return {
-        name: f"{name} = {changed[name]} {reason}; use frontend.method = sift"
-        for name, reason in reasons.items()
-        if name in changed
-    }
+    tracking = config.frontend.method == "klt"
+    reasons, remedy = (_WITH_TRACKS, "; use frontend.method = sift") if tracking else (_WITHOUT_TRACKS, "")
+    return {name: f"{name} = {changed[name]} {reason}{remedy}" for name, reason in reasons.items() if name in changed}
 
 
 def separate_maps(configs: Mapping[str, VehicleConfig]) -> str:

@@ -24,6 +24,15 @@ def motion(frame: int) -> Array:
     return cv2.getRotationMatrix2D(tuple(CENTRE), TURN_DEG * frame, 1.0)
 
 
+def moved(pixels: Array, frames: int) -> Array:
+    M = motion(frames)
+    return np.asarray(pixels @ M[:, :2].T + M[:, 2])
+
+
+def some_points() -> Array:
+    return np.random.default_rng(4).uniform(CENTRE - 90.0, CENTRE + 90.0, (100, 2))
+
+
 @pytest.fixture(scope="module")
 def images(texture_image: Callable[[int, int], NDArray[np.uint8]]) -> list[FlowImage]:
     """A noisy texture that turns from image to image."""
@@ -43,7 +52,7 @@ def started(pixels: Array) -> Tracks:
 
 def slides_px(images: list[FlowImage], anchors: Anchors | None) -> Array:
     """Return how far each point that is tracked to the end has slid [px]."""
-    start = np.random.default_rng(4).uniform(CENTRE - 90.0, CENTRE + 90.0, (100, 2))
+    start = some_points()
     tracks = started(start)
     for before, image in itertools.pairwise(images):
         if anchors is not None:
@@ -52,15 +61,25 @@ def slides_px(images: list[FlowImage], anchors: Anchors | None) -> Array:
         tracks = Tracks(tracks.ids, pixels, tracks.depth_m, tracks.descriptors).chosen(good)
         if anchors is not None:
             tracks = anchors.refined(tracks, image)
-    M = motion(FRAMES - 1)
-    true = start[tracks.ids - 1] @ M[:, :2].T + M[:, 2]
-    return np.linalg.norm(tracks.pixels - true, axis=1)
+    return np.linalg.norm(tracks.pixels - moved(start[tracks.ids - 1], FRAMES - 1), axis=1)
 
 
 def test_errors_do_not_add_up(images: list[FlowImage]) -> None:
     alone, anchored = slides_px(images, None), slides_px(images, Anchors())
     assert len(anchored) >= 0.95 * len(alone)
     assert np.median(anchored) < 0.4 * np.median(alone)
+
+
+def test_the_disparity_is_more_exact_with_both_images_tied(images: list[FlowImage]) -> None:
+    anchors, start = Anchors(), some_points()
+    anchors.start(started(start), images[0])
+    left = anchors.refined(started(moved(start, 1)), images[1])
+    flow, _ = track_turning(images[1], images[2], left.pixels, left.pixels)
+    by_flow, tied = (
+        np.median(np.linalg.norm(right - moved(left.pixels, 1), axis=1))
+        for right in (flow, anchors.across(left, flow, images[2]))
+    )
+    assert tied < 0.8 * by_flow
 
 
 def test_a_point_farther_off_than_a_correction_starts_anew(images: list[FlowImage]) -> None:
@@ -77,24 +96,24 @@ def test_a_point_farther_off_than_a_correction_starts_anew(images: list[FlowImag
 def test_a_point_at_the_border_has_no_anchor_and_goes_on(images: list[FlowImage]) -> None:
     anchors, start = Anchors(), np.array([[9.0, 200.0]])
     anchors.start(started(start), images[0])
-    moved = start + 0.4
-    np.testing.assert_array_equal(anchors.refined(started(moved), images[0]).pixels, moved)
+    now = start + 0.4
+    np.testing.assert_array_equal(anchors.refined(started(now), images[0]).pixels, now)
 
 
 def test_without_tracks_there_are_no_anchors(images: list[FlowImage]) -> None:
     anchors, start = Anchors(), CENTRE[None]
     anchors.start(started(start), images[0])
     assert len(anchors.refined(Tracks.none(), images[0])) == 0
-    moved = start + 0.3
-    np.testing.assert_array_equal(anchors.refined(started(moved), images[0]).pixels, moved)
+    now = start + 0.3
+    np.testing.assert_array_equal(anchors.refined(started(now), images[0]).pixels, now)
 
 
 def test_a_point_that_was_hidden_gets_a_new_anchor(images: list[FlowImage]) -> None:
     anchors, start = Anchors(), CENTRE[None]
     anchors.start(started(start), images[0])
     hidden = FlowImage.of(np.full_like(images[0].grey, 128))
-    moved = start + 0.3
-    tracks = anchors.refined(started(moved), hidden)
-    np.testing.assert_array_equal(tracks.pixels, moved)
+    now = start + 0.3
+    tracks = anchors.refined(started(now), hidden)
+    np.testing.assert_array_equal(tracks.pixels, now)
     anchors.start(tracks, images[0])
-    np.testing.assert_allclose(anchors.refined(started(start), images[0]).pixels, moved, atol=0.02)
+    np.testing.assert_allclose(anchors.refined(started(start), images[0]).pixels, now, atol=0.02)

@@ -28,7 +28,6 @@ SETTINGS = {  # of a hand-held rig with a baseline of 0.1 m and small images
     "frontend.scale": 1.0,
     "backend.depth_sigma_ratio": 0.0,
     "backend.retention": "most_observed",
-    "frontend.anchored": True,  # surfaces are close: their looks change
 }
 
 

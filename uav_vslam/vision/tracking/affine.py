@@ -32,7 +32,8 @@ LEAST_CONTRAST = 1.0  # length of the grey levels without their mean: flat ones 
 LEAST_CORRELATION = 0.8  # 0.6 and 0.9 do as well
 MOST_SCALED = 2.0  # in any direction: beyond, a patch shows other detail
 
-_V, _U = (each.ravel().astype(np.float32) for each in np.mgrid[-HALF_PX : HALF_PX + 1, -HALF_PX : HALF_PX + 1])
+_SQUARE = np.mgrid[-HALF_PX : HALF_PX + 1, -HALF_PX : HALF_PX + 1].astype(np.float32)
+_V, _U = _SQUARE[:, _SQUARE.sum(axis=0) % 2 == 0]  # every second pixel: half the time, errors a tenth larger
 _GRID: Floats = np.stack([_U, _V, np.ones_like(_U)])
 _SHAPE_PX = np.float32(HALF_PX)  # unit of the shape's parameters: displacement at the edge of the patch
 

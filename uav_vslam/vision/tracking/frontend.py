@@ -121,8 +121,10 @@ class TrackingFrontend(Frontend):
     def _features(self, stamp_ns: int, left: FlowImage, right: FlowImage) -> StereoFeatures:
         """Match the tracks into the right image; drop those that fail the stereo gate."""
         raw_right, seen = track_points(left, right, self._tracks.pixels, self._right_guess(self._tracks))
-        tracks = self._tracks.chosen(seen)
-        pixels = np.hstack([self._rig.left.undistort(tracks.pixels), self._rig.right.undistort(raw_right[seen])])
+        tracks, raw_right = self._tracks.chosen(seen), raw_right[seen]
+        if self._anchors is not None:
+            raw_right = self._anchors.across(tracks, raw_right, right)
+        pixels = np.hstack([self._rig.left.undistort(tracks.pixels), self._rig.right.undistort(raw_right)])
         self._health.check_points(pixels)
         depth, good = self._gate.check(pixels)
         self._tracks = dataclasses.replace(tracks.chosen(good), depth_m=depth[good])
