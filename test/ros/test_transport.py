@@ -17,7 +17,10 @@ pytestmark = pytest.mark.ros
 SEGMENT = "/dev/shm/fastrtps_"
 
 
-def test_only_nodes_with_images_map_shared_memory(domain_id: int, tmp_path: Path) -> None:
+def test_only_nodes_with_images_map_shared_memory(
+    domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(PROFILES_FILE, str(find_dds_profile("images.xml")))  # not that of another clone's env.sh
     specs = [NodeSpec(name, name, "/uav1", {"vehicle": "uav1"}) for name in (*VEHICLE_NODES, "mapper")]
     specs[-1].parameters["map.folder"] = str(tmp_path / "map")
     specs.append(NodeSpec("recorder", "recorder", "/", {"output": str(tmp_path / "out"), "vehicles": ["uav1"]}))
