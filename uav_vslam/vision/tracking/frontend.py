@@ -5,6 +5,8 @@
                                                      |
                               every few frames: keypoint detection, in a second thread
 
+In both images, a point is then tied to how it looked first (`anchors`).
+
 A feature has the descriptor from the start of its track, for loop closing and association with peers' landmarks, and
 the track id, by which the back end associates it without descriptors.
 """
