@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 MAX_STEPS = 30  # five are usual; heavy tails, and landmarks that are given up, take more
 SETTLED = 0.2  # standard deviations by which the last step may move the states, in any direction (Newton decrement)
-LOST = 1.0  # standard deviations of the last step with which there is no result
+LOST = 1.0  # standard deviations of the last step with which there is no result, and landmarks can't be judged
 GATED_AFTER = 2  # steps: before, the residuals say little about noise and outliers
 CUT = 5.0  # of the normalised residual of one observation
 GATE_PROBABILITY = 0.9999  # of the chi-square gate on all residuals of a track
@@ -197,7 +197,8 @@ def smooth(
         if step == GATED_AFTER + 1:
             problem.gate()
         last = problem.step()
-        if last.decrement < SETTLED and step > GATED_AFTER and not problem.untie():
+        near = step > GATED_AFTER and last.decrement < LOST
+        if near and not problem.untie() and last.decrement < SETTLED:
             break
     if not last.decrement < LOST:
         raise FilterDivergence(f"after {step} steps the smoothed states still moved by {last.decrement:.1f} sigma")
