@@ -137,7 +137,7 @@ class FrontendConfig(Settings):
     )
     max_tracks: int = setting(300, "klt: points that are tracked", at_least=1)
     anchored: bool = setting(
-        True, "klt: points are tied to how they looked first, and slide far less; takes half as long again"
+        True, "klt: points are tied to how they looked first, and slide far less; takes half as long again in rooms"
     )
     scale: float = setting(
         0.5, "sift: factor by which images are shrunk for detection (INTER_AREA)", at_least=0.1, at_most=1

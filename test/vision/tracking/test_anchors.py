@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracks that are tied to their first image do not slide, over a texture whose true motion is known."""
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.vision.tracking.anchors import MOST_PX, Anchors
-from uav_vslam.vision.tracking.flow import FlowImage, track_turning
+from uav_vslam.vision.tracking.flow import Flow, FlowImage
 from uav_vslam.vision.tracking.tracks import Tracks
 
 Array = NDArray[np.float64]
@@ -41,9 +42,7 @@ def images(texture_image: Callable[[int, int], NDArray[np.uint8]]) -> list[FlowI
         cv2.warpAffine(texture, motion(k), (500, 400), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
         for k in range(FRAMES)
     )
-    return [
-        FlowImage.of(np.clip(image + rng.normal(0, NOISE, image.shape), 0, 255).astype(np.uint8)) for image in turned
-    ]
+    return [FlowImage(np.clip(image + rng.normal(0, NOISE, image.shape), 0, 255).astype(np.uint8)) for image in turned]
 
 
 def started(pixels: Array) -> Tracks:
@@ -57,10 +56,9 @@ def slides_px(images: list[FlowImage], anchors: Anchors | None) -> Array:
     for before, image in itertools.pairwise(images):
         if anchors is not None:
             anchors.start(tracks, before)
-        pixels, good = track_turning(before, image, tracks.pixels, tracks.pixels)
+        flow = Flow(before, image, tracks.pixels, tracks.pixels)
+        pixels, good = flow.tracked() if anchors is None else anchors.into_left(tracks.ids, flow)
         tracks = Tracks(tracks.ids, pixels, tracks.depth_m, tracks.descriptors).chosen(good)
-        if anchors is not None:
-            tracks = anchors.refined(tracks, image)
     return np.linalg.norm(tracks.pixels - moved(start[tracks.ids - 1], FRAMES - 1), axis=1)
 
 
@@ -72,48 +70,77 @@ def test_errors_do_not_add_up(images: list[FlowImage]) -> None:
 
 def test_the_disparity_is_more_exact_with_both_images_tied(images: list[FlowImage]) -> None:
     anchors, start = Anchors(), some_points()
-    anchors.start(started(start), images[0])
-    left = anchors.refined(started(moved(start, 1)), images[1])
-    flow, _ = track_turning(images[1], images[2], left.pixels, left.pixels)
+    tracks = started(start)
+    anchors.start(tracks, images[0])
+    left, _ = anchors.into_left(tracks.ids, Flow(*images[:2], start, moved(start, 1)))
+    across = Flow(*images[1:3], left, left)
     by_flow, tied = (
-        np.median(np.linalg.norm(right - moved(left.pixels, 1), axis=1))
-        for right in (flow, anchors.across(left, flow, images[2]))
+        np.median(np.linalg.norm(right - moved(left, 1), axis=1))
+        for right, _ in (across.tracked(), anchors.into_right(tracks.ids, across))
     )
     assert tied < 0.8 * by_flow
 
 
-def test_a_point_farther_off_than_a_correction_starts_anew(images: list[FlowImage]) -> None:
+def test_a_bad_guess_costs_no_precision(images: list[FlowImage]) -> None:
+    start, found = some_points(), []
+    tracks = started(start)
+    for error_px in (0.0, 4.0 * MOST_PX):
+        anchors = Anchors()
+        anchors.start(tracks, images[0])
+        pixels, seen = anchors.into_left(tracks.ids, Flow(*images[:2], start, moved(start, 1) + error_px))
+        assert seen.all()
+        found.append(pixels)
+    assert np.percentile(np.abs(found[0] - found[1]), 95) < 0.05
+
+
+def test_other_ground_is_not_taken_for_the_anchor(images: list[FlowImage]) -> None:
     anchors, start = Anchors(), CENTRE + np.array([[0.0, 0.0], [40.0, 10.0]])
     anchors.start(started(start), images[0])
-    wrong = start + np.array([[3.0 * MOST_PX, 0.0], [0.3, 0.0]])
-    tracks = anchors.refined(started(wrong), images[0])
-    np.testing.assert_allclose(tracks.pixels, [wrong[0], start[1]], atol=0.02)
+    other = start + np.array([[20.0, 0.0], [0.3, 0.0]])
+    # Flow of the same image finds each point where it is said to be: the first on ground that is not its anchor's.
+    at_other = Flow(images[0], images[0], other, other)
+    pixels, seen = anchors.into_left(started(start).ids, at_other)
+    assert seen.all()
+    np.testing.assert_allclose(pixels, [other[0], start[1]], atol=0.02)
+    tracks = dataclasses.replace(started(start), pixels=pixels)
     anchors.start(tracks, images[0])
-    tracks = anchors.refined(started(wrong + np.array([0.3, 0.0])), images[0])
-    np.testing.assert_allclose(tracks.pixels, [wrong[0], start[1]], atol=0.02)
+    pixels, _ = anchors.into_left(tracks.ids, Flow(images[0], images[0], other + 0.3, other + 0.3))
+    np.testing.assert_allclose(pixels, [other[0], start[1]], atol=0.02)
 
 
-def test_a_point_at_the_border_has_no_anchor_and_goes_on(images: list[FlowImage]) -> None:
-    anchors, start = Anchors(), np.array([[9.0, 200.0]])
+def test_a_new_point_without_an_anchor_is_found_by_flow(images: list[FlowImage]) -> None:
+    start = some_points()
+    pixels, seen = Anchors().into_left(started(start).ids, Flow(*images[:2], start, start))
+    assert seen.mean() > 0.95
+    assert np.median(np.linalg.norm(pixels - moved(start, 1), axis=1)[seen]) < 0.1
+
+
+def test_a_point_without_an_anchor_ends_at_the_border(images: list[FlowImage]) -> None:
+    start = np.array([[9.0, 200.0], [250.0, 200.0]])
+    anchors, still = Anchors(), Flow(images[0], images[0], start, start)
     anchors.start(started(start), images[0])
-    now = start + 0.4
-    np.testing.assert_array_equal(anchors.refined(started(now), images[0]).pixels, now)
+    np.testing.assert_array_equal(anchors.into_left(started(start).ids, still)[1], [False, True])
 
 
 def test_without_tracks_there_are_no_anchors(images: list[FlowImage]) -> None:
     anchors, start = Anchors(), CENTRE[None]
     anchors.start(started(start), images[0])
-    assert len(anchors.refined(Tracks.none(), images[0])) == 0
+    none = np.zeros((0, 2))
+    assert len(anchors.into_left(Tracks.none().ids, Flow(images[0], images[0], none, none))[0]) == 0
     now = start + 0.3
-    np.testing.assert_array_equal(anchors.refined(started(now), images[0]).pixels, now)
+    pixels, _ = anchors.into_left(started(now).ids, Flow(images[0], images[0], now, now))
+    np.testing.assert_allclose(pixels, now, atol=0.02)
 
 
-def test_a_point_that_was_hidden_gets_a_new_anchor(images: list[FlowImage]) -> None:
+def test_a_point_whose_look_changes_gets_a_new_anchor(images: list[FlowImage]) -> None:
     anchors, start = Anchors(), CENTRE[None]
     anchors.start(started(start), images[0])
-    hidden = FlowImage.of(np.full_like(images[0].grey, 128))
+    changed = FlowImage(np.ascontiguousarray(images[0].grey[::-1]))
     now = start + 0.3
-    tracks = anchors.refined(started(now), hidden)
-    np.testing.assert_array_equal(tracks.pixels, now)
-    anchors.start(tracks, images[0])
-    np.testing.assert_allclose(anchors.refined(started(start), images[0]).pixels, now, atol=0.02)
+    tracks = started(now)
+    pixels, seen = anchors.into_left(tracks.ids, Flow(changed, changed, now, now))
+    assert seen.all()
+    np.testing.assert_allclose(pixels, now, atol=0.02)
+    anchors.start(tracks, changed)
+    pixels, _ = anchors.into_left(tracks.ids, Flow(changed, changed, start, start))
+    np.testing.assert_allclose(pixels, now, atol=0.02)

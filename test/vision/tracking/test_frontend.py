@@ -80,11 +80,13 @@ def test_tracks_do_not_drift(flight: Flown) -> None:
 
 
 def test_tracks_that_leave_the_image_in_a_long_gap_do_not_mislead_the_others() -> None:
-    vehicle, frames = flown(dataclasses.replace(FLIGHT, frames=11))
-    before, after = process(vehicle.rig, [*frames[:4], frames[10]])[3:]  # 17 px a frame: half of 240 in the gap
-    drifts = drifts_px(vehicle, (3, before), (10, after))
-    assert len(drifts) >= 5
-    assert np.median(drifts) < 0.5
+    drifts = []
+    for seed in (1, 2, 3, 4):
+        vehicle, frames = flown(dataclasses.replace(FLIGHT, frames=11, seed=seed))
+        before, after = process(vehicle.rig, [*frames[:4], frames[10]])[3:]  # 17 px a frame: half of 240 in the gap
+        drifts.extend(drifts_px(vehicle, (3, before), (10, after)))
+    assert len(drifts) >= 100
+    assert np.mean(np.array(drifts) < 0.5) > 0.9
 
 
 def test_every_point_has_a_track_and_ids_are_never_reused(flight: Flown) -> None:

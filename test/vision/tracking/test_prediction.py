@@ -38,7 +38,7 @@ def turned(image: Grey, pixels: Array, angles_deg: tuple[float, float, float]) -
 def test_any_change_of_rotation_is_predicted_within_a_pixel(image: Grey, pixels: Array) -> None:
     view, there = turned(image, pixels, (2.0, -1.5, 4.0))
     assert np.linalg.norm(there - pixels, axis=1).max() > 30.0
-    predicted = by_homography(FlowImage.of(image), FlowImage.of(view), pixels, pixels)
+    predicted = by_homography(FlowImage(image), FlowImage(view), pixels, pixels)
     assert predicted is not None
     assert np.linalg.norm(predicted - there, axis=1).max() < 1.0
 
@@ -46,14 +46,14 @@ def test_any_change_of_rotation_is_predicted_within_a_pixel(image: Grey, pixels:
 def test_wrong_points_in_the_sample_do_not_mislead_the_others(image: Grey, pixels: Array) -> None:
     view, there = turned(image, pixels, (1.0, 0.5, 1.0))
     view[:, 350:] = np.random.default_rng(2).integers(0, 256, (400, 150), np.uint8)
-    predicted = by_homography(FlowImage.of(image), FlowImage.of(view), pixels, pixels)
+    predicted = by_homography(FlowImage(image), FlowImage(view), pixels, pixels)
     assert predicted is not None
     shown = there[:, 0] < 350
     assert np.linalg.norm(predicted - there, axis=1)[shown].max() < 2.0
 
 
 def test_unrelated_images_and_few_points_give_no_prediction(image: Grey, pixels: Array) -> None:
-    first, noise = FlowImage.of(image), FlowImage.of(np.random.default_rng(3).integers(0, 256, (400, 500), np.uint8))
+    first, noise = FlowImage(image), FlowImage(np.random.default_rng(3).integers(0, 256, (400, 500), np.uint8))
     assert by_homography(first, noise, pixels, pixels) is None
     assert by_homography(first, first, pixels[:5], pixels[:5]) is None
     assert by_homography(first, first, np.zeros((0, 2)), np.zeros((0, 2))) is None

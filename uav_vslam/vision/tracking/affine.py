@@ -102,13 +102,13 @@ class Patches:
         if len(self) == 0:
             return pixels, shape, np.zeros(0, bool)
         pixels, shape = pixels.copy(), shape.copy()
-        last_px = np.full(len(self), np.inf)
+        last_px, alike = np.full(len(self), np.inf), np.zeros(len(self))
         moving, patches = np.arange(len(self)), self
         for _ in range(STEPS):
-            difference = _normalised(_sampled(image, pixels[moving], shape[moving]))[0] - patches.values
-            step = (difference[:, None] @ patches.gain)[:, 0].clip(-LONGEST_STEP_PX, LONGEST_STEP_PX)
-            turn = np.eye(2, dtype=np.float32) + step[:, :4].reshape(-1, 2, 2) / _SHAPE_PX
-            shape[moving] = shape[moving] @ np.linalg.inv(turn)
+            values = _normalised(_sampled(image, pixels[moving], shape[moving]))[0]
+            alike[moving] = np.einsum("nm,nm->n", values, patches.values)
+            step = ((values - patches.values)[:, None] @ patches.gain)[:, 0].clip(-LONGEST_STEP_PX, LONGEST_STEP_PX)
+            shape[moving] = np.matmul(shape[moving], _inverse_step(step[:, :4].reshape(-1, 2, 2)))
             moved = (shape[moving] @ step[:, 4:, None])[..., 0]
             pixels[moving] -= moved
             last_px[moving] = np.linalg.norm(moved, axis=1)
@@ -116,9 +116,7 @@ class Patches:
             if not further.any():
                 break
             moving, patches = moving[further], patches.chosen(further)
-        alike = np.sum(_normalised(_sampled(image, pixels, shape))[0] * self.values, axis=1)
-        scales = np.linalg.svd(shape, compute_uv=False)
-        good = (alike >= LEAST_CORRELATION) & (np.abs(np.log(scales)) <= np.log(MOST_SCALED)).all(axis=1)
+        good = (alike >= LEAST_CORRELATION) & (_most_scaled(shape) <= MOST_SCALED)
         good &= (last_px <= SETTLED_PX) & fits(image, pixels)
         return pixels, shape, good
 
@@ -145,3 +143,16 @@ def _normalised(values: Floats) -> tuple[Floats, Floats]:
     values = values - values.mean(axis=1, keepdims=True)
     length = np.linalg.norm(values, axis=1, keepdims=True).clip(LEAST_CONTRAST)
     return values / length, length
+
+
+def _inverse_step(steps: Floats) -> Floats:
+    """Return the (N, 2, 2) inverse changes of shape; steps are too short for singular ones."""
+    (a, b), (c, d) = np.moveaxis(undeformed(len(steps)) + steps / _SHAPE_PX, 0, -1)
+    return np.asarray(np.moveaxis(np.array([[d, -b], [-c, a]]) / (a * d - b * c), -1, 0), np.float32)
+
+
+def _most_scaled(shapes: Floats) -> Floats:
+    """Return by which factor (N, 2, 2) shapes stretch or shrink most, in any direction: their singular values."""
+    total, product = np.sum(shapes**2, axis=(1, 2)), np.abs(np.linalg.det(shapes))
+    largest = np.sqrt((total + np.sqrt((total**2 - 4.0 * product**2).clip(0.0))) / 2.0)
+    return np.maximum(largest, largest / product)

@@ -7,20 +7,20 @@ the patch looks different: so it is aligned affinely. Where that fails, the poin
 The right image is tied to the same anchors, so that errors of the anchor cancel in the disparity.
 """
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.vision.tracking.affine import Patches, fits, undeformed
-from uav_vslam.vision.tracking.flow import FlowImage
+from uav_vslam.vision.tracking.flow import Flow, FlowImage
 from uav_vslam.vision.tracking.tracks import Tracks
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.uint32]
 
-MOST_PX = 1.5  # of a correction: more is not the same point
+MOST_PX = 0.7  # of a correction: more is not the same point; with 1.5, points at edges of near things are worse
 
 
 class Anchors:
@@ -36,33 +36,55 @@ class Anchors:
         new = np.flatnonzero(~np.isin(tracks.ids, self._ids) & fits(left.grey, tracks.pixels))
         if len(new) == 0:
             return
-        patches = Patches.cut(left.grey.astype(np.float32), tracks.pixels[new])
+        patches = Patches.cut(left.exact, tracks.pixels[new])
         self._patches = self._patches.joined(patches)
         self._ids = np.concatenate([self._ids, tracks.ids[new]])
         self._shapes = np.concatenate([self._shapes, undeformed(len(new))])
 
-    def refined(self, tracks: Tracks, left: FlowImage) -> Tracks:
-        """Return the tracks of the next left image, tied to their anchors; where that fails, the track has none."""
-        pixels, own, shapes = self._aligned(tracks.ids, tracks.pixels, left)
-        self._ids, self._patches, self._shapes = self._ids[own], self._patches.chosen(own), shapes
-        return dataclasses.replace(tracks, pixels=pixels)
+    def into_left(self, ids: Ids, flow: Flow) -> tuple[Array, Mask]:
+        """Find tracks in the next left image; those that can't be tied lose their anchors.
 
-    def across(self, tracks: Tracks, pixels: Array, right: FlowImage) -> Array:
-        """Return the tracks' (N, 2) pixels in the right image, tied to the anchors, too, where that succeeds."""
-        return self._aligned(tracks.ids, pixels, right)[0]
-
-    def _aligned(self, ids: NDArray[np.uint32], pixels: Array, image: FlowImage) -> tuple[Array, Rows, Floats]:
-        """Align the (N, 2) pixels of tracks with their anchors.
+        Args:
+            ids: (N,) of the tracks, ascending.
+            flow: of the tracks into the image.
 
         Returns:
-            (N, 2) pixels, as they were where it fails.
-            (K,) anchors with which it succeeds.
-            (K, 2, 2) how those are deformed in the image.
+            (N, 2) pixels and the (N,) mask of those found.
         """
-        _, rows, own = np.intersect1d(ids, self._ids, return_indices=True)
-        patches = self._patches.chosen(own)
-        found, shapes, good = patches.found(image.grey.astype(np.float32), pixels[rows], self._shapes[own])
-        good &= np.linalg.norm(found - pixels[rows], axis=1) <= MOST_PX
-        aligned = pixels.copy()
-        aligned[rows[good]] = found[good]
-        return aligned, own[good], shapes[good]
+        pixels, seen, own, shapes = self._found(ids, flow)
+        self._ids, self._patches, self._shapes = self._ids[own], self._patches.chosen(own), shapes
+        return pixels, seen
+
+    def into_right(self, ids: Ids, flow: Flow) -> tuple[Array, Mask]:
+        """Find tracks in the right image of the last left one; arguments and result as `into_left`."""
+        return self._found(ids, flow)[:2]
+
+    def _found(self, ids: Ids, flow: Flow) -> tuple[Array, Mask, Rows, Floats]:
+        """Find tracks: tied where they are guessed, or where coarse flow takes them; failing that, by fine flow.
+
+        Returns:
+            (N, 2) pixels and the (N,) mask of those found.
+            (K,) rows of the anchors that succeeded, and (K, 2, 2) how those are deformed in the image.
+        """
+        own = np.flatnonzero(np.isin(self._ids, ids))
+        rows = np.searchsorted(ids, self._ids[own])
+        shapes = self._shapes[own] if flow.turn is None else flow.turn.astype(np.float32) @ self._shapes[own]
+        pixels, seen, tied = flow.guess.copy(), np.ones(len(ids), bool), np.zeros(len(own), bool)
+
+        def tie() -> Rows:
+            """Align what is not tied yet, from where it may be seen; return the rows that still are not."""
+            some = np.flatnonzero(~tied & seen[rows])
+            patches = self._patches if len(some) == len(self._patches) else self._patches.chosen(own[some])
+            found, deformed, good = patches.found(flow.second.exact, pixels[rows[some]], shapes[some])
+            good &= np.linalg.norm(found - pixels[rows[some]], axis=1) <= MOST_PX
+            some = some[good]
+            pixels[rows[some]], shapes[some], tied[some] = found[good], deformed[good], True
+            return np.flatnonzero(seen & ~np.isin(np.arange(len(ids)), rows[tied]))
+
+        rest = tie()
+        pixels[rest] = flow.coarse(rest)
+        seen[rest] = fits(flow.second.grey, pixels[rest])
+        rest = tie()
+        pixels[rest], seen[rest] = flow.fine(rest, pixels[rest])
+        tie()
+        return pixels, seen, own[tied], shapes[tied]

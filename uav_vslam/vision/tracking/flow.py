@@ -12,6 +12,7 @@ nearly all). Also dividing by the local standard deviation gains nothing.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from uav_vslam.vision.images import quarter, to_full_resolution, to_shrunk
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
 Grey = NDArray[np.uint8]
 
 WINDOW_PX = 15  # 0.055 px of disparity noise; 11: 0.07, 21: 0.043 for 1.3 times the time
@@ -39,50 +41,89 @@ _FINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
 _COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FlowImage:
-    """An image without its local mean, at two resolutions.
-
-    Attributes:
-        grey: (H, W) as it was.
-        full: (H, W) without the mean.
-        coarse: about (H / 4, W / 4), too.
-    """
+    """An (H, W) image, and what is made of it once it is needed."""
 
     grey: Grey
-    full: Grey
-    coarse: Grey
 
-    @staticmethod
-    def of(image: Grey) -> "FlowImage":
-        """Subtract its local mean from an (H, W) image, and add middle grey."""
-        mean = cv2.blur(image, (MEAN_WINDOW_PX, MEAN_WINDOW_PX))
-        full = np.asarray(cv2.addWeighted(image, 1.0, mean, -1.0, MIDDLE_GREY), np.uint8)
-        return FlowImage(image, full, quarter(full))
+    @cached_property
+    def full(self) -> Grey:
+        """(H, W) without the local mean, around middle grey."""
+        return _without_mean(self.grey, MEAN_WINDOW_PX)
+
+    @cached_property
+    def coarse(self) -> Grey:
+        """About (H / 4, W / 4), without the local mean, too."""
+        return _without_mean(quarter(self.grey), MEAN_WINDOW_PX // 4)
 
     def warped(self, similarity: Array) -> "FlowImage":
         """Return the image moved by a (2, 3) similarity of pixels; its local mean is that where it has moved."""
         size = self.grey.shape[::-1]
         moved = cv2.warpAffine(self.grey, similarity, size, borderMode=cv2.BORDER_REFLECT_101)
-        return FlowImage.of(np.asarray(moved, np.uint8))
+        return FlowImage(np.asarray(moved, np.uint8))
+
+    @cached_property
+    def exact(self) -> NDArray[np.float32]:
+        """(H, W) grey levels as it was, to interpolate finer than in whole levels."""
+        return self.grey.astype(np.float32)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Height and width at full resolution [px]."""
-        return self.full.shape
+        return self.grey.shape
 
 
-def track_turning(first: FlowImage, second: FlowImage, pixels: Array, guess: Array) -> tuple[Array, Mask]:
-    """Track points between images that may be turned about the optical axis; arguments and result as `track_points`.
+@dataclass(frozen=True)
+class Flow:
+    """N points of one image that are looked for in another one.
 
-    Lucas-Kanade moves a window, but does not turn it: over ground that turns by 6 degrees between two images, points
-    slide by 0.19 px, and on in the next image. So the first image is turned, and scaled, as the guess says: 0.02 px.
+    Attributes:
+        first, second: images of one size.
+        pixels: (N, 2) points of the first image [px].
+        guess: (N, 2) predicted pixels in the second one [px].
     """
-    A = similarity_between(pixels, guess) if len(pixels) >= FEWEST_TURNED else None
-    if A is None or np.linalg.norm((A - np.eye(2))[0]) < LEAST_TURN:
-        return track_points(first, second, pixels, guess)
-    shift = guess.mean(axis=0) - A @ pixels.mean(axis=0)
-    return track_points(first.warped(np.column_stack([A, shift])), second, pixels @ A.T + shift, guess)
+
+    first: FlowImage
+    second: FlowImage
+    pixels: Array
+    guess: Array
+
+    @cached_property
+    def turn(self) -> Array | None:
+        """(2, 2) turn and change of scale of the image; None if small or unknown.
+
+        Lucas-Kanade moves a window, but does not turn it: over ground that turns by 6 degrees between two images,
+        points slide by 0.19 px, and on in the next image. If the first image is turned before: 0.02 px.
+        """
+        A = similarity_between(self.pixels, self.guess) if len(self.pixels) >= FEWEST_TURNED else None
+        return None if A is None or np.linalg.norm((A - np.eye(2))[0]) < LEAST_TURN else A
+
+    @cached_property
+    def _turned(self) -> tuple[FlowImage, Array]:
+        """The first image and its points, turned like the second image."""
+        if self.turn is None:
+            return self.first, self.pixels
+        shift = self.guess.mean(axis=0) - self.turn @ self.pixels.mean(axis=0)
+        return self.first.warped(np.column_stack([self.turn, shift])), self.pixels @ self.turn.T + shift
+
+    def tracked(self) -> tuple[Array, Mask]:
+        """Return pixels in the second image, and which points are tracked: `track_points`."""
+        return self.fine(np.arange(len(self.pixels)), self.guess)
+
+    def coarse(self, rows: Rows) -> Array:
+        """Return where some of the points are in the second image within half a pixel, those that it shows."""
+        if len(rows) == 0:
+            return np.zeros((0, 2))
+        first, pixels = self._turned
+        return track_coarsely(first, self.second, pixels[rows], self.guess[rows])[0]
+
+    def fine(self, rows: Rows, near: Array) -> tuple[Array, Mask]:
+        """Track some of the points, from (K, 2) pixels near to theirs in the second image; result as `tracked`."""
+        if len(rows) == 0:
+            return np.zeros((0, 2)), np.zeros(0, bool)
+        first, pixels = self._turned
+        return track_points(first, self.second, pixels[rows], near)
 
 
 def track_points(first: FlowImage, second: FlowImage, pixels: Array, guess: Array) -> tuple[Array, Mask]:
@@ -139,6 +180,11 @@ def inside(pixels: NDArray[np.floating], shape: tuple[int, ...], border_px: floa
 
 def _distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.hypot(*(a - b).T))
+
+
+def _without_mean(image: Grey, window_px: int) -> Grey:
+    mean = cv2.blur(image, (window_px, window_px))
+    return np.asarray(cv2.addWeighted(image, 1.0, mean, -1.0, MIDDLE_GREY), np.uint8)
 
 
 def _lucas_kanade(

@@ -23,7 +23,7 @@ from uav_vslam.vision.features import Keypoints
 from uav_vslam.vision.frontend_base import Frontend
 from uav_vslam.vision.images import to_grey8
 from uav_vslam.vision.tracking.anchors import Anchors
-from uav_vslam.vision.tracking.flow import FlowImage, shift_between, track_points, track_turning
+from uav_vslam.vision.tracking.flow import Flow, FlowImage, shift_between
 from uav_vslam.vision.tracking.prediction import FlowModel, by_homography, in_right_image
 from uav_vslam.vision.tracking.refill import Refill
 from uav_vslam.vision.tracking.tracks import Tracks
@@ -64,7 +64,7 @@ class TrackingFrontend(Frontend):
     def process(self, frame: StereoFrame) -> StereoFeatures:
         self._check_sizes(frame)
         grey_left, grey_right = to_grey8(frame.left), to_grey8(frame.right)
-        left, right = FlowImage.of(grey_left), FlowImage.of(grey_right)
+        left, right = FlowImage(grey_left), FlowImage(grey_right)
         usable = self._health.check_images(frame.stamp_ns, grey_left, grey_right)
         self._next_id = self._next_id or first_track_id(frame.stamp_ns)
         self._track(frame.stamp_ns, left)
@@ -89,16 +89,15 @@ class TrackingFrontend(Frontend):
         before = self._tracks
         if self._anchors is not None:
             self._anchors.start(before, self._left)
-        pixels, good = self._follow(self._left, left, dt_s)
+        flow = Flow(self._left, left, before.pixels, self._left_guess(self._left, left, dt_s))
+        pixels, good = flow.tracked() if self._anchors is None else self._anchors.into_left(before.ids, flow)
         self._flow.fit(before.pixels[good], pixels[good], dt_s)
         self._tracks = dataclasses.replace(before, pixels=pixels).chosen(good)
-        if self._anchors is not None:
-            self._tracks = self._anchors.refined(self._tracks, left)
 
-    def _follow(self, before: FlowImage, left: FlowImage, dt_s: float) -> tuple[Array, NDArray[np.bool_]]:
-        """Track into the left image; result as `track_points`.
+    def _left_guess(self, before: FlowImage, left: FlowImage, dt_s: float) -> Array:
+        """Return (N, 2) predicted pixels of the tracks.
 
-        The last flow predicts the pixels, or the image's global shift if the flow has changed or is unknown yet.
+        The last flow predicts them, or the image's global shift if the flow has changed or is unknown yet.
         """
         pixels = self._tracks.pixels
         predictions = (
@@ -108,10 +107,10 @@ class TrackingFrontend(Frontend):
         for predict in predictions:
             better = by_homography(before, left, pixels, predict())
             if better is not None:
-                return track_turning(before, left, pixels, better)
+                return better
         # Near structure, or little texture: the points decide.
-        tracked = [track_turning(before, left, pixels, predict()) for predict in predictions]
-        return max(tracked, key=lambda found: int(found[1].sum()))
+        tracked = (Flow(before, left, pixels, predict()).tracked() for predict in predictions)
+        return max(tracked, key=lambda found: int(found[1].sum()))[0]
 
     def _join(self, found: Keypoints | None) -> None:
         """Start tracks at new keypoints."""
@@ -122,10 +121,9 @@ class TrackingFrontend(Frontend):
 
     def _features(self, stamp_ns: int, left: FlowImage, right: FlowImage) -> StereoFeatures:
         """Match the tracks into the right image; drop those that fail the stereo gate."""
-        raw_right, seen = track_points(left, right, self._tracks.pixels, self._right_guess(self._tracks))
-        tracks, raw_right = self._tracks.chosen(seen), raw_right[seen]
-        if self._anchors is not None:
-            raw_right = self._anchors.across(tracks, raw_right, right)
+        flow = Flow(left, right, self._tracks.pixels, self._right_guess(self._tracks))
+        found, seen = flow.tracked() if self._anchors is None else self._anchors.into_right(self._tracks.ids, flow)
+        tracks, raw_right = self._tracks.chosen(seen), found[seen]
         pixels = np.hstack([self._rig.left.undistort(tracks.pixels), self._rig.right.undistort(raw_right)])
         self._health.check_points(pixels)
         depth, good = self._gate.check(pixels)
