@@ -92,7 +92,7 @@ def test_along_an_edge_a_patch_stays_put_and_across_it_is_found(pattern: str, de
     found, _, good = Patches.cut(image, pixels).found(image, start, undeformed(5))
     assert good.all()
     np.testing.assert_allclose((found - pixels) @ across, 0.0, atol=0.04)
-    np.testing.assert_allclose((found - start) @ along, 0.0, atol=0.1)
+    np.testing.assert_allclose((found - start) @ along, 0.0, atol=0.15)
 
 
 def test_no_patch_is_no_trouble(image: Floats) -> None:

@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 HALF_PX = 10  # of a patch: with 7, errors are a half larger, with 14 a fifth smaller for a third more time
 STEPS = 5  # with 3, errors after 16 frames are a tenth larger
 LONGEST_STEP_PX = 3.0  # of the place, and at the edge
-STILL_PX = 0.05  # a step, of the place and at the edge: the last one (0.1: errors in rooms a tenth larger)
+STILL_PX = 0.01  # a step, of the place and at the edge: the last one (0.05: places lean towards their guesses)
 SETTLED_PX = 0.1  # of the last step, of the place
 # On shape and place, of the mean curvature: a patch with edges in one direction leaves both open, and stays put.
 SHAPE_DAMPING, PLACE_DAMPING = 0.05, 0.01
