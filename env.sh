@@ -58,7 +58,9 @@ _uav_prepend PYTHONPATH "$_uav_root/build/uav_vslam" # metadata of the installed
 _uav_prepend PYTHONPATH "$_uav_root"                 # the sources: edits take effect at once
 
 # Images pass between the processes of one host through shared memory (our nodes without images: uav_vslam/ros/transport.py).
-export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_uav_root/config/dds/images.xml}"
+case ${FASTRTPS_DEFAULT_PROFILES_FILE:-} in
+  "" | */config/dds/images.xml) export FASTRTPS_DEFAULT_PROFILES_FILE="$_uav_root/config/dds/images.xml" ;; # or of another clone
+esac
 export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
 # One thread per process: results repeat, and processes don't fight for cores.
 export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Only nodes that exchange images use shared memory, where a killed process can leave another deaf."""
 
+import os
+import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -14,13 +17,14 @@ from uav_vslam.ros.transport import DISCOVERY_RANGE, PROFILES_FILE, udp_alone
 
 pytestmark = pytest.mark.ros
 
+ROOT = Path(__file__).parents[2]
 SEGMENT = "/dev/shm/fastrtps_"
 
 
 def test_only_nodes_with_images_map_shared_memory(
     domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(PROFILES_FILE, str(find_dds_profile("images.xml")))  # not that of another clone's env.sh
+    monkeypatch.setenv(PROFILES_FILE, str(find_dds_profile("images.xml")))
     specs = [NodeSpec(name, name, "/uav1", {"vehicle": "uav1"}) for name in (*VEHICLE_NODES, "mapper")]
     specs[-1].parameters["map.folder"] = str(tmp_path / "map")
     specs.append(NodeSpec("recorder", "recorder", "/", {"output": str(tmp_path / "out"), "vehicles": ["uav1"]}))
@@ -53,6 +57,22 @@ def test_a_profile_or_range_that_the_user_has_chosen_stays(
             monkeypatch.setenv(name, value)
     changed = {PROFILES_FILE: str(find_dds_profile("messages.xml")), DISCOVERY_RANGE: "SYSTEM_DEFAULT"}
     assert udp_alone() == (changed if applies else {})
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("", str(ROOT / "config/dds/images.xml")),
+        ("/another/clone/config/dds/images.xml", str(ROOT / "config/dds/images.xml")),
+        ("/home/me/profile.xml", "/home/me/profile.xml"),
+    ],
+)
+def test_the_environment_names_its_own_profile_unless_the_user_has_one(before: str, after: str) -> None:
+    script = f'. {shlex.quote(str(ROOT / "env.sh"))} && echo "${PROFILES_FILE}"'
+    shell = subprocess.run(
+        ["bash", "-c", script], env=os.environ | {PROFILES_FILE: before}, capture_output=True, text=True, check=True
+    )
+    assert shell.stdout.strip() == after
 
 
 def test_static_peers_keep_the_range(monkeypatch: pytest.MonkeyPatch) -> None:
