@@ -223,9 +223,9 @@ class BackendConfig(Settings):
     )
     window_spacing_s: float = setting(0.03, "between past poses; others are not kept", unit="s", at_least=0)
     track_sigma_px: float = setting(
-        0.07,
+        0.055,
         "window: standard deviation of a tracked point's right pixel about its left one; a track's "
-        "other errors are in proportion (klt: 0.05, 0.07 with outliers)",
+        "other errors are in proportion (klt: 0.04, 0.055 with outliers)",
         unit="px",
         above=0,
         live=True,
