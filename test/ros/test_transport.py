@@ -64,7 +64,7 @@ def test_a_profile_or_range_that_the_user_has_chosen_stays(
     [
         ("", str(ROOT / "config/dds/images.xml")),
         ("/another/clone/config/dds/images.xml", str(ROOT / "config/dds/images.xml")),
-        ("/home/me/profile.xml", "/home/me/profile.xml"),
+        ("/mine/profile.xml", "/mine/profile.xml"),
     ],
 )
 def test_the_environment_names_its_own_profile_unless_the_user_has_one(before: str, after: str) -> None:
