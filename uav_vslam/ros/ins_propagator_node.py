@@ -161,9 +161,7 @@ class InsPropagatorNode(VehicleNode):
     def _report_lag(self, lag_s: float) -> None:
         """Warn while the back end's corrections are late: everything after the INS is then as late."""
         text = f"the back end's estimate is {lag_s:.1f} s behind the readings: it or the front end does not keep up"
-        if lag_s > MAX_LAG_S and "lag" not in self.alarms:
-            self.get_logger().warning(text)
-        self.report_alarm("lag", text if lag_s > MAX_LAG_S else "")
+        self.report_alarm("lag", text if lag_s > MAX_LAG_S else "", logged=True)
 
     def _report_image_stamps(self) -> None:
         """Warn while readings go on without new stamps of images: a camera_info that comes once, or is not stamped."""
@@ -174,11 +172,11 @@ class InsPropagatorNode(VehicleNode):
             instead = (
                 "; a file with the calibration can replace it (input.calibration)" if self._sensors.has_infos else ""
             )
-            self.alarms["images"] = (
+            text = (
                 f"{topic} has brought no new stamp for {SILENT_NS / NS_PER_S:g} s of readings: it has to come with "
                 f"each image, and with its stamp{instead}"
             )
-            self.get_logger().warning(self.alarms["images"])
+            self.report_alarm("images", text, logged=True)
 
     def _on_stamped(self, data: bytes) -> None:
         stamp_ns = header_stamp_ns(data) + self._sensors.time_offset_ns
@@ -317,9 +315,7 @@ class InsPropagatorNode(VehicleNode):
 
     def _report_bursts(self, text: str) -> None:
         """Warn of readings stamped in bursts while they are."""
-        if text and "imu_stamps" not in self.alarms:
-            self.get_logger().warning(text)
-        self.report_alarm("imu_stamps", text)
+        self.report_alarm("imu_stamps", text, logged=True)
 
     def _propagate(self, live: LiveOdometry, item: ImuSample | int) -> None:
         if not isinstance(item, ImuSample) or not live.add_imu(item):

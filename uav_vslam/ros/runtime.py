@@ -198,12 +198,14 @@ class VehicleNode(PausableNode):
             self.get_logger().warning(f"dropped a message: {line.refusal}", throttle_duration_sec=5.0)
         self.report_failure("clock", "; ".join(line.faults.values()))
 
-    def report_alarm(self, subject: str, text: str) -> None:
-        """Set an alarm; an empty text means that there is none."""
-        if text:
-            self.alarms[subject] = text
-        else:
+    def report_alarm(self, subject: str, text: str, *, logged: bool = False) -> None:
+        """Set an alarm, and log a new one if wished; an empty text means that there is none."""
+        if not text:
             self.alarms.pop(subject, None)
+            return
+        if logged and subject not in self.alarms:
+            self.get_logger().warning(text)
+        self.alarms[subject] = text
 
     def report_failure(self, subject: str, text: str) -> None:
         """Set a failure, and log it if it is new; an empty text means that there is none."""
