@@ -108,6 +108,19 @@ def test_other_ground_is_not_taken_for_the_anchor(images: list[FlowImage]) -> No
     np.testing.assert_allclose(pixels, [other[0], start[1]], atol=0.02)
 
 
+def test_a_point_without_a_guess_does_not_disturb_the_others(images: list[FlowImage]) -> None:
+    start = some_points()
+    guess = moved(start, 2)
+    guess[0] = np.nan
+    tracks, anchors = started(start), Anchors()
+    anchors.start(tracks, images[0])
+    flow = Flow(images[0], images[2], start, guess)
+    assert flow.turn is not None
+    pixels, seen = anchors.into_left(tracks.ids, flow)
+    np.testing.assert_array_equal(seen, np.arange(len(start)) > 0)
+    assert np.median(np.linalg.norm(pixels - moved(start, 2), axis=1)[1:]) < 0.2
+
+
 def test_a_new_point_without_an_anchor_is_found_by_flow(images: list[FlowImage]) -> None:
     start = some_points()
     pixels, seen = Anchors().into_left(started(start).ids, Flow(*images[:2], start, start))

@@ -96,15 +96,23 @@ class Flow:
         Lucas-Kanade moves a window, but does not turn it: over ground that turns by 6 degrees between two images,
         points slide by 0.19 px, and on in the next image. If the first image is turned before: 0.02 px.
         """
-        A = similarity_between(self.pixels, self.guess) if len(self.pixels) >= FEWEST_TURNED else None
+        pixels, guess = self._guessed
+        A = similarity_between(pixels, guess) if len(pixels) >= FEWEST_TURNED else None
         return None if A is None or np.linalg.norm((A - np.eye(2))[0]) < LEAST_TURN else A
+
+    @property
+    def _guessed(self) -> tuple[Array, Array]:
+        """The points that have a guess, and these: a lens has no pixel for what is far outside its image."""
+        known = np.isfinite(self.guess).all(axis=1)
+        return self.pixels[known], self.guess[known]
 
     @cached_property
     def _turned(self) -> tuple[FlowImage, Array]:
         """The first image and its points, turned like the second image."""
         if self.turn is None:
             return self.first, self.pixels
-        shift = self.guess.mean(axis=0) - self.turn @ self.pixels.mean(axis=0)
+        pixels, guess = self._guessed
+        shift = guess.mean(axis=0) - self.turn @ pixels.mean(axis=0)
         return self.first.warped(np.column_stack([self.turn, shift])), self.pixels @ self.turn.T + shift
 
     def tracked(self) -> tuple[Array, Mask]:
