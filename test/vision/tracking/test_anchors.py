@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 CENTRE = np.array([250.0, 200.0])
 TURN_DEG, NOISE = 1.5, 4.0  # a frame, and of the images [grey values]
 FRAMES = 12
+FAINT = 0.3  # contrast
 
 
 def motion(frame: int) -> Array:
@@ -91,6 +92,20 @@ def test_a_bad_guess_costs_no_precision(images: list[FlowImage]) -> None:
         assert seen.all()
         found.append(pixels)
     assert np.percentile(np.abs(found[0] - found[1]), 95) < 0.05
+
+
+def test_on_faint_images_places_do_not_lean_towards_their_guesses(texture_image) -> None:
+    rng, start = np.random.default_rng(5), some_points()
+    faint = 128.0 + FAINT * (texture_image(400, 500) - 128.0)
+    first, second = (FlowImage(np.rint(faint + rng.normal(0, NOISE, faint.shape)).astype(np.uint8)) for _ in range(2))
+    found = []
+    for error_px in (-0.4, 0.4):
+        anchors = Anchors()
+        anchors.start(started(start), first)
+        pixels, seen = anchors.into_left(started(start).ids, Flow(first, second, start, start + error_px))
+        assert seen.mean() > 0.9
+        found.append(np.where(seen[:, None], pixels, np.nan))
+    assert np.abs(np.nanmean(found[1] - found[0], axis=0)).max() < 0.08  # a tenth of the guesses' difference
 
 
 def test_other_ground_is_not_taken_for_the_anchor(images: list[FlowImage]) -> None:

@@ -25,7 +25,6 @@ HALF_PX = 10  # of a patch: with 7, errors are a half larger, with 14 a fifth sm
 STEPS = 5  # with 3, errors after 16 frames are a tenth larger
 LONGEST_STEP_PX = 3.0  # of the place, and at the edge
 STILL_PX = 0.01  # a step, of the place and at the edge: the last one (0.05: places lean towards their guesses)
-SETTLED_PX = 0.1  # of the last step, of the place
 # On shape and place, of the mean curvature: a patch with edges in one direction leaves both open, and stays put.
 SHAPE_DAMPING, PLACE_DAMPING = 0.05, 0.01
 LEAST_CONTRAST = 1.0  # length of the grey levels without their mean: flat ones have no direction
@@ -87,13 +86,14 @@ class Patches:
         """Return these patches and then others."""
         return Patches(np.concatenate([self.values, other.values]), np.concatenate([self.gain, other.gain]))
 
-    def found(self, image: Floats, pixels: Array, shape: Floats) -> tuple[Array, Floats, Mask]:
+    def found(self, image: Floats, pixels: Array, shape: Floats, *, settled_px: float) -> tuple[Array, Floats, Mask]:
         """Find the patches in another image.
 
         Args:
             image: (H, W) grey levels.
             pixels: (N, 2) where they should be, within a few pixels.
             shape: (N, 2, 2) how they should be deformed.
+            settled_px: largest last step of a patch that has been found.
 
         Returns:
             (N, 2) pixels and (N, 2, 2) shapes.
@@ -117,7 +117,7 @@ class Patches:
                 break
             moving, patches = moving[further], patches.chosen(further)
         good = (alike >= LEAST_CORRELATION) & (_most_scaled(shape) <= MOST_SCALED)
-        good &= (last_px <= SETTLED_PX) & fits(image, pixels)
+        good &= (last_px <= settled_px) & fits(image, pixels)
         return pixels, shape, good
 
 

@@ -22,6 +22,11 @@ Ids = NDArray[np.uint32]
 
 MOST_PX = 0.7  # of a correction: more is not the same point; with 1.5, points at edges of near things are worse
 
+# Largest last step of an alignment that has settled: from a guess that all points share, and from where flow has found
+# that point alone. On faint images, alignment comes nearer by a part of the distance only; left off by errors of the
+# guess that are the same for all, points tell of a wrong motion.
+SETTLED_PX, SETTLED_FROM_FLOW_PX = 0.02, 0.1
+
 
 class Anchors:
     """The anchors of a stream of left images: a patch of each track, and how it is deformed now."""
@@ -71,20 +76,21 @@ class Anchors:
         shapes = self._shapes[own] if flow.turn is None else flow.turn.astype(np.float32) @ self._shapes[own]
         pixels, seen, tied = flow.guess.copy(), np.ones(len(ids), bool), np.zeros(len(own), bool)
 
-        def tie() -> Rows:
+        def tie(settled_px: float) -> Rows:
             """Align what is not tied yet, from where it may be seen; return the rows that still are not."""
             some = np.flatnonzero(~tied & seen[rows])
             patches = self._patches if len(some) == len(self._patches) else self._patches.chosen(own[some])
-            found, deformed, good = patches.found(flow.second.exact, pixels[rows[some]], shapes[some])
-            good &= np.linalg.norm(found - pixels[rows[some]], axis=1) <= MOST_PX
+            start = pixels[rows[some]]
+            found, deformed, good = patches.found(flow.second.exact, start, shapes[some], settled_px=settled_px)
+            good &= np.linalg.norm(found - start, axis=1) <= MOST_PX
             some = some[good]
             pixels[rows[some]], shapes[some], tied[some] = found[good], deformed[good], True
             return np.flatnonzero(seen & ~np.isin(np.arange(len(ids)), rows[tied]))
 
-        rest = tie()
+        rest = tie(SETTLED_PX)
         pixels[rest] = flow.coarse(rest)
         seen[rest] = fits(flow.second.grey, pixels[rest])
-        rest = tie()
+        rest = tie(SETTLED_PX)
         pixels[rest], seen[rest] = flow.fine(rest, pixels[rest])
-        tie()
+        tie(SETTLED_FROM_FLOW_PX)
         return pixels, seen, own[tied], shapes[tied]
