@@ -5,6 +5,8 @@ From image to image, the small errors of optical flow add up: each one moves the
 for, the template update problem of [matthews04]. Against the first image, the anchor, errors don't add up, but by then
 the patch looks different: so it is aligned affinely. Where that fails, the point's present look is its new anchor.
 The right image is tied to the same anchors, so that errors of the anchor cancel in the disparity.
+
+Most points are aligned straight from their predictions, for a part of the time that flow and its check take.
 """
 
 import numpy as np

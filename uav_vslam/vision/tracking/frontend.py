@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live front end: feature tracks from left image to left image, each matched into the right image.
 
-    last left image with new keypoints --flow--> left image --last depth--> right image --gates--> features
-                                                     |
-                              every few frames: keypoint detection, in a second thread
+    last left image with new keypoints --homography--> left image --last depth--> right image --gates--> features
+                                                           |
+                                    every few frames: keypoint detection, in a second thread
 
-In both images, a point is then tied to how it looked first (`anchors`).
+In both images, a point is tied to how it looked first (`anchors`), from where it is predicted; optical flow finds those
+for which that fails, as near structure, or all if `frontend.anchored` is off.
 
 A feature has the descriptor from the start of its track, for loop closing and association with peers' landmarks, and
 the track id, by which the back end associates it without descriptors.
