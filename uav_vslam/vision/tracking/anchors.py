@@ -87,7 +87,9 @@ class Anchors:
             good &= np.linalg.norm(found - start, axis=1) <= MOST_PX
             some = some[good]
             pixels[rows[some]], shapes[some], tied[some] = found[good], deformed[good], True
-            return np.flatnonzero(seen & ~np.isin(np.arange(len(ids)), rows[tied]))
+            rest = seen.copy()
+            rest[rows[tied]] = False
+            return np.flatnonzero(rest)
 
         rest = tie(SETTLED_PX)
         pixels[rest] = flow.coarse(rest)

@@ -57,16 +57,16 @@ class FlowImage:
         """About (H / 4, W / 4), without the local mean, too."""
         return _without_mean(quarter(self.grey), MEAN_WINDOW_PX // 4)
 
+    @cached_property
+    def exact(self) -> NDArray[np.float32]:
+        """(H, W) grey levels as it was, to interpolate finer than in whole levels."""
+        return self.grey.astype(np.float32)
+
     def warped(self, similarity: Array) -> "FlowImage":
         """Return the image moved by a (2, 3) similarity of pixels; its local mean is that where it has moved."""
         size = self.grey.shape[::-1]
         moved = cv2.warpAffine(self.grey, similarity, size, borderMode=cv2.BORDER_REFLECT_101)
         return FlowImage(np.asarray(moved, np.uint8))
-
-    @cached_property
-    def exact(self) -> NDArray[np.float32]:
-        """(H, W) grey levels as it was, to interpolate finer than in whole levels."""
-        return self.grey.astype(np.float32)
 
     @property
     def shape(self) -> tuple[int, ...]:
