@@ -43,7 +43,7 @@ class Anchors:
         new = np.flatnonzero(~np.isin(tracks.ids, self._ids) & fits(left.grey, tracks.pixels))
         if len(new) == 0:
             return
-        patches = Patches.cut(left.exact, tracks.pixels[new])
+        patches = Patches.cut(left.smooth, tracks.pixels[new])
         self._patches = self._patches.joined(patches)
         self._ids = np.concatenate([self._ids, tracks.ids[new]])
         self._shapes = np.concatenate([self._shapes, undeformed(len(new))])
@@ -83,7 +83,7 @@ class Anchors:
             some = np.flatnonzero(~tied & seen[rows])
             patches = self._patches if len(some) == len(self._patches) else self._patches.chosen(own[some])
             start = pixels[rows[some]]
-            found, deformed, good = patches.found(flow.second.exact, start, shapes[some], settled_px=settled_px)
+            found, deformed, good = patches.found(flow.second.smooth, start, shapes[some], settled_px=settled_px)
             good &= np.linalg.norm(found - start, axis=1) <= MOST_PX
             some = some[good]
             pixels[rows[some]], shapes[some], tied[some] = found[good], deformed[good], True

@@ -37,6 +37,7 @@ BORDER_PX = 8.0  # half a window: closer to the border the window is outside the
 FEWEST_TURNED = 8  # points: the guess of fewer tells too little of a turn
 LEAST_TURN = 0.035  # [rad], or change of scale: up to 2 degrees interpolation costs more than turning gains
 SHIFT_STEP_PX = 2  # of the coarse image
+SMOOTHING = np.array([0.25, 0.5, 0.25])  # over neighbouring pixels
 _FINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
 _COARSE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 
@@ -58,9 +59,9 @@ class FlowImage:
         return _without_mean(quarter(self.grey), MEAN_WINDOW_PX // 4)
 
     @cached_property
-    def exact(self) -> NDArray[np.float32]:
-        """(H, W) grey levels as it was, to interpolate finer than in whole levels."""
-        return self.grey.astype(np.float32)
+    def smooth(self) -> NDArray[np.float32]:
+        """(H, W) grey levels without the noise of single pixels, finer than in whole levels."""
+        return np.asarray(cv2.sepFilter2D(self.grey, cv2.CV_32F, SMOOTHING, SMOOTHING), np.float32)
 
     def warped(self, similarity: Array) -> "FlowImage":
         """Return the image moved by a (2, 3) similarity of pixels; its local mean is that where it has moved."""
