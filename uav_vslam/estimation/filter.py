@@ -38,7 +38,7 @@ from uav_vslam.estimation.linearisation import (
 )
 from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transport, difference
 from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
-from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPose, Tracks, observe_tracks
+from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPoses, Tracks, observe_tracks
 from uav_vslam.estimation.rig_belief import (
     DisparityEstimate,
     claimed_belief,
@@ -128,7 +128,7 @@ class Filter:
         self.sigma_px, self._depth_sigma_ratio, self._robust = sigma_px, depth_sigma_ratio, robust
         self._rate_map: Array | None = None  # [rad/s] at the end of the last increment
         self.track_sigma_px = track_sigma_px
-        self.past: list[PastPose] = []  # oldest first
+        self.past = PastPoses.none()
         self._of_tracks: VehicleObservation | None = None  # for the next update
         self.nav: NavState = initial.state
         self.rig_state = RigState()
@@ -201,14 +201,13 @@ class Filter:
         """Keep the present pose in the state, as the newest past one; not with `euler9`."""
         self.belief = self.belief.cloned(POSE, COPY_VARIANCE)
         rate_map = np.zeros(3) if self._rate_map is None else self._rate_map
-        self.past = [*self.past, PastPose(self.nav, rate_map)]
+        self.past = self.past.followed_by(self.nav, rate_map)
 
     def past_estimate(self, number: int) -> PoseEstimate:
         """Return a past pose, as later frames have corrected it, with its covariance."""
-        state = self.past[number].nav
         rows = self._past_rows.start + POSE_DIM * number + np.arange(POSE_DIM)
         P = submatrix(self._claimed_covariance(), rows)
-        return PoseEstimate(state.stamp_ns, state.T_map_body, symmetrise(P))
+        return PoseEstimate(int(self.past.stamps_ns[number]), self.past.pose(number), symmetrise(P))
 
     def observe_tracks(
         self, tracks: Tracks, *, probability: float, become_landmarks: Mask, others: Callable[[], Tracks] | None = None
@@ -226,10 +225,7 @@ class Filter:
         """
         if len(tracks) == 0:
             return np.zeros(0, bool)
-        past = [
-            dataclasses.replace(pose, nav=self._errors.at_exposure(self.rig_state, pose.nav, pose.rate_map))
-            for pose in self.past
-        ]
+        past = self.past.at_exposure(self.rig_state.time_offset_s)
         with _stamped(self.nav.stamp_ns):
             observed = partial(
                 observe_tracks, past=past, rig=self.rig, errors=self._errors, sigma_px=self.track_sigma_px
@@ -385,7 +381,7 @@ class Filter:
         with _stamped(self.nav.stamp_ns):
             self.belief = self.belief.marginalised(landmarks, rows)
         self.landmarks = np.delete(self.landmarks, landmarks, axis=0)
-        self.past = [pose for k, pose in enumerate(self.past) if k not in past]
+        self.past = self.past.without(past)
 
     def nav_estimate(self, *, as_calibrated: bool = False) -> NavEstimate:
         """Return the navigation state with its (15, 15) map-frame covariance, zero for states the model lacks.
@@ -523,7 +519,7 @@ class Filter:
         on_manifold = np.concatenate([delta[: self._model.nav_dim], past[:, 0].ravel(), delta[self.vehicle :]])
         self.nav, moved = self._model.retract(before, points, on_manifold)
         self.rig_state = self._errors.retract(self.rig_state, delta)
-        self.past = [pose.moved(xi, p) for pose, xi, p in zip(self.past, past[:, 1], moved[: len(past)], strict=True)]
+        self.past = self.past.moved(past[:, 1], moved[: len(past)])
         self.landmarks = moved[len(past) :]
         if self._model.invariant:
             moved_p = self.nav.T_map_body.t - before.T_map_body.t
@@ -533,7 +529,7 @@ class Filter:
 
     def _points(self) -> Array:
         """Return (V + N, 3) the past positions, then the landmarks."""
-        return np.vstack([*(pose.nav.T_map_body.t for pose in self.past), self.landmarks])
+        return np.vstack([self.past.t, self.landmarks])
 
     def _transport(self, moved_position: Array, moved_velocity: Array, moved_points: Array) -> Array:
         """Return `chart_transport` for shifts of the mean, those of `_points` included."""

@@ -17,7 +17,7 @@ camera. Taken for white, these errors let long tracks count for far more than th
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,21 +45,57 @@ DRIFT = 0.05  # the patch over the ground, while its image moves by a pixel: the
 
 
 @dataclass(frozen=True, slots=True)
-class PastPose:
-    """The estimate of the vehicle at an earlier frame.
+class PastPoses:
+    """The estimates of the vehicle at V earlier frames, oldest first.
 
     Attributes:
-        nav: pose, kept up to date by later measurements; velocity and biases are those of the frame.
-        rate_map: (3,) angular rate [rad/s].
+        stamps_ns: (V,).
+        R, t: (V, 3, 3), (V, 3) of T_map_body, kept up to date by later measurements [m].
+        v_map, rate_map: (V, 3) velocity and angular rate at those frames [m/s], [rad/s].
     """
 
-    nav: NavState
+    stamps_ns: NDArray[np.int64]
+    R: Array
+    t: Array
+    v_map: Array
     rate_map: Array
 
-    def moved(self, xi: Array, position: Array) -> Self:
-        """Return the pose turned by a map-frame rotation vector [rad], at another position [m]."""
-        T = Pose(so3_exp(xi) @ self.nav.T_map_body.R, position)
-        return dataclasses.replace(self, nav=dataclasses.replace(self.nav, T_map_body=T))
+    @classmethod
+    def none(cls) -> Self:
+        """Return no poses."""
+        vectors = np.zeros((0, 3))
+        return cls(np.zeros(0, np.int64), np.zeros((0, 3, 3)), vectors, vectors, vectors)
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def pose(self, number: int) -> Pose:
+        """Return T_map_body of one of them."""
+        return Pose(self.R[number], self.t[number])
+
+    def followed_by(self, nav: NavState, rate_map: Array) -> Self:
+        """Return these and a newer one."""
+        T = nav.T_map_body
+        newest = (np.array(nav.stamp_ns, np.int64), T.R, T.t, nav.v_map, rate_map)
+        return type(self)(*(np.concatenate([old, new[None]]) for old, new in zip(self._parts, newest, strict=True)))
+
+    def without(self, numbers: NDArray[np.integer]) -> Self:
+        """Return all but some."""
+        return type(self)(*(np.delete(part, numbers, axis=0) for part in self._parts))
+
+    def moved(self, xi: Array, positions: Array) -> Self:
+        """Return them turned by (V, 3) map-frame rotation vectors [rad], at (V, 3) other positions [m]."""
+        return dataclasses.replace(self, R=so3_exp(xi) @ self.R, t=positions)
+
+    def at_exposure(self, time_offset_s: float) -> Self:
+        """Return them at the exposures, that long after the stamps of the images."""
+        if time_offset_s == 0.0:
+            return self
+        return self.moved(self.rate_map * time_offset_s, self.t + self.v_map * time_offset_s)
+
+    @property
+    def _parts(self) -> tuple[NDArray[Any], ...]:
+        return self.stamps_ns, self.R, self.t, self.v_map, self.rate_map
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +116,13 @@ class Tracks:
     @property
     def way_px(self) -> Array:
         """(V,) how far the image has moved over the left camera since the first view, by the median track [px]."""
-        moved = np.linalg.norm(np.diff(self.pixels[:, :, :2], axis=1), axis=2)
+        if len(self) == 0:
+            return np.zeros(self.seen.shape[1])
         both = self.seen[:, 1:] & self.seen[:, :-1]
-        steps = [np.median(moved[both[:, view], view]) if both[:, view].any() else 0.0 for view in range(both.shape[1])]
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        moved = np.linalg.norm(np.diff(self.pixels[:, :, :2], axis=1), axis=2)
+        ascending, count = np.sort(np.where(both, moved, np.inf), axis=0), both.sum(axis=0)
+        medians = np.take_along_axis(ascending, np.stack([(count - 1) // 2, count // 2]), axis=0).mean(axis=0)
+        return np.concatenate([[0.0], np.cumsum(np.where(count > 0, medians, 0.0))])
 
     @property
     def newest_views(self) -> NDArray[np.intp]:
@@ -161,7 +200,7 @@ class TrackObservation:
 
 
 def observe_tracks(
-    tracks: Tracks, past: list[PastPose], *, rig: StereoRig, errors: RigErrors, sigma_px: float
+    tracks: Tracks, past: PastPoses, *, rig: StereoRig, errors: RigErrors, sigma_px: float
 ) -> TrackObservation:
     """Triangulate the tracks' points and linearise their views.
 
@@ -172,7 +211,7 @@ def observe_tracks(
         errors: layout of the rig's error states.
         sigma_px: standard deviation of a right pixel about the left one [px].
     """
-    views = _Views(tracks, [pose.nav.T_map_body for pose in past], rig, sigma_px)
+    views = _Views(tracks, past, rig, sigma_px)
     points = views.first_points()
     good = np.isfinite(points).all(axis=1)
     points[~good] = views.ahead
@@ -195,14 +234,15 @@ def observe_tracks(
 class _Views:
     """The views of T tracks at V poses."""
 
-    def __init__(self, tracks: Tracks, poses: list[Pose], rig: StereoRig, sigma_px: float) -> None:
+    def __init__(self, tracks: Tracks, past: PastPoses, rig: StereoRig, sigma_px: float) -> None:
         self._tracks, self._rig = tracks, rig
         self._cameras = []
         for camera, T_body_camera in ((rig.left, rig.T_body_left), (rig.right, rig.T_body_right)):
-            T_camera_map = [(T_map_body @ T_body_camera).inverse() for T_map_body in poses]
-            self._cameras.append((camera, np.array([T.R for T in T_camera_map]), np.array([T.t for T in T_camera_map])))
+            R_camera_map = np.swapaxes(past.R @ T_body_camera.R, 1, 2)
+            centre = past.t + past.R @ T_body_camera.t
+            self._cameras.append((camera, R_camera_map, -(R_camera_map @ centre[..., None])[..., 0]))
         self._left_whitening, self._right_whitening = _whitening(tracks.seen, tracks.way_px, sigma_px)
-        self.ahead: Array = (poses[-1] @ rig.T_body_left).apply(np.array([0.0, 0.0, 1e3 * rig.baseline_m]))
+        self.ahead: Array = (past.pose(-1) @ rig.T_body_left).apply(np.array([0.0, 0.0, 1e3 * rig.baseline_m]))
 
     def first_points(self) -> Array:
         """Return (T, 3) points triangulated from each track's newest view; NaN where that fails."""
@@ -262,15 +302,13 @@ def _whitening(seen: Mask, way_px: Array, sigma_px: float) -> tuple[Array, Array
     return np.asarray(own), np.asarray(match)
 
 
-def _by_pose(points: Array, J: Array, past: list[PastPose]) -> Array:
+def _by_pose(points: Array, J: Array, past: PastPoses) -> Array:
     """Return (T, V, 4, 6): errors of a pose move the point by arm x xi - dp, relative to the cameras."""
-    arms = points[:, None, :] - np.array([pose.nav.T_map_body.t for pose in past])
+    arms = points[:, None, :] - past.t
     return np.concatenate([-J, J @ skew(arms)], axis=-1)
 
 
-def _by_rig(
-    views: _Views, points: Array, by_pose: Array, past: list[PastPose], rig: StereoRig, errors: RigErrors
-) -> Array:
+def _by_rig(views: _Views, points: Array, by_pose: Array, past: PastPoses, rig: StereoRig, errors: RigErrors) -> Array:
     """Return (T, V, 4, rig errors)."""
     T, V = by_pose.shape[:2]
     if errors.dim == 0:
@@ -279,6 +317,6 @@ def _by_rig(
     H = H * by_pose.any(axis=(2, 3), keepdims=True)
     column = errors.time_offset.start - errors.rows.start
     if errors.time_offset.stop > errors.time_offset.start:
-        motion = np.array([np.concatenate([pose.nav.v_map, pose.rate_map]) for pose in past])
+        motion = np.hstack([past.v_map, past.rate_map])
         H[..., column] = np.einsum("tvki,vi->tvk", by_pose, motion)
     return H

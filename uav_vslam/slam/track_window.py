@@ -145,12 +145,12 @@ class TrackWindow:
 
     def _thin_out(self, slam_filter: Filter) -> None:
         """Drop the newest past pose if it is too close to the one before."""
-        past = slam_filter.past
-        if len(past) < 2:
+        stamps_ns = slam_filter.past.stamps_ns
+        if len(stamps_ns) < 2:
             return
-        spacing_s = (past[-1].nav.stamp_ns - past[-2].nav.stamp_ns) / NS_PER_S
+        spacing_s = (stamps_ns[-1] - stamps_ns[-2]) / NS_PER_S
         if spacing_s < PUNCTUAL * self._config.window_spacing_s:
-            newest = len(past) - 1
+            newest = len(stamps_ns) - 1
             slam_filter.marginalise(NO_ROWS, np.array([newest]))
             self.views.drop_frame(newest)
 
