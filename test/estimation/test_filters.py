@@ -64,7 +64,7 @@ def test_robust_kernel_and_rig_uncertainty_are_passed_on(course, name: str) -> N
     for robust in (True, False):
         backend = BackendConfig(filter=name, robust=robust)
         f = make_filter(course.initial, rig=course.rig, config=dataclasses.replace(settings, backend=backend))
-        assert f.vehicle == 15 + 8
+        assert f.vehicle == 15 + 9
         f.add_landmarks(course.pixels(0, np.arange(12)))
         f.predict(course.increments[0])
         wrong = course.pixels(1, np.arange(12))

@@ -36,7 +36,9 @@ NONE = np.zeros(0, np.int64)
 
 FLEXING = RigConfig(flexing=True, disparity_sigma_px=0.2, time_offset_sigma_s=0.01)
 CALIBRATED = RigState()
-BENT = RigState(np.array([3e-4, -5e-4, 2e-4]), np.array([1e-4, 2e-4, -3e-4]), disparity_px=0.3, time_offset_s=0.01)
+BENT = RigState(
+    np.array([3e-4, -5e-4, 2e-4]), np.array([1e-4, 2e-4, -3e-4]), disparity_px=0.3, focal_ratio=6e-4, time_offset_s=0.01
+)
 
 
 @pytest.fixture(scope="module", params=sorted(MODELS))
@@ -100,7 +102,14 @@ def test_pixel_jacobians_hold_away_from_the_calibration_to_first_order(course, m
     expected_vehicle, expected_landmark = numerical(course, camera, BENT, 3, landmarks)
     assert_close(H_landmark, expected_landmark, DIFFERENCE)
     errors = camera.errors
-    for columns in (slice(0, 3), slice(6, 9), errors.attitude, errors.vibration, errors.time_offset):
+    for columns in (
+        slice(0, 3),
+        slice(6, 9),
+        errors.attitude,
+        errors.vibration,
+        errors.focal_ratio,
+        errors.time_offset,
+    ):
         assert_close(H_vehicle[:, :, columns], expected_vehicle[:, :, columns], 5e-3)
     assert not H_vehicle[:, :, 3:6].any()
     assert np.abs(expected_vehicle[:, :, 3:6]).max() < 0.0101 * np.abs(expected_vehicle[:, :, :3]).max()

@@ -19,9 +19,14 @@ Array = NDArray[np.float64]
 RIG = kagaru_rig()
 EXACT = EXACT_RIG
 FLEXING = RigConfig(
-    flexing=True, attitude_sigma_deg=0.05, vibration_sigma_deg=0.02, disparity_sigma_px=0.0, time_offset_sigma_s=0.01
+    flexing=True,
+    attitude_sigma_deg=0.05,
+    vibration_sigma_deg=0.02,
+    disparity_sigma_px=0.0,
+    focal_ratio_sigma=0.0,
+    time_offset_sigma_s=0.01,
 )
-EVERYTHING = dataclasses.replace(FLEXING, disparity_sigma_px=0.2)
+EVERYTHING = dataclasses.replace(FLEXING, disparity_sigma_px=0.2, focal_ratio_sigma=1e-3)
 NAV = NavState(
     7, Pose(so3_exp([0.3, -0.2, 1.1]), np.array([40.0, -15.0, 70.0])), np.array([19.0, 4.0, -1.0]), *np.zeros((2, 3))
 )
@@ -30,24 +35,26 @@ NAV = NavState(
 @pytest.mark.parametrize(
     ("config", "sizes", "sigma"),
     [
-        (EXACT, [0, 0, 0, 0], []),
+        (EXACT, [0, 0, 0, 0, 0], []),
         (
             dataclasses.replace(EXACT, rigid_sigma_deg=0.002, epipolar_sigma_deg=0.0),
-            [3, 0, 0, 0],
+            [3, 0, 0, 0, 0],
             np.deg2rad([0.002] * 3),
         ),
-        (EVERYTHING, [3, 3, 1, 1], [*np.deg2rad([0.05] * 3 + [0.02] * 3), 0.2, 0.01]),
-        (dataclasses.replace(FLEXING, vibration_sigma_deg=0.0), [3, 0, 0, 1], [*np.deg2rad([0.05] * 3), 0.01]),
-        (dataclasses.replace(FLEXING, attitude_sigma_deg=0.0), [0, 3, 0, 1], [*np.deg2rad([0.02] * 3), 0.01]),
-        (dataclasses.replace(EXACT, disparity_sigma_px=0.3), [0, 0, 1, 0], [0.3]),
-        (dataclasses.replace(EXACT, time_offset_sigma_s=0.02), [0, 0, 0, 1], [0.02]),
+        (EVERYTHING, [3, 3, 1, 1, 1], [*np.deg2rad([0.05] * 3 + [0.02] * 3), 0.2, 1e-3, 0.01]),
+        (dataclasses.replace(FLEXING, vibration_sigma_deg=0.0), [3, 0, 0, 0, 1], [*np.deg2rad([0.05] * 3), 0.01]),
+        (dataclasses.replace(FLEXING, attitude_sigma_deg=0.0), [0, 3, 0, 0, 1], [*np.deg2rad([0.02] * 3), 0.01]),
+        (dataclasses.replace(EXACT, disparity_sigma_px=0.3), [0, 0, 1, 0, 0], [0.3]),
+        (dataclasses.replace(EXACT, focal_ratio_sigma=0.002), [0, 0, 0, 1, 0], [0.002]),
+        (dataclasses.replace(EXACT, time_offset_sigma_s=0.02), [0, 0, 0, 0, 1], [0.02]),
     ],
 )
 def test_states_are_the_errors_of_nonzero_configured_sigma(
     config: RigConfig, sizes: list[int], sigma: list[float]
 ) -> None:
     errors = RigErrors(RIG, config, 15)
-    rows = [range(100)[part] for part in (errors.attitude, errors.vibration, errors.disparity, errors.time_offset)]
+    parts = errors.attitude, errors.vibration, errors.disparity, errors.focal_ratio, errors.time_offset
+    rows = [range(100)[part] for part in parts]
     assert [len(r) for r in rows] == sizes
     assert [k for r in rows for k in r] == list(range(15, 15 + errors.dim)) == list(range(100)[errors.rows])
     np.testing.assert_allclose(np.sqrt(np.diag(errors.prior_covariance)), sigma, rtol=1e-12)
@@ -68,9 +75,9 @@ def test_a_rigid_rig_is_uncertain_off_the_epipolar_lines_and_hardly_along_the_di
 
 def test_only_the_attitude_of_a_flexing_rig_has_a_random_walk() -> None:
     errors = RigErrors(RIG, dataclasses.replace(EVERYTHING, attitude_walk_deg=0.001), 15)
-    expected = [np.deg2rad(0.001) ** 2 * 4.0] * 3 + [0.0] * 5
+    expected = [np.deg2rad(0.001) ** 2 * 4.0] * 3 + [0.0] * 6
     np.testing.assert_allclose(errors.noise_variance(4.0), expected, rtol=1e-12)
-    np.testing.assert_array_equal(RigErrors(RIG, RigConfig(rigid_sigma_deg=0.01), 15).noise_variance(4.0), np.zeros(5))
+    np.testing.assert_array_equal(RigErrors(RIG, RigConfig(rigid_sigma_deg=0.01), 15).noise_variance(4.0), np.zeros(6))
     assert RigErrors(RIG, EXACT, 15).noise_variance(4.0).shape == (0,)
 
 
@@ -99,13 +106,14 @@ def test_a_disparity_error_moves_right_points_along_the_epipolar_line(shift_px: 
 
 def test_retraction_adds_each_states_rows() -> None:
     errors = RigErrors(RIG, EVERYTHING, 2)
-    delta = np.arange(20.0)  # rows 2 to 9 are the rig's
-    state = errors.retract(RigState(np.ones(3), np.ones(3), disparity_px=2.0, time_offset_s=1.0), delta)
-    np.testing.assert_array_equal(errors.calibration(state), [*state.attitude, state.disparity_px])
-    np.testing.assert_array_equal(delta[errors.calibrated], [2.0, 3.0, 4.0, 8.0])
+    delta = np.arange(20.0)  # rows 2 to 10 are the rig's
+    before = RigState(np.ones(3), np.ones(3), disparity_px=2.0, focal_ratio=3.0, time_offset_s=1.0)
+    state = errors.retract(before, delta)
+    np.testing.assert_array_equal(errors.calibration(state), [*state.attitude, state.disparity_px, state.focal_ratio])
+    np.testing.assert_array_equal(delta[errors.calibrated], [2.0, 3.0, 4.0, 8.0, 9.0])
     np.testing.assert_array_equal(state.attitude, [3.0, 4.0, 5.0])
     np.testing.assert_array_equal(state.vibration, [6.0, 7.0, 8.0])
-    assert (state.disparity_px, state.time_offset_s) == (10.0, 10.0)
+    assert (state.disparity_px, state.focal_ratio, state.time_offset_s) == (10.0, 12.0, 11.0)
     calibrated = RigState()
     assert RigErrors(RIG, EXACT, 2).retract(calibrated, delta) == calibrated
 

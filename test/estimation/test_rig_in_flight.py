@@ -120,6 +120,14 @@ def test_a_rigid_rig_that_is_turned_off_the_epipolar_lines_is_estimated(fly, axi
     assert turned.position_nees < 4.0
 
 
+@pytest.mark.parametrize("bias", [1e-3, -1e-3])
+def test_the_ratio_of_the_focal_lengths_is_estimated(fly, bias: float) -> None:
+    f = fly(simulated(3, focal_ratio_bias=bias), dataclasses.replace(EXACT_RIG, focal_ratio_sigma=1e-3)).filter
+    sigma = np.sqrt(rig_covariance(f)[0, 0])
+    assert sigma < 2e-4
+    assert abs(f.rig_state.focal_ratio - bias) < 3.0 * sigma
+
+
 def swaying(seed: int) -> SimulatedVehicle:
     """Return a flight to the north-west that rolls, pitches and yaws by 10 degrees, slowly: in 3 to 6 seconds."""
     vehicle = simulated(seed)

@@ -57,8 +57,16 @@ def _tracked(vehicle: SimulatedVehicle, sigma_px: float) -> list[StereoFeatures]
 
 
 @functools.cache
-def _flown(seed: int, *, frames: int = 24, imu: str = "adis16480", tracked_px: float | None = None) -> Flown:
-    scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, vehicles=1, imu=imu)
+def _flown(
+    seed: int,
+    *,
+    frames: int = 24,
+    imu: str = "adis16480",
+    tracked_px: float | None = None,
+    focal_ratio_bias: float = 0.0,
+) -> Flown:
+    flown = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, vehicles=1, imu=imu)
+    scenario = dataclasses.replace(flown, focal_ratio_bias=focal_ratio_bias)
     vehicle = simulate_vehicle(scenario, 0)
     samples, zero = vehicle.imu.samples(), np.zeros(3)
     steps = [
@@ -74,7 +82,7 @@ def _flown(seed: int, *, frames: int = 24, imu: str = "adis16480", tracked_px: f
 
 @pytest.fixture(scope="session")
 def flown() -> Callable[..., Flown]:
-    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480", tracked_px=None)`.
+    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480", tracked_px=None, ...)`.
 
     With `tracked_px`, the standard deviation of each pixel coordinate, the points have tracks.
     """

@@ -54,7 +54,7 @@ def test_a_correct_rig_raises_no_warning(seed: int) -> None:
 )
 def test_a_rig_rotated_by_many_sigmas_is_detected_once(bias_deg: tuple[float, float, float], rig: RigConfig) -> None:
     (warning,) = warnings_of(reports(1, rig, extrinsic_bias_deg=bias_deg), rig)
-    assert "of 3" in warning
+    assert "of 4" in warning
     assert "rig.flexing" in warning
 
 
@@ -103,7 +103,12 @@ def test_a_doubted_calibration_is_uncertain_from_the_start() -> None:
 def test_a_disparity_error_of_known_size_is_detected_beyond_it() -> None:
     rig = RigConfig(disparity_sigma_px=0.05, miscalibrated_probability=0.0)
     (warning,) = warnings_of(reports(1, rig, **TURNED), rig)
-    assert "of 4" in warning
+    assert "of 5" in warning
+
+
+def test_a_focal_length_that_is_far_off_is_detected() -> None:
+    (warning,) = warnings_of(reports(1, RigConfig(), focal_ratio_bias=0.02), RigConfig())
+    assert "of 5" in warning
 
 
 def test_a_flexing_rig_needs_no_warning() -> None:

@@ -45,7 +45,7 @@ class StartConfig(Settings):
 
 @dataclass(frozen=True, slots=True)
 class RigConfig(Settings):
-    """Uncertainty of the calibration: attitude of the right camera, disparity, and the cameras' clock."""
+    """Uncertainty of the calibration: right camera's attitude and focal length, disparity, and the cameras' clock."""
 
     flexing: bool = setting(False, "the cameras' relative attitude drifts and vibrates, so it is estimated")
     attitude_sigma_deg: float = setting(
@@ -84,6 +84,9 @@ class RigConfig(Settings):
     miscalibrated_probability: float = setting(
         0.2, "not flexing: probability before the flight that the calibration is wrong; 0: never", at_least=0, below=1
     )
+    focal_ratio_sigma: float = setting(
+        1.0e-3, "focal length of the right camera over the left one's, relative error, estimated; 0: none", at_least=0
+    )
     time_offset_sigma_s: float = setting(
         3.0e-3, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
     )
@@ -102,7 +105,7 @@ class RigConfig(Settings):
 
 
 # No error of the calibration is a state.
-EXACT_RIG = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, time_offset_sigma_s=0.0)
+EXACT_RIG = RigConfig(rigid_sigma_deg=0.0, disparity_sigma_px=0.0, focal_ratio_sigma=0.0, time_offset_sigma_s=0.0)
 
 # The names in vision.features.EXTRACTORS.
 EXTRACTORS = ("sift", "asift", "surf", "dsift", "phow_rgb", "phow_hsv", "phow_opponent", "orb")

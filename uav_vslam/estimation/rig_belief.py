@@ -68,9 +68,9 @@ def claimed_belief(belief: Belief, errors: RigErrors, state: RigState) -> Belief
 
 
 def rig_evidence(belief: Belief, errors: RigErrors, state: RigState) -> float:
-    """Return the test statistic of the calibration, chi-square with a degree of freedom per attitude and disparity.
+    """Return the test statistic of the calibration, chi-square with a degree of freedom per state of `calibrated`.
 
-    Under a correct prior the estimate has covariance P_0 - P. Zero if neither is a state.
+    Under a correct prior the estimate has covariance P_0 - P. Zero without such states.
     """
     rows = errors.calibrated
     prior = submatrix(errors.prior_covariance, rows - errors.rows.start)

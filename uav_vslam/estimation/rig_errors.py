@@ -4,6 +4,7 @@
 `attitude`      rotation of the right camera relative to its calibration, in its own frame: a slow random walk
 `vibration`     the same, independent in each frame
 `disparity`     constant error of the disparity: shift of the right principal point along it
+`focal_ratio`   relative error of the right camera's focal length over the left one's, constant
 `time_offset`   delay of the exposure: the image shows the pose at stamp + time_offset
 
 A rotation about the axis that changes disparity acts like a scaling of all depths: invisible in the residuals but
@@ -14,9 +15,12 @@ Rotations about the other two axes move the right pixels off their epipolar line
 calibrations are commonly off by tenths of a pixel, far more than tracked points scatter: unmodelled, none would pass
 the gate. So these axes have a wide prior of their own.
 
-Errors of the baseline and of the focal length change the depths over ground as the disparity does, so they are no
-states. Nor is the attitude of the cameras to the IMU: in simulated flights with pixels of 1 px and a disparity of 18 px
-its estimates were off by up to six of the claimed standard deviations, with 0.1 px they were consistent.
+Focal lengths that are off against each other move them off by up to 0.4 px at the edges of an image of 1280 by 960 px,
+if by 0.05 %, as calibrations are.
+
+Errors of the baseline and of both focal lengths alike change the depths over ground as the disparity does, so they are
+no states. Nor is the attitude of the cameras to the IMU: in simulated flights with pixels of 1 px and a disparity of
+18 px its estimates were off by up to six of the claimed standard deviations, with 0.1 px they were consistent.
 """
 
 import copy
@@ -45,12 +49,14 @@ class RigState:
     Attributes:
         attitude, vibration: (3,) rotation vectors of the right camera in its own frame [rad].
         disparity_px: shift of the right principal point, see `StereoRig.disparity_shifted` [px].
+        focal_ratio: see `StereoRig.right_magnified`.
         time_offset_s: exposure minus stamp [s].
     """
 
     attitude: Array = field(default_factory=lambda: np.zeros(3))
     vibration: Array = field(default_factory=lambda: np.zeros(3))
     disparity_px: float = 0.0
+    focal_ratio: float = 0.0
     time_offset_s: float = 0.0
 
 
@@ -63,17 +69,19 @@ class RigErrors:
         vibration = config.vibration_sigma_deg if config.flexing else 0.0
         probability = 0.0 if config.flexing else config.miscalibrated_probability
         self.disparity_prior = DisparityPrior(config.disparity_sigma_px, config.miscalibrated_sigma_px, probability)
-        disparity, time_offset = config.disparity_sigma_px, config.time_offset_sigma_s
-        sizes = [3 * (attitude > 0), 3 * (vibration > 0), int(disparity > 0), int(time_offset > 0)]
+        turned = np.deg2rad([attitude, vibration])
+        single = config.disparity_sigma_px, config.focal_ratio_sigma, config.time_offset_sigma_s
+        sigma = np.array([*turned, *single])
+        sizes = np.array([3, 3, 1, 1, 1]) * (sigma > 0)
         ends = first + np.cumsum([0, *sizes])
-        self.attitude, self.vibration, self.disparity, self.time_offset = (
+        self.attitude, self.vibration, self.disparity, self.focal_ratio, self.time_offset = (
             slice(int(start), int(end)) for start, end in itertools.pairwise(ends)
         )
         self.rows = slice(first, int(ends[-1]))
         self.dim = int(ends[-1]) - first
-        self.vibration_variance = float(np.deg2rad(vibration) ** 2)
+        self.vibration_variance = float(turned[1] ** 2)
         self._walk_variance = float(np.deg2rad(config.attitude_walk_deg) ** 2) if config.flexing else 0.0
-        sigma = np.array([np.deg2rad(attitude), np.deg2rad(vibration), self.disparity_prior.variance**0.5, time_offset])
+        sigma[2] = self.disparity_prior.variance**0.5  # which counts a wrong calibration in, if that is likely
         self.prior_covariance: Array = np.diag(np.repeat(sigma, sizes) ** 2)
         if attitude > 0 and not config.flexing:
             self.prior_covariance[:3, :3] = _attitude_covariance(rig, attitude, config.epipolar_sigma_deg)
@@ -110,18 +118,19 @@ class RigErrors:
             state.attitude + attitude if attitude.size else state.attitude,
             state.vibration + vibration if vibration.size else state.vibration,
             state.disparity_px + float(delta[self.disparity].sum()),
+            state.focal_ratio + float(delta[self.focal_ratio].sum()),
             state.time_offset_s + float(delta[self.time_offset].sum()),
         )
 
     @property
     def calibrated(self) -> NDArray[np.int64]:
-        """(K,) rows of what the calibration has: attitude and disparity, as far as they are states."""
-        return np.r_[self.attitude, self.disparity]
+        """(K,) rows of what the calibration has: attitude, disparity and focal ratio, as far as they are states."""
+        return np.r_[self.attitude, self.disparity, self.focal_ratio]
 
     def calibration(self, state: RigState) -> Array:
         """Return (K,) the mean in the rows `calibrated`."""
-        whole = np.append(state.attitude, state.disparity_px)
-        present = [self.attitude.stop > self.attitude.start] * 3 + [self.has_disparity]
+        whole = np.array([*state.attitude, state.disparity_px, state.focal_ratio])
+        present = [rows.stop > rows.start for rows in (*[self.attitude] * 3, self.disparity, self.focal_ratio)]
         return np.asarray(whole[present])
 
     def reset_vibration(self, state: RigState) -> RigState:
@@ -134,7 +143,9 @@ class RigErrors:
         if turned.any():
             T_body_right = rig.T_body_right @ Pose(so3_exp(turned), np.zeros(3))
             rig = dataclasses.replace(rig, T_body_right=T_body_right)
-        return rig.disparity_shifted(state.disparity_px) if state.disparity_px else rig
+        if state.disparity_px:
+            rig = rig.disparity_shifted(state.disparity_px)
+        return rig.right_magnified(state.focal_ratio) if state.focal_ratio else rig
 
     def at_exposure(self, state: RigState, nav: NavState, rate_map: Array) -> NavState:
         """Return the navigation state at the exposure, `time_offset` after the image's stamp.
@@ -150,21 +161,24 @@ class RigErrors:
         return dataclasses.replace(nav, T_map_body=Pose(so3_exp(rate_map * dt) @ T.R, T.t + nav.v_map * dt))
 
     def pixel_jacobian(self, rig: StereoRig, points_left: Array) -> Array:
-        """Return (N, 4, dim) d(stereo pixels)/d(attitude, vibration, disparity); zero for the time offset.
+        """Return (N, 4, dim) d(stereo pixels)/d(rig's errors); zero for the time offset.
 
         Args:
             rig: as `rig` returns it.
             points_left: (N, 3) [m].
         """
-        H = np.zeros((len(points_left), 4, self.dim))
-        if self.vibration.stop > self.rows.start:
-            points_right = rig.T_right_left.apply(points_left)
+        H, first = np.zeros((len(points_left), 4, self.dim)), self.rows.start
+        points_right = rig.T_right_left.apply(points_left)
+        if self.vibration.stop > first:
             turning = rig.right.project_jacobian(points_right) @ skew(points_right)
             for rows in (self.attitude, self.vibration):
                 if rows.stop > rows.start:
-                    H[:, 2:, rows.start - self.rows.start : rows.stop - self.rows.start] = turning
+                    H[:, 2:, rows.start - first : rows.stop - first] = turning
         if self.has_disparity:
-            H[:, 2:, self.disparity.start - self.rows.start] = rig.disparity_axis
+            H[:, 2:, self.disparity.start - first] = rig.disparity_axis
+        if self.focal_ratio.stop > self.focal_ratio.start:
+            from_centre = rig.right.project(points_right) - rig.right.centre
+            H[:, 2:, self.focal_ratio.start - first] = from_centre * (self._rig.right.fx / rig.right.fx)
         return H
 
 

@@ -64,6 +64,11 @@ class PinholeCamera:
         return self.width, self.height
 
     @property
+    def centre(self) -> Array:
+        """(2,) principal point [px]."""
+        return np.array([self.cx, self.cy])
+
+    @property
     def K(self) -> Array:
         """(3, 3) intrinsic matrix."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])

@@ -66,6 +66,11 @@ class StereoRig:
             self, right=dataclasses.replace(self.right, cx=self.right.cx + du, cy=self.right.cy + dv)
         )
 
+    def right_magnified(self, share: float) -> "StereoRig":
+        """Return the rig whose right camera has focal lengths longer by a share of them."""
+        fx, fy = (1.0 + share) * self.right.fx, (1.0 + share) * self.right.fy
+        return dataclasses.replace(self, right=dataclasses.replace(self.right, fx=fx, fy=fy))
+
     @property
     def fundamental(self) -> Array:
         """(3, 3) F with x_right^T F x_left = 0 for undistorted homogeneous pixels."""

@@ -72,6 +72,7 @@ class Scenario:
     vibration_deg: float = 0.0  # rms of each axis of the right camera's attitude, independent per frame
     extrinsic_bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # constant error of the right camera's attitude
     disparity_bias_px: float = 0.0  # constant error of the disparity: the right principal point is off along it
+    focal_ratio_bias: float = 0.0  # share by which the right camera's focal length is longer than calibrated
     sigma_position_m: float = 0.05  # of the initial state, per axis
     sigma_velocity: float = 0.1  # of the initial state, per axis [m/s]
     sigma_tilt_deg: float = 0.2  # of the initial state, about east and north
@@ -156,7 +157,7 @@ class SimulatedVehicle:
     def true_rig(self, frame: int) -> StereoRig:
         """Return the true rig at frame `frame`."""
         turned = rotated_right(self.rig, self.right_rotations[frame])
-        return turned.disparity_shifted(self.scenario.disparity_bias_px)
+        return turned.disparity_shifted(self.scenario.disparity_bias_px).right_magnified(self.scenario.focal_ratio_bias)
 
     def true_state(self, stamp_ns: int) -> NavState:
         """Return the true state, with the biases of the nearest reading."""

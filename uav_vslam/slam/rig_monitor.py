@@ -20,7 +20,8 @@ class RigMonitor:
 
     def __init__(self, config: RigConfig) -> None:
         self._watching = not config.flexing
-        self._dof = 3 * (config.rigid_sigma_deg > 0) + (config.disparity_sigma_px > 0)
+        single = config.disparity_sigma_px, config.focal_ratio_sigma
+        self._dof = 3 * (config.rigid_sigma_deg > 0) + sum(sigma > 0 for sigma in single)
         self._contradicted = float(chdtri(max(1, self._dof), FALSE_ALARM))
 
     def add(self, report: FrameReport) -> str:
