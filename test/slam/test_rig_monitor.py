@@ -107,7 +107,7 @@ def test_a_disparity_error_of_known_size_is_detected_beyond_it() -> None:
 
 
 def test_a_focal_length_that_is_far_off_is_detected() -> None:
-    (warning,) = warnings_of(reports(1, RigConfig(), focal_ratio_bias=0.02), RigConfig())
+    (warning,) = warnings_of(reports(1, RigConfig(), focal_ratio_bias=0.03), RigConfig())
     assert "of 5" in warning
 
 

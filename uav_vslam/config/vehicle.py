@@ -85,7 +85,7 @@ class RigConfig(Settings):
         0.2, "not flexing: probability before the flight that the calibration is wrong; 0: never", at_least=0, below=1
     )
     focal_ratio_sigma: float = setting(
-        1.0e-3, "focal length of the right camera over the left one's, relative error, estimated; 0: none", at_least=0
+        3.0e-3, "focal length of the right camera over the left one's, relative error, estimated; 0: none", at_least=0
     )
     time_offset_sigma_s: float = setting(
         3.0e-3, "camera clock against IMU clock, estimated; 0: they are equal", unit="s", at_least=0
