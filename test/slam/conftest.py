@@ -63,10 +63,9 @@ def _flown(
     frames: int = 24,
     imu: str = "adis16480",
     tracked_px: float | None = None,
-    focal_ratio_bias: float = 0.0,
+    **truth: float,
 ) -> Flown:
-    flown = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, vehicles=1, imu=imu)
-    scenario = dataclasses.replace(flown, focal_ratio_bias=focal_ratio_bias)
+    scenario = dataclasses.replace(SCENARIOS["kagaru"], seed=seed, frames=frames, vehicles=1, imu=imu, **truth)
     vehicle = simulate_vehicle(scenario, 0)
     samples, zero = vehicle.imu.samples(), np.zeros(3)
     steps = [
@@ -82,7 +81,9 @@ def _flown(
 
 @pytest.fixture(scope="session")
 def flown() -> Callable[..., Flown]:
-    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480", tracked_px=None, ...)`.
+    """Return a factory of flights: `flown(seed, frames=24, imu="adis16480", tracked_px=None, **truth)`.
+
+    `truth` is what else differs from the scenario `kagaru`.
 
     With `tracked_px`, the standard deviation of each pixel coordinate, the points have tracks.
     """

@@ -32,9 +32,9 @@ def frame(rig: StereoRig, sigma_px: float, *, count: int = 200, seed: int = 0, t
 
 
 def measured(rig: StereoRig, frames: list[StereoFeatures]) -> float:
-    noise = TrackNoise(rig)
+    noise = TrackNoise()
     for features in frames:
-        noise.add(features)
+        noise.add(features, rig)
     return noise.sigma_px(CONFIGURED_PX)
 
 
@@ -61,6 +61,22 @@ def test_a_wrong_calibration_is_no_noise(rig: StereoRig) -> None:
     frames = [frame(rig, CONFIGURED_PX, seed=seed) for seed in range(FRAMES)]
     assert np.median(believed.epipolar_distance(frames[0].pixels)) > 10.0 * CONFIGURED_PX
     assert measured(believed, frames) == CONFIGURED_PX
+
+
+@pytest.mark.parametrize("sigma_px", [0.05, 0.25])
+def test_a_vibration_is_told_from_noise_and_from_a_wrong_calibration(rig: StereoRig, sigma_px: float) -> None:
+    """A vibration by 0.02 degrees about each axis moves right points across their lines by 0.3 px."""
+    rng, found = np.random.default_rng(7), []
+    for vibration_deg in (0.0, 0.02):
+        noise = TrackNoise()
+        for seed in range(FRAMES):
+            axis = np.radians(rng.normal([0.01, 0.02, 0.0], vibration_deg))
+            turned = dataclasses.replace(rig, T_body_right=rig.T_body_right @ Pose(so3_exp(axis), np.zeros(3)))
+            noise.add(frame(turned, sigma_px, seed=seed), rig)
+        found.append(noise.vibration_px)
+    shift_px = np.radians(0.02) * rig.right.fx
+    assert found[0] < 0.3 * sigma_px
+    assert found[1] == pytest.approx(shift_px, rel=0.5)
 
 
 def test_false_matches_and_frames_with_few_tracks_do_not_count(rig: StereoRig) -> None:

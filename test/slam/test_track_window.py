@@ -124,6 +124,16 @@ def test_focal_lengths_that_differ_from_the_calibrated_ones_cost_no_tracks(flown
     assert errors[1] < 1.1 * errors[0]
 
 
+def test_a_rig_that_vibrates_is_noticed_and_flexes_from_then_on(flown) -> None:
+    flight = flown(5, frames=3 * FRAMES, tracked_px=SIGMA_PX / 4, vibration_deg=0.02)
+    reports = fly(flight, backend_of(flight, sigma_px=SIGMA_PX, track_sigma_px=SIGMA_PX / 2))
+    (frame,) = [k for k, report in enumerate(reports) if report.recovery]
+    assert frame < 6
+    assert "rig.flexing" in reports[frame].recovery
+    error = np.linalg.norm(position_errors(flight, reports), axis=1)
+    assert error.max() < 2.0
+
+
 def test_the_state_and_the_window_stay_bounded(flown) -> None:
     flight = flown(4, frames=FRAMES, tracked_px=SIGMA_PX / 2)
     backend = backend_of(flight)

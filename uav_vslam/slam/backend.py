@@ -97,7 +97,8 @@ class SlamBackend:
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
         self._motion, self._imu_fault = MotionFinder(), ImuFaultDetector(config.imu.gravity)
-        self._track_noise = TrackNoise(rig)
+        self._track_noise, self._vibrates = TrackNoise(), False
+        self._present_rig = rig  # as the tracks correct it
         self._nav = initial
         self._confirmed = initial  # the newest estimate that an image has confirmed
         self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
@@ -144,7 +145,7 @@ class SlamBackend:
         """
         self._check_joins(features.stamp_ns, increment)
         R_map_body = self.nav.state.T_map_body.R
-        self._track_noise.add(features)
+        self._track_noise.add(features, self._present_rig)
         step = self._step(increment, features)
         self._increment, features = step.increment, step.features
         outcome = self._estimate(step)
@@ -156,6 +157,7 @@ class SlamBackend:
             increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
         ):
             self._nav, outcome.recovery = self._since_confirmed(), self._imu_fault.reason
+        outcome.recovery = self._noticed_vibration() or outcome.recovery
         if outcome.recovery:
             outcome.give_up()
             self._recover()
@@ -196,7 +198,7 @@ class SlamBackend:
     def _take_present(self, outcome: _Outcome, features: StereoFeatures) -> None:
         """Set the estimate to that of the filter and its tracks together."""
         present = self._window.present(self._filter, self._map)
-        self._nav = present.filter.nav_estimate()
+        self._nav, self._present_rig = present.filter.nav_estimate(), present.filter.rig
         outcome.innovation = present.innovation or outcome.innovation
         outcome.as_calibrated = present.filter.nav_estimate(as_calibrated=True)
         outcome.sightings = np.vstack([self._sightings(outcome.matches), self._track_sightings(present, features)])
@@ -266,6 +268,17 @@ class SlamBackend:
             sightings=self._new_sightings(added),
         )
 
+    def _noticed_vibration(self) -> str:
+        """Count the rig as flexing from when its images show that it vibrates; return how, that once."""
+        vibration_px = self._track_noise.vibration_px
+        if self._vibrates or self._vehicle_config.rig.flexing or vibration_px < self.track_sigma_px:
+            return ""
+        self._vibrates = True
+        return (
+            "the cameras vibrate against each other, or are not exposed at the same time: the right points of an image "
+            f"are off together, by {vibration_px:.2f} px rms; rig.flexing is taken for true from now on: set it"
+        )
+
     def _since_confirmed(self) -> NavEstimate:
         """Return the estimate of the newest frame, as if the readings since the last confirmed one had been missing."""
         before, now, imu = self._confirmed, self._nav.state, self._vehicle_config.imu
@@ -294,9 +307,12 @@ class SlamBackend:
 
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
-        self._filter = make_filter(initial, rig=self._rig, config=self._vehicle_config)
+        config = self._vehicle_config
+        if self._vibrates:
+            config = dataclasses.replace(config, rig=dataclasses.replace(config.rig, flexing=True))
+        self._filter = make_filter(initial, rig=self._rig, config=config)
         self._map.remove(np.arange(len(self._map)))
-        self._window = TrackWindow(past_poses(self._vehicle_config), self._config)
+        self._window = TrackWindow(past_poses(config), self._config)
         self._health = FilterHealth()
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
         self._judges_disparity = True  # until readings are missing: then the motion is no measure of it

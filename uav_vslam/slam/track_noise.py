@@ -5,9 +5,14 @@ With weak texture, noise or compression of the images, tracks scatter more than 
 was found on. Their gates are then too narrow: most tracks are refused, the rest are weighted too much, and a right
 calibration looks wrong. Across its epipolar line a right pixel is off by this noise and by errors of the calibration,
 which are smooth over the image and fitted.
+
+As long as the rig is rigid, a point keeps its distance from the line. If those of all points change together from image
+to image, the cameras vibrate against each other, or are not exposed at the same time: points are then off along the
+disparity, too, where nothing shows it.
 """
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,33 +26,61 @@ Array = NDArray[np.float64]
 
 LEAST_POINTS = 30  # a frame
 FRAMES = 20  # averaged
+LEAST_STEPS = 3  # from image to image, before they tell of a vibration
 NOISE_RATIO = 1.5  # measured over configured; below it, what is configured counts
+MEDIAN_OF_SQUARES = 0.455  # of normal numbers of unit variance
+MEDIAN_ERROR = 1.2533  # standard deviation of the median of many of them, times the root of their number
 
 
 class TrackNoise:
-    """Measures the noise of a stream of frames."""
+    """Measures the noise of a stream of frames, and how far the rig vibrates."""
 
-    def __init__(self, rig: StereoRig) -> None:
-        self._rig = rig
+    def __init__(self) -> None:
         self._variance_px2, self._frames = 0.0, 0
+        self._last = StereoFeatures.empty(0)
+        self._steps: deque[tuple[float, float]] = deque(maxlen=FRAMES)  # squares [px^2], and what noise explains
 
-    def add(self, features: StereoFeatures) -> None:
-        """Add a frame; one with few tracks says nothing."""
+    def add(self, features: StereoFeatures, rig: StereoRig) -> None:
+        """Add a frame; one with few tracks says nothing.
+
+        Args:
+            features: its points.
+            rig: as estimated.
+        """
+        self._add_step(features, rig)
         pixels = features.pixels[features.tracks != 0].astype(float)
         if len(pixels) < LEAST_POINTS:
             return
-        smooth = _smooth_terms(pixels[:, :2] / (self._rig.left.width, self._rig.left.height))
-        off = self._rig.epipolar_offset(pixels)
+        smooth = _smooth_terms(pixels[:, :2] / (rig.left.width, rig.left.height))
+        off = rig.epipolar_offset(pixels)
         off = off - smooth @ np.linalg.lstsq(smooth, off, rcond=None)[0]
         freedom = 1.0 - smooth.shape[1] / len(off)
         variance = robust_sigma(off) ** 2 / freedom
         self._frames = min(self._frames + 1, FRAMES)
         self._variance_px2 += (variance - self._variance_px2) / self._frames
 
+    def _add_step(self, features: StereoFeatures, rig: StereoRig) -> None:
+        """Compare the points' distances from their epipolar lines with those in the frame before."""
+        before, self._last = self._last, features
+        tracks, now, then = np.intersect1d(features.tracks, before.tracks, return_indices=True)
+        now, then = now[tracks != 0], then[tracks != 0]
+        if len(now) >= LEAST_POINTS:
+            change = rig.epipolar_offset(features.pixels[now]) - rig.epipolar_offset(before.pixels[then])
+            error = MEDIAN_ERROR * robust_sigma(change) / math.sqrt(len(change))
+            self._steps.append((float(np.median(change)) ** 2, error**2))
+
     def sigma_px(self, configured_px: float) -> float:
         """Return the standard deviation of a right pixel about the left one [px], at least that configured."""
         measured_px = math.sqrt(self._variance_px2 / (1.0 + OFFSET**2))
         return measured_px if measured_px > NOISE_RATIO * configured_px else configured_px
+
+    @property
+    def vibration_px(self) -> float:
+        """Standard deviation of what all points of an image are off together, independently of other images [px]."""
+        if len(self._steps) < LEAST_STEPS:
+            return 0.0
+        squared, explained = np.median(self._steps, axis=0)
+        return math.sqrt(max(0.0, squared / MEDIAN_OF_SQUARES - explained) / 2.0)
 
 
 def _smooth_terms(at: Array) -> Array:
