@@ -69,9 +69,9 @@ class RigErrors:
         vibration = config.vibration_sigma_deg if config.flexing else 0.0
         probability = 0.0 if config.flexing else config.miscalibrated_probability
         self.disparity_prior = DisparityPrior(config.disparity_sigma_px, config.miscalibrated_sigma_px, probability)
-        turned = np.deg2rad([attitude, vibration])
+        angles = np.deg2rad([attitude, vibration])
         single = config.disparity_sigma_px, config.focal_ratio_sigma, config.time_offset_sigma_s
-        sigma = np.array([*turned, *single])
+        sigma = np.array([*angles, *single])
         sizes = np.array([3, 3, 1, 1, 1]) * (sigma > 0)
         ends = first + np.cumsum([0, *sizes])
         self.attitude, self.vibration, self.disparity, self.focal_ratio, self.time_offset = (
@@ -79,7 +79,7 @@ class RigErrors:
         )
         self.rows = slice(first, int(ends[-1]))
         self.dim = int(ends[-1]) - first
-        self.vibration_variance = float(turned[1] ** 2)
+        self.vibration_variance = float(angles[1] ** 2)
         self._walk_variance = float(np.deg2rad(config.attitude_walk_deg) ** 2) if config.flexing else 0.0
         sigma[2] = self.disparity_prior.variance**0.5  # which counts a wrong calibration in, if that is likely
         self.prior_covariance: Array = np.diag(np.repeat(sigma, sizes) ** 2)
