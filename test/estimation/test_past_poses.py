@@ -29,11 +29,8 @@ RIG = RigConfig(time_offset_sigma_s=1e-3)
 RATE = np.array([0.05, -0.2, 0.1])
 
 
-def past_poses(course, rate_map: Array = RATE) -> PastPoses:
-    past = PastPoses.none()
-    for frame in range(VIEWS):
-        past = past.followed_by(course.true_state(frame), rate_map)
-    return past
+def past_poses(course) -> PastPoses:
+    return course.past_poses(VIEWS, RATE)
 
 
 def seen_tracks(course, rng: np.random.Generator | None = None) -> Tracks:

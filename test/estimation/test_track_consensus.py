@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import RigConfig
-from uav_vslam.estimation.past_poses import PastPoses, TrackObservation, Tracks, observe_tracks
+from uav_vslam.estimation.past_poses import TrackObservation, Tracks, observe_tracks
 from uav_vslam.estimation.rig_errors import RigErrors
 from uav_vslam.estimation.track_consensus import LEAST_ASKED, WIDE, trusted
 from uav_vslam.geometry.pose import POSE_DIM
@@ -27,9 +27,7 @@ def seen(course) -> TrackObservation:
     pixels = pixels + rng.normal(0.0, 0.5 * SIGMA_PX, pixels.shape)
     pixels[SLIDING, :, [0, 2]] += 20 * SIGMA_PX * np.arange(VIEWS)
     errors = RigErrors(course.rig, RigConfig(), 15)
-    past = PastPoses.none()
-    for frame in range(VIEWS):
-        past = past.followed_by(course.true_state(frame), np.zeros(3))
+    past = course.past_poses(VIEWS, np.zeros(3))
     tracks = Tracks(pixels, np.ones(pixels.shape[:2], bool))
     return observe_tracks(tracks, past, rig=course.rig, errors=errors, sigma_px=SIGMA_PX)
 

@@ -70,8 +70,8 @@ class RigErrors:
         probability = 0.0 if config.flexing else config.miscalibrated_probability
         self.disparity_prior = DisparityPrior(config.disparity_sigma_px, config.miscalibrated_sigma_px, probability)
         angles = np.deg2rad([attitude, vibration])
-        single = config.disparity_sigma_px, config.focal_ratio_sigma, config.time_offset_sigma_s
-        sigma = np.array([*angles, *single])
+        disparity = self.disparity_prior.variance**0.5 if config.disparity_sigma_px else 0.0
+        sigma = np.array([*angles, disparity, config.focal_ratio_sigma, config.time_offset_sigma_s])
         sizes = np.array([3, 3, 1, 1, 1]) * (sigma > 0)
         ends = first + np.cumsum([0, *sizes])
         self.attitude, self.vibration, self.disparity, self.focal_ratio, self.time_offset = (
@@ -81,7 +81,6 @@ class RigErrors:
         self.dim = int(ends[-1]) - first
         self.vibration_variance = float(angles[1] ** 2)
         self._walk_variance = float(np.deg2rad(config.attitude_walk_deg) ** 2) if config.flexing else 0.0
-        sigma[2] = self.disparity_prior.variance**0.5  # which counts a wrong calibration in, if that is likely
         self.prior_covariance: Array = np.diag(np.repeat(sigma, sizes) ** 2)
         if attitude > 0 and not config.flexing:
             self.prior_covariance[:3, :3] = _attitude_covariance(rig, attitude, config.epipolar_sigma_deg)

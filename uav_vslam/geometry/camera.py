@@ -6,7 +6,9 @@
 `equidistant`           fisheye [kannala06]: k1 to k4 of the angle from the axis
 """
 
+import dataclasses
 from dataclasses import dataclass, field
+from typing import Self
 
 import cv2
 import numpy as np
@@ -72,6 +74,10 @@ class PinholeCamera:
     def K(self) -> Array:
         """(3, 3) intrinsic matrix."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def magnified(self, share: float) -> Self:
+        """Return the camera with focal lengths longer by a share of them."""
+        return dataclasses.replace(self, fx=(1.0 + share) * self.fx, fy=(1.0 + share) * self.fy)
 
     def project(self, points_cam: ArrayLike) -> Array:
         """Project (..., 3) camera-frame points [m] to (..., 2) undistorted pixels; depth must not be zero."""

@@ -68,8 +68,7 @@ class StereoRig:
 
     def right_magnified(self, share: float) -> "StereoRig":
         """Return the rig whose right camera has focal lengths longer by a share of them."""
-        fx, fy = (1.0 + share) * self.right.fx, (1.0 + share) * self.right.fy
-        return dataclasses.replace(self, right=dataclasses.replace(self.right, fx=fx, fy=fy))
+        return dataclasses.replace(self, right=self.right.magnified(share))
 
     @property
     def fundamental(self) -> Array:

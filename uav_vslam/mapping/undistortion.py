@@ -23,7 +23,7 @@ def filling_zoom(camera: PinholeCamera, pixels: NDArray[Any], *, border_px: floa
         pixels: (..., 2) of the pinhole with the lens's focal length.
         border_px: how far beyond its outermost pixels the lens's image may be used.
     """
-    centre, corner = np.array([camera.cx, camera.cy]), np.array([camera.width - 1, camera.height - 1])
+    centre, corner = camera.centre, np.array([camera.width - 1, camera.height - 1])
     away = camera.distort(pixels) - centre
     room = np.where(away < 0, centre, corner - centre) + border_px
     return max(1.0, float((np.abs(away) / room).max()))
@@ -41,7 +41,7 @@ class Undistorter:
         self._maps: tuple[NDArray[np.int16], NDArray[np.uint16]] | None = None
         if camera.model == "equidistant" or np.any(camera.distortion):
             grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
-            zoom, centre = filling_zoom(camera, grid, border_px=BORDER_PX), np.array([camera.cx, camera.cy])
+            zoom, centre = filling_zoom(camera, grid, border_px=BORDER_PX), camera.centre
             self.camera = dataclasses.replace(self.camera, fx=zoom * camera.fx, fy=zoom * camera.fy)
             raw = camera.distort(centre + (grid - centre) / zoom).astype(np.float32)
             self._maps = cv2.convertMaps(raw[..., 0], raw[..., 1], cv2.CV_16SC2)

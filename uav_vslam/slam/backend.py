@@ -270,8 +270,10 @@ class SlamBackend:
 
     def _noticed_vibration(self) -> str:
         """Count the rig as flexing from when its images show that it vibrates; return how, that once."""
+        if self._vibrates or self._vehicle_config.rig.flexing:
+            return ""
         vibration_px = self._track_noise.vibration_px
-        if self._vibrates or self._vehicle_config.rig.flexing or vibration_px < self.track_sigma_px:
+        if vibration_px < self.track_sigma_px:
             return ""
         self._vibrates = True
         return (

@@ -37,7 +37,7 @@ class TrackNoise:
 
     def __init__(self) -> None:
         self._variance_px2, self._frames = 0.0, 0
-        self._last = StereoFeatures.empty(0)
+        self._tracks, self._pixels = np.zeros(0, np.uint32), np.zeros((0, 4))  # of the last frame
         self._steps: deque[tuple[float, float]] = deque(maxlen=FRAMES)  # squares [px^2], and what noise explains
 
     def add(self, features: StereoFeatures, rig: StereoRig) -> None:
@@ -47,25 +47,25 @@ class TrackNoise:
             features: its points.
             rig: as estimated.
         """
-        self._add_step(features, rig)
-        pixels = features.pixels[features.tracks != 0].astype(float)
+        tracked = features.tracks != 0
+        pixels = features.pixels[tracked].astype(float)
+        off = rig.epipolar_offset(pixels)
+        self._add_step(features.tracks[tracked], pixels, off, rig)
         if len(pixels) < LEAST_POINTS:
             return
         smooth = _smooth_terms(pixels[:, :2] / (rig.left.width, rig.left.height))
-        off = rig.epipolar_offset(pixels)
         off = off - smooth @ np.linalg.lstsq(smooth, off, rcond=None)[0]
         freedom = 1.0 - smooth.shape[1] / len(off)
         variance = robust_sigma(off) ** 2 / freedom
         self._frames = min(self._frames + 1, FRAMES)
         self._variance_px2 += (variance - self._variance_px2) / self._frames
 
-    def _add_step(self, features: StereoFeatures, rig: StereoRig) -> None:
-        """Compare the points' distances from their epipolar lines with those in the frame before."""
-        before, self._last = self._last, features
-        tracks, now, then = np.intersect1d(features.tracks, before.tracks, return_indices=True)
-        now, then = now[tracks != 0], then[tracks != 0]
-        if len(now) >= LEAST_POINTS:
-            change = rig.epipolar_offset(features.pixels[now]) - rig.epipolar_offset(before.pixels[then])
+    def _add_step(self, tracks: NDArray[np.uint32], pixels: Array, off: Array, rig: StereoRig) -> None:
+        """Compare the points' distances from their epipolar lines with those in the frame before, by the same rig."""
+        _, now, before = np.intersect1d(tracks, self._tracks, return_indices=True)
+        change = off[now] - rig.epipolar_offset(self._pixels[before])
+        self._tracks, self._pixels = tracks, pixels
+        if len(change) >= LEAST_POINTS:
             error = MEDIAN_ERROR * robust_sigma(change) / math.sqrt(len(change))
             self._steps.append((float(np.median(change)) ** 2, error**2))
 

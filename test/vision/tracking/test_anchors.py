@@ -35,19 +35,19 @@ def some_points() -> Array:
     return np.random.default_rng(4).uniform(CENTRE - 90.0, CENTRE + 90.0, (100, 2))
 
 
-def turning(texture: NDArray[np.floating], noise: float) -> list[FlowImage]:
+def turning(texture: NDArray[np.floating]) -> list[FlowImage]:
     """Return noisy images of a texture that turns from one to the next."""
     rng = np.random.default_rng(3)
     turned = (
         cv2.warpAffine(texture, motion(k), (500, 400), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
         for k in range(FRAMES)
     )
-    return [FlowImage(np.clip(image + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)) for image in turned]
+    return [FlowImage(np.clip(image + rng.normal(0, NOISE, image.shape), 0, 255).astype(np.uint8)) for image in turned]
 
 
 @pytest.fixture(scope="module")
 def images(texture_image: Callable[[int, int], NDArray[np.uint8]]) -> list[FlowImage]:
-    return turning(texture_image(400, 500), NOISE)
+    return turning(texture_image(400, 500))
 
 
 def started(pixels: Array) -> Tracks:
@@ -75,7 +75,7 @@ def test_errors_do_not_add_up(images: list[FlowImage]) -> None:
 
 def test_noise_of_faint_images_does_not_add_up(texture_image: Callable[[int, int], NDArray[np.uint8]]) -> None:
     texture = texture_image(400, 500)
-    images = turning(texture.mean() + FAINT * (texture - texture.mean()), NOISE)
+    images = turning(texture.mean() + FAINT * (texture - texture.mean()))
     alone, anchored = slides_px(images, None), slides_px(images, Anchors())
     assert len(anchored) >= 0.9 * len(alone)
     assert np.median(anchored) < 0.5 * np.median(alone)

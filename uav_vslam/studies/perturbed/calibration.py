@@ -98,6 +98,5 @@ def errors_of(seed: int) -> dict[str, CalibrationError | BoardCalibration]:
 
 
 def _assumed_camera(camera: PinholeCamera, focal: float, shift_px: Array) -> PinholeCamera:
-    scale = 1.0 + float(focal)
-    cx, cy = camera.cx + float(shift_px[0]), camera.cy + float(shift_px[1])
-    return dataclasses.replace(camera, fx=scale * camera.fx, fy=scale * camera.fy, cx=cx, cy=cy)
+    cx, cy = (camera.centre + shift_px).tolist()
+    return dataclasses.replace(camera.magnified(float(focal)), cx=cx, cy=cy)
