@@ -62,6 +62,11 @@ def test_a_right_calibration_is_assumed_until_measured_and_a_doubted_one_is_not(
         assert prior.given(0.0, prior.variance, prior=prior.variance) == (prior.probability, prior.variance)
 
 
+def test_until_it_is_judged_a_calibration_may_be_wrong_unless_that_is_excluded() -> None:
+    assert PRIOR.unjudged_variance == WRONG**2
+    assert DisparityPrior(RIGHT, WRONG, 0.0).unjudged_variance == RIGHT**2
+
+
 def test_without_a_wrong_calibration_the_prior_stays() -> None:
     certain = DisparityPrior(RIGHT, WRONG, 0.0)
     assert certain.given(*estimate(1.0, 0.01, RIGHT**2), prior=RIGHT**2) == (0.0, RIGHT**2)

@@ -115,6 +115,17 @@ def test_a_moment_of_high_acceleration_is_no_fault_of_the_imu() -> None:
         assert detector.is_suspected == missed
 
 
+def test_a_single_wrong_rotation_of_the_images_is_no_fault_of_the_gyroscope() -> None:
+    """A filter that is lost triangulates by a wrong calibration, now and then so that the rotation fits another one."""
+    detector, upright, zero = ImuFaultDetector(9.81), np.eye(3), np.zeros(3)
+    samples = [ImuSample(k * 5_000_000, zero, np.array([0.0, 0.0, 9.81])) for k in range(400)]
+    for k, apart_rad in enumerate([0.004, 0.004, 0.24, 0.004, 0.004]):
+        span = k * 140_000_000, (k + 1) * 140_000_000
+        level = preintegrate(samples, *span, gyro_bias=zero, accel_bias=zero, imu=ImuConfig())
+        assert not detector.add(level, upright, coasted=True, apart_rad=apart_rad), k
+    assert detector.is_gyro_healthy
+
+
 def test_while_images_show_nothing_a_fault_stays_as_it_is() -> None:
     detector, upright, zero = ImuFaultDetector(9.81), np.eye(3), np.zeros(3)
     samples = [ImuSample(k * 5_000_000, zero, np.array([0.0, 0.0, 9.81])) for k in range(4000)]

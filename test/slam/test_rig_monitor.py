@@ -13,7 +13,7 @@ from uav_vslam.pipeline import VehiclePipeline
 from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
-from uav_vslam.slam.backend import JUDGED_AFTER_S
+from uav_vslam.slam.disparity_judge import JUDGED_AFTER_S
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.rig_monitor import FALSE_ALARM, MISCALIBRATED, RigMonitor
 

@@ -422,13 +422,30 @@ class Filter:
         prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
         variance = disparity_variance(self.belief, self._errors)
         self.miscalibrated, now = self._errors.disparity_prior.given(mean, variance, prior=prior)
-        if abs(np.log(now / prior)) < PRIOR_TOLERANCE:
+        self._exchange_disparity_prior(now)
+
+    def _exchange_disparity_prior(self, variance: float) -> None:
+        """Exchange the prior, as if the estimate had begun with the other one [px^2]."""
+        prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
+        if abs(np.log(variance / prior)) < PRIOR_TOLERANCE:
             return
-        change = 1.0 / now - 1.0 / prior
+        change = 1.0 / variance - 1.0 / prior
         with _stamped(self.nav.stamp_ns):
             belief, column = self.belief.information_changed(self._errors.disparity.start, change)
-            self._errors = self._errors.with_disparity_variance(now)
+            self._errors = self._errors.with_disparity_variance(variance)
             self.correct(belief, -change * mean * column)
+
+    def doubt_disparity(self) -> None:
+        """Expect a wrong calibration until it is judged, see `DisparityPrior`."""
+        if self._errors.has_disparity:
+            self._exchange_disparity_prior(self._errors.disparity_prior.unjudged_variance)
+
+    def trusting_disparity(self) -> Self:
+        """Return a copy of this filter as if it had not doubted the disparity."""
+        other = copy.copy(self)
+        if other._errors.has_disparity:
+            other._exchange_disparity_prior(other._errors.disparity_prior.variance)
+        return other
 
     def forget_disparity(self) -> None:
         """Know no more of the disparity's error than before the flight."""

@@ -18,9 +18,9 @@ from uav_vslam.estimation.observation import projectable
 from uav_vslam.estimation.rig_belief import DisparityEstimate
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import lacks_readings, unknown_motion_since
+from uav_vslam.ins.preintegration import unknown_motion_since
 from uav_vslam.ins.preintegrator import advance
-from uav_vslam.ins.propagation import ROTATION
+from uav_vslam.slam.disparity_judge import DisparityJudge
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import MIN_FEATURES, FilterHealth
 from uav_vslam.slam.imu_fault import ImuFaultDetector
@@ -31,7 +31,7 @@ from uav_vslam.slam.matches import Matches
 from uav_vslam.slam.recovery import reinitialised
 from uav_vslam.slam.seen_motion import MotionFinder, Step
 from uav_vslam.slam.track_noise import TrackNoise
-from uav_vslam.slam.track_window import Present, TrackWindow
+from uav_vslam.slam.track_window import Choice, Present, TrackWindow
 from uav_vslam.types import (
     NS_PER_S,
     ImuIncrement,
@@ -43,8 +43,6 @@ from uav_vslam.types import (
 
 SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
-LEVEL_RAD = 0.01  # 1 sigma of the tilt; while it is larger, its corrections look like a wrong calibration,
-JUDGED_AFTER_S = 3.0  # and since then, or since the start, a wrong velocity does
 TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
@@ -176,17 +174,15 @@ class SlamBackend:
         try:
             if increment is not None:
                 outcome.late_sightings = self._new_sightings(self._add_postponed(increment))
+                self._disparity_judge.before_prediction(self._filter, increment)
                 self._filter.predict(increment)
             self._window.add_frame(self._filter, features)
             self._window.finish(self._filter, self._map, self._frame, self._new_landmarks, everything=is_seen)
             outcome.matches, outcome.innovation, outcome.closures = self._correct(features, by_landmarks=not is_seen)
-            if increment is not None and lacks_readings(increment):
-                self._judges_disparity = False
-            if self._judges_disparity:
-                self._judge_disparity()
+            self._disparity_judge.after_update(self._filter, self._nav)
             self._take_present(outcome, features)
             self._remove_landmarks()
-            outcome.rig_evidence, outcome.disparity = self._filter.rig_evidence(), self._filter.disparity
+            outcome.rig_evidence = self._filter.rig_evidence()
             outcome.known = max(outcome.known, self._window.followed)
             outcome.recovery = self._health.check(outcome.innovation, features=len(features), known=outcome.known)
         except (FilterDivergence, np.linalg.LinAlgError) as error:  # the latter from data association
@@ -195,12 +191,18 @@ class SlamBackend:
             outcome.recovery = str(error)
         return outcome
 
+    def _present(self, choose: Choice | None = None) -> Present:
+        """Return the estimate of the present, see `TrackWindow.present`."""
+        present = self._window.present(self._filter, self._map, choose)
+        return dataclasses.replace(present, filter=self._disparity_judge.reported(present.filter))
+
     def _take_present(self, outcome: _Outcome, features: StereoFeatures) -> None:
         """Set the estimate to that of the filter and its tracks together."""
-        present = self._window.present(self._filter, self._map)
+        present = self._present()
         self._nav, self._present_rig = present.filter.nav_estimate(), present.filter.rig
         outcome.innovation = present.innovation or outcome.innovation
         outcome.as_calibrated = present.filter.nav_estimate(as_calibrated=True)
+        outcome.disparity = present.filter.disparity
         outcome.sightings = np.vstack([self._sightings(outcome.matches), self._track_sightings(present, features)])
         outcome.smoothed = self._window.leaving(present.filter)
 
@@ -238,7 +240,7 @@ class SlamBackend:
     def joint_information(self) -> JointInformation:
         """Return the estimate of pose and landmarks, points still tracked included, for the vehicle's own fusion."""
         window = self._window
-        present = window.present(self._filter, self._map, self._all_in_view)
+        present = self._present(self._all_in_view)
         descriptors = [some for some in (self._map.descriptors, window.views.descriptors[present.rows]) if len(some)]
         return JointInformation(
             stamp_ns=self.stamp_ns,
@@ -317,19 +319,7 @@ class SlamBackend:
         self._window = TrackWindow(past_poses(config), self._config)
         self._health = FilterHealth()
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
-        self._judges_disparity = True  # until readings are missing: then the motion is no measure of it
-        self._level_ns: int | None = None  # since when the tilt is known
-
-    def _judge_disparity(self) -> None:
-        """Let the motion judge the disparity from when the tilt is known; what it said of it before is forgotten."""
-        if self._level_ns is None:
-            tilt = np.diagonal(self._nav.covariance)[ROTATION][:2]
-            if tilt.max() > LEVEL_RAD**2:
-                self._filter.forget_disparity()
-                return
-            self._level_ns = self._nav.state.stamp_ns
-        if (self._nav.state.stamp_ns - self._level_ns) / NS_PER_S > JUDGED_AFTER_S:
-            self._filter.judge_disparity()
+        self._disparity_judge = DisparityJudge()
 
     def _continued(self, features: StereoFeatures) -> int:
         """Return how many points continue a track of the frame before."""

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When the motion may judge the disparity's error.
+
+Not while the tilt or the velocity may be wrong, whose corrections look like a wrong calibration; nor where readings of
+the IMU are missing, since the motion is then no measure of it.
+"""
+
+import numpy as np
+
+from uav_vslam.estimation.filter import Filter
+from uav_vslam.ins.preintegration import lacks_readings
+from uav_vslam.ins.propagation import ROTATION
+from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate
+
+LEVEL_RAD = 0.01  # 1 sigma of the tilt; while it is larger, its corrections look like a wrong calibration,
+JUDGED_AFTER_S = 3.0  # and since then, or since the start, a wrong velocity does
+
+
+class DisparityJudge:
+    """Judges the disparity of one filter, from its start on.
+
+    Until then the filter has the wide prior, and what is reported of it is judged for that moment only.
+    """
+
+    def __init__(self) -> None:
+        self._level_ns: int | None = None  # since when the tilt is known
+        self._has_judged = self._has_ended = False
+
+    def before_prediction(self, slam_filter: Filter, increment: ImuIncrement) -> None:
+        """Judge for the last time before the first motion that readings are missing of."""
+        if self._has_ended or not lacks_readings(increment):
+            return
+        if self._level_ns is not None:
+            slam_filter.judge_disparity()
+        self._has_ended = True
+
+    def after_update(self, slam_filter: Filter, nav: NavEstimate) -> None:
+        """Judge, if it is time; what the motion said before the tilt was known is forgotten.
+
+        Args:
+            slam_filter: updated.
+            nav: the last estimate.
+        """
+        if self._has_ended:
+            return
+        if self._level_ns is None:
+            if np.diagonal(nav.covariance)[ROTATION][:2].max() > LEVEL_RAD**2:
+                slam_filter.forget_disparity()
+                return
+            slam_filter.doubt_disparity()
+            self._level_ns = nav.state.stamp_ns
+        if (nav.state.stamp_ns - self._level_ns) / NS_PER_S > JUDGED_AFTER_S:
+            slam_filter.judge_disparity()
+            self._has_judged = True
+
+    def reported(self, present: Filter) -> Filter:
+        """Return the estimate to report of a filter, or of its copy with more tracks."""
+        return present if self._has_judged or self._has_ended else present.trusting_disparity()
