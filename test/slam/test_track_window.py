@@ -130,6 +130,7 @@ def test_a_rig_that_vibrates_is_noticed_and_flexes_from_then_on(flown) -> None:
     (frame,) = [k for k, report in enumerate(reports) if report.recovery]
     assert frame < 6
     assert "rig.flexing" in reports[frame].recovery
+    assert [report.flexing for report in reports] == [k >= frame for k in range(len(reports))]
     error = np.linalg.norm(position_errors(flight, reports), axis=1)
     assert error.max() < 2.0
 

@@ -193,6 +193,18 @@ def test_a_wrong_rig_is_estimated_and_its_uncertainty_counts(wrong: dict[str, An
     assert low < np.mean(scores) < high < np.mean(trusting)
 
 
+def test_a_rig_that_was_found_to_flex_is_smoothed_as_one_that_does() -> None:
+    vehicle = simulate_vehicle(Scenario(vehicles=1, frames=FRAMES, seed=301, vibration_deg=0.05), 0)
+    seen = list(observe(vehicle, scatter_landmarks([vehicle], per_frame=PER_FRAME), noise=LandmarkNoise()))
+    flight, config = dead_reckoned(vehicle, seen), config_of(vehicle)
+    ends = []
+    for found, rig in ((False, RigConfig()), (True, RigConfig()), (False, RigConfig(flexing=True))):
+        settings = dataclasses.replace(config, rig=rig)
+        ends.append(smooth(dataclasses.replace(flight, flexing=found), vehicle.rig, settings).estimates[-1].pose)
+    np.testing.assert_array_equal(ends[1].T_map_body.t, ends[2].T_map_body.t)
+    assert not np.array_equal(ends[0].T_map_body.t, ends[1].T_map_body.t)
+
+
 def test_equal_flights_give_equal_bytes() -> None:
     vehicle, seen = simulated(2)
     first, second = trajectory(smoothed(vehicle, seen)), trajectory(smoothed(vehicle, seen))

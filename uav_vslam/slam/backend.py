@@ -95,7 +95,7 @@ class SlamBackend:
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
         self._motion, self._imu_fault = MotionFinder(), ImuFaultDetector(config.imu.gravity)
-        self._track_noise, self._vibrates = TrackNoise(), False
+        self._track_noise, self._flexing = TrackNoise(), config.rig.flexing
         self._present_rig = rig  # as the tracks correct it
         self._nav = initial
         self._confirmed = initial  # the newest estimate that an image has confirmed
@@ -226,6 +226,7 @@ class SlamBackend:
             coasted=step.increment is not None and associated == 0,
             gate_probability=self._config.gate_probability,
             smoothed=outcome.smoothed,
+            flexing=self._flexing,
             sightings=np.vstack([outcome.sightings, self._new_sightings(added)]),
             late_sightings=outcome.late_sightings,
         )
@@ -272,12 +273,12 @@ class SlamBackend:
 
     def _noticed_vibration(self) -> str:
         """Count the rig as flexing from when its images show that it vibrates; return how, that once."""
-        if self._vibrates or self._vehicle_config.rig.flexing:
+        if self._flexing:
             return ""
         vibration_px = self._track_noise.vibration_px
         if vibration_px < self.track_sigma_px:
             return ""
-        self._vibrates = True
+        self._flexing = True
         return (
             "the cameras vibrate against each other, or are not exposed at the same time: the right points of an image "
             f"are off together, by {vibration_px:.2f} px rms; rig.flexing is taken for true from now on: set it"
@@ -312,8 +313,7 @@ class SlamBackend:
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
         config = self._vehicle_config
-        if self._vibrates:
-            config = dataclasses.replace(config, rig=dataclasses.replace(config.rig, flexing=True))
+        config = dataclasses.replace(config, rig=dataclasses.replace(config.rig, flexing=self._flexing))
         self._filter = make_filter(initial, rig=self._rig, config=config)
         self._map.remove(np.arange(len(self._map)))
         self._window = TrackWindow(past_poses(config), self._config)

@@ -34,6 +34,7 @@ class FrameReport:
         sightings: (K, 2) identifier and feature row of each point that corrected the state, and of each new landmark.
         late_sightings: (K, 2) the same of the frame before, if its landmarks had to wait for the angular rate.
         smoothed: the oldest past pose as it leaves the window; None until that is full, and without one.
+        flexing: the rig counts as flexing, as configured or because its images have shown that it vibrates.
     """
 
     pose: PoseEstimate
@@ -54,3 +55,4 @@ class FrameReport:
     sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     late_sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     smoothed: PoseEstimate | None = None
+    flexing: bool = False

@@ -16,7 +16,7 @@ MISCALIBRATED = 0.99  # probability of a wrong calibration
 
 
 class RigMonitor:
-    """Monitors the evidence and warns once; not needed for a flexing rig, which is estimated."""
+    """Monitors the evidence and warns once; not needed as soon as a rig counts as flexing: then it is estimated."""
 
     def __init__(self, config: RigConfig) -> None:
         self._watching = not config.flexing
@@ -26,7 +26,7 @@ class RigMonitor:
 
     def add(self, report: FrameReport) -> str:
         """Add a frame and return a warning, normally empty, and empty after the first."""
-        finding = self._finding(report) if self._watching else ""
+        finding = self._finding(report) if self._watching and not report.flexing else ""
         if not finding:
             return ""
         self._watching = False

@@ -35,19 +35,21 @@ class FilteredFlight:
     Attributes:
         start: start state with its covariance, the only prior.
         frames: in stamp order.
+        flexing: its rig was found to flex, whatever the settings say.
     """
 
     start: NavEstimate
     frames: tuple[FilteredFrame, ...]
+    flexing: bool = False
 
     @staticmethod
-    def of(start: NavEstimate, frames: Iterable[FilteredFrame]) -> "FilteredFlight":
+    def of(start: NavEstimate, frames: Iterable[FilteredFrame], *, flexing: bool = False) -> "FilteredFlight":
         """Collect a flight.
 
         Raises:
             ValueError: the increments do not join the frames to each other and to the start.
         """
-        flight = FilteredFlight(start, tuple(frames))
+        flight = FilteredFlight(start, tuple(frames), flexing)
         before_ns = start.state.stamp_ns
         for frame in flight.frames:
             stamp_ns, motion = frame.features.stamp_ns, frame.increment
@@ -75,6 +77,7 @@ class FilteredFlight:
                 )
                 for output, afterwards in zip(known, late, strict=True)
             ),
+            flexing=any(output.report.flexing for output in known),
         )
 
     @property

@@ -86,7 +86,8 @@ class _Problem:
     def __init__(self, flight: FilteredFlight, rig: StereoRig, config: VehicleConfig) -> None:
         self._flight, self._config = flight, config
         self.states: list[NavState] = flight.states
-        self.rig = RigEstimate.of(rig, config.rig, len(self.states))
+        known = dataclasses.replace(config.rig, flexing=config.rig.flexing or flight.flexing)
+        self.rig = RigEstimate.of(rig, known, len(self.states))
         self.sightings: Sightings = gather(flight)
         self.points = triangulated(self.sightings, self._cameras)
         self.landmarks = np.zeros((0, 3))
