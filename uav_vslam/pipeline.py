@@ -69,7 +69,6 @@ class VehiclePipeline:
         rig: StereoRig,
         config: VehicleConfig,
         vehicle: str,
-        session: int = 1,
         keep_features: bool = False,
         keep_map: bool = False,
     ) -> None:
@@ -83,7 +82,7 @@ class VehiclePipeline:
         self._preintegrator = ImuPreintegrator(config.imu, initial.state if initial else None)
         self._policy = config.input.on_time_jump
         self._stamps = sensor_time_line(self._policy)
-        self._slam = SlamStage(config, vehicle=vehicle, session=session, keep_map=keep_map)
+        self._slam = SlamStage(config, vehicle=vehicle, keep_map=keep_map)
         self._slam.rig = rig
         if initial is not None:
             self._slam.start(initial)

@@ -20,6 +20,7 @@ MARGIN_S = 1.0  # motion is defined this long before the first and after the las
 ROLL_IN_S = 2.0  # a turn's yaw rate is smoothed over this time
 CIRCUIT_LEG_M = 750.0
 BANK_DEG = 25.0  # of the patterns' turns
+SINES = 8  # of a disturbance
 GRAVITY = 9.80665  # for the bank of a coordinated turn only [m/s^2]
 
 
@@ -44,11 +45,11 @@ class Disturbance:
     low_hz: float
     high_hz: float
 
-    def sample(self, times_s: Array, rng: np.random.Generator, *, components: int = 8) -> Array:
+    def sample(self, times_s: Array, rng: np.random.Generator) -> Array:
         """Draw one realisation at (N,) times."""
-        frequency = np.geomspace(self.low_hz, self.high_hz, components) * rng.uniform(0.85, 1.15, components)
-        phase = rng.uniform(0.0, 2.0 * np.pi, components)
-        amplitude = self.rms * np.sqrt(2.0 / components)
+        frequency = np.geomspace(self.low_hz, self.high_hz, SINES) * rng.uniform(0.85, 1.15, SINES)
+        phase = rng.uniform(0.0, 2.0 * np.pi, SINES)
+        amplitude = self.rms * np.sqrt(2.0 / SINES)
         return np.asarray(amplitude * np.sin(2.0 * np.pi * np.outer(times_s, frequency) + phase).sum(axis=1))
 
 

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 POSE = 6
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, DAMPING_STEP = 1e-4, 1e-9, 1e6, 8.0
+MAX_STEPS = 40  # trials, refused ones included
 LEAST_GAIN = 1e-5  # relative decrease of the cost below which the adjustment has converged
 TINY = 1e-12
 HELD = 1e18  # information of a lens parameter that stays
@@ -97,7 +98,7 @@ class Bundle:
         self._tracks, self._priors, self._huber_px, self._variance = tracks, priors, huber_px, noise_px**2
         self._starts = np.searchsorted(tracks.point, np.arange(tracks.count))
 
-    def adjust(self, scene: Scene, *, most_steps: int = 40) -> Scene:
+    def adjust(self, scene: Scene) -> Scene:
         """Return the scene of least cost near the given one.
 
         Raises:
@@ -105,7 +106,7 @@ class Bundle:
         """
         damping, cost = FIRST_DAMPING, self.cost(scene)
         normal = self._normal(scene)
-        for _ in range(most_steps):
+        for _ in range(MAX_STEPS):
             trial = self._moved(scene, *_step(normal, damping))
             trial_cost = self.cost(trial)
             if not trial_cost < cost:

@@ -59,7 +59,7 @@ def detect_all(pictures: Sequence[Picture], *, on_picture: Callable[[], None] = 
     return found
 
 
-def detect(picture: Picture, *, longest_side_px: int = LONGEST_SIDE_PX) -> PictureFeatures:
+def detect(picture: Picture) -> PictureFeatures:
     """Return the points of a picture.
 
     Raises:
@@ -67,7 +67,7 @@ def detect(picture: Picture, *, longest_side_px: int = LONGEST_SIDE_PX) -> Pictu
         InvalidMessage: its pixels are of a kind that is not supported.
     """
     image = picture.read()
-    small = shrink(image, min(1.0, longest_side_px / max(image.shape)))
+    small = shrink(image, min(1.0, LONGEST_SIDE_PX / max(image.shape)))
     extractor = SiftExtractor(FrontendConfig(max_features=CANDIDATES, contrast_threshold=CONTRAST))
     found = extractor.detect(to_grey8(small))
     rows = np.sort(spread(found.pixels, MOST_POINTS, size=(small.shape[1], small.shape[0])))

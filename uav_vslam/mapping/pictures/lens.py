@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 PARAMETERS = 5
 TYPICAL_FOCAL = 0.85  # of the image's longest side, for a camera of which nothing is known: 61 degrees across
 LEAST_DEPTH = 1e-6
+UNDISTORT_ITERATIONS = 10
 
 
 def project(points_cam: Array, lens: Array) -> Array:
@@ -57,11 +58,11 @@ def camera_of(lens: Array, width: int, height: int) -> PinholeCamera:
     return PinholeCamera(width, height, f, f, cx, cy, distortion)
 
 
-def bearings(pixels: Array, lens: Array, iterations: int = 10) -> Array:
+def bearings(pixels: Array, lens: Array) -> Array:
     """Return (M, 2) x, y of rays (x, y, 1) through (M, 2) pixels from the image's centre, by fixed-point iteration."""
     raw = pixels / np.exp(lens[:, :1]) - lens[:, 3:]
     xy = raw.copy()
-    for _ in range(iterations):
+    for _ in range(UNDISTORT_ITERATIONS):
         r2 = (xy**2).sum(axis=1, keepdims=True)
         xy = raw / (1.0 + r2 * (lens[:, 1:2] + r2 * lens[:, 2:3]))
     return np.asarray(xy)

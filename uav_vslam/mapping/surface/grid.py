@@ -21,7 +21,6 @@ from uav_vslam.mapping.surface.tiles import CELL, GridTiles, Tile
 from uav_vslam.mapping.tile_store import KEPT_BYTES, SIDE
 
 Floats = NDArray[np.float32]
-Place = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns of cells in a tile
 
 WIDEST_GAP_M = 3.0  # that is filled
 AGREE_M, AGREE_SIGMAS = 0.5, 4.0  # two heights agree within the larger of both

@@ -26,9 +26,9 @@ class Tracks:
     descriptors: NDArray[np.uint8]
 
     @staticmethod
-    def none(descriptor_size: int = 128) -> "Tracks":
+    def none() -> "Tracks":
         """Return no track."""
-        return Tracks(np.zeros(0, np.uint32), np.zeros((0, 2)), np.zeros(0), np.zeros((0, descriptor_size), np.uint8))
+        return Tracks(np.zeros(0, np.uint32), np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.uint8))
 
     def __len__(self) -> int:
         return len(self.ids)
