@@ -12,7 +12,8 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins import preintegration
 from uav_vslam.ins.gaps import ENOUGH, UsualSpacing
-from uav_vslam.ins.preintegration import ImuBuffer, preintegrate
+from uav_vslam.ins.imu_buffer import ImuBuffer
+from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample
 
