@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from uav_vslam.calibration.pictures import FilePictures, paired, pictures_of
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.cdr import encode
 from uav_vslam.datasets.message_builders import compressed_image_message, image_message
-from uav_vslam.datasets.rosbag import RawRecorder, encode
 from uav_vslam.errors import BagError, CalibrationError
 
 TOPICS = ("/uav1/left/image_raw", "/uav1/right/image_raw")

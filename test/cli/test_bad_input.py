@@ -12,8 +12,10 @@ import pytest
 from command import refused
 
 from uav_vslam.cli.main import main
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.cdr import decode, encode
 from uav_vslam.datasets.outputs import read_outputs
-from uav_vslam.datasets.rosbag import RawRecorder, decode, encode, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import iter_raw, topics_of
 from uav_vslam.evaluation.output import LATEST
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS

@@ -13,9 +13,10 @@ from board_scene import poses, rendered_pair, rig_of
 
 from uav_vslam.calibration.boards import Board, Charuco, Chessboard
 from uav_vslam.cli.main import main
+from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.calibration_files import read_calibration
+from uav_vslam.datasets.cdr import encode
 from uav_vslam.datasets.message_builders import compressed_image_message
-from uav_vslam.datasets.rosbag import RawRecorder, encode
 
 BOARDS: dict[str, tuple[Board, list[str]]] = {
     "chessboard": (Chessboard(8, 5, 0.03), ["--board", "8x5", "--square", "0.03"]),

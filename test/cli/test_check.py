@@ -15,7 +15,7 @@ from remembered import remembered_sift
 
 from uav_vslam.cli import check
 from uav_vslam.cli.main import main
-from uav_vslam.datasets.rosbag import RawMessage
+from uav_vslam.datasets.cdr import RawMessage
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.recordings.foreign import renamed, rewritten

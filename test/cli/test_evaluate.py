@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from uav_vslam.cli import evaluate
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.cdr import encode, message
 from uav_vslam.datasets.message_builders import camera_info_message, truth_message
 from uav_vslam.datasets.messages import TruthSample
 from uav_vslam.datasets.outputs import read_outputs
-from uav_vslam.datasets.rosbag import RawRecorder, encode, message
 from uav_vslam.errors import BagError
 from uav_vslam.evaluation.files.tables import read_columns
 from uav_vslam.geometry.camera import PinholeCamera

@@ -12,10 +12,12 @@ import pytest
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.datasets.bag import _in_stamp_order, open_flight, vehicles
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.cdr import RawMessage, decode, encode
 from uav_vslam.datasets.flight_writer import ImageCoding
 from uav_vslam.datasets.message_builders import camera_info_message, image_message, transforms_message
 from uav_vslam.datasets.messages import stamp_ns_of, transforms_of
-from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw
+from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.datasets.truth import truth_warnings
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose

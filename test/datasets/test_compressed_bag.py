@@ -11,8 +11,9 @@ import pytest
 import yaml
 import zstandard
 
+from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.compressed_bag import FOLDER
-from uav_vslam.datasets.rosbag import RawRecorder, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import iter_raw, topics_of
 from uav_vslam.errors import BagError
 
 

@@ -12,10 +12,11 @@ import pytest
 from uav_vslam.cli.main import main
 from uav_vslam.config import ImuConfig, InputConfig, VehicleConfig, load_fleet
 from uav_vslam.datasets.bag import BagFlight, open_flight
+from uav_vslam.datasets.cdr import decode
 from uav_vslam.datasets.cut_options import CutOptions
 from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut
 from uav_vslam.datasets.cutting import Cut, plan_cut, poses_of, source_of, with_drawn_starts
-from uav_vslam.datasets.rosbag import decode, iter_raw
+from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.datasets.starts import SIGMA_POSITION_M, true_start
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.geometry.rotation import so3_log

@@ -13,7 +13,7 @@ import pytest
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import FramesConfig, TopicsConfig
 from uav_vslam.datasets.bag import open_flight, vehicles
-from uav_vslam.datasets.rosbag import RawMessage, decode, encode, message
+from uav_vslam.datasets.cdr import RawMessage, decode, encode, message
 from uav_vslam.errors import CalibrationError
 from uav_vslam.studies.recordings.foreign import (
     FOREIGN_TOPICS,

@@ -29,8 +29,9 @@ from rclpy.serialization import serialize_message  # noqa: E402
 from uav_vslam.config import FleetConfig, ReplayConfig, load_vehicle  # noqa: E402
 from uav_vslam.cooperation.authentication import FleetKey  # noqa: E402
 from uav_vslam.cooperation.inbox import NOTHING_COMMON, SUPERSEDED, Inbox  # noqa: E402
+from uav_vslam.datasets.cdr import RawMessage, decode  # noqa: E402
 from uav_vslam.datasets.flight_writer import ImageCoding  # noqa: E402
-from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw  # noqa: E402
+from uav_vslam.datasets.rosbag import iter_raw  # noqa: E402
 from uav_vslam.ros.domain import claimed_domain  # noqa: E402
 from uav_vslam.ros.fleet_commands import NodeSpec, feedback_to, node_specs, packets_of  # noqa: E402
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg  # noqa: E402

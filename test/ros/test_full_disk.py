@@ -16,7 +16,8 @@ rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from node_processes import Witness, running  # noqa: E402
 
-from uav_vslam.datasets.rosbag import decode, iter_raw  # noqa: E402
+from uav_vslam.datasets.cdr import decode  # noqa: E402
+from uav_vslam.datasets.rosbag import iter_raw  # noqa: E402
 from uav_vslam.errors import BagError  # noqa: E402
 from uav_vslam.ros.fleet_commands import NodeSpec  # noqa: E402
 

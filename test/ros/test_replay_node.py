@@ -23,8 +23,10 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, Imu  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
+from uav_vslam.datasets.bag_recorder import RawRecorder  # noqa: E402
+from uav_vslam.datasets.cdr import RawMessage, decode, encode  # noqa: E402
 from uav_vslam.datasets.flight_writer import FlightRecording, write_flights  # noqa: E402
-from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw, topics_of  # noqa: E402
+from uav_vslam.datasets.rosbag import iter_raw, topics_of  # noqa: E402
 from uav_vslam.errors import BagError  # noqa: E402
 from uav_vslam.geometry.camera import PinholeCamera  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402

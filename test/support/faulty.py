@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_vslam.datasets.rosbag import RawMessage
+from uav_vslam.datasets.cdr import RawMessage
 from uav_vslam.studies.recordings.foreign import Change, edited, shifted, turned, without
 
 LEFT, RIGHT = "/uav1/left/image_raw", "/uav1/right/image_raw"

@@ -3,7 +3,8 @@
 
 from pathlib import Path
 
-from uav_vslam.datasets.rosbag import RawRecorder, iter_raw, topics_of
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.rosbag import iter_raw, topics_of
 
 
 def before(end_ns: int, bag: Path, path: Path) -> Path:

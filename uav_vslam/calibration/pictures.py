@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import IMAGE_TYPES, vehicles
+from uav_vslam.datasets.cdr import decode
 from uav_vslam.datasets.image_sets import SUFFIXES, read_image
 from uav_vslam.datasets.messages import image_of, stamp_ns_of
-from uav_vslam.datasets.rosbag import decode, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import iter_raw, topics_of
 from uav_vslam.datasets.stereo_sync import StereoPairer
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.stereo import SIDES

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
+from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.messages import (
     TRUTH_TYPES,
@@ -26,7 +27,7 @@ from uav_vslam.datasets.messages import (
     transforms_of,
     truth_of,
 )
-from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, TopicInfo, decode, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import PairTolerance, StereoPairer
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
@@ -35,8 +36,6 @@ from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.numerics import nearest
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
-
-__all__ = ["BagFlight", "RawMessage", "RawRecorder", "TruthTrack", "iter_raw", "open_flight", "topics_of", "vehicles"]
 
 Array = NDArray[np.float64]
 

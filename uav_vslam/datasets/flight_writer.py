@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.cdr import encoded_view
 from uav_vslam.datasets.message_builders import (
     camera_info_message,
     compressed_image_message,
@@ -22,7 +24,6 @@ from uav_vslam.datasets.message_builders import (
     truth_message,
 )
 from uav_vslam.datasets.messages import TruthSample
-from uav_vslam.datasets.rosbag import RawRecorder, encoded_view
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import ImuSample, NavEstimate, StereoFrame

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.cdr import message
 from uav_vslam.datasets.messages import TruthSample
-from uav_vslam.datasets.rosbag import message
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.messages import stamp_ns_of, truth_of
-from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import iter_raw, topics_of
 from uav_vslam.errors import BagError
 from uav_vslam.types import FrameQuality, LinkEpoch, PoseEstimate
 

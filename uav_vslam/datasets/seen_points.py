@@ -8,8 +8,9 @@ import numpy as np
 
 from uav_vslam.config import VehicleConfig, replaced
 from uav_vslam.datasets.bag import BagFlight
+from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.messages import header_stamp_ns, image_of
-from uav_vslam.datasets.rosbag import RawMessage, decode, iter_raw
+from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import BagError, InvalidMessage, UavVslamError
 from uav_vslam.evaluation.overlap import View

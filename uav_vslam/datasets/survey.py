@@ -14,6 +14,7 @@ from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import IMAGE_TYPES, TruthTrack, truth_track
 from uav_vslam.datasets.calibration_files import Calibration
+from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.flight_writer import TF_STATIC
 from uav_vslam.datasets.messages import (
     TRUTH_TYPES,
@@ -24,7 +25,7 @@ from uav_vslam.datasets.messages import (
     transforms_of,
     truth_of,
 )
-from uav_vslam.datasets.rosbag import RawMessage, TopicInfo, decode, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
 from uav_vslam.errors import BagError, CalibrationError

@@ -22,8 +22,8 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 
 from uav_vslam.config.nodes import RecorderNodeConfig
+from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.datasets.rosbag import RawRecorder
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.diagnostics import status_message

@@ -8,8 +8,9 @@ from pathlib import Path
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import vehicles as vehicles_of
+from uav_vslam.datasets.cdr import RawMessage
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.datasets.rosbag import RawMessage, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import SIDES

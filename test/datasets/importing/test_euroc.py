@@ -10,11 +10,12 @@ import pytest
 
 from uav_vslam.cli.main import main
 from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.cdr import decode
 from uav_vslam.datasets.flight_writer import SourceFrame
 from uav_vslam.datasets.importing.euroc import read_euroc
 from uav_vslam.datasets.importing.motion import InitialSigma
 from uav_vslam.datasets.importing.problems import Problems
-from uav_vslam.datasets.rosbag import decode, iter_raw
+from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.rotation import so3_exp, so3_log
 from uav_vslam.types import ImuSample, StereoFrame

@@ -18,10 +18,10 @@ import yaml
 from rosbags.rosbag2 import Reader
 
 from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.cdr import typestore
 from uav_vslam.datasets.flight_writer import FlightRecording, ImageCoding, write_flights
 from uav_vslam.datasets.importing.euroc import TRUTH_FOLDER, read_euroc
 from uav_vslam.datasets.importing.source import write_source
-from uav_vslam.datasets.rosbag import typestore
 from uav_vslam.evaluation.study import Row
 from uav_vslam.simulation.scenario import SimulatedVehicle
 from uav_vslam.studies.bench.stages import Work, take_turns

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from uav_vslam.config import find_config
+from uav_vslam.datasets.cdr import decode
 from uav_vslam.datasets.outputs import STATUS, read_outputs
 from uav_vslam.datasets.recorded_result import flight_result
-from uav_vslam.datasets.rosbag import decode, iter_raw
+from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.simulation.scenario import SCENARIOS

@@ -11,9 +11,11 @@ import yaml
 
 from uav_vslam.config.input import TopicsConfig
 from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.bag_recorder import RawRecorder
+from uav_vslam.datasets.cdr import RawMessage, decode, encode
 from uav_vslam.datasets.kalibr_camchain import camchain
 from uav_vslam.datasets.message_builders import transforms_message
-from uav_vslam.datasets.rosbag import RawMessage, RawRecorder, decode, encode, iter_raw, topics_of
+from uav_vslam.datasets.rosbag import iter_raw, topics_of
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig

@@ -8,7 +8,8 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from uav_vslam.datasets.rosbag import MESSAGE_PACKAGE, decode, iter_raw, typestore
+from uav_vslam.datasets.cdr import MESSAGE_PACKAGE, decode, typestore
+from uav_vslam.datasets.rosbag import iter_raw
 
 RENAMED = ("D", "K", "R", "P")  # fields of CameraInfo that ROS 2 has in lower case
 

@@ -11,10 +11,10 @@ import numpy as np
 import zstandard
 
 from uav_vslam.config import InputConfig
+from uav_vslam.datasets.cdr import RawMessage, decode, encode
 from uav_vslam.datasets.flight_writer import FlightRecording, ImageCoding, write_flights
 from uav_vslam.datasets.message_builders import image_message
 from uav_vslam.datasets.messages import image_of, stamp_ns_of
-from uav_vslam.datasets.rosbag import RawMessage, decode, encode
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.simulation.imu import ideal_imu
