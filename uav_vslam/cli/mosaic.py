@@ -86,8 +86,8 @@ def run(args: argparse.Namespace) -> int:
 def _reconstructed(folder: Folder, args: argparse.Namespace) -> Reconstruction:
     from uav_vslam.errors import PictureError
     from uav_vslam.mapping.pictures.features import detect_all
+    from uav_vslam.mapping.pictures.gps_positions import local_positions
     from uav_vslam.mapping.pictures.pairs import candidates, match_all
-    from uav_vslam.mapping.pictures.placement import local_positions
     from uav_vslam.mapping.pictures.reading import FEWEST, listed
     from uav_vslam.mapping.pictures.reconstruction import reconstruct
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from uav_vslam.evaluation.files.geodetic import Datum, to_geodetic
 from uav_vslam.geometry.rotation import rotation_from_rpy
 from uav_vslam.mapping.pictures.bundle import Scene
+from uav_vslam.mapping.pictures.gps_positions import local_positions
 from uav_vslam.mapping.pictures.lens import PARAMETERS, project
 from uav_vslam.mapping.pictures.picture import Geodetic, Picture
-from uav_vslam.mapping.pictures.placement import HEIGHT_WITHOUT_SCALE, Placement, local_positions, place
+from uav_vslam.mapping.pictures.placement import HEIGHT_WITHOUT_SCALE, Placement, place
 from uav_vslam.mapping.pictures.procedure import Adjusted
 from uav_vslam.mapping.pictures.tracks import Tracks
 

@@ -13,18 +13,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.evaluation.files.geodetic import Datum, from_geodetic
+from uav_vslam.evaluation.files.geodetic import Datum
 from uav_vslam.mapping.pictures.bundle import Priors, Scene
+from uav_vslam.mapping.pictures.gps_positions import local_positions, without_repeats
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.procedure import Adjusted, finish, lens_priors
+from uav_vslam.mapping.pictures.robust_fits import (
+    FEWEST_CHECKED,
+    REWEIGHTINGS,
+    ground_plane,
+    plane_similarity,
+    rotation_to_up,
+)
 from uav_vslam.numerics import robust_sigma
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 HEIGHT_WITHOUT_SCALE = 100.0  # median height above the ground in units of the map, if nothing tells metres
 FEWEST_POSITIONS = 3
-FEWEST_CHECKED = 4  # positions that a similarity can contradict: it meets two of three, so that half of these agree
 BELIEVED_M = 6.0  # median distance up to which positions agree with the pictures: a plain receiver's worst
 WRONG_M, WRONG_SIGMAS = 10.0, 4.0  # a single position farther off, and beyond so many sigmas, is reported
 LEAST_SPREAD = 0.5  # of the fitted pictures to that of the positions; if less, they agree by chance only
@@ -34,9 +40,6 @@ LEVEL_SIGMA_RAD = 0.01  # positions that tell the level worse than this leave it
 GROUND_SLOPE = 0.05  # standard deviation of the ground's slope on average, against which positions weigh
 STEEPEST = 0.3  # slope that positions can make; if more, rather they drift
 LEVELLINGS = 4  # each leaves the square of the slope
-TRIALS = 3000
-SEED = 3
-REWEIGHTINGS = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,31 +68,6 @@ class Placement:
         return self.gps_m is not None and int(np.isfinite(self.gps_m).sum()) >= FEWEST_CHECKED
 
 
-def local_positions(pictures: Sequence[Picture]) -> tuple[Array, Datum | None]:
-    """Return (N, 3) east, north, up of the pictures by GPS [m], NaN where unknown, and the origin; None without any."""
-    known = [k for k, picture in enumerate(pictures) if picture.position is not None]
-    positions = np.full((len(pictures), 3), np.nan)
-    geodetic = [(p.longitude_deg, p.latitude_deg, p.height_m) for picture in pictures if (p := picture.position)]
-    if not known:
-        return positions, None
-    longitude, latitude, height = np.median(_unwrapped(np.array(geodetic)), axis=0)
-    datum = Datum(float(latitude), float(_within_180(longitude)), float(height))
-    positions[known] = from_geodetic(np.array(geodetic), datum)
-    return positions, datum
-
-
-def _unwrapped(geodetic: Array) -> Array:
-    """Return (N, 3) longitude, latitude, height with longitudes near the first: they jump at the antimeridian."""
-    unwrapped = geodetic.copy()
-    unwrapped[:, 0] = geodetic[0, 0] + _within_180(geodetic[:, 0] - geodetic[0, 0])
-    return unwrapped
-
-
-def _within_180(degrees: Array) -> Array:
-    """Return angles in [-180, 180) degrees; those that are there already stay as they are."""
-    return np.where(np.abs(degrees) < 180.0, degrees, (degrees + 180.0) % 360.0 - 180.0)
-
-
 def levelled(adjusted: Adjusted) -> Adjusted:
     """Return the scene with z up from the plane of its points, at a median height of one."""
     scene = adjusted.scene
@@ -97,22 +75,10 @@ def levelled(adjusted: Adjusted) -> Adjusted:
     centres = scene.centres[adjusted.used]
     if np.median((centres - point) @ normal) < 0.0:
         normal = -normal
-    R = _rotation_to_up(normal)
+    R = rotation_to_up(normal)
     moved = transformed(scene, 1.0, R, -R @ point)
     height = float(np.median(moved.centres[adjusted.used, 2]))
     return replace(adjusted, scene=transformed(moved, 1.0 / height, np.eye(3), np.zeros(3)))
-
-
-def ground_plane(points: Array) -> tuple[Array, Array]:
-    """Return the unit normal of a plane through (P, 3) points, and a point on it, in spite of outliers."""
-    weight = np.ones(len(points))
-    for _ in range(REWEIGHTINGS):
-        middle = weight @ points / weight.sum()
-        apart = points - middle
-        normal = np.linalg.eigh((apart * weight[:, None]).T @ apart)[1][:, 0]
-        distance = np.abs(apart @ normal)
-        weight = 1.0 / (1.0 + (distance / max(1.5 * float(np.median(distance)), 1e-12)) ** 2)
-    return normal, middle
 
 
 def transformed(scene: Scene, scale: float, R: Array, t: Array) -> Scene:
@@ -138,7 +104,7 @@ def place(
     """
     flat = levelled(adjusted)
     recorded, datum = local_positions(pictures)
-    positions = _without_repeats(recorded)
+    positions = without_repeats(recorded)
     used = flat.used[np.isfinite(positions[flat.used]).all(axis=1)]
     if datum is None or len(used) < FEWEST_POSITIONS:
         return _without_gps(flat, height_m, unrelated=False)
@@ -177,53 +143,6 @@ def _shrunken(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> b
     return bool(abs(turn) * spread < LEAST_SPREAD * wanted)
 
 
-def _without_repeats(positions: Array) -> Array:
-    """Return (N, 3) positions, NaN for those that repeat an earlier one: a receiver that is stuck gives no others.
-
-    If half of them were equal, the similarity that maps all pictures to one point would fit best.
-    """
-    known = np.flatnonzero(np.isfinite(positions).all(axis=1))
-    _, first = np.unique(positions[known], axis=0, return_index=True)
-    distinct = np.full_like(positions, np.nan)
-    distinct[known[first]] = positions[known[first]]
-    return distinct
-
-
-def plane_similarity(a: Array, b: Array) -> tuple[complex, complex]:
-    """Return complex (scale and rotation, shift) that maps (N, 2) points to others, robust to almost half of them.
-
-    Of three points, any two are met: these are fitted by plain least squares, as nothing tells which one is wrong.
-    """
-    p, q = (points @ np.array([1.0, 1j]) for points in (a, b))
-    if len(p) < FEWEST_CHECKED:
-        return _fitted(p, q, np.ones(len(p)))
-    rng = np.random.default_rng(SEED)
-    i, j = rng.integers(len(p), size=(2, TRIALS))
-    apart = np.abs(p[i] - p[j]) > 0.25 * np.abs(p - np.median(p.real) - 1j * np.median(p.imag)).max()
-    i, j = i[apart], j[apart]
-    turn = (q[j] - q[i]) / (p[j] - p[i])
-    shift = q[i] - turn * p[i]
-    errors = np.median(np.abs(turn[:, None] * p + shift[:, None] - q), axis=1)
-    best = int(np.argmin(np.where(np.abs(turn) > 0.0, errors, np.inf)))
-    return _refined(p, q, complex(turn[best]), complex(shift[best]))
-
-
-def _refined(p: Complex, q: Complex, turn: complex, shift: complex) -> tuple[complex, complex]:
-    """Return the re-weighted least-squares similarity near a given one."""
-    for _ in range(REWEIGHTINGS):
-        error = np.abs(turn * p + shift - q)
-        weight = 1.0 / (1.0 + (error / max(2.0 * float(np.median(error)), 1e-9)) ** 2)
-        turn, shift = _fitted(p, q, weight)
-    return turn, shift
-
-
-def _fitted(p: Complex, q: Complex, weight: Array) -> tuple[complex, complex]:
-    """Return the least-squares similarity of weighted points."""
-    p0, q0 = (weight @ points / weight.sum() for points in (p, q))
-    turn = complex((weight * np.conj(p - p0)) @ (q - q0) / (weight @ np.abs(p - p0) ** 2))
-    return turn, complex(q0 - turn * p0)
-
-
 def _by_gps(adjusted: Adjusted, positions: Array, used: NDArray[np.intp], height_m: float | None) -> Adjusted:
     """Return the levelled scene scaled, turned and shifted to the positions by a similarity alone."""
     centres = adjusted.scene.centres[used]
@@ -248,7 +167,7 @@ def _sloping(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> Ad
         sigma = _gps_sigma(_distances(placed, positions, used)[used])
         rise = _rise(placed.scene.centres[used], positions[used], sigma, _ground_slope(placed))
         up = np.array([-rise[0], -rise[1], 1.0])
-        R = _rotation_to_up(up / np.linalg.norm(up)).T
+        R = rotation_to_up(up / np.linalg.norm(up)).T
         turned = replace(placed, scene=transformed(placed.scene, 1.0, R, np.zeros(3)))
     if np.linalg.norm(_ground_slope(turned)) > STEEPEST:
         return adjusted
@@ -311,13 +230,3 @@ def _level_sigma(positions: Array, sigma_m: float) -> float:
     plane = positions[np.isfinite(positions).all(axis=1), :2]
     across = float(np.linalg.svd(plane - plane.mean(axis=0), compute_uv=False)[-1])
     return VERTICAL_FACTOR * sigma_m / max(across, 1e-9)
-
-
-def _rotation_to_up(normal: Array) -> Array:
-    """Return the smallest rotation that turns a unit vector up."""
-    axis = np.cross(normal, [0.0, 0.0, 1.0])
-    c = float(normal[2])
-    if c < -1.0 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.asarray(np.eye(3) + K + K @ K / (1.0 + c))
