@@ -11,8 +11,8 @@ import pytest
 from uav_vslam.config import BackendConfig, FleetConfig, LinkConfig, ReplayConfig, StartConfig, VehicleConfig
 from uav_vslam.config.fleet import RadioConfig
 from uav_vslam.errors import ConfigError
+from uav_vslam.ros.command import node_command
 from uav_vslam.ros.fleet_commands import VEHICLE_NODES, node_specs
-from uav_vslam.ros.supervisor import node_command
 
 ROOT = Path(__file__).parents[2]
 

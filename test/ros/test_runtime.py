@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from uav_vslam.ros.supervisor import find_executable
+from uav_vslam.ros.command import find_executable
 from waiting import wait_for
 
 pytestmark = pytest.mark.ros

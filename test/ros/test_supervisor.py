@@ -16,7 +16,8 @@ import pytest
 
 from uav_vslam.errors import ConfigError
 from uav_vslam.ros import supervisor
-from uav_vslam.ros.supervisor import ESCALATION, Command, Supervisor, describe_exit, find_executable
+from uav_vslam.ros.command import Command
+from uav_vslam.ros.supervisor import ESCALATION, Supervisor, describe_exit
 from waiting import wait_for
 
 pytestmark = pytest.mark.ros
@@ -59,7 +60,9 @@ def supervised(
     """Start a supervisor in its own process; wait until all of its processes run."""
     commands = [write_pid(folder, name, code, leads=name == leader) for name, code in codes.items()]
     program = (
-        "import sys; from uav_vslam.ros.supervisor import Command, Supervisor\n"
+        "import sys\n"
+        "from uav_vslam.ros.command import Command\n"
+        "from uav_vslam.ros.supervisor import Supervisor\n"
         f"sys.exit(Supervisor(escalation={[(s, int(number)) for s, number in escalation]!r}).run({commands!r}))"
     )
     command = [sys.executable, "-c", program]
@@ -230,15 +233,6 @@ def test_signal_handlers_are_restored() -> None:
     before = signal.getsignal(signal.SIGTERM)
     Supervisor().run([python("a", "pass", leads=True)])
     assert signal.getsignal(signal.SIGTERM) is before
-
-
-def test_installed_programs_are_preferred_to_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    assert find_executable("fusion") == [sys.executable, "-m", "uav_vslam.ros.fusion_node"]
-    program = tmp_path / "lib" / "uav_vslam" / "fusion"
-    program.parent.mkdir(parents=True)
-    program.touch(mode=0o755)
-    assert find_executable("fusion") == [str(program)]
 
 
 def test_exits_are_described() -> None:

@@ -12,8 +12,8 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 
+from uav_vslam.ros.command import node_command
 from uav_vslam.ros.fleet_commands import NodeSpec
-from uav_vslam.ros.supervisor import node_command
 from waiting import wait_for
 
 

@@ -151,9 +151,10 @@ def launch(
         The exit code of the first process that failed, 128 + the signal that interrupted a replay, or 0.
     """
     from uav_vslam.config import separate_maps
+    from uav_vslam.ros.command import node_command
     from uav_vslam.ros.domain import check_domain
     from uav_vslam.ros.fleet_commands import node_specs, without_parameter_services
-    from uav_vslam.ros.supervisor import ESCALATION, SAVING, Supervisor, node_command
+    from uav_vslam.ros.supervisor import ESCALATION, SAVING, Supervisor
 
     check_domain(domain_id)
     _check_places(record, maps, fleet.chosen(vehicles))

@@ -17,12 +17,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from uav_vslam.config.nodes import NODES, VehicleNodeConfig
 from uav_vslam.errors import ConfigError
 from uav_vslam.processes import exit_with_parent
-from uav_vslam.ros.fleet_commands import NodeSpec
+from uav_vslam.ros.command import Command
 
-PACKAGE = "uav_vslam"
 DRAIN_S = 1.0  # after the replay's end, for messages in flight
 ESCALATION = ((0.0, signal.SIGINT), (2.0, signal.SIGTERM), (4.0, signal.SIGKILL))  # seconds after the shutdown starts
 SAVING = (*ESCALATION[:2], (60.0, signal.SIGKILL))  # where a process has a map to save
@@ -32,29 +30,21 @@ STABLE_S = 60.0  # a process that ran for so long is restarted without waiting a
 WRONG_INPUT = 2  # exit code of a process that would fail again, if it is the first thing it does
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
-    """One process to run.
-
-    Attributes:
-        name: prefix of its output.
-        argv: program and arguments.
-        leads: its exit shuts down the fleet; otherwise only a signal or a failure does.
-        optional: the fleet goes on without it if it fails, unless its input is wrong.
-        environment: variables in addition to the supervisor's.
-        resume: further arguments of a process that takes the place of one that failed.
-    """
-
-    name: str
-    argv: list[str]
-    leads: bool = False
-    environment: dict[str, str] = field(default_factory=dict)
-    resume: tuple[str, ...] = ()
-    optional: bool = False
-
-
 @dataclass(slots=True)
 class _Child:
+    """A command's process, which changes when it is restarted.
+
+    Attributes:
+        command, process: what runs.
+        log: file of its output; None for none.
+        unfinished: output after the last end of a line.
+        started_s: when, by the monotonic clock [s].
+        failures: in a row, none of which came after STABLE_S.
+        restart_at_s: when it is due, by the same clock [s]; None unless it waits for its restart.
+        restarted: it took the place of one that failed.
+        missed: it is optional and failed; the fleet goes on.
+    """
+
     command: Command
     process: subprocess.Popen[bytes]
     log: IO[bytes] | None
@@ -276,27 +266,6 @@ def _close_log(child: _Child) -> None:
     with contextlib.suppress(OSError):  # the disk is full
         if log is not None:
             log.close()
-
-
-def node_command(spec: NodeSpec, log_level: str = "") -> Command:
-    """Return the command that runs a node; its name is "uav1/slam_backend", or "replay" for the whole fleet."""
-    name = f"{spec.namespace}/{spec.name}".strip("/")
-    argv = [*find_executable(spec.executable), *spec.ros_arguments()]
-    argv += ["--log-level", log_level] if log_level else []
-    of_vehicle = spec.executable in NODES and issubclass(NODES[spec.executable].own, VehicleNodeConfig)
-    resume = ("-p", "resume:=true") if of_vehicle else ()
-    leads, optional = spec.executable == "replay", spec.executable == "recorder"
-    return Command(name, argv, leads, spec.environment, resume, optional)
-
-
-def find_executable(name: str) -> list[str]:
-    """Return the start command of a node: the installed program as for `ros2 run`, or the module itself."""
-    beside = [Path(sys.argv[0]).resolve().parent]
-    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if prefix]
-    for folder in [*(prefix / "lib" / PACKAGE for prefix in prefixes), *beside]:
-        if os.access(folder / name, os.X_OK) and (folder / name).is_file():
-            return [str(folder / name)]
-    return [sys.executable, "-m", f"{PACKAGE}.ros.{name}_node"]
 
 
 def describe_exit(code: int) -> str:
