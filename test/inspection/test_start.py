@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.datasets.bag import TruthTrack
+from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.inspection.start import check_start, check_truth

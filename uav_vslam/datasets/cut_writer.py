@@ -16,7 +16,7 @@ import yaml
 
 from uav_vslam.config import InputConfig, StartConfig, VehicleConfig, parameter_file
 from uav_vslam.config.input import COMPRESSED
-from uav_vslam.datasets.bag import BagFlight, TruthTrack
+from uav_vslam.datasets.bag import BagFlight
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import decode, encode
 from uav_vslam.datasets.cutting import CutVehicle
@@ -31,6 +31,7 @@ from uav_vslam.datasets.message_builders import (
 from uav_vslam.datasets.messages import TruthSample, header_stamp_ns
 from uav_vslam.datasets.rosbag import iter_raw
 from uav_vslam.datasets.seen_points import recorded_pairs
+from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.datasets.unfinished import unfinished
 from uav_vslam.evaluation.pairing import MAX_GAP_S
 from uav_vslam.geometry.pose import Pose

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
-from uav_vslam.datasets.bag import IMAGE_TYPES, TruthTrack, truth_track
+from uav_vslam.datasets.bag import IMAGE_TYPES
 from uav_vslam.datasets.calibration_files import Calibration
 from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.flight_writer import TF_STATIC
@@ -28,6 +28,7 @@ from uav_vslam.datasets.messages import (
 from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.datasets.stereo_sync import StereoPair, StereoPairer
+from uav_vslam.datasets.truth_track import TruthTrack, truth_track
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame

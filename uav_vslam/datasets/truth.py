@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from uav_vslam.datasets.bag import TruthTrack
+from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.evaluation.pairing import MAX_GAP_S
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.bag import TruthTrack
+from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, ok, warning

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.datasets.bag import TruthTrack
 from uav_vslam.datasets.truth import MAX_SPACING_S, spacing_s
+from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins.alignment import static_alignment
