@@ -22,12 +22,15 @@ class TopicsConfig(Settings):
     left: str = setting(
         "left/image_raw", "left image; with /compressed appended, sensor_msgs/CompressedImage is read as well"
     )
-    right: str = setting("right/image_raw", "right image, likewise")
+    right: str = setting("right/image_raw", "right image, raw or compressed as the left one")
     left_info: str = setting("left/camera_info", "calibration of the left camera")
     right_info: str = setting("right/camera_info", "calibration of the right camera")
     imu: str = setting("imu/data_raw", "IMU readings")
     initial_state: str = setting("initial_state", "start state")
-    truth: str = setting("ground_truth/odometry", "ground truth, offline only: Odometry, PoseStamped, TransformStamped")
+    truth: str = setting(
+        "ground_truth/odometry",
+        "ground truth, offline only: Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,27 +50,32 @@ class RigConfig(Settings):
     flexing: bool = setting(False, "the cameras' relative attitude drifts and vibrates, so it is estimated")
     attitude_sigma_deg: float = setting(
         0.05,
-        "flexing: initial slow part, per axis; best set to twice the expected",
+        "flexing: initial error of the attitude's slow part, per axis; best set to twice the expected",
         unit="deg",
         at_least=0,
         at_most=180,
     )
     attitude_walk_deg: float = setting(
-        0.001, "flexing: random walk of the slow part", unit="deg/sqrt(s)", at_least=0, at_most=180
+        0.001, "flexing: random walk of the attitude's slow part", unit="deg/sqrt(s)", at_least=0, at_most=180
     )
     vibration_sigma_deg: float = setting(
-        0.05, "flexing: part independent in each frame, rms per axis", unit="deg", at_least=0, at_most=180
+        0.05,
+        "flexing: part of the attitude that is independent in each frame, rms per axis",
+        unit="deg",
+        at_least=0,
+        at_most=180,
     )
     rigid_sigma_deg: float = setting(
         2.0e-4,
-        "not flexing: about the axis that changes the disparity, if the calibration is right; 0: attitude exact",
+        "not flexing: error of the attitude about the axis that changes the disparity, if the calibration is right; "
+        "0: the attitude is exact about every axis",
         unit="deg",
         at_least=0,
         at_most=180,
     )
     epipolar_sigma_deg: float = setting(
         0.05,
-        "not flexing: the same about the axes that don't change the disparity; each stereo pair shows such errors",
+        "not flexing: error of the attitude about the axes that don't change the disparity; each stereo pair shows it",
         unit="deg",
         at_least=0,
         at_most=180,
@@ -79,7 +84,10 @@ class RigConfig(Settings):
         0.004, "constant error of the disparity, estimated, if the calibration is right; 0: none", unit="px", at_least=0
     )
     miscalibrated_sigma_px: float = setting(
-        0.3, "not flexing: the same if the calibration is wrong, which the motion shows", unit="px", above=0
+        0.3,
+        "not flexing: constant error of the disparity if the calibration is wrong, which the motion shows",
+        unit="px",
+        above=0,
     )
     miscalibrated_probability: float = setting(
         0.2, "not flexing: probability before the flight that the calibration is wrong; 0: never", at_least=0, below=1
@@ -140,7 +148,7 @@ class FrontendConfig(Settings):
     )
     max_tracks: int = setting(300, "klt: points that are tracked", at_least=1)
     anchored: bool = setting(
-        True, "klt: points are tied to how they looked first, and slide far less; takes half as long again in rooms"
+        True, "klt: points are tied to how they looked first, and slide far less; takes 1.5 times as long in rooms"
     )
     scale: float = setting(
         0.5, "sift: factor by which images are shrunk for detection (INTER_AREA)", at_least=0.1, at_most=1
@@ -155,7 +163,12 @@ class FrontendConfig(Settings):
         "whole images, and the geometry is checked afterwards; no effect with klt, which matches by optical flow",
         choices=FRONTEND_MATCHERS,
     )
-    ratio: float = setting(0.8, "sift: nearest / second-nearest descriptor distance, left to right", above=0, at_most=1)
+    ratio: float = setting(
+        0.8,
+        "nearest / second-nearest descriptor distance: left to right (sift), and between frames at a start in flight",
+        above=0,
+        at_most=1,
+    )
     epipolar_px: float = setting(
         2.0,
         "largest distance to the epipolar line, full-resolution pixels; wider if rig.flexing",
@@ -216,7 +229,7 @@ class BackendConfig(Settings):
         0.85, "nearest / second-nearest descriptor distance inside the gate", above=0, at_most=1
     )
     gate_probability: float = setting(
-        0.99, "of the chi-square gate on a predicted observation", above=0, below=1, live=True
+        0.99, "that a correct observation passes the chi-square gate of its prediction", above=0, below=1, live=True
     )
     window: int = setting(
         10,
@@ -224,7 +237,9 @@ class BackendConfig(Settings):
         at_least=0,
         at_most=60,
     )
-    window_spacing_s: float = setting(0.03, "between past poses; others are not kept", unit="s", at_least=0)
+    window_spacing_s: float = setting(
+        0.03, "least spacing of past poses; those in between are not kept", unit="s", at_least=0
+    )
     track_sigma_px: float = setting(
         0.055,
         "window: standard deviation of a tracked point's right pixel about its left one; a track's "
@@ -328,7 +343,9 @@ class FusionConfig(Settings):
         choices=FUSION_ASSOCIATIONS,
     )
     ratio: float = setting(0.8, "descriptor ratio test between vehicles, before the gate", above=0, at_most=1)
-    gate_probability: float = setting(0.99, "of the chi-square gate on a common landmark", above=0, below=1)
+    gate_probability: float = setting(
+        0.99, "that a correct pair of landmarks passes its chi-square gate", above=0, below=1
+    )
     min_common: int = setting(2, "pairs that must agree with each other before any is used", at_least=1)
     floor_sigma_m: float = setting(
         0.3,
@@ -339,8 +356,10 @@ class FusionConfig(Settings):
     fleet_key_file: str = setting(
         "", "shared secret of the fleet, 16 bytes or more: packets without its tag are dropped"
     )
-    signing_key_file: str = setting("", "instead: this vehicle's own Ed25519 key (PEM)")
-    peer_keys_folder: str = setting("", "with it: <vehicle>.pem, the public key of every vehicle")
+    signing_key_file: str = setting("", "instead of fleet_key_file: this vehicle's own Ed25519 key (PEM)")
+    peer_keys_folder: str = setting(
+        "", "with signing_key_file: folder of <vehicle>.pem, the public key of every vehicle"
+    )
 
     def _check_together(self) -> None:
         if self.fleet_key_file and self.signing_key_file:
