@@ -17,11 +17,11 @@ def test_a_consistent_filter_is_never_reinitialised() -> None:
     assert abs(health.nis_per_dof - 1.0) < 0.1
 
 
-def test_large_innovations_over_a_window_are_a_reason_with_their_size() -> None:
+def test_large_innovations_over_a_window_are_a_reason_with_their_nis() -> None:
     health = FilterHealth()
     reasons = [health.check(Innovation(2 * MAX_NIS_PER_DOF * DOF, DOF), features=100, known=60) for _ in range(WINDOW)]
     assert reasons[:-1] == [""] * (WINDOW - 1)  # one bad frame is not a diverged filter
-    assert f"{2 * MAX_NIS_PER_DOF:.1f} times as large" in reasons[-1]
+    assert f"{2 * MAX_NIS_PER_DOF:.1f} times its degrees of freedom" in reasons[-1]
 
 
 @pytest.mark.parametrize("innovation", [None, Innovation(0.0, 0)])

@@ -34,12 +34,12 @@ class FilterHealth:
             self._lost += 1
         nis_per_dof = self.nis_per_dof
         if len(self._recent) == WINDOW and nis_per_dof > MAX_NIS_PER_DOF:
-            return f"innovations of {WINDOW} frames are {nis_per_dof:.1f} times as large as the filter expects"
+            return f"NIS of {WINDOW} frames is {nis_per_dof:.1f} times its degrees of freedom"
         if self._lost >= MAX_LOST:
             return f"no landmark associated and no track accepted for {self._lost} frames"
         return ""
 
     @property
     def nis_per_dof(self) -> float:
-        """Mean squared normalised innovation over the window; 1 for a consistent filter."""
+        """NIS over the window divided by its degrees of freedom; 1 for a consistent filter."""
         return sum(i.nis for i in self._recent) / max(sum(i.dof for i in self._recent), 1)
