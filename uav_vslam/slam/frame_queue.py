@@ -57,31 +57,27 @@ class FrameQueue:
         if self.start_ns is None:
             return None
         self._refuse_motion_before(self.start_ns if self._reached_ns is None else self._reached_ns)
-        while self._features:
-            stamp_ns = self._features[0].stamp_ns
-            if stamp_ns < self.start_ns:
-                self._features.popleft()
-                self.before_start += 1
-            elif self._reached_ns is not None and stamp_ns <= self._reached_ns:
-                self._features.popleft()
-                self.without_motion += 1
-            elif stamp_ns == self.start_ns:
-                self._reached_ns = stamp_ns
-                return self._features.popleft(), None
-            elif not self._increments:
-                return None
-            elif self._reached_ns is not None and stamp_ns <= self._increments[0].start_ns:  # its motion was lost
-                self._reached_ns = stamp_ns
-                return self._features.popleft(), None
-            elif self._increments[0].stamp_ns > stamp_ns:  # increments are in order: none will end at this frame
-                self._drop_unpaired(self._increments[0])
-            elif self._increments[0].stamp_ns < stamp_ns:
-                return self._bridge()
-            else:
-                increment = self._increments.popleft()
-                self._reached_ns = stamp_ns
-                self.unpaired = max(0, self.unpaired - 2)
-                return self._features.popleft(), increment
+        self._drop_frames_without_motion(self.start_ns)
+        if not self._features:
+            return self._bridge_silence()
+        stamp_ns = self._features[0].stamp_ns
+        if stamp_ns == self.start_ns or self._is_motion_lost(stamp_ns):
+            self._reached_ns = stamp_ns
+            return self._features.popleft(), None
+        if not self._increments:
+            return None
+        if self._increments[0].stamp_ns < stamp_ns:
+            return self._bridge()
+        self._reached_ns = stamp_ns
+        self.unpaired = max(0, self.unpaired - 2)
+        return self._features.popleft(), self._increments.popleft()
+
+    def _is_motion_lost(self, stamp_ns: int) -> bool:
+        """Return whether a frame's increment was lost: the next one begins at its stamp or later."""
+        return self._reached_ns is not None and bool(self._increments) and stamp_ns <= self._increments[0].start_ns
+
+    def _bridge_silence(self) -> tuple[StereoFeatures, ImuIncrement] | None:
+        """Return the oldest increment with an empty frame, if the cameras count as silent; None if not."""
         waiting = len(self._increments)
         if min(self._ahead, waiting) <= MAX_AHEAD and waiting < MAX_WAITING:
             return None
@@ -94,6 +90,25 @@ class FrameQueue:
         self._reached_ns = increment.stamp_ns
         self.lost += 1
         return StereoFeatures.empty(increment.stamp_ns), increment
+
+    def _drop_frames_without_motion(self, start_ns: int) -> None:
+        """Drop the oldest frames as long as no increment will end at them."""
+        while self._features:
+            stamp_ns = self._features[0].stamp_ns
+            if stamp_ns < start_ns:
+                self._features.popleft()
+                self.before_start += 1
+            elif self._reached_ns is not None and stamp_ns <= self._reached_ns:
+                self._features.popleft()
+                self.without_motion += 1
+            elif stamp_ns != start_ns and self._is_inside_increment(stamp_ns):
+                self._drop_unpaired(self._increments[0])
+            else:
+                return
+
+    def _is_inside_increment(self, stamp_ns: int) -> bool:
+        """Return whether the next increment ends after a frame; increments are in order, so none will end at it."""
+        return bool(self._increments) and self._increments[0].stamp_ns > stamp_ns and not self._is_motion_lost(stamp_ns)
 
     def _drop_unpaired(self, increment: ImuIncrement) -> None:
         """Drop the oldest frame, whose stamp is inside an increment."""
