@@ -177,6 +177,15 @@ def test_every_part_of_the_package_has_its_place_in_the_order() -> None:
     assert parts <= set(ALLOWED)
 
 
+def test_the_list_for_contributors_has_every_part_and_may_be_read_downwards() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    lines = text.partition("## Layers")[2].partition("The core knows")[0].splitlines()
+    listed = [line[4:].partition("   ")[0].replace("|", " ").split() for line in lines if line.startswith("    ")]
+    rank = {part: row for row, parts in enumerate(listed) for part in parts}
+    assert rank.keys() == ALLOWED.keys()
+    assert [(part, below) for part, allowed in ALLOWED.items() for below in allowed if rank[below] > rank[part]] == []
+
+
 def test_later_layers_import_earlier_ones_and_never_the_reverse() -> None:
     assert [line for path in modules() for line in wrong_layers(path)] == []
 
