@@ -300,23 +300,15 @@ class SlamStage:
             self._backend = SlamBackend(
                 self.initial, rig=rig, config=self._config, vehicle=self._vehicle, session=self._session
             )
-        increment = self._motion(self._backend, features.stamp_ns, increment)
-        report = self._backend.process(features, increment)
-        self._was_motion_unknown |= self._backend.imu_fault != ""
-        at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
-        self._previous_ns = features.stamp_ns
-        joint = None
-        if at_epoch or not self._is_announced:
-            try:
-                joint = self._joint_information(self._backend)
-            except FilterDivergence as error:
-                report = self._backend.recovered(report, features, str(error))
-                joint = self._joint_information(self._backend)
-        self._is_announced = True
+        backend = self._backend
+        increment = self._motion(backend, features.stamp_ns, increment)
+        report = backend.process(features, increment)
+        self._was_motion_unknown |= backend.imu_fault != ""
+        report, joint = self._with_joint(backend, report, features)
         self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
-        noisy = self._noise_warnings(self._backend.track_sigma_px, increment)
+        noisy = self._noise_warnings(backend.track_sigma_px, increment)
         warnings = [text for text in (*noisy, *self._warnings(report, dead_reckoned)) if text]
         return FrameOutput(report, dead_reckoned, joint, increment, tuple(warnings))
 
@@ -335,6 +327,25 @@ class SlamStage:
         if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
             self._start_monitor.stop(increment.start_ns)
         return increment
+
+    def _with_joint(
+        self, backend: SlamBackend, report: FrameReport, features: StereoFeatures
+    ) -> tuple[FrameReport, JointInformation | None]:
+        """Return a frame's report, and at epochs and a session's first frame the joint information.
+
+        Where the filter has lost its positive definiteness, it is re-initialised, and the report says so.
+        """
+        at_epoch = crosses_epoch(self._previous_ns, features.stamp_ns, self._config.fusion.epoch_s)
+        self._previous_ns = features.stamp_ns
+        if self._is_announced and not at_epoch:
+            return report, None
+        try:
+            joint = self._joint_information(backend)
+        except FilterDivergence as error:
+            report = backend.recovered(report, features, str(error))
+            joint = self._joint_information(backend)
+        self._is_announced = True
+        return report, joint
 
     def _joint_information(self, backend: SlamBackend) -> JointInformation:
         joint, start_map = backend.joint_information(), self._start_map
