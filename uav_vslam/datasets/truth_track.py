@@ -11,7 +11,7 @@ from uav_vslam.types import NS_PER_S
 
 Array = NDArray[np.float64]
 
-TELLING_WAY_M = 0.5  # within a second: more than what positions scatter by
+LEAST_DISPLACEMENT_M = 0.5  # within a second, with which velocities are compared: more than positions scatter by
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +53,11 @@ def truth_track(samples: list[TruthSample]) -> TruthTrack:
 
 
 def _contradict(times_s: Array, positions: Array, velocities: Array) -> bool:
-    """Return whether velocities account for less than half of the way within a second, in the median of all seconds.
+    """Return whether velocities account for less than half of the displacement within a second, in the median.
 
     Args:
         times_s: (N,) rising times [s].
-        positions, velocities: (N, 3) [m], [m/s]; the way within a second is the former's, and the latter's integral.
+        positions, velocities: (N, 3) [m], [m/s].
     """
     steps = 0.5 * (velocities[1:] + velocities[:-1]) * np.diff(times_s)[:, None]
     by_velocity = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
@@ -65,7 +65,9 @@ def _contradict(times_s: Array, positions: Array, velocities: Array) -> bool:
     first = np.flatnonzero(later < len(times_s))
     if len(first) == 0:
         first, later = np.zeros(1, np.intp), np.full(1, len(times_s) - 1)
-    way = positions[later[first]] - positions[first]
-    missed = np.linalg.norm(way - (by_velocity[later[first]] - by_velocity[first]), axis=1)
-    way_m = np.linalg.norm(way, axis=1)
-    return bool(np.median(way_m) > TELLING_WAY_M and np.median(missed) > 0.5 * np.median(way_m))
+    displacement = positions[later[first]] - positions[first]
+    missed = np.linalg.norm(displacement - (by_velocity[later[first]] - by_velocity[first]), axis=1)
+    displacement_m = np.linalg.norm(displacement, axis=1)
+    return bool(
+        np.median(displacement_m) > LEAST_DISPLACEMENT_M and np.median(missed) > 0.5 * np.median(displacement_m)
+    )
