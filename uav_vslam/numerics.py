@@ -47,12 +47,12 @@ def is_positive_definite(A: Array) -> bool:
 
 
 def inverse_spd(A: Array, what: str) -> Array:
-    """Return the symmetric inverse of a positive definite matrix, from its Cholesky factor."""
+    """Return the symmetric (n, n) inverse of a positive definite A (n, n); `what` names it if `cholesky` fails."""
     return inverse_from_cholesky(cholesky(A, what))
 
 
 def inverse_from_cholesky(L: Array) -> Array:
-    """Return (L L^T)^-1 for a lower factor."""
+    """Return (L L^T)^-1 for a lower factor L (n, n)."""
     lower, _ = dpotri(L, lower=1)  # the upper triangle keeps L's zeros
     inverse = lower + lower.T
     inverse.flat[:: len(L) + 1] *= 0.5
@@ -60,7 +60,7 @@ def inverse_from_cholesky(L: Array) -> Array:
 
 
 def inverse_of_triangle(L: Array) -> Array:
-    """Return the inverse of a lower triangle, by recursive halving.
+    """Return the inverse of a lower triangle L (n, n), by recursive halving.
 
     Nearly all of the work is then matrix products: half the time of LAPACK's dtrtri.
     """
@@ -77,18 +77,18 @@ def inverse_of_triangle(L: Array) -> Array:
 
 
 def log_det_of(L: Array) -> float:
-    """Return log det(L L^T) for a triangular factor."""
+    """Return log det(L L^T) for a triangular factor L (n, n)."""
     return 2.0 * float(np.log(np.diagonal(L)).sum())
 
 
 def square_root(A: Array) -> Array:
-    """Return B with B B^T = A for a positive semidefinite A, which may be singular."""
+    """Return B (n, n) with B B^T = A for a positive semidefinite A (n, n), which may be singular."""
     values, vectors = np.linalg.eigh(symmetrise(A))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def solve_spd(A: Array, b: Array, what: str) -> Array:
-    """Return x with A x = b for a positive definite A."""
+    """Return x with A x = b for a positive definite A (n, n) and b (n,) or (n, k)."""
     return np.asarray(cho_solve((cholesky(A, what), True), b, check_finite=False))
 
 
@@ -110,7 +110,12 @@ def submatrix(A: Array, rows: NDArray[np.int64], columns: NDArray[np.int64] | No
 def marginalise_information(
     Y: Array, keep: NDArray[np.int64], drop: NDArray[np.int64], what: str
 ) -> tuple[Array, float]:
-    """Marginalise by the Schur complement.
+    """Marginalise an information matrix by the Schur complement.
+
+    Args:
+        Y: (n, n) information.
+        keep, drop: rows of Y, none in both.
+        what: names Y over `drop` if it is not positive definite.
 
     Returns:
         The information over `keep`, Y_kk - Y_kd Y_dd^-1 Y_dk, and log det Y_dd.

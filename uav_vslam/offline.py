@@ -200,6 +200,9 @@ def fly(
         keep_features: in the tracks, for pictures.
         smoothing: smooth each whole flight afterwards.
         keep_maps: in the tracks.
+
+    Returns:
+        Own-only and cooperative tracks by vehicle.
     """
     track = partial(track_vehicle, keep_features=keep_features, smoothing=smoothing, keep_map=keep_maps)
     if workers == 1 or len(sources) == 1:
@@ -221,7 +224,17 @@ def flight_result(
     wall_s: float = 0.0,
     bags: Sequence[Path] = (),
 ) -> FlightResult:
-    """Collect the data for evaluation."""
+    """Collect the data for evaluation.
+
+    Args:
+        name: of the flight, for its results.
+        tracks, fleet: as `fly` returns them.
+        truths: ground truth by vehicle, None without.
+        configs: by vehicle.
+        seed: of a simulated flight.
+        wall_s: time that the run took [s].
+        bags: recordings of the flight.
+    """
     modes = {vehicle: configs[vehicle].fusion.mode if len(tracks) > 1 else "none" for vehicle in tracks}
     fused = {vehicle for vehicle in tracks if modes[vehicle] != "none" or configs[vehicle].start.map}
     members = {vehicle: fleet[vehicle] if vehicle in fused else None for vehicle in tracks}

@@ -26,7 +26,7 @@ class DescriptorStatistics:
 
     @staticmethod
     def of(descriptors: NDArray[np.uint8]) -> "DescriptorStatistics":
-        """Return the statistics of landmarks seen once."""
+        """Return the statistics of landmarks seen once, with (N, D) descriptors."""
         return DescriptorStatistics(
             np.ones(len(descriptors), np.intp), descriptors.astype(float), np.zeros(descriptors.shape)
         )
@@ -36,14 +36,14 @@ class DescriptorStatistics:
         return DescriptorStatistics(self.count[rows], self.mean[rows], self.scatter[rows])
 
     def append(self, descriptors: NDArray[np.uint8]) -> None:
-        """Add new landmarks; the very first set D."""
+        """Add new landmarks with (M, D) descriptors; the very first set D."""
         new = DescriptorStatistics.of(descriptors)
         self.mean = np.vstack([self.mean, new.mean]) if len(self.count) else new.mean
         self.scatter = np.vstack([self.scatter, new.scatter]) if len(self.count) else new.scatter
         self.count = np.concatenate([self.count, new.count])
 
     def observe(self, rows: Rows, descriptors: NDArray[np.uint8]) -> None:
-        """Add a view of landmarks, each at most once."""
+        """Add a view of K landmarks, each at most once, with (K, D) descriptors."""
         self.count[rows] += 1
         mean = self.mean[rows]
         before = descriptors - mean

@@ -75,12 +75,12 @@ class Bundle:
         self._pixels = [np.concatenate([corners.pixels for corners in side]) for side in seen]
 
     def pack(self, rig: StereoRig, T_left_boards: Sequence[Pose]) -> Array:
-        """Return the parameters."""
+        """Return (P,) parameters: of both cameras, T_right_left, and T_left_board of each pair."""
         cameras = [[c.fx, c.fy, c.cx, c.cy, *c.distortion] for c in (rig.left, rig.right)]
         return np.concatenate([*cameras, _vector(rig.T_right_left), *map(_vector, T_left_boards)])
 
     def rig(self, parameters: Array) -> StereoRig:
-        """Return the rig of parameters; the left camera is the body."""
+        """Return the rig of (P,) parameters; the left camera is the body."""
         left, right = (self._camera(values) for values in parameters[: 2 * self.intrinsics].reshape(2, self.intrinsics))
         T_right_left = _pose(parameters[self.shared - POSE : self.shared])
         return StereoRig(left, right, Pose.identity(), T_right_left.inverse())

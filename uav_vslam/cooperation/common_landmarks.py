@@ -94,7 +94,10 @@ def blocks(covariance: Array) -> Array:
 
 
 def consistent(pairs: Pairs, own: Array, P: Array, peer: Array, R: Array, config: FusionConfig) -> Pairs:
-    """Return the largest set of pairwise consistent matches: equal offsets in both maps."""
+    """Return the rows of the largest set of pairwise consistent matches: equal offsets in both maps.
+
+    Arguments as for `gated`.
+    """
     i, j = np.triu_indices(len(pairs), 1)
     a, b = pairs[:, 0], pairs[:, 1]
     offset = (peer[b[j]] - peer[b[i]]) - (own[a[j]] - own[a[i]])

@@ -5,6 +5,8 @@ Source of `se3`: Umeyama, "Least-squares estimation of transformation parameters
 without scale. `yaw` is its restriction to the four directions that a visual-inertial system can't observe; `start-yaw`
 fits the heading alone, for an estimate whose start position is known in the frame of the ground truth; `start-pose`
 moves the start as well, so that the error grows from zero as it does in flight.
+
+Positions are (N, 3) [m], N > 0; row k of the estimate is compared with row k of the truth.
 """
 
 from collections.abc import Callable
@@ -24,7 +26,7 @@ def align_none(estimate: Array, truth: Array) -> Pose:
 
 
 def align_se3(estimate: Array, truth: Array) -> Pose:
-    """Return T_truth_estimate that minimises the squared distances of (N, 3) positions [m]."""
+    """Return T_truth_estimate that minimises the squared distances."""
     spread = (truth - truth.mean(axis=0)).T @ (estimate - estimate.mean(axis=0))
     U, _, Vt = np.linalg.svd(spread)
     handedness = np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
@@ -32,13 +34,13 @@ def align_se3(estimate: Array, truth: Array) -> Pose:
 
 
 def align_yaw(estimate: Array, truth: Array) -> Pose:
-    """Return the T_truth_estimate with a rotation about z only that minimises the squared distances [m]."""
+    """Return the T_truth_estimate with a rotation about z only that minimises the squared distances."""
     R = _best_yaw(estimate - estimate.mean(axis=0), truth - truth.mean(axis=0))
     return _through_centres(R, estimate, truth)
 
 
 def align_start_yaw(estimate: Array, truth: Array) -> Pose:
-    """Return the T_truth_estimate that rotates about z through the first position, which it keeps [m]."""
+    """Return the T_truth_estimate that rotates about z through the first position of the estimate, which it keeps."""
     R = _best_yaw(estimate - estimate[0], truth - estimate[0])
     return Pose(R, estimate[0] - R @ estimate[0])
 

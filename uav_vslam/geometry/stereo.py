@@ -130,7 +130,7 @@ class StereoRig:
         return np.abs(self.epipolar_offset(pixels))
 
     def epipolar_offset(self, pixels: ArrayLike) -> Array:
-        """Return the same distances, with opposite signs on either side of the line."""
+        """Return (N,) the distances of `epipolar_distance`, with opposite signs on either side of the line."""
         z = np.asarray(pixels, dtype=float).reshape(-1, 4)
         ones = np.ones((len(z), 1))
         lines = np.hstack([z[:, :2], ones]) @ self.fundamental.T

@@ -6,7 +6,7 @@ in   imu/data_raw         sensor_msgs/Imu
                           image instead
      /tf_static           <vehicle>/base_link to the IMU's frame, if that is another one
      initial_state        uav_vslam_msgs/NavigationState, latched; an output instead with start.method static,
-                          and from the back end with in_flight
+                          and from the back end with in_flight and map
      slam/correction      uav_vslam_msgs/NavigationState, from the back end
 out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
      ins/dead_reckoning   nav_msgs/Odometry per image, map frame, never corrected: the INS baseline

@@ -8,32 +8,42 @@ from uav_vslam.association.descriptor_statistics import DescriptorStatistics
 
 Rows = NDArray[np.intp]
 
-LONG_FRAMES = 30  # a landmark unseen for longer closes a loop when it is observed again
+LONG_FRAMES = 30  # a landmark last observed so many frames ago, or more, closes a loop when it is observed again
 
 
 class LandmarkMap:
-    """Identifiers, descriptors and history, kept consistent with the filter by `append` and `remove`."""
+    """Identifiers, descriptors and history of N landmarks, kept consistent with the filter by `append` and `remove`.
+
+    Attributes:
+        ids: (N,) identifiers.
+        descriptors: (N, D) newest ones; D is that of the first landmarks.
+        statistics: of all descriptors.
+        born, seen: (N,) frame numbers of the first and the last observation.
+        observations: (N,) how many.
+        revisited: (N,) observed again after being long unseen.
+        tracks: (N,) the front end's, as last observed; 0 for none.
+    """
 
     def __init__(self) -> None:
         self.ids: NDArray[np.uint32] = np.zeros(0, np.uint32)
-        self.descriptors: NDArray[np.uint8] = np.zeros((0, 128), np.uint8)  # as long as the first that come
+        self.descriptors: NDArray[np.uint8] = np.zeros((0, 128), np.uint8)
         self.statistics = DescriptorStatistics.of(self.descriptors)
-        self.born: Rows = np.zeros(0, np.intp)  # frame number of the first observation
-        self.seen: Rows = np.zeros(0, np.intp)  # frame number of the last observation
-        self.observations: Rows = np.zeros(0, np.intp)  # how many
-        self.revisited: NDArray[np.bool_] = np.zeros(0, bool)  # observed again after being long unseen
-        self.tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)  # the front end's, as last observed; 0 for none
+        self.born: Rows = np.zeros(0, np.intp)
+        self.seen: Rows = np.zeros(0, np.intp)
+        self.observations: Rows = np.zeros(0, np.intp)
+        self.revisited: NDArray[np.bool_] = np.zeros(0, bool)
+        self.tracks: NDArray[np.uint32] = np.zeros(0, np.uint32)
         self._next_id = 1
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def long_unseen(self, frame: int) -> NDArray[np.bool_]:
-        """Return which landmarks have been unseen for more than `LONG_FRAMES`."""
+        """Return (N,) which landmarks were last observed `LONG_FRAMES` or more before a frame."""
         return np.asarray(frame - self.seen >= LONG_FRAMES)
 
     def new_ids(self, count: int) -> NDArray[np.uint32]:
-        """Return new identifiers."""
+        """Return (count,) new identifiers."""
         fresh = np.arange(self._next_id, self._next_id + count, dtype=np.uint32)
         self._next_id += count
         return fresh
@@ -67,7 +77,7 @@ class LandmarkMap:
     def observe(
         self, rows: Rows, descriptors: NDArray[np.uint8], frame: int, tracks: NDArray[np.uint32] | None = None
     ) -> None:
-        """Record observations; the newest descriptor and track replace the old ones.
+        """Record observations of K `rows`; their newest descriptors (K, D) and tracks (K,) replace the old ones.
 
         A continued track keeps its first descriptor: the same descriptor again is not another view.
         """

@@ -18,7 +18,7 @@ class PoseEquations:
     """Normal equations of all poses, H (6K, 6K) and b (6K,), with the points eliminated.
 
     Attributes:
-        H, b: the equations.
+        H, b: (6K, 6K) and (6K,) the equations.
         inverse: (N, 3, 3) of the points' own blocks, b_points: (N, 3) their vector, cross: (N, 6K, 3) with the poses.
     """
 

@@ -126,7 +126,7 @@ class TrackWindow:
         return Present(with_tracks, innovation, rows if choose is None else np.intersect1d(new, rows))
 
     def identified(self, rows: Rows, landmark_map: LandmarkMap) -> NDArray[np.uint32]:
-        """Return the landmark identifiers of some tracks, new ones where they have none."""
+        """Return the (K,) landmark identifiers of K rows of the tracks, new ones where they have none."""
         tracks = self.views.tracks[rows].tolist()
         fresh = [track for track in tracks if track not in self._ids]
         self._ids.update(zip(fresh, landmark_map.new_ids(len(fresh)).tolist(), strict=True))
@@ -137,7 +137,7 @@ class TrackWindow:
         return slam_filter.past_estimate(0) if len(slam_filter.past) > self._size > 0 else None
 
     def drop_oldest(self, slam_filter: Filter) -> NDArray[np.int64]:
-        """Drop the oldest frame of a full window; return the past poses that the filter need not keep any longer."""
+        """Drop the oldest frame of a full window; return the rows of past poses that the filter need not keep."""
         if len(slam_filter.past) <= self._size:
             return NO_ROWS
         self.views.drop_frame(0)

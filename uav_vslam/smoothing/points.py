@@ -45,7 +45,7 @@ def residual_px(sightings: Sightings, cameras: Cameras, points: Array, noise: Pi
 def fitting(
     sightings: Sightings, cameras: Cameras, points: Array, noise: PixelNoise, *, probability: float
 ) -> NDArray[np.bool_]:
-    """Return which points have enough views that are not wrong, and pass the chi-square gate on those.
+    """Return which of (P, 7) points have enough views that are not wrong, and pass the chi-square gate on those.
 
     Two views are enough, and one of a revisited landmark: it ties its state to the landmark's other views.
     """
@@ -69,7 +69,14 @@ def ties(rows: Rows, points: Array, landmarks: Array, sigma_m: Array) -> Ties:
 
 
 def wrongly_tied(rows: Rows, points: Array, landmarks: Array, sigma_m: Array, *, probability: float) -> Rows:
-    """Return the landmarks of which a point is farther away than the chi-square gate allows."""
+    """Return the ascending rows of landmarks of which a point is farther away than the chi-square gate allows.
+
+    Args:
+        rows: (P,) landmark of each point, -1 for none.
+        points, landmarks: (P, 7) and (L, 3) [m].
+        sigma_m: (P,) as for `apart`.
+        probability: that a point of the landmark passes.
+    """
     sigmas2 = np.sum(apart(rows, points, landmarks) ** 2, axis=1) / sigma_m**2
     return np.unique(rows[sigmas2 > 2.0 * gammaincinv(1.5, probability)])
 

@@ -58,7 +58,7 @@ class DescriptorBasis:
 
 
 def in_basis(descriptors: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
-    """Convert raw descriptors to a basis.
+    """Convert raw descriptors (N, D) to codes (N, K) of a basis; raw ones stay as they are.
 
     Raises:
         InvalidMessage: the basis is unknown, or for another descriptor length.

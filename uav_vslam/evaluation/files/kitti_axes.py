@@ -15,5 +15,5 @@ def from_kitti(positions: Array, rotations: Array) -> tuple[Array, Array]:
 
 
 def to_kitti(positions: Array, rotations: Array) -> tuple[Array, Array]:
-    """Return the inverse of `from_kitti`."""
+    """Return positions and rotations of ours in KITTI's axes, the inverse of `from_kitti`."""
     return positions @ R_FLU_RDF, R_FLU_RDF.T @ rotations @ R_FLU_RDF

@@ -31,7 +31,7 @@ def outline(camera: PinholeCamera, T_map_cam: Pose, height_m: float) -> Array:
 
 
 def overlap(first: Array, second: Array) -> float:
-    """Return the share of the first of two convex outlines that the second one covers."""
+    """Return the share of the first of two convex outlines, (N, 2) and (M, 2) [m], that the second one covers."""
     a, b = first.astype(np.float32), second.astype(np.float32)
     common, _ = cv2.intersectConvexConvex(cv2.convexHull(a), cv2.convexHull(b))
     return float(common / max(cv2.contourArea(cv2.convexHull(a)), 1e-9))

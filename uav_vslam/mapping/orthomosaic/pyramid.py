@@ -72,7 +72,7 @@ def at_level(at: tuple[slice, slice], level: int) -> tuple[slice, slice]:
 
 
 def fill(image: Real, known: NDArray[np.bool_]) -> Real:
-    """Continue an image smoothly where it is not known, from averages over ever larger surroundings."""
+    """Continue an (H, W, C) image smoothly where it is not known (H, W), from means over ever larger surroundings."""
     if known.all():
         return image
     weight, filled = known.astype(np.float32), np.empty_like(image)

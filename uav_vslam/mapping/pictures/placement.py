@@ -82,7 +82,7 @@ def levelled(adjusted: Adjusted) -> Adjusted:
 
 
 def transformed(scene: Scene, scale: float, R: Array, t: Array) -> Scene:
-    """Return the scene after x -> scale R x + t."""
+    """Return the scene after x -> scale R x + t, with R (3, 3) and t (3,)."""
     return replace(
         scene,
         R_cam_map=scene.R_cam_map @ R.T,

@@ -62,7 +62,7 @@ class PointSurface:
 
 
 def without_outliers(points: Array) -> Array:
-    """Return the points whose height is like that of their neighbours in the plane."""
+    """Return those of (P, 3) points whose height is like that of their neighbours in the plane."""
     if len(points) <= NEIGHBOURS:
         return points
     near = cKDTree(points[:, :2]).query(points[:, :2], NEIGHBOURS + 1)[1]

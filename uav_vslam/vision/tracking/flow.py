@@ -117,11 +117,11 @@ class Flow:
         return self.first.warped(np.column_stack([self.turn, shift])), self.pixels @ self.turn.T + shift
 
     def tracked(self) -> tuple[Array, Mask]:
-        """Return pixels in the second image, and which points are tracked: `track_points`."""
+        """Return (N, 2) pixels in the second image, and (N,) which points are tracked: `track_points`."""
         return self.fine(np.arange(len(self.pixels)), self.guess)
 
     def coarse(self, rows: Rows) -> Array:
-        """Return where some of the points are in the second image within half a pixel, those that it shows."""
+        """Return (K, 2) pixels of K points in the second image, to half a pixel where it shows them."""
         if len(rows) == 0:
             return np.zeros((0, 2))
         first, pixels = self._turned
