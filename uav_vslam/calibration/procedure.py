@@ -49,7 +49,7 @@ class Boards:
 
 @dataclass(frozen=True, slots=True)
 class HalfCheck:
-    """The same calibration from every second pair, and from the others.
+    """A calibration solved again from every second pair, and from the others.
 
     Attributes:
         halves: both solutions.

@@ -38,7 +38,7 @@ class Transport(Protocol):
 
     @property
     def expected_copies(self) -> int:
-        """The same once all peers listen."""
+        """Transmissions that a packet to all peers takes once all of them listen."""
 
     def tune(self, settings: FusionConfig, receiver: Receiver) -> None:
         """Change to the communication mode of the settings; later packets go to the receiver."""

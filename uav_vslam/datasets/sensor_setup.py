@@ -132,7 +132,7 @@ class SensorSetup:
         return self.frames.find(self.config.base_frame(self.vehicle), self._imu_frame)
 
     def missing_imu_transforms(self) -> list[str]:
-        """Return the same for the IMU alone."""
+        """Return what /tf_static still has to connect for the IMU, in words."""
         return self._unconnected(self._imu_frames())
 
     def conflict(self, frame: str) -> str:

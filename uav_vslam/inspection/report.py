@@ -44,7 +44,7 @@ def text(survey: Survey, inspection: Inspection) -> str:
 
 
 def tree(survey: Survey, inspection: Inspection) -> dict[str, Any]:
-    """Return the same for JSON."""
+    """Return the report on one vehicle as plain data, for JSON."""
     return {
         "vehicle": inspection.vehicle,
         "usable": inspection.usable,

@@ -121,7 +121,7 @@ class FlownMap:
         return colours
 
     def _colours_within(self, part: Raster, points: Array) -> Bytes:
-        """Return the same for points within a part of the picture."""
+        """Return (N, 3) mean colours of a part of the picture around points within it."""
         assert self._drawn is not None
         side = max(1, round(self.grid.cell_m / self._drawn.m_per_px))
         picture = self._drawn.picture(part.grown(side))

@@ -32,7 +32,7 @@ def live_view(fleet: Fleet, now_s: float) -> RenderableType:
 
 
 def live_lines(fleet: Fleet, now_s: float) -> list[str]:
-    """Return the same as one line a vehicle, and one for each node that is not well."""
+    """Return what `live_view` shows as one line a vehicle, and one for each node that is not well."""
     lines = [_line(vehicle, now_s) for vehicle in fleet.vehicles.values() if vehicle.age_s(now_s) is not None]
     return lines + [text for text, _ in _remarks(fleet, now_s)]
 

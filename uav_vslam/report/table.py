@@ -54,7 +54,7 @@ def score_titles(alignment: str) -> dict[str, str]:
 
 
 def relative_table(summary: Figures) -> Table:
-    """Return the same rows with the relative errors, which are root mean squares over segments of the path."""
+    """Return the rows of `summary_table` with the relative errors: root mean squares over segments of the path."""
     return _rows(summary, RELATIVE_TITLES)
 
 

@@ -113,7 +113,7 @@ class Radio:
 
     @property
     def expected_copies(self) -> int:
-        """The same once all peers subscribe, and nobody else."""
+        """Transmissions of a packet once all peers subscribe, and nobody else."""
         return max(len(self._peers), 1) if self._host is not self._node else 1
 
     def look_for_namesake(self) -> None:

@@ -84,7 +84,7 @@ class Sightings:
         return Sightings(self.states[rows], points, self.pixels[rows], landmarks, self.ids[keep], self.tracked)
 
     def untied(self, landmarks: Rows) -> "Sightings":
-        """Return the same points, of which none shows these landmarks."""
+        """Return these points with none showing any of some landmarks, given by row."""
         rest = np.where(np.isin(self.landmarks, landmarks), -1, self.landmarks)
         return dataclasses.replace(self, landmarks=_renumbered(rest))
 

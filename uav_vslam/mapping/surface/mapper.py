@@ -225,7 +225,7 @@ def _apart(a: PreparedView, b: PreparedView) -> float:
 
 
 def _moved_m(a: PreparedView, b: PreparedView, ground_m: float) -> float:
-    """Return the longest way of a point of the footprint: unlike the cameras', it grows with a bank too [m]."""
+    """Return the largest displacement in the footprint [m]: unlike the cameras', it grows with a bank too."""
     return float(np.linalg.norm(_footprint(a, ground_m) - _footprint(b, ground_m), axis=1).max())
 
 

@@ -139,6 +139,6 @@ def _gtsam(vehicle: SimulatedVehicle, seen: list[Frame], lag_s: float, factorisa
 def _motions(
     vehicle: SimulatedVehicle, kind: Callable[[list[ImuSample], ImuConfig, NavState], Motion]
 ) -> list[gtsam.PreintegratedCombinedMeasurements | None]:
-    """Return the same for GTSAM."""
+    """Return the motion up to each frame for GTSAM, by its kind of preintegration; None for the first."""
     motion = kind(vehicle.imu.samples(), vehicle.scenario.imu_config, vehicle.initial.state)
     return [None, *(motion.between(*ends) for ends in itertools.pairwise(vehicle.frame_stamps_ns.tolist()))]

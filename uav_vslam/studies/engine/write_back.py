@@ -85,7 +85,7 @@ def intersect_each(own: Filter, rows: Pairs, received: Shared, before: Shared | 
 
 
 def overwrite(own: Filter, rows: Pairs, received: Shared, before: Shared | None) -> None:
-    """The same, but only the covariance's diagonal block is replaced; its cross-covariances stay."""
+    """Intersect as `intersect_each`, but replace only the covariance's diagonal block, not its cross-covariances."""
     del before
     P_received = inverse_spd(received.information, "a peer's landmarks")
     P = own.covariance()

@@ -56,11 +56,11 @@ class Displacements:
         return float(np.sqrt(np.mean(np.sum(self.errors**2, axis=1))))
 
     def rigid_rms_m(self) -> float:
-        """Return the same after the best rigid motion in the plane [m]."""
+        """Return the root mean square distance after the best rigid motion in the plane [m]."""
         return self._rms_m(align_yaw(_in_space(self.points + self.errors), _in_space(self.points)))
 
     def start_yaw_rms_m(self) -> float:
-        """Return the same after the best rotation about the start [m]."""
+        """Return the root mean square distance after the best rotation about the start [m]."""
         with_start = [np.vstack([self.start, points]) for points in (self.points + self.errors, self.points)]
         return self._rms_m(align_start_yaw(*map(_in_space, with_start)))
 
