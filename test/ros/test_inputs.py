@@ -68,7 +68,7 @@ def test_an_input_keeps_what_a_latched_publisher_offers(listener, qos):
 
 
 def test_of_many_latched_publishers_a_plain_one_does_not_stop_the_others(listener):
-    one = Input(String, "many", [].append, LATCHED_BY_MANY, "many")
+    one = Input(String, "many", [].append, LATCHED_BY_MANY, "many", shared=True)
     one.subscribe(listener)
     plain = listener.create_publisher(String, "many", 10)
     assert spin_until(listener, lambda: listener.count_publishers("many") == 1)
@@ -150,4 +150,15 @@ def test_compressed_images_are_remapped_with_the_raw_ones(listener, remappings, 
     Input(CompressedImage, name, received.append, STATE, "left").subscribe(node)
     camera = listener.create_publisher(CompressedImage, compressed, STATE)
     assert spin_until(node, lambda: bool(received), lambda: camera.publish(CompressedImage()))
+    node.destroy_node()
+
+
+def test_qos_that_is_overridden_is_that_of_one_topic_and_outlasts_its_driver(listener):
+    depth = ["--ros-args", "-p", "qos_overrides./deep.subscription.depth:=77"]
+    node = rclpy.create_node("overridden", context=listener.context, cli_args=depth)
+    deep, other = (make_input(node, topic, []) for topic in ("/deep", "/other"))
+    assert (deep.qos.depth, other.qos.depth, STATE.depth) == (77, 10, 10)
+    listener.create_publisher(String, "/deep", QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
+    assert spin_until(node, lambda: deep.follow(node))
+    assert deep.qos.depth == 77
     node.destroy_node()

@@ -13,6 +13,7 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import ReliabilityPolicy  # noqa: E402
 
 from uav_vslam.config import VehicleConfig  # noqa: E402
 from uav_vslam.config.nodes import NODES  # noqa: E402
@@ -220,6 +221,13 @@ def test_configuration_files_of_ours_are_parameter_files_of_every_node(start: Ca
         assert node.get_parameter("backend.sigma_px").value == 0.3
     if name == "link_emulator":
         assert node.get_parameter("link.loss").value == 0.2
+
+
+def test_qos_that_is_overridden_for_one_output_is_not_that_of_others(start: Callable[..., Any]) -> None:
+    node = start("slam_backend", "qos_overrides./uav1/odometry.publisher.reliability:=best_effort")
+    offered = {one.topic_name: one.qos_profile.reliability for one in node.publishers}
+    assert offered["/uav1/odometry"] == ReliabilityPolicy.BEST_EFFORT
+    assert offered["/uav1/joint_information"] == offered["/uav1/slam/correction"] == ReliabilityPolicy.RELIABLE
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ asks for what was published before it came, and does without if nobody offers th
 once is not used.
 """
 
+import copy
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
@@ -23,7 +24,6 @@ from sensor_msgs.msg import CompressedImage, Image
 from uav_vslam.config.input import COMPRESSED, image_names
 from uav_vslam.ros.batches import waiting
 from uav_vslam.ros.publishers import Publishers
-from uav_vslam.ros.qos import LATCHED_BY_MANY
 
 STREAM = 10  # messages after which more are expected
 PAUSE_S = 5.0  # of a stream before it has stopped,
@@ -35,7 +35,8 @@ class Input:
     """One subscription.
 
     Attributes:
-        message_type, topic, callback, qos: as given to create_subscription.
+        message_type, topic, callback: as given to create_subscription.
+        qos: of the current subscription.
         stands_for: topic that it can replace; usually its own.
         raw: the callback gets serialised messages.
         group: of the subscription; None for the node's.
@@ -66,16 +67,8 @@ class Input:
 
     def subscribe(self, node: Node) -> None:
         """Create the subscription; its policies can be overridden by parameters qos_overrides.<topic>.subscription."""
-        overrides = QoSOverridingOptions.with_default_policies()
-        self.subscription = node.create_subscription(
-            self.message_type,
-            self.topic,
-            self._listener(node),
-            self.qos,
-            qos_overriding_options=overrides,
-            raw=self.raw,
-            callback_group=self.group,
-        )
+        self.qos = copy.copy(self.qos)  # rclpy writes overrides into it, and other topics share the profile
+        self._create(node, qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def follow(self, node: Node) -> bool:
         """Resubscribe with less if nothing better is offered; return whether it did."""
@@ -88,17 +81,25 @@ class Input:
         if all(offer.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
             reliability = ReliabilityPolicy.BEST_EFFORT
         # Of many latched publishers, others may come later: they would not be received any more.
-        may_come_later = self.qos is LATCHED_BY_MANY
-        if not may_come_later and all(offer.durability == DurabilityPolicy.VOLATILE for offer in offers):
+        if not self.shared and all(offer.durability == DurabilityPolicy.VOLATILE for offer in offers):
             durability = DurabilityPolicy.VOLATILE
         if (reliability, durability) == (self.qos.reliability, self.qos.durability):
             return False
         node.destroy_subscription(self.subscription)
-        self.qos = QoSProfile(depth=self.qos.depth, reliability=reliability, durability=durability)
-        self.subscription = node.create_subscription(
-            self.message_type, self.topic, self._listener(node), self.qos, raw=self.raw, callback_group=self.group
-        )
+        self.qos.reliability, self.qos.durability = reliability, durability
+        self._create(node)
         return True
+
+    def _create(self, node: Node, **options: Any) -> None:
+        self.subscription = node.create_subscription(
+            self.message_type,
+            self.topic,
+            self._listener(node),
+            self.qos,
+            raw=self.raw,
+            callback_group=self.group,
+            **options,
+        )
 
     def _listener(self, node: Node) -> Callable[..., None]:
         """Return the subscription's callback, which passes on what one publisher sent."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base of every vehicle node: start-up, shutdown, rejected messages counted by reason, and diagnostics."""
 
+import copy
 import re
 import signal
 import sys
@@ -179,7 +180,8 @@ class VehicleNode(PausableNode):
         """
         overrides = QoSOverridingOptions.with_default_policies()
         events = PublisherEventCallbacks(use_default_callbacks=False)
-        return self.create_publisher(message_type, topic, qos, qos_overriding_options=overrides, event_callbacks=events)
+        own = copy.copy(qos)  # rclpy writes overrides into it, and other topics share the profile
+        return self.create_publisher(message_type, topic, own, qos_overriding_options=overrides, event_callbacks=events)
 
     def drop(self, reason: str, detail: str) -> None:
         """Count a dropped message and log it, throttled."""
