@@ -45,6 +45,21 @@ def test_an_input_follows_a_driver_that_offers_best_effort_only(listener):
     assert not one.follow(listener)  # once is enough
 
 
+def test_an_input_follows_the_driver_that_takes_the_place_of_another_and_offers_less(listener):
+    received = []
+    one = make_input(listener, "replaced", received)
+    first = listener.create_publisher(String, "replaced", STATE)
+    assert spin_until(listener, lambda: bool(received), lambda: first.publish(String(data="first")))
+    assert not one.follow(listener)
+    listener.destroy_publisher(first)
+    second = listener.create_publisher(
+        String, "replaced", QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    )
+    assert spin_until(listener, lambda: one.follow(listener))
+    assert spin_until(listener, lambda: received[-1].data == "second", lambda: second.publish(String(data="second")))
+    assert not one.follow(listener)
+
+
 @pytest.mark.parametrize("qos", [LATCHED, RESUMABLE], ids=["latched", "resumable"])
 def test_an_input_that_wants_what_was_published_before_it_does_without_if_nobody_offers_it(listener, qos):
     received = []

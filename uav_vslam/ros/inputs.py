@@ -2,9 +2,9 @@
 """Subscriptions of a node: which inputs are missing or have stopped, and the QoS that publishers offer.
 
 Camera and IMU drivers often publish best effort, which a reliable subscription never matches; a best-effort one loses
-messages of a reliable publisher. So an input starts reliable and switches if only best effort is offered. Likewise it
-asks for what was published before it came, and does without if nobody offers that. An input that two nodes publish at
-once is not used.
+messages of a reliable publisher. So an input starts reliable and switches if only best effort is offered, in flight
+too, as a driver that replaces another may offer less. Likewise it asks for what was published before it came, and does
+without if nobody offers that. An input that two nodes publish at once is not used.
 """
 
 import copy
@@ -72,7 +72,7 @@ class Input:
 
     def follow(self, node: Node) -> bool:
         """Resubscribe with less if nothing better is offered; return whether it did."""
-        if self.received:
+        if self.subscription.get_publisher_count():
             return False
         offers = [info.qos_profile for info in node.get_publishers_info_by_topic(self.subscription.topic_name)]
         if not offers:
