@@ -181,9 +181,22 @@ def test_a_reset_says_whether_the_node_runs_afterwards(make: Make) -> None:
     assert change(flight, "fusion", Transition.TRANSITION_DEACTIVATE)
     answer = call(flight, Trigger, "fusion/reset", Trigger.Request())
     assert (answer.success, answer.message) == (True, forgotten.format("paused", "activate it"))
-    assert change(flight, "fusion", Transition.TRANSITION_INACTIVE_SHUTDOWN)
+    assert change(flight, "fusion", Transition.TRANSITION_CLEANUP)
+    answer = call(flight, Trigger, "fusion/reset", Trigger.Request())
+    assert (answer.success, answer.message) == (True, forgotten.format("not configured", "configure and activate it"))
+    assert change(flight, "fusion", Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
     answer = call(flight, Trigger, "fusion/reset", Trigger.Request())
     assert (answer.success, answer.message) == (False, forgotten.format("finalized", "restart its process"))
+
+
+def test_a_pause_that_the_state_does_not_have_is_refused_with_what_to_do(make: Make) -> None:
+    flight = make("autostart:=false")
+    for state, remedy in (("not configured", "configure and activate it"), ("finalized", "restart its process")):
+        for paused in (True, False):
+            answer = call(flight, SetBool, "fusion/pause", SetBool.Request(data=paused))
+            text = f"the node is {state} and ignores messages: {remedy}"
+            assert (answer.success, answer.message) == (False, text)
+        change(flight, "fusion", Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
 
 
 def test_a_node_that_is_shut_down_ignores_messages_for_good(make: Make) -> None:

@@ -18,6 +18,11 @@ from std_srvs.srv import SetBool, Trigger
 from uav_vslam.errors import UavVslamError
 
 UNCONFIGURED, INACTIVE, FINALIZED = "not configured", "paused", "finalized"
+REMEDIES = {
+    UNCONFIGURED: "configure and activate it",
+    INACTIVE: "activate it",
+    FINALIZED: "restart its process",
+}
 
 
 class PausableNode(LifecycleNode):
@@ -75,8 +80,8 @@ class PausableNode(LifecycleNode):
             self.reset()
             response.success, response.message = self.paused != FINALIZED, "started again"
             if self.paused:
-                remedy = "restart its process" if self.paused == FINALIZED else "activate it"
-                response.message = f"flight forgotten, but the node is {self.paused} and ignores messages: {remedy}"
+                state = f"{self.paused} and ignores messages: {REMEDIES[self.paused]}"
+                response.message = f"flight forgotten, but the node is {state}"
             self.get_logger().warning(f"reset: {response.message}")
         except (UavVslamError, OSError) as error:
             response.success, response.message = False, str(error)
@@ -94,10 +99,11 @@ class PausableNode(LifecycleNode):
         return response
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        number, label = self._state_machine.current_state
+        number, _ = self._state_machine.current_state
         wanted = State.PRIMARY_STATE_INACTIVE if request.data else State.PRIMARY_STATE_ACTIVE
         if number not in (State.PRIMARY_STATE_INACTIVE, State.PRIMARY_STATE_ACTIVE):
-            response.success, response.message = False, f"the node is {label}; configure it first"
+            response.success = False
+            response.message = f"the node is {self.paused} and ignores messages: {REMEDIES[self.paused]}"
             return response
         if number != wanted:
             (self.trigger_deactivate if request.data else self.trigger_activate)()
