@@ -252,3 +252,21 @@ def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(do
         deliver(node, "left/camera_info", zoomed)
         assert node.counts["dropped/calibration"] == 1
         assert node._rig.rig.left.fx > 0.0
+
+
+def test_a_calibration_that_changes_to_one_that_can_not_be_used_is_named_as_long_as_it_lasts(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        deliver(node, "/tf_static", extrinsics(node))
+        for side in ("left", "right"):
+            deliver(node, f"{side}/camera_info", calibration(side))
+        used = node._rig.rig
+        elsewhere = calibration("left")
+        elsewhere.header.frame_id = "gimbal"
+        deliver(node, "left/camera_info", elsewhere)
+        assert "can't be used: /tf_static does not connect uav1/base_link and gimbal" in node.failures["calibration"]
+        node.reset()
+        assert "calibration" in node.failures
+        assert node._rig.rig is used
+        deliver(node, "left/camera_info", calibration("left"))
+        assert "calibration" not in node.failures

@@ -59,9 +59,10 @@ class RigListener:
         return self._setup.camera_frame("left") or of_images
 
     def restart(self) -> None:
-        """Use the newest calibration."""
+        """Use the newest calibration, if it can be used."""
         self.rig = self._newest() or self.rig
-        self._node.report_failure(CHANGED, "")
+        if self.rig is not None:
+            self._follow()
 
     def _on_camera(self, side: str, message: CameraInfo) -> None:
         content = _content(message)
@@ -83,10 +84,17 @@ class RigListener:
         if self.rig is None:
             self._assemble()
             return
-        newest = self._newest()
-        changes = _changes(self.rig, newest) if newest is not None else ""
-        text = f"the calibration has changed and is used only after a reset of all nodes: {changes}"
-        self._node.report_failure(CHANGED, text if changes else "")
+        self._node.report_failure(CHANGED, self._fault(self.rig))
+
+    def _fault(self, used: StereoRig) -> str:
+        """Return how the newest calibration differs from the one in use, in a line; empty if it does not."""
+        if self._setup.missing_infos:
+            return ""
+        try:
+            changes = _changes(used, self._setup.rig())
+        except CalibrationError as error:
+            return f"the calibration has changed to one that can't be used: {error}"
+        return f"the calibration has changed and is used only after a reset of all nodes: {changes}" if changes else ""
 
     def _newest(self) -> StereoRig | None:
         if self._setup.missing_infos or self._setup.missing_transforms():
