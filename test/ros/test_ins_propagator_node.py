@@ -243,6 +243,20 @@ def test_after_a_reset_a_start_state_counts_more_than_what_was_estimated_before(
     assert node._live.estimate.pose.T_map_body.t[0] == pytest.approx(1000.0, abs=1.0)
 
 
+def test_an_invalid_start_state_in_flight_is_refused_and_a_jump_goes_on_without_it(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 2.0)
+    invalid = start_at(NOW_NS - 60 * NS_PER_S)
+    invalid.covariance[0] = float("nan")
+    deliver(node, "initial_state", invalid)
+    assert node.counts["dropped/not_finite"] == 1
+    rest(node, NOW_NS - 60 * NS_PER_S, 2.0)
+    assert node.counts["time_jumps"] == node.counts["dropped/not_finite"] == 1
+    assert node._live is not None
+    assert node._live.estimate.state.stamp_ns < NOW_NS
+
+
 def test_corrections_that_come_late_are_told_until_they_are_in_time(make: Make) -> None:
     node = make()
     deliver(node, "initial_state", start_at(NOW_NS))

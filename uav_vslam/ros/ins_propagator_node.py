@@ -188,13 +188,13 @@ class InsPropagatorNode(VehicleNode):
             self._batches.at_once = True  # for the readings that it may wait for
 
     def _on_initial_state(self, message: NavigationState) -> None:
+        given = navigation_from_msg(message)  # one that is invalid is refused now, not at the jump that would need it
         if self._resumed:  # the whole vehicle was reset: what the back end estimated before no longer counts
             self._resumed = False
             self._forget_flight()
         if self._live is not None:
             self._starts.append(message)
             return
-        given = navigation_from_msg(message)
         if self._preintegrator is not None:  # found in flight by the back end
             self._start(given)
             return
