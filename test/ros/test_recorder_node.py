@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder says when a vehicle whose nodes are there is no longer heard."""
+"""The recorder says where it can't record, and when a vehicle whose nodes are there is no longer heard."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -50,3 +52,12 @@ def test_a_vehicle_that_is_no_longer_heard_is_named(
             assert witness.sees(lambda: witness.text(RECORDER) == "recording", both)
         finally:
             executor.shutdown()
+
+
+def test_an_output_in_a_place_where_nothing_can_be_made_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "disk").write_text("a file, no folder")
+    output = tmp_path / "disk" / "flights" / "1"
+    command = [sys.executable, "-m", "uav_vslam.ros.recorder_node", "--ros-args", "-p", "vehicles:=[uav1]"]
+    done = subprocess.run([*command, "-p", f"output:={output}"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert f"{output}: can't be made" in done.stderr

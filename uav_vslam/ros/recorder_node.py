@@ -24,6 +24,7 @@ from rclpy.node import Node
 from uav_vslam.config.nodes import RecorderNodeConfig
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.messages import header_stamp_ns
+from uav_vslam.datasets.unfinished import require_place
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.diagnostics import status_message
@@ -58,6 +59,7 @@ class RecorderNode(Node):
         output, vehicles = own.output, own.vehicles
         if not output or not vehicles:
             raise ConfigError("recorder: set the parameters output (folder to make) and vehicles (their names)")
+        require_place(Path(output))
         Path(output).parent.mkdir(parents=True, exist_ok=True)
         self._bag = RawRecorder(Path(output), retrying=True)
         self._output = output
