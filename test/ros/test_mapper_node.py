@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
+from uav_vslam.errors import BagError  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.mapping.flown_map import UNSEEN_GREY  # noqa: E402
 from uav_vslam.mapping.surface.grid import HeightGrid  # noqa: E402
@@ -169,6 +170,12 @@ def test_a_folder_that_holds_a_map_is_refused(make: Make, tmp_path: Path) -> Non
     HeightGrid(1.0, tmp_path / "map" / "tiles").flush()
     with pytest.raises(Exception, match="already holds a height grid"):
         make(f"map.folder:={tmp_path / 'map'}")
+
+
+def test_a_folder_in_a_place_where_nothing_can_be_made_is_refused(make: Make, tmp_path: Path) -> None:
+    (tmp_path / "disk").write_text("a file, no folder")
+    with pytest.raises(BagError, match="map: can't be made"):
+        make(f"map.folder:={tmp_path / 'disk' / 'map'}")
 
 
 def test_a_restarted_mapper_and_a_reset_one_begin_a_map_beside_the_earlier_ones(make: Make, tmp_path: Path) -> None:

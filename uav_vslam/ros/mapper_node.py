@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker
 
 from uav_vslam.datasets.messages import stamp_ns_of
+from uav_vslam.datasets.unfinished import require_place
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.flown_map import FlownMap
 from uav_vslam.mapping.late_poses import LatePoses
@@ -62,6 +63,8 @@ class MapperNode(VehicleNode):
         if folder is not None and beside:
             others = (Path(f"{name}_{number}") for number in itertools.count(2))
             folder = next(each for each in itertools.chain([folder], others) if not each.exists())
+        if folder is not None:
+            require_place(folder)
         return FlownMap(folder, cell_m=self.own.map.cell_m, pixel_m=self.own.map.pixel_m)
 
     def reset(self) -> None:
