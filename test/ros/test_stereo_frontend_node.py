@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ros.convert import flat, header, transform_to_msg  # noqa: E402
 from uav_vslam.ros.qos import IMAGE, LATCHED, STATE  # noqa: E402
-from uav_vslam.ros.stereo_frontend_node import MAX_ALONE, RAW_AWAITED, StereoFrontendNode  # noqa: E402
+from uav_vslam.ros.stereo_frontend_node import MAX_ALONE, MAX_WAITING, RAW_AWAITED, StereoFrontendNode  # noqa: E402
 from uav_vslam_msgs.msg import StereoFeatures  # noqa: E402
 from waiting import wait_for  # noqa: E402
 
@@ -111,6 +111,27 @@ def test_images_that_arrive_before_their_calibration_are_processed_once_it_is_co
     rig.calibrate()
     assert rig.until(lambda: len(rig.received) == 1)
     assert (rig.received[0].width, rig.received[0].height) == (WIDTH, HEIGHT)
+
+
+def test_pairs_that_wait_in_vain_for_their_calibration_say_what_is_missing(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+
+        def text_after_pairs(begin):
+            for k in range(begin, begin + MAX_WAITING + 1):
+                for side in ("left", "right"):
+                    image = blank_image(side)
+                    image.header = header(STAMP_NS + k * 100_000_000, f"{side}_optical")
+                    deliver(node, f"{side}/image_raw", image)
+            return node.alarms.get("calibration", "")
+
+        deliver(node, "left/camera_info", calibration("left"))
+        assert "no valid camera_info of the right camera" in text_after_pairs(0)
+        deliver(node, "right/camera_info", calibration("right"))
+        missing = "/tf_static has no uav1/base_link -> left_optical, uav1/base_link -> right_optical; publish it"
+        assert missing in text_after_pairs(20)
+        deliver(node, "/tf_static", extrinsics(node))
+        assert text_after_pairs(40) == ""
 
 
 HUGE = b"\x89PNG\r\n\x1a\n" + b"".join(  # a header that claims 65535 x 65535 px

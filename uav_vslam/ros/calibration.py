@@ -54,6 +54,15 @@ class RigListener:
         """IMU time minus image stamp [ns]."""
         return self._setup.time_offset_ns
 
+    @property
+    def missing(self) -> str:
+        """Reason for the missing rig, in words; empty once it is complete."""
+        if self.rig is not None:
+            return ""
+        if sides := self._setup.missing_infos:
+            return f"there is no valid camera_info of the {' and the '.join(sides)} camera"
+        return f"/tf_static has no {', '.join(self._setup.missing_transforms())}; publish it, or set input.frames"
+
     def left_frame(self, of_images: str) -> str:
         """Return the frame of the left camera; where nothing else names it, that of its images."""
         return self._setup.camera_frame("left") or of_images

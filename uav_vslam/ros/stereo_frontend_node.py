@@ -100,7 +100,9 @@ class StereoFrontendNode(VehicleNode):
         self._waiting.append(StereoFrame(pair.stamp_ns + self._rig.time_offset_ns, pair.left, pair.right))
         if len(self._waiting) > MAX_WAITING:
             self._waiting.popleft()
-            self.drop("no_calibration", "image pairs arrive, but no valid camera_info or /tf_static")
+            text = f"image pairs arrive, but {self._rig.missing}"
+            self.report_alarm("calibration", text)  # until a pair is processed
+            self.drop("no_calibration", text)
         self._work()
 
     def _uses(self, side: str, kind: type) -> bool:
