@@ -112,7 +112,7 @@ def test_while_two_nodes_publish_an_input_it_is_not_used(
             assert witness.sees(lambda: witness.is_error(FUSION), feed.step)
             both = ", ".join(sorted(["/uav1/slam_backend", f"/uav1/{impostor}"]))
             assert f"2 nodes publish {FED}: {both};" in witness.text(FUSION)
-            assert ("two vehicles have one name" in witness.text(FUSION)) == (impostor == "slam_backend")
+            assert ("it was started twice" in witness.text(FUSION)) == (impostor == "slam_backend")
             assert_unused(feed, witness)
             feed.leave("false")
             count = len(feed.fused_x_m)

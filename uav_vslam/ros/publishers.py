@@ -72,7 +72,8 @@ class Publishers:
 
     def fault(self, topic: str) -> str:
         """Return what is wrong, in a line."""
-        cause = "two vehicles have one name" if len(set(self.conflicting)) == 1 else "end all but one"
+        is_one_name = len(set(self.conflicting)) == 1
+        cause = "it was started twice, or two vehicles have one name" if is_one_name else "end all but one"
         nodes = ", ".join(self.conflicting)
         return f"{len(self.conflicting)} nodes publish {topic}: {nodes}; it is not used until one is left ({cause})"
 
