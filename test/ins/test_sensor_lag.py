@@ -101,3 +101,12 @@ def test_a_clock_that_is_right_again_is_used_again_at_once(set_name: str, step_m
     line, passed = feed((at, name, ms + step_ms * (name == set_name and ms in wrong)) for at, name, ms in events)
     assert sorted(passed) == sorted((name, ms) for _, name, ms in events if name != set_name or ms not in wrong)
     assert not line.faults
+
+
+@pytest.mark.parametrize("name", [IMU, IMAGES])
+def test_a_stream_whose_stamps_never_advance_stops_nothing(name: str) -> None:
+    """As of a driver that does not set them: no usual spacing is known of it."""
+    events = arrivals()
+    _, passed = feed((at, each, 0 if each == name else ms) for at, each, ms in events)
+    assert [(each, ms) for each, ms in passed if each != name] == [(each, ms) for _, each, ms in events if each != name]
+    assert [ms for each, ms in passed if each == name] == [0]

@@ -43,7 +43,7 @@ class SensorLag:
             trusted_ns: newest stamp of the stream that is on the time line [ns].
         """
         before_ns, self._newest_ns[name] = self._newest_ns.get(name), stamp_ns
-        if before_ns is not None and len(self._lags_ns) >= ENOUGH:
+        if before_ns is not None and self._spacings_ns[name] and len(self._lags_ns) >= ENOUGH:
             self._look_for_step(name, stamp_ns - before_ns, None if trusted_ns is None else stamp_ns - trusted_ns)
         if before_ns is not None and stamp_ns > before_ns:
             self._spacings_ns[name].append(stamp_ns - before_ns)
