@@ -10,6 +10,7 @@ import pytest
 
 from uav_vslam.datasets.message_builders import camera_info_message, image_message
 from uav_vslam.datasets.messages import ENCODINGS, camera_of, image_of
+from uav_vslam.errors import BagError
 from uav_vslam.geometry.camera import PinholeCamera
 
 BGR = np.zeros((8, 12, 3), np.uint8)
@@ -46,6 +47,14 @@ def test_every_encoding_gives_the_recorded_picture(encoding: str) -> None:
         np.testing.assert_array_equal(image, np.arange(96).reshape(8, 12))
     else:
         np.testing.assert_array_equal(image, BGR)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_an_empty_image_is_refused_as_any_other_that_can_not_be_read(encoding: str) -> None:
+    """OpenCV would raise an error of its own, which ends a run or a node."""
+    empty = dataclasses.replace(recorded(encoding), width=0, height=0, step=0, data=np.zeros(0, np.uint8))
+    with pytest.raises(BagError, match="0x0 px is empty"):
+        image_of(empty)
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "equidistant"])

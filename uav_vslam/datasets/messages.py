@@ -134,6 +134,8 @@ def image_of(built: Any) -> NDArray[Any]:
     dtype, channels, conversion = ENCODINGS[built.encoding]
     kind = np.dtype(dtype).newbyteorder(">" if built.is_bigendian else "<")
     line = built.width * channels * kind.itemsize
+    if line * built.height == 0:
+        raise BagError(f"image of {built.width}x{built.height} px is empty; record it again")
     if built.step < line or len(built.data) < built.step * built.height:
         raise BagError(f"image of {built.width}x{built.height} px holds only {len(built.data)} bytes; record it again")
     rows = np.asarray(built.data)[: built.step * built.height].reshape(built.height, built.step)[:, :line]
