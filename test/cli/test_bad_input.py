@@ -15,11 +15,11 @@ from uav_vslam.cli.main import main
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import decode, encode
 from uav_vslam.datasets.outputs import read_outputs
-from uav_vslam.datasets.rosbag import iter_raw, topics_of
+from uav_vslam.datasets.rosbag import RawMessage, iter_raw, topics_of
 from uav_vslam.evaluation.output import LATEST
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
-from uav_vslam.studies.recordings.foreign import shifted
+from uav_vslam.studies.recordings.foreign import renamed, rewritten, shifted
 
 FRAMES = 8
 CUT = 0.6  # of the file's bytes
@@ -300,6 +300,19 @@ def test_options_without_effect_are_refused(
     if verb == "import":
         others = [others[0], str(good), str(tmp_path / others[1]), *others[2:]]
     assert said in refused(capsys, verb, *source, *others)
+
+
+def test_topics_of_other_names_and_in_the_root_come_with_the_command_that_proposes_their_names(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def in_root(raw: RawMessage) -> RawMessage:
+        return dataclasses.replace(raw, topic=raw.topic.removeprefix("/uav1"))
+
+    for name, change in (("root", in_root), ("driver", renamed)):
+        bag = rewritten(good, tmp_path / name, change)
+        line = refused(capsys, "run", bag)
+        assert f"bag {bag} holds no <vehicle>/left/image_raw" in line
+        assert line.rstrip().endswith(f"uav-vslam check {bag}")
 
 
 def test_a_namespace_of_several_levels_is_refused_before_the_flight(

@@ -198,8 +198,8 @@ def _vehicles(requested: Sequence[str] | None, bags: tuple[Path, ...], config: I
     names = [name.strip("/") for name in requested or vehicles(bags, config)]
     if not names:
         raise BagError(
-            f"bag {', '.join(map(str, bags))} holds no <vehicle>/{config.topics.left}; name its topics by "
-            "input.topics, or record or remap the images"
+            f"bag {', '.join(map(str, bags))} holds no <vehicle>/{config.topics.left}; record or remap the images, or "
+            f"name its topics by input.topics, which this proposes: uav-vslam check {' '.join(map(str, bags))}"
         )
     if nested := next((name for name in names if "/" in name), ""):
         raise ConfigError(

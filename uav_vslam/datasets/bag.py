@@ -200,7 +200,8 @@ def vehicles(paths: Sequence[Path], config: InputConfig | None = None) -> list[s
         return [DEFAULT_VEHICLE]
     endings = [f"/{name}" for name in image_names(left)]
     topics = topics_of(paths)
-    return sorted({topic.removesuffix(end).strip("/") for topic in topics for end in endings if topic.endswith(end)})
+    found = {topic.removesuffix(end).strip("/") for topic in topics for end in endings if topic.endswith(end)}
+    return sorted(found - {""})  # topics in the root are no vehicle's, unless they are named from there
 
 
 def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig | None = None) -> BagFlight:
