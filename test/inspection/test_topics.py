@@ -75,6 +75,14 @@ def test_vehicles_are_no_pair() -> None:
     assert guess_topics(recorded(images=names), "ghost").stereo == pairs
 
 
+def test_an_imu_beside_the_cameras_namespace_is_found_and_that_of_another_vehicle_is_not() -> None:
+    images = ["/stereo/left/image_raw", "/stereo/right/image_raw", "/uav2/left/image_raw"]
+    alone = recorded(images=images, imus=["/snappy_imu", "/uav2/imu/data"])
+    assert guess_topics(alone, "stereo").others["imu"] == ["/snappy_imu"]
+    its_own = recorded(images=images, imus=["/snappy_imu", "/stereo/imu"])
+    assert guess_topics(its_own, "stereo").others["imu"] == ["/stereo/imu"]
+
+
 def test_two_rigs_are_both_named_and_one_camera_is_no_pair() -> None:
     topics = recorded(images=["/front/cam0/image", "/front/cam1/image", "/down/cam0/image", "/down/cam1/image"])
     guess = guess_topics(topics, "uav1")

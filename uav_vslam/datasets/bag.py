@@ -282,11 +282,12 @@ def _image_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], name: str) 
 
 
 def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], topic: str) -> BagError:
-    own = sorted(t for t in topics if t.startswith(f"/{topic.split('/')[1]}/"))
-    there = ", ".join(own or sorted(topics)) or "nothing"
+    folder = f"/{topic.split('/')[1]}/"
+    own = sorted(t for t in topics if t.startswith(folder))
+    there = f"below {folder} it holds {', '.join(own)}" if own else f"it holds {', '.join(sorted(topics)) or 'nothing'}"
     remedy = "set input.calibration" if topic == TF_STATIC else "set input.topics"
     remedy += ", or input.calibration" if topic.endswith("camera_info") else ""
-    return BagError(f"bag {_names(bags)} lacks {topic}; it holds {there}; record that topic, or {remedy}")
+    return BagError(f"bag {_names(bags)} lacks {topic}; {there}; record that topic, or {remedy}")
 
 
 def _collect(bags: Sequence[Path], topics: dict[str, TopicInfo], setup: SensorSetup) -> None:

@@ -64,7 +64,10 @@ def vehicles_of(topics: Mapping[str, TopicInfo], config: InputConfig) -> list[st
 
 
 def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
-    """Guess a vehicle's topics from names and types: among those in its namespace if it has images, else among all."""
+    """Guess a vehicle's topics from names and types: among those in its namespace if it has images, else among all.
+
+    Where such a namespace is that of its cameras and has no IMU, it is one that is in no other cameras' namespace.
+    """
     own = {topic: info for topic, info in recorded.items() if topic.startswith(f"/{vehicle}/")}
     topics = own if _of_type(own, "left") else recorded
     images = sorted({topic.removesuffix(COMPRESSED) for topic in _of_type(topics, "left")})
@@ -72,14 +75,14 @@ def guess_topics(recorded: Mapping[str, TopicInfo], vehicle: str) -> Guess:
     stereo = sorted(_stereo_pairs(images), key=lambda pair: ("raw" not in pair[0], len(pair[0]), pair))
     left, right = stereo[0] if stereo else ("", "")
     infos = _of_type(topics, "left_info")
+    seeing = {_namespace(topic) for topic in _of_type(recorded, "left")}
+    imus = _of_type(topics, "imu") or [one for one in _of_type(recorded, "imu") if _namespace(one) not in seeing]
     return Guess(
         stereo,
         {
             "left_info": _nearest(left, infos),
             "right_info": _nearest(right, infos),
-            "imu": sorted(
-                _of_type(topics, "imu"), key=lambda t: (-sum(w in t for w in IMU_WORDS), -topics[t].count, t)
-            ),
+            "imu": sorted(imus, key=lambda t: (-sum(w in t for w in IMU_WORDS), -recorded[t].count, t)),
             "initial_state": sorted(_of_type(topics, "initial_state"), key=lambda t: (topics[t].count, t)),
             "truth": [t for t in sorted(_of_type(topics, "truth")) if any(word in t.lower() for word in TRUTH_WORDS)],
         },
@@ -201,6 +204,11 @@ def check_frames(survey: Survey) -> list[Finding]:
 
 def _of_type(topics: Mapping[str, TopicInfo], role: str) -> list[str]:
     return [topic for topic, info in topics.items() if info.msgtype in TYPES[role]]
+
+
+def _namespace(topic: str) -> str:
+    """Return the first part of a topic's name."""
+    return topic.split("/")[1]
 
 
 def _stereo_pairs(images: list[str]) -> Iterator[tuple[str, str]]:
