@@ -3,6 +3,7 @@
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from uav_vslam.cli.main import main
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.studies.recordings.foreign import edited, rewritten, shifted
+from uav_vslam.types import NS_PER_S
 
 WARNING = "uav-vslam: warning: "
 
@@ -61,6 +63,35 @@ def test_imu_readings_stamped_in_bursts_are_warned_about_once(
     assert main(["run", str(bag), *arguments]) == 0
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "bursts" in line]
     assert line.startswith(f"{WARNING}uav1: IMU readings are stamped in bursts, 20000 Hz within")
+
+
+def nowhere(pose: Any) -> Any:
+    q = pose.pose.pose.orientation
+    q.w = q.x = q.y = q.z = 0.0
+    return pose
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (nowhere, "poses of the ground truth are not finite, or have no orientation, and are left out; none remains"),
+        (
+            lambda pose: shifted(pose, -NS_PER_S * 60),
+            "ground truth is from -60.00 to -59.58 s after the first frame",
+        ),
+    ],
+)
+def test_ground_truth_with_which_nothing_is_compared_is_warned_about(
+    change: Callable[[Any], Any], said: str, flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tables would lack errors without a word; the flight itself can be run."""
+    bag = rewritten(flight, tmp_path / "bag", edited("/uav1/ground_truth/odometry", change))
+    arguments = ["--vehicles", "uav1", "--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path / "out")]
+    assert main(["run", str(bag), *arguments]) == 0
+    printed = capsys.readouterr()
+    assert said in printed.err
+    assert "uav1: 0 m" not in printed.out
+    assert main(["check", str(bag), "--vehicles", "uav1"]) == 0
 
 
 @pytest.mark.parametrize("late_ns", [0, 30_000_000])

@@ -77,6 +77,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.config import idle_settings, load_link, separate_maps
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
+    from uav_vslam.datasets.truth import other_time
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
@@ -120,6 +121,9 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     print(f"results: {folder}")
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")
+    for vehicle, truth in truths.items():
+        if truth is not None and (text := other_time(truth, result.vehicles[vehicle].s_slam)):
+            warn(f"{vehicle}: {text}")
     for vehicle, track in tracks.items():
         warn_each(f"{vehicle}: {text}" for text in track.warnings)
     broken = sorted(track.broken for track in tracks.values() if track.broken)
@@ -132,10 +136,10 @@ def _truth(flight: BagFlight) -> Trajectory | None:
     from uav_vslam.datasets.truth import trajectory_of, truth_warnings
 
     truth = flight.truth()
-    if not truth:
+    if truth is None:
         return None
     warn_each(f"{flight.vehicle}: {text}" for text in truth_warnings(truth))
-    return trajectory_of(truth)
+    return trajectory_of(truth) if len(truth) else None
 
 
 def _save_maps(tracks: dict[str, VehicleTrack], folder: Path) -> None:

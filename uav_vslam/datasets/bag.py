@@ -86,7 +86,7 @@ class BagFlight:
         return _in_stamp_order(self._recorded_events())
 
     def truth(self) -> TruthTrack | None:
-        """Return the true motion without poses that are not finite, or None if none was recorded.
+        """Return the true motion without poses that are not finite, maybe without any; None if none was recorded.
 
         Raises:
             BagError: a message can't be decoded.
@@ -99,7 +99,7 @@ class BagFlight:
                 samples.append(truth_of(decode(raw)))
             except InvalidMessage:
                 left_out += 1
-        return dataclasses.replace(truth_track(samples), left_out=left_out) if samples else None
+        return dataclasses.replace(truth_track(samples), left_out=left_out) if samples or left_out else None
 
     def stamps_apart_ns(self, first: int | None = None) -> NDArray[np.int64]:
         """Return the distance of each left image's stamp to the nearest right one's [ns].

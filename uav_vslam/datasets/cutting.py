@@ -88,9 +88,9 @@ def poses_of(flight: BagFlight) -> tuple[Trajectory, Array]:
         BagError: none was recorded.
     """
     truth = flight.truth()
-    if truth is None:
+    if not truth:
         raise BagError(
-            f"the recording holds no {flight.input.topic(flight.vehicle, 'truth')} along which it could be cut; "
+            f"the recording holds no usable {flight.input.topic(flight.vehicle, 'truth')} along which it could be cut; "
             "`uav-vslam cut --trajectory` takes an estimate instead"
         )
     return trajectory_of(truth), truth.velocities_world

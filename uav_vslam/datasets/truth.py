@@ -22,12 +22,30 @@ def trajectory_of(truth: TruthTrack) -> Trajectory:
 def truth_warnings(truth: TruthTrack) -> Iterator[str]:
     """Yield why ground truth serves less than it seems to."""
     if truth.left_out:
-        yield f"{truth.left_out} poses of the ground truth are not finite, or have no orientation, and are left out"
+        none = "" if len(truth) else "; none remains, so nothing is compared with it"
+        yield (
+            f"{truth.left_out} poses of the ground truth are not finite, or have no orientation, and are left out"
+            + none
+        )
     if (apart_s := spacing_s(truth)) > MAX_SPACING_S:
         yield (
             f"the poses of the ground truth are {apart_s:.2g} s apart; estimates in gaps of more than "
             f"{MAX_SPACING_S:g} s are not scored, unless by `uav-vslam evaluate RESULTS --max-gap S`"
         )
+
+
+def other_time(truth: Trajectory, flight: Trajectory) -> str:
+    """Return when ground truth begins and ends if it is not that of a flight's time; otherwise nothing."""
+    if len(truth) == 0 or len(flight) == 0:
+        return ""
+    first_ns, last_ns = int(flight.stamps_ns[0]), int(flight.stamps_ns[-1])
+    if len(truth.between(first_ns, last_ns)) > 1:
+        return ""
+    begins_s, ends_s = (truth.stamps_ns[[0, -1]] - first_ns) / NS_PER_S
+    return (
+        f"the ground truth is from {begins_s:+.2f} to {ends_s:+.2f} s after the first frame, so nothing is compared "
+        "with it: correct its stamps to the sensors' clock"
+    )
 
 
 def spacing_s(truth: TruthTrack) -> float:

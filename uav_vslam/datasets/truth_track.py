@@ -42,6 +42,8 @@ def truth_track(samples: list[TruthSample]) -> TruthTrack:
     Velocities are differences where only poses were recorded, or a twist that contradicts them, such as one that was
     never filled in.
     """
+    if not samples:
+        return TruthTrack(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
     samples = sorted({sample.stamp_ns: sample for sample in samples}.values(), key=lambda s: s.stamp_ns)
     stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
     positions = np.array([s.T_world_body.t for s in samples])

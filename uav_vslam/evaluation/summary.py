@@ -74,11 +74,11 @@ def _vehicle(vehicle: VehicleResult, alignment: str) -> Figures:
 
 
 def _distance(vehicle: VehicleResult) -> float:
-    """Return the distance flown during the own-only track, by ground truth if available [m]."""
-    if len(vehicle.s_slam) == 0:
-        return 0.0
-    path = vehicle.s_slam if vehicle.truth is None else vehicle.truth
-    return path.between(int(vehicle.s_slam.stamps_ns[0]), int(vehicle.s_slam.stamps_ns[-1])).path_length_m
+    """Return the distance flown during the own-only track, by ground truth if it is of that time [m]."""
+    if len(vehicle.s_slam) == 0 or vehicle.truth is None:
+        return vehicle.s_slam.path_length_m
+    path = vehicle.truth.between(int(vehicle.s_slam.stamps_ns[0]), int(vehicle.s_slam.stamps_ns[-1]))
+    return path.path_length_m if len(path) > 1 else vehicle.s_slam.path_length_m
 
 
 def _ins_at_end(vehicle: VehicleResult) -> Trajectory:

@@ -137,7 +137,7 @@ def check_topics(survey: Survey, guess: Guess) -> list[Finding]:
         if stream.errors:
             bad = len(stream.errors)
             read = bad + len(survey.images[role]) if role in SIDES else len(stream)  # of images a few
-            judge = error if bad > limits.UNUSABLE_SHARE * max(1, read) else warning
+            judge = error if role != "truth" and bad > limits.UNUSABLE_SHARE * max(1, read) else warning
             seen = f"{stream.topic}: {bad} of {read} messages can't be used, the first: {stream.errors[0]}"
             found.append(judge(f"{role} messages", seen, "readable messages", "correct what writes them"))
     if survey.damage:

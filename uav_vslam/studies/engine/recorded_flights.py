@@ -71,7 +71,7 @@ def extracted_recording(
     """Read a recording and extract features from its images."""
     with _opened(recording, vehicle) as flight:
         truth = flight.truth()
-        if truth is None:
+        if not truth:
             raise BagError(
                 f"{recording} holds no {flight.vehicle}/ground_truth/odometry, which the study scores against"
             )
