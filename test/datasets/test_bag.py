@@ -341,7 +341,7 @@ def test_an_undecodable_image_becomes_an_empty_one(tiny_bag: Path, tmp_path: Pat
         if raw != images[2]:
             return raw
         message = decode(raw)
-        message.encoding = "yuv422"
+        message.encoding = "nv12"
         return dataclasses.replace(raw, data=encode(message))
 
     flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")

@@ -342,7 +342,7 @@ def test_odometry_written_as_data_is_the_serialised_message(frames: tuple[str, s
     [
         Image(encoding="mono8", width=4, height=4, step=4, data=bytes(15)),
         Image(encoding="mono8", width=4, height=4, step=3, data=bytes(16)),
-        Image(encoding="yuv422", width=4, height=4, step=8, data=bytes(32)),
+        Image(encoding="nv12", width=4, height=4, step=8, data=bytes(32)),
         CompressedImage(format="jpeg", data=b"no picture"),
         CompressedImage(format="jpeg"),
     ],

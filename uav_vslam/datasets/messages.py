@@ -28,6 +28,12 @@ ENCODINGS: dict[str, tuple[Any, int, int | None]] = {
     "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2BGR),
     "8UC4": (np.uint8, 4, cv2.COLOR_BGRA2BGR),
     "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2BGR),
+    "bgr16": (np.uint16, 3, None),
+    "rgb16": (np.uint16, 3, cv2.COLOR_RGB2BGR),
+    "uyvy": (np.uint8, 2, cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422": (np.uint8, 2, cv2.COLOR_YUV2BGR_UYVY),
+    "yuyv": (np.uint8, 2, cv2.COLOR_YUV2BGR_YUYV),
+    "yuv422_yuy2": (np.uint8, 2, cv2.COLOR_YUV2BGR_YUYV),
 } | {
     f"bayer_{pattern}{bits}": (kind, 1, conversion)
     for bits, kind in ((8, np.uint8), (16, np.uint16))
@@ -136,6 +142,8 @@ def image_of(built: Any) -> NDArray[Any]:
     line = built.width * channels * kind.itemsize
     if line * built.height == 0:
         raise BagError(f"image of {built.width}x{built.height} px is empty; record it again")
+    if channels == 2 and built.width % 2:
+        raise BagError(f"image {built.width} px wide can't be {built.encoding}, of pairs of pixels; record it again")
     if built.step < line or len(built.data) < built.step * built.height:
         raise BagError(f"image of {built.width}x{built.height} px holds only {len(built.data)} bytes; record it again")
     rows = np.asarray(built.data)[: built.step * built.height].reshape(built.height, built.step)[:, :line]
