@@ -10,7 +10,7 @@ import pytest
 
 from uav_vslam.datasets.message_builders import camera_info_message, image_message
 from uav_vslam.datasets.messages import ENCODINGS, camera_of, image_of
-from uav_vslam.errors import BagError
+from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 
 BGR = np.zeros((8, 12, 3), np.uint8)
@@ -86,6 +86,31 @@ def test_a_camera_info_of_a_rectified_image_needs_no_coefficients() -> None:
     info = camera_info_message(0, "camera", PinholeCamera(640, 480, 400.0, 401.0, 320.0, 240.0))
     info.d = np.zeros(0)
     np.testing.assert_array_equal(camera_of(info).distortion, np.zeros(5))
+
+
+@pytest.mark.parametrize(
+    ("model", "given", "meant"),
+    [
+        ("plumb_bob", [0.1, 0.2, 0.3, 0.4], [0.1, 0.2, 0.3, 0.4, 0.0]),
+        ("plumb_bob", [0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.0], [0.1, 0.2, 0.3, 0.4, 0.5]),
+        ("rational_polynomial", [0.1, 0.2, 0.3, 0.4, 0.5], [0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.0]),
+        ("rational_polynomial", [*range(1, 9), *[0] * 6], [*range(1, 9)]),
+        ("equidistant", [0.1, 0.2, 0.3, 0.4, 0.0], [0.1, 0.2, 0.3, 0.4]),
+    ],
+)
+def test_trailing_zeros_of_a_lens_may_be_missing_or_too_many(
+    model: str, given: list[float], meant: list[float]
+) -> None:
+    info = camera_info_message(0, "camera", PinholeCamera(640, 480, 400.0, 401.0, 320.0, 240.0))
+    camera = camera_of(dataclasses.replace(info, distortion_model=model, d=np.array(given, float)))
+    np.testing.assert_array_equal(camera.distortion, meant)
+
+
+@pytest.mark.parametrize(("model", "given"), [("plumb_bob", np.full(8, 0.1)), ("equidistant", np.zeros(0))])
+def test_coefficients_of_another_lens_are_refused(model: str, given: np.ndarray[Any, Any]) -> None:
+    info = camera_info_message(0, "camera", PinholeCamera(640, 480, 400.0, 401.0, 320.0, 240.0))
+    with pytest.raises(CalibrationError, match=f"{model} needs [45] values; give those, or the name of the model"):
+        camera_of(dataclasses.replace(info, distortion_model=model, d=given))
 
 
 def test_a_16_bit_bayer_picture_keeps_its_bits() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
-from uav_vslam.geometry.camera import PinholeCamera
+from uav_vslam.geometry.camera import COEFFICIENTS, PinholeCamera
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, NavState
 
@@ -185,8 +185,11 @@ def camera_of(info: Any) -> PinholeCamera:
     """
     model = LENS_MODELS.get(info.distortion_model, info.distortion_model)
     coefficients = np.asarray(info.d, dtype=float)
-    if model == "plumb_bob" and len(coefficients) in (0, 4):  # a rectified image; k3 left out
-        coefficients = np.concatenate([coefficients, np.zeros(5 - len(coefficients))])
+    count = COEFFICIENTS.get(model, len(coefficients))
+    if model != "equidistant":  # whose zeros are a lens; of the others trailing ones may be left out
+        coefficients = np.concatenate([coefficients, np.zeros(max(0, count - len(coefficients)))])
+    if not coefficients[count:].any():  # some drivers fill an array of one length, whatever the model
+        coefficients = coefficients[:count]
     k = np.asarray(info.k).tolist()
     return PinholeCamera(info.width, info.height, k[0], k[4], k[2], k[5], coefficients, model)
 

@@ -57,7 +57,8 @@ class PinholeCamera:
         count = COEFFICIENTS[self.model]
         if np.shape(self.distortion) != (count,) or not np.isfinite(self.distortion).all():
             raise CalibrationError(
-                f"distortion {np.asarray(self.distortion).tolist()}: {self.model} needs {count} values"
+                f"distortion {np.asarray(self.distortion).tolist()}: {self.model} needs {count} values; "
+                "give those, or the name of the model that these are of"
             )
 
     @property
