@@ -43,8 +43,8 @@ def test_the_flight_is_the_same(tiny_bag: Path, ros1_bag: Path) -> None:
             np.testing.assert_array_equal(ours.right, theirs.right)
 
 
-def test_a_truncated_bag_is_named(ros1_bag: Path, tmp_path: Path) -> None:
+def test_a_truncated_bag_is_named_with_what_restores_it(ros1_bag: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken.bag"
     broken.write_bytes(ros1_bag.read_bytes()[:-5000])
-    with pytest.raises(BagError, match=r"broken\.bag is damaged"):
+    with pytest.raises(BagError, match=r"broken\.bag is damaged.*restore its index by `rosbag reindex`"):
         topics_of([broken])
