@@ -114,7 +114,7 @@ BAD_BAGS: dict[str, tuple[Edit, list[str]]] = {
     ),
     "images of another size than calibrated": (
         half_as_high,
-        ["/uav1/right/image_raw", "160x60", "160x120", "calibrate at the recorded size"],
+        ["/uav1/right/image_raw", "160x60", "160x120", "calibrate at the recorded size, or give K for it: binning"],
     ),
     "images of unknown encoding": (
         changed("/uav1/right/image_raw", encoding="yuv9"),

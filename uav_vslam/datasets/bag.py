@@ -182,7 +182,8 @@ class BagFlight:
             if (width, height) != self.image_size:
                 raise CalibrationError(
                     f"bag {_names(self.paths)}: images on {topic} are {width}x{height} px but the calibration says "
-                    f"{self.image_size[0]}x{self.image_size[1]}; calibrate at the recorded size"
+                    f"{self.image_size[0]}x{self.image_size[1]}; calibrate at the recorded size, or give K for it: "
+                    "binning and region of interest of a camera_info are not applied"
                 )
 
 

@@ -92,7 +92,8 @@ def _check_size(name: str, images: Sequence[NDArray[Any]], camera: PinholeCamera
         return []
     seen = ", ".join(f"{width}x{height}" for width, height in sorted(sizes))
     allowed = f"{camera.width}x{camera.height} px, as in the calibration"
-    return [error(f"{name} image size", f"{seen} px", allowed, "calibrate at the recorded size, or scale K")]
+    remedy = "calibrate at that size, or give K for it: binning and region of interest of camera_info are not applied"
+    return [error(f"{name} image size", f"{seen} px", allowed, remedy)]
 
 
 def _check_repeated(name: str, repeated: NDArray[np.bool_]) -> list[Finding]:
