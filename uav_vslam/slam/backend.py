@@ -44,6 +44,7 @@ from uav_vslam.types import (
 SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
 TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
+UNAIDED_S = 1.0  # a vibration from the start on is noticed by then
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
 
@@ -98,6 +99,7 @@ class SlamBackend:
         self._track_noise, self._flexing = TrackNoise(), config.rig.flexing
         self._present_rig = rig  # as the tracks correct it
         self._nav = initial
+        self._unaided: NavEstimate | None = None  # by the IMU alone, for a while: no image has spoilt it
         self._confirmed = initial  # the newest estimate that an image has confirmed
         self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
         self._increment: ImuIncrement | None = None  # the newest
@@ -146,19 +148,22 @@ class SlamBackend:
         self._track_noise.add(features, self._present_rig)
         step = self._step(increment, features)
         self._increment, features = step.increment, step.features
+        self._propagate_unaided(increment)
         outcome = self._estimate(step)
         confirmed = not outcome.recovery and outcome.innovation is not None and outcome.innovation.dof > 0
         if confirmed:
             self._confirmed = self._nav
         missed = not confirmed and min(len(features), outcome.known) >= MIN_FEATURES
-        if increment is not None and self._imu_fault.add(
+        if vibration := self._noticed_vibration():
+            self._imu_fault = ImuFaultDetector(self._vehicle_config.imu.gravity)  # images missed for another reason
+            outcome.recovery = vibration
+        elif increment is not None and self._imu_fault.add(
             increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
         ):
             self._nav, outcome.recovery = self._since_confirmed(), self._imu_fault.reason
-        outcome.recovery = self._noticed_vibration() or outcome.recovery
         if outcome.recovery:
             outcome.give_up()
-            self._recover()
+            self._recover(self._unaided if vibration else None)
             if self._imu_fault.reason:  # the motion from here on is that of the tracks
                 self._window.add_frame(self._filter, features)
         added = self._add_landmarks(outcome.matches, features)
@@ -271,6 +276,12 @@ class SlamBackend:
             sightings=self._new_sightings(added),
         )
 
+    def _propagate_unaided(self, increment: ImuIncrement | None) -> None:
+        if self._unaided is None or increment is None:
+            return
+        is_recent = increment.stamp_ns - self._reset_ns <= UNAIDED_S * NS_PER_S
+        self._unaided = advance(self._unaided, increment, self._vehicle_config.imu) if is_recent else None
+
     def _noticed_vibration(self) -> str:
         """Count the rig as flexing from when its images show that it vibrates; return how, that once."""
         if self._flexing:
@@ -300,8 +311,9 @@ class SlamBackend:
         """Why the motion is taken from the images alone; empty without a fault of the IMU."""
         return self._imu_fault.reason
 
-    def _recover(self) -> None:
-        self._reset(reinitialised(self._nav, since_s=self._since_start_s, imu=self._vehicle_config.imu))
+    def _recover(self, at: NavEstimate | None = None) -> None:
+        """Re-initialise the filter at an estimate, by default at the newest one with an inflated covariance."""
+        self._reset(at or reinitialised(self._nav, since_s=self._since_start_s, imu=self._vehicle_config.imu))
         if self._increment is not None:
             self._filter.ends(self._increment)
 
@@ -319,6 +331,7 @@ class SlamBackend:
         self._window = TrackWindow(past_poses(config), self._config)
         self._health = FilterHealth()
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
+        self._unaided = initial
         self._disparity_judge = DisparityJudge()
 
     def _continued(self, features: StereoFeatures) -> int:
