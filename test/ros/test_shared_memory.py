@@ -86,8 +86,9 @@ def test_what_a_killed_node_left_is_freed_at_the_next_launch_and_the_living_go_o
     # A port that a living process may still send to goes once that has noticed, at the latest when it exits.
     assert all("port" in name for name in there(of_killed))
     assert there(of_living) == of_living
-    for one in (first, second):
+    for one in (first, second):  # both before one is killed: either hears only the other
         assert [said(one) for _ in range(20)] == ["heard"] * 20
+    for one in (first, second):
         one.send_signal(signal.SIGKILL)
         one.wait()
     assert wait_for(lambda: not there(of_killed | of_living), lambda: remove_leftovers() and time.sleep(0.5))

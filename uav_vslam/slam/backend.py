@@ -375,8 +375,9 @@ class SlamBackend:
             if not by_landmarks:
                 return none, innovation, 0
         left_behind = self._map.long_unseen(self._frame)
+        expecting = self._disparity_judge.reported(self._filter)  # gates that allow for any calibration are ambiguous
         candidates = self._matcher.candidates(
-            self._filter, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
+            expecting, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
         )
         for found in candidates:
             matches = self._of_other_tracks(found, features)
