@@ -177,6 +177,19 @@ def test_what_is_no_bag_is_named(
     assert str(tmp_path / name) in line
 
 
+@pytest.mark.parametrize("verb", ["run", "check", "evaluate", "map", "launch"])
+def test_a_bag_that_is_given_twice_is_refused(
+    verb: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its messages would count twice: images repeat, and pairs are torn."""
+    (tmp_path / "link").symlink_to(good)
+    (file,) = good.glob("*.mcap")
+    for again in (good, tmp_path / "link", file):
+        fleet = fleet_file(tmp_path, f"vehicles: {{uav1: {{}}}}\nreplay: {{bags: [{good}, {again}]}}\n")
+        line = refused(capsys, verb, *([fleet] if verb == "launch" else [good, again]))
+        assert f"bag {again} holds what {good} holds, {file.name}: give each recording once" in line
+
+
 def test_a_vehicle_that_was_not_recorded_is_named_with_what_was(
     good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,9 +78,15 @@ def _hint(path: Path) -> str:
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """Return the paths to open: bag folders with metadata, or the storage files of those without; all unpacked."""
+    """Return the paths to open: bag folders with metadata, or the storage files of those without; all unpacked.
+
+    Raises:
+        BagError: a path is missing, not a bag, or holds what an earlier one holds: its messages would count twice.
+    """
     files: list[Path] = []
-    for path in map(Path, paths):
+    owners: dict[Path, Path] = {}  # of the storage files
+    for given in map(Path, paths):
+        path = given
         if not path.exists():
             raise BagError(f"bag {path} does not exist; give a bag folder or an .mcap, .db3 or .bag file")
         if compressed_files(path):
@@ -90,6 +96,10 @@ def _files(paths: Sequence[Path]) -> list[Path]:
             raise BagError(
                 f"{path} is not a bag: no .mcap, .db3 or .bag file; give a bag folder or such a file{_hint(path)}"
             )
+        for real in map(Path.resolve, files_inside):
+            if real in owners:
+                raise BagError(f"bag {given} holds what {owners[real]} holds, {real.name}: give each recording once")
+            owners[real] = given
         whole = path.is_dir() and (path / "metadata.yaml").exists() and not any(map(is_truncated, files_inside))
         files += [path] if whole else files_inside
     return files
