@@ -317,6 +317,26 @@ def test_images_of_another_size_than_calibrated_are_refused(tiny_bag: Path, tmp_
         flight.check_images()
 
 
+@pytest.mark.parametrize(("failed", "opens"), [(2, True), (6, False)])
+def test_failed_first_exposures_are_no_reason_to_refuse_a_recording(
+    failed: int, opens: bool, tiny_bag: Path, tmp_path: Path
+) -> None:
+    images = list(iter_raw([tiny_bag], ["/uav1/right/image_raw"]))
+
+    def change(raw: RawMessage) -> RawMessage:
+        if raw not in images[:failed]:
+            return raw
+        return dataclasses.replace(raw, data=encode(dataclasses.replace(decode(raw), width=0, height=0)))
+
+    flight = open_flight(rewrite(tiny_bag, tmp_path / "bag", change), "uav1")
+    if opens:
+        flight.check_images()
+        assert track_vehicle(flight, VehicleConfig()).dropped == {"image": failed}
+    else:
+        with pytest.raises(BagError, match="right/image_raw: image of 0x0 px is empty"):
+            flight.check_images()
+
+
 def test_late_recorded_messages_are_put_in_order(tiny_bag: Path, tmp_path: Path) -> None:
     def change(raw: RawMessage) -> RawMessage:
         late_ns = 80_000_000 if "image_raw" in raw.topic else 0

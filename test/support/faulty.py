@@ -112,6 +112,16 @@ def unreadable(message: Any) -> Any:
     return dataclasses.replace(message, encoding="yuv9")
 
 
+def empty(message: Any) -> Any:
+    """Leave an image without pixels, as after an exposure that failed."""
+    return dataclasses.replace(message, width=0, height=0, step=0, data=np.zeros(0, np.uint8))
+
+
+def first(topic: str, count: int, change: Change) -> Change:
+    """Change the first messages only."""
+    return _counted(topic, lambda number, raw: change(raw) if number < count else raw)
+
+
 def at_rest(message: Any) -> Any:
     """Forget the velocity of a start state."""
     message.velocity.x = message.velocity.y = message.velocity.z = 0.0
@@ -262,6 +272,10 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
             ("error", "left messages", ("8 of 8 messages", "image encoding")),
             ("error", "right messages", ("8 of 8 messages", "image encoding")),
         ],
+    ),
+    "first image empty": (
+        lambda: [first(LEFT, 1, edited(LEFT, empty))],
+        [("warning", "left messages", ("1 of 8 messages", "0x0 px is empty"))],
     ),
     "start state at rest in flight": (
         lambda: [edited(START, at_rest)],

@@ -39,6 +39,7 @@ from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFrame
 
 DEFAULT_VEHICLE = "uav1"  # where topics do not begin with its name
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+TRIED_IMAGES = 100  # of which one must be readable
 REORDER_NS = 500_000_000  # a message may be recorded this much later than its stamp
 
 
@@ -165,26 +166,32 @@ class BagFlight:
                 yield StereoFrame(stamp_ns, _pixels_or_empty(pair.left), _pixels_or_empty(pair.right))
 
     def check_images(self) -> None:
-        """Decode the first image of each side, to fail early where `iter_events` would fail.
+        """Decode the first readable image of each side, to fail early where `iter_events` would fail.
 
         Raises:
-            BagError: it is missing or can't be decoded.
+            BagError: there is none, or none of the first `TRIED_IMAGES` can be decoded.
             CalibrationError: it is not of the size that camera_info states.
         """
         for topic in (self.left_topic, self.right_topic):
-            first = next(self._images(topic), None)
-            if first is None:
-                raise BagError(f"bag {_names(self.paths)} holds no message on {topic}; record the images")
-            try:
-                height, width = image_of(decode(first)).shape[:2]
-            except BagError as error:
-                raise BagError(f"bag {_names(self.paths)}, {topic}: {error}") from None
+            height, width = self._first_pixels(topic).shape[:2]
             if (width, height) != self.image_size:
                 raise CalibrationError(
                     f"bag {_names(self.paths)}: images on {topic} are {width}x{height} px but the calibration says "
                     f"{self.image_size[0]}x{self.image_size[1]}; calibrate at the recorded size, or give K for it: "
                     "binning and region of interest of a camera_info are not applied"
                 )
+
+    def _first_pixels(self, topic: str) -> NDArray[Any]:
+        """Return the first image that can be decoded: a camera's first exposure may fail, as any later one may."""
+        refused = ""
+        for raw in itertools.islice(self._images(topic), TRIED_IMAGES):
+            try:
+                return image_of(decode(raw))
+            except BagError as error:
+                refused = refused or str(error)
+        if not refused:
+            raise BagError(f"bag {_names(self.paths)} holds no message on {topic}; record the images")
+        raise BagError(f"bag {_names(self.paths)}, {topic}: {refused}")
 
 
 def _pixels_or_empty(built: Any) -> NDArray[Any]:
