@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from ros1_frames import repeated_on_tf
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import FramesConfig, TopicsConfig
@@ -107,6 +108,16 @@ def test_a_start_state_of_another_body_than_the_files_is_refused_with_the_remedy
     assert_same(list(flight.iter_events()), events(tiny_bag), atol=1e-12)
     np.testing.assert_allclose(flight.rig.T_body_right.matrix, expected.rig.T_body_right.matrix, atol=1e-12)
     assert flight.warnings == ()
+
+
+def test_constant_frames_on_tf_stand_for_those_of_tf_static(tiny_bag: Path, tmp_path: Path) -> None:
+    flight, expected = open_flight(repeated_on_tf(tiny_bag, tmp_path / "bag"), "uav1"), open_flight(tiny_bag, "uav1")
+    assert_same(list(flight.iter_events()), events(tiny_bag))
+    for side in ("left", "right"):
+        found, true = (getattr(one.rig, f"T_body_{side}").matrix for one in (flight, expected))
+        np.testing.assert_allclose(found, true, atol=1e-12)
+    with pytest.raises(CalibrationError, match="does not connect uav1/base_link and uav1/right_optical"):
+        open_flight(repeated_on_tf(tiny_bag, tmp_path / "moving", moving="uav1/right_optical"), "uav1")
 
 
 def test_rectified_images_have_the_rig_of_p_and_r(tiny_bag: Path, tmp_path: Path) -> None:

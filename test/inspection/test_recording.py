@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from faulty import FAULTS, IMU, INFOS, LEFT, RIGHT, START, TOGETHER, TRUTH, Expected, later, missing
+from ros1_frames import repeated_on_tf
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, load_vehicle
@@ -107,6 +108,14 @@ def test_foreign_topics_are_judged_as_well_and_the_block_makes_the_recording_usa
     again = inspected(bag, load_vehicle(config))
     assert faults(again.findings) == []
     assert again.block == ""
+
+
+def test_constant_frames_on_tf_are_no_fault_and_moving_ones_are(clean: Path, tmp_path: Path) -> None:
+    found = inspected(repeated_on_tf(clean, tmp_path / "bag"))
+    assert faults(found.findings) == []
+    assert any("/tf alone places uav1/left_optical, uav1/right_optical" in finding.seen for finding in found.findings)
+    found = inspected(repeated_on_tf(clean, tmp_path / "moving", moving="uav1/right_optical"))
+    assert "camera frames" in {finding.subject for finding in faults(found.findings)}
 
 
 def test_a_calibration_file_stands_for_camera_info_and_frames(clean: Path, tmp_path: Path) -> None:

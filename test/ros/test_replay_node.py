@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ros1_frames import repeated_on_tf
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
@@ -26,6 +27,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from uav_vslam.datasets.bag_recorder import RawRecorder  # noqa: E402
 from uav_vslam.datasets.cdr import RawMessage, decode, encode  # noqa: E402
 from uav_vslam.datasets.flight_writer import FlightRecording, write_flights  # noqa: E402
+from uav_vslam.datasets.messages import transforms_of  # noqa: E402
 from uav_vslam.datasets.rosbag import iter_raw, topics_of  # noqa: E402
 from uav_vslam.errors import BagError  # noqa: E402
 from uav_vslam.geometry.camera import PinholeCamera  # noqa: E402
@@ -346,3 +348,15 @@ def test_the_recorder_completes_its_bag_at_a_signal(
         assert topics[f"/{name}/odometry"].count == FRAMES - FRAMES_BEFORE_START
     stamps = [raw.stamp_ns for raw in iter_raw([out], ["/uav1/fused/odometry"])]
     assert stamps == sorted(fleet.vehicles["uav1"].answered)
+
+
+def test_constant_frames_on_tf_are_replayed_as_tf_static(bags: list[Path], tmp_path: Path) -> None:
+    """The nodes read /tf_static alone."""
+    expected, found = (
+        [transforms_of(decode(raw)) for raw in Recording([path]).latched if raw.topic == "/tf_static"]
+        for path in (bags[0], repeated_on_tf(bags[0], tmp_path / "tf"))
+    )
+    assert len(expected) == len(found) == 1
+    names, poses = ([(*edge[:2],) for edge in expected[0]], [edge[2].matrix for edge in expected[0]])
+    assert [(*edge[:2],) for edge in found[0]] == names
+    np.testing.assert_allclose([edge[2].matrix for edge in found[0]], poses, atol=1e-12)

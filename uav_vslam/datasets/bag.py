@@ -5,6 +5,7 @@ import dataclasses
 import heapq
 import itertools
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.cdr import RawMessage, decode
-from uav_vslam.datasets.flight_writer import TF_STATIC
+from uav_vslam.datasets.flight_writer import TF, TF_STATIC
+from uav_vslam.datasets.frame_tree import Edge, UnmovedFrames
 from uav_vslam.datasets.messages import (
     TRUTH_TYPES,
     header_stamp_ns,
@@ -234,10 +236,12 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
             raise _missing_topic(bags, topics, topic)
     if (reading := _first(bags, config.topic(name, "imu"))) is not None:
         setup.imu_frame = reading.header.frame_id
-    if setup.needs_frames and TF_STATIC not in topics:
+    if setup.needs_frames and not {TF_STATIC, TF} & topics.keys():
         raise _missing_topic(bags, topics, TF_STATIC)
     try:
         _collect(bags, topics, setup)
+        if TF in topics and setup.missing_transforms():
+            setup.frames.borrow(unmoved_edges(bags))
         rig, T_body_imu = setup.rig(), setup.T_body_imu()
         start = _first(bags, config.topic(name, "initial_state"))
         if start is not None and (conflict := setup.conflict(start.child_frame_id)):
@@ -314,6 +318,15 @@ def _collect(bags: Sequence[Path], topics: dict[str, TopicInfo], setup: SensorSe
     for side in setup.missing_infos:
         topic = setup.config.topic(setup.vehicle, f"{side}_info")
         raise BagError(f"bag {_names(bags)} holds no message on {topic}; record it with the images")
+
+
+def unmoved_edges(bags: Sequence[Path]) -> list[Edge]:
+    """Return the edges (parent frame, child frame, T_parent_child) of /tf that never change."""
+    found = UnmovedFrames()
+    for raw in _readable(iter_raw(bags, [TF])):
+        with suppress(CalibrationError):  # of another frame
+            found.add(transforms_of(decode(raw)))
+    return found.edges
 
 
 def _first(bags: Sequence[Path], topic: str) -> Any:

@@ -29,6 +29,7 @@ from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import ImuSample, NavEstimate, StereoFrame
 
 TF_STATIC = "/tf_static"
+TF = "/tf"
 LATCHED_TOPICS = (TF_STATIC, "initial_state")
 
 # Order of messages with equal stamps: subscribers need the start state before the image.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The static frames of a vehicle, as /tf_static holds them."""
+"""The static frames of a vehicle, as /tf_static holds them, or /tf where they never move."""
 
 from collections.abc import Iterable
 
@@ -11,20 +11,31 @@ from uav_vslam.geometry.pose import Pose
 SAME_PLACE = 1e-4  # largest difference of two poses that are the same [m], and of their rotation matrices
 
 
+Edge = tuple[str, str, Pose]  # parent frame, child frame, T_parent_child
+
+
 class FrameTree:
     """Frames by name, each with its parent; names without a leading slash."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose]] = {}  # child -> (parent, T_parent_child)
         self.moved: set[str] = set()  # frames that a later edge has placed elsewhere
+        self.borrowed: set[str] = set()  # frames that `borrow` has placed
 
-    def add(self, edges: Iterable[tuple[str, str, Pose]]) -> None:
+    def add(self, edges: Iterable[Edge]) -> None:
         """Add edges (parent frame, child frame, T_parent_child); a later one replaces an earlier one."""
         for parent, child, pose in edges:
             before, T = self._parents.get(child, (parent, pose))
             if before != parent or not np.allclose(T.matrix, pose.matrix, atol=SAME_PLACE):
                 self.moved.add(child)
             self._parents[child] = parent, pose
+
+    def borrow(self, edges: Iterable[Edge]) -> None:
+        """Add the edges of frames that have no place here yet."""
+        for parent, child, pose in edges:
+            if child not in self._parents:
+                self._parents[child] = parent, pose
+                self.borrowed.add(child)
 
     def connected(self, base: str, frame: str) -> bool:
         """Return whether `find` would succeed."""
@@ -55,3 +66,24 @@ class FrameTree:
             parent, T_parent_child = self._parents[frame]
             frame, pose = parent, T_parent_child @ pose
         return frame, pose
+
+
+class UnmovedFrames:
+    """The frames of /tf that never move: `static_transform_publisher` of ROS 1's `tf` repeats constant edges there."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, tuple[str, Pose]] = {}  # child -> (parent, T_parent_child)
+        self._moved: set[str] = set()
+
+    def add(self, edges: Iterable[Edge]) -> None:
+        """Add edges (parent frame, child frame, T_parent_child) of one message."""
+        for parent, child, pose in edges:
+            if child not in self._moved:
+                before, T = self._first.setdefault(child, (parent, pose))
+                if before != parent or not np.allclose(T.matrix, pose.matrix, atol=SAME_PLACE):
+                    self._moved.add(child)
+
+    @property
+    def edges(self) -> list[Edge]:
+        """The edges that were always the same."""
+        return [(parent, child, T) for child, (parent, T) in self._first.items() if child not in self._moved]

@@ -3,6 +3,7 @@
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import IMAGE_TYPES
 from uav_vslam.datasets.calibration_files import Calibration
 from uav_vslam.datasets.cdr import RawMessage, decode
-from uav_vslam.datasets.flight_writer import TF_STATIC
+from uav_vslam.datasets.flight_writer import TF, TF_STATIC
+from uav_vslam.datasets.frame_tree import UnmovedFrames
 from uav_vslam.datasets.messages import (
     TRUTH_TYPES,
     header_stamp_ns,
@@ -130,7 +132,7 @@ def roles_of(topics: Mapping[str, TopicInfo], vehicle: str, config: InputConfig)
 
 def message_count(topics: Mapping[str, TopicInfo], vehicle: str, config: InputConfig) -> int:
     """Return how many messages `survey_flight` reads."""
-    wanted = {*roles_of(topics, vehicle.strip("/"), config), TF_STATIC}
+    wanted = {*roles_of(topics, vehicle.strip("/"), config), TF_STATIC, TF}
     return sum(info.count for topic, info in topics.items() if topic in wanted)
 
 
@@ -167,6 +169,7 @@ class _Reader:
         self._roles = roles_of(topics, vehicle, config)
         self._stamps: dict[str, list[tuple[int, int]]] = {role: [] for role in self._roles.values()}
         self._errors: dict[str, list[str]] = {role: [] for role in self._roles.values()}
+        self._unmoved = UnmovedFrames()
         self._truth: list[Any] = []
         self._checksums: dict[str, list[int]] = {side: [] for side in SIDES}
         self._pairer: StereoPairer[RawMessage | None] = StereoPairer(
@@ -177,7 +180,7 @@ class _Reader:
     @property
     def wanted(self) -> list[str]:
         """Topics to read."""
-        return [*self._roles, TF_STATIC]
+        return [*self._roles, TF_STATIC, TF]
 
     def add(self, raw: RawMessage) -> None:
         """Add a message; one that can't be read is counted."""
@@ -186,6 +189,10 @@ class _Reader:
                 self.found.setup.frames.add(transforms_of(decode(raw)))
             except CalibrationError as error:
                 self.found.problems.append(str(error))
+            return
+        if raw.topic == TF:
+            with suppress(BagError, CalibrationError):  # of another frame
+                self._unmoved.add(transforms_of(decode(raw)))
             return
         role = self._roles[raw.topic]
         try:
@@ -196,6 +203,8 @@ class _Reader:
 
     def result(self) -> Survey:
         """Return what was found."""
+        if self.found.setup.missing_transforms():
+            self.found.setup.frames.borrow(self._unmoved.edges)
         for topic, role in self._roles.items():
             stamps = np.array(self._stamps[role], np.int64).reshape(-1, 2)
             info = self.found.topics[topic]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import COMPRESSED, image_names
 from uav_vslam.datasets.bag import DEFAULT_VEHICLE
-from uav_vslam.datasets.flight_writer import TF_STATIC
+from uav_vslam.datasets.flight_writer import TF, TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo
 from uav_vslam.datasets.survey import TYPES, Survey, topic_of
 from uav_vslam.geometry.stereo import SIDES
@@ -192,6 +192,9 @@ def check_frames(survey: Survey) -> list[Finding]:
     if survey.imu and setup.imu_unnamed:
         remedy = "set input.frames.imu if it is elsewhere"
         found.append(warning("IMU frame", "header.frame_id is empty, so the IMU counts as the body", "a name", remedy))
+    if setup.frames.borrowed:
+        seen = f"{TF} alone places {', '.join(sorted(setup.frames.borrowed))}, where they never move"
+        found.append(ok("frames", seen))
     if setup.frames.moved:
         remedy = "record it again with one set of transforms, or give a file with input.calibration"
         seen = f"{', '.join(sorted(setup.frames.moved))} differently from message to message"

@@ -7,17 +7,20 @@ from pathlib import Path
 
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
+from uav_vslam.datasets.bag import unmoved_edges
 from uav_vslam.datasets.bag import vehicles as vehicles_of
-from uav_vslam.datasets.cdr import RawMessage
+from uav_vslam.datasets.cdr import RawMessage, encode
+from uav_vslam.datasets.message_builders import transforms_message
 from uav_vslam.datasets.messages import header_stamp_ns
-from uav_vslam.datasets.rosbag import iter_raw, topics_of
+from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.ros.pacing import FRAME_PARTS, FrameShape, Kind, Recorded
 from uav_vslam.types import NS_PER_S
 
-TF_STATIC = "/tf_static"
+TF, TF_STATIC = "/tf", "/tf_static"
+TF_TYPE = "tf2_msgs/msg/TFMessage"
 INITIAL_STATE = "initial_state"
 KINDS = {"left": Kind.LEFT, "right": Kind.RIGHT, "left_info": Kind.INFO, "imu": Kind.IMU}  # by role
 # Outputs of the nodes: not replayed from the recording of a whole run.
@@ -68,6 +71,8 @@ class Recording:
         for vehicle in self.vehicles:
             self._require(vehicle)
         self.latched = self._read_latched()
+        if TF in known and TF_STATIC not in known:
+            self._borrow_frames()
         self.starts_ns = {
             vehicle: header_stamp_ns(raw.data)
             for vehicle in self.vehicles
@@ -136,6 +141,12 @@ class Recording:
                 newest[path, raw.topic, raw.data if raw.topic == TF_STATIC else b""] = raw
         self.damage.clear()  # the replay detects it again
         return list(newest.values())
+
+    def _borrow_frames(self) -> None:
+        """Replay as /tf_static what of /tf never moves: the nodes read the former alone."""
+        if edges := unmoved_edges(self._paths):
+            self.topics[TF_STATIC] = TopicInfo(TF_TYPE, 1, latched=True)
+            self.latched.append(RawMessage(TF_STATIC, TF_TYPE, 0, encode(transforms_message(0, edges))))
 
     def topic(self, vehicle: str, role: str) -> str:
         """Return the name of a vehicle's input; `role` is a key of `input.topics`."""
