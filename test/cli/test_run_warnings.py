@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from faulty import IMU, later
+from faulty import IMU, in_unit, later
 
 from uav_vslam.cli.main import main
 from uav_vslam.simulation.recording import record
@@ -92,6 +92,21 @@ def test_ground_truth_with_which_nothing_is_compared_is_warned_about(
     assert said in printed.err
     assert "uav1: 0 m" not in printed.out
     assert main(["check", str(bag), "--vehicles", "uav1"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("unit_m", "said"), [(1e-3, "1e+03 times what the estimate does, as if it were in millimetres"), (1.0, "")]
+)
+def test_ground_truth_in_another_unit_is_warned_about(
+    unit_m: float, said: str, flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The ATE was kilometres, without a word."""
+    bag = rewritten(flight, tmp_path / "bag", in_unit(unit_m))
+    arguments = ["--vehicles", "uav1", "--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path / "out")]
+    assert main(["run", str(bag), *arguments]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "extends over" in line]
+    assert len(lines) == bool(said)
+    assert all(said in line for line in lines)
 
 
 @pytest.mark.parametrize("late_ns", [0, 30_000_000])

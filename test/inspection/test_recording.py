@@ -74,6 +74,13 @@ def test_readings_of_nan_are_no_other_fault(clean: Path, tmp_path: Path) -> None
     assert [fault.subject for fault in faults(found.findings)] == ["IMU readings"]
 
 
+@pytest.mark.parametrize("unit", ["millimetres", "kilometres"])
+def test_truth_in_another_unit_is_the_cause_and_judges_nothing(unit: str, clean: Path, tmp_path: Path) -> None:
+    """Its accelerations in mm/s^2 said that the IMU's axes were not those of the body, which was an error."""
+    found = inspected(rewritten(clean, tmp_path / "bag", *FAULTS[f"truth in {unit}"][0]()))
+    assert {fault.subject for fault in faults(found.findings)} <= {"scale", "truth motion"}
+
+
 @pytest.mark.parametrize("fault", [*RUNS, *REFUSED])
 def test_what_can_run_is_run_and_what_lacks_something_is_refused(
     fault: str, clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -134,6 +134,18 @@ def moved_away(message: Any) -> Any:
     return message
 
 
+def in_unit(unit_m: float) -> Change:
+    """Give the truth's positions and velocities in another unit [m]."""
+
+    def edit(message: Any) -> Any:
+        for vector in (message.pose.pose.position, message.twist.twist.linear):
+            for axis in "xyz":
+                setattr(vector, axis, getattr(vector, axis) / unit_m)
+        return message
+
+    return edited(TRUTH, edit)
+
+
 def half_size(message: Any) -> Any:
     """Describe images of half the size."""
     return dataclasses.replace(message, width=message.width // 2, height=message.height // 2, k=0.5 * message.k)
@@ -284,6 +296,14 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
     "truth of another origin": (
         lambda: [edited(TRUTH, moved_away)],
         [("warning", "truth origin", ("it is 1e+03 m and 0 deg", "--alignment se3"))],
+    ),
+    "truth in millimetres": (
+        lambda: [in_unit(1e-3)],
+        [("warning", "scale", ("cameras fly 0.001 times the distance of the truth", "the truth is in millimetres"))],
+    ),
+    "truth in kilometres": (
+        lambda: [in_unit(1e3)],
+        [("warning", "scale", ("the truth is in kilometres", "positions in metres"))],
     ),
     "start state of another time": (
         lambda: [later(START, -100_000_000_000)],

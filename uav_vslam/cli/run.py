@@ -77,7 +77,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.config import idle_settings, load_link, separate_maps
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
-    from uav_vslam.datasets.truth import other_time
+    from uav_vslam.datasets.truth import other_time, other_unit
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
@@ -122,8 +122,10 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")
     for vehicle, truth in truths.items():
-        if truth is not None and (text := other_time(truth, result.vehicles[vehicle].s_slam)):
-            warn(f"{vehicle}: {text}")
+        if truth is not None:
+            estimate = result.vehicles[vehicle].s_slam
+            doubts = (doubt(truth, estimate) for doubt in (other_time, other_unit))
+            warn_each(f"{vehicle}: {text}" for text in doubts if text)
     for vehicle, track in tracks.items():
         warn_each(f"{vehicle}: {text}" for text in track.warnings)
     broken = sorted(track.broken for track in tracks.values() if track.broken)

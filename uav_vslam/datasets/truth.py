@@ -4,14 +4,19 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_vslam.datasets.truth_track import TruthTrack
-from uav_vslam.evaluation.pairing import MAX_GAP_S
+from uav_vslam.evaluation.pairing import MAX_GAP_S, pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
 from uav_vslam.types import NS_PER_S
 
 MAX_SPACING_S = MAX_GAP_S  # of poses against which estimates are scored
+UNITS_M = {"millimetres": 1e-3, "centimetres": 1e-2, "feet": 0.3048, "kilometres": 1e3}  # that positions come in
+UNIT_SPREAD = 0.2  # relative, around such a factor: errors of an estimate
+MOST_SCALE = 10.0  # between true and estimated distances: more is no error of an estimate
+LEAST_SPREAD_M = 1.0  # of positions about their mean, from which scales are compared
 
 
 def trajectory_of(truth: TruthTrack) -> Trajectory:
@@ -46,6 +51,31 @@ def other_time(truth: Trajectory, flight: Trajectory) -> str:
         f"the ground truth is from {begins_s:+.2f} to {ends_s:+.2f} s after the first frame, so nothing is compared "
         "with it: correct its stamps to the sensors' clock"
     )
+
+
+def unit_of(scale: float) -> str:
+    """Return the unit of ground truth, by true distances [m] over those of the ground truth; empty where none fits."""
+    return next((name for name, unit_m in UNITS_M.items() if abs(scale / unit_m - 1.0) <= UNIT_SPREAD), "")
+
+
+def other_unit(truth: Trajectory, flight: Trajectory) -> str:
+    """Return how much larger or smaller ground truth is than a flight, if that is too much for an error; or nothing."""
+    estimate, reference = pair_with_truth(flight, truth)
+    flown, true = (_spread(positions) for positions in (estimate.positions, reference.positions))
+    if max(flown, true) < LEAST_SPREAD_M or true <= MOST_SCALE * flown <= MOST_SCALE**2 * true:
+        return ""
+    times = true / flown if flown > 0.0 else float("inf")
+    unit = unit_of(1.0 / times) if times > 0.0 else ""
+    said = f", as if it were in {unit}: give its positions in metres" if unit else ""
+    return (
+        f"the ground truth extends over {times:.3g} times what the estimate does{said}; errors mean nothing before "
+        "that is clear, unless the estimate has diverged"
+    )
+
+
+def _spread(positions: NDArray[np.float64]) -> float:
+    """Return the root mean square distance of (N, 3) positions from their mean [m]; 0 if there are none."""
+    return float(np.sqrt(positions.var(axis=0).sum())) if len(positions) else 0.0
 
 
 def spacing_s(truth: TruthTrack) -> float:

@@ -35,6 +35,12 @@ class TruthTrack:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    @property
+    def speeds(self) -> Array:
+        """(N-1,) mean speeds between poses [m/s]."""
+        seconds = np.diff(self.stamps_ns) / NS_PER_S
+        return np.asarray(np.linalg.norm(np.diff(self.positions_world, axis=0), axis=1) / seconds)
+
 
 def truth_track(samples: list[TruthSample]) -> TruthTrack:
     """Return samples in any order as a track.

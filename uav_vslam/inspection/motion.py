@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion by truth and by cameras, for comparison with the IMU and with each other."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_vslam.datasets.truth import unit_of
 from uav_vslam.datasets.truth_track import TruthTrack
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.inspection import limits
@@ -18,6 +19,26 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 INTERVAL_S = 0.2  # of truth: long enough for its noise, short enough for one axis of rotation
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How far cameras fly by stereo, against the truth.
+
+    Attributes:
+        factor: over the distance of the truth, in the median.
+        steps: number of couples of pairs.
+        sound: whether the baseline is that of a usual rig.
+    """
+
+    factor: float
+    steps: int
+    sound: bool
+
+    @property
+    def unit(self) -> str:
+        """Unit of the truth; empty if it is metres, or none fits."""
+        return unit_of(self.factor) if self.sound else ""
 
 
 def rotations_by_truth(truth: TruthTrack, stamps_ns: Stamps, gyro: Array) -> RatePairs:
@@ -79,23 +100,45 @@ def up_of_truth(truth: TruthTrack, stamps_ns: Stamps, gravity: float) -> Array:
     return np.asarray(mean / np.linalg.norm(mean))
 
 
-def scale_against_truth(steps: list[Step], truth: TruthTrack, rig: StereoRig) -> list[Finding]:
-    """Check the distance flown between couples of pairs by stereo against that by truth: the baseline's scale."""
-    ratios = []
+def scale_of_truth(steps: list[Step], truth: TruthTrack, rig: StereoRig) -> Scale | None:
+    """Return the distance flown between couples of pairs by stereo over that by truth; None with too few of them."""
+    low, high = limits.BASELINE_M  # of a rig with another baseline, the scale is its own
+    by_truth, by_cameras = [], []  # scales of the steps that one of both knows well
     for step in steps:
         if truth.stamps_ns[0] <= step.start_ns and step.end_ns <= truth.stamps_ns[-1]:
-            flown = float(np.linalg.norm(_position(truth, step.end_ns) - _position(truth, step.start_ns)))
+            true = float(np.linalg.norm(_position(truth, step.end_ns) - _position(truth, step.start_ns)))
             T_body = rig.T_body_left @ step.motion.T_start_end @ rig.T_body_left.inverse()
-            if flown > step.motion.sigma_position / limits.STEP_SIGMA_SHARE:
-                ratios.append(float(np.linalg.norm(T_body.t)) / flown)
-    if len(ratios) < limits.MIN_STEPS:
+            seen, least = float(np.linalg.norm(T_body.t)), step.motion.sigma_position / limits.STEP_SIGMA_SHARE
+            by_truth += [seen / true] if true > least else []
+            by_cameras += [seen / true] if seen > least and true > 0.0 else []
+    for factors in (by_truth, by_cameras):
+        if len(factors) >= limits.MIN_STEPS:
+            scale = Scale(float(np.median(factors)), len(factors), sound=low <= rig.baseline_m <= high)
+            return scale if factors is by_truth or scale.unit else None  # a hover's steps are noise
+    return None
+
+
+def check_scale(scale: Scale | None) -> list[Finding]:
+    """Check the distance by stereo against that by truth: the baseline's scale, and the unit of the truth."""
+    if scale is None:
         return []
-    scale, (low, high) = float(np.median(ratios)), limits.SCALE
-    seen = f"cameras fly {scale:.2f} times the distance of the truth, median of {len(ratios)} steps"
-    if low <= scale <= high:
+    low, high = limits.SCALE
+    factor = f"{scale.factor:.2f}" if scale.factor > 0.1 else f"{scale.factor:.2g}"
+    seen = f"cameras fly {factor} times the distance of the truth, median of {scale.steps} steps"
+    if low <= scale.factor <= high:
         return [ok("scale", seen)]
+    if scale.unit:
+        remedy = "give its positions in metres: it judges nothing until then"
+        return [warning("scale", f"{seen}: the truth is in {scale.unit}", f"{low} to {high}", remedy)]
     remedy = "check baseline and focal length, and that truth is in metres and at the right time"
     return [warning("scale", seen, f"{low} to {high}", remedy)]
+
+
+def is_absurd(truth: TruthTrack | None, scale: Scale | None) -> bool:
+    """Return whether truth moves as no vehicle does, or in another unit: it judges nothing then."""
+    if truth is None or len(truth) < 2:
+        return False
+    return bool(scale and scale.unit) or float(np.median(truth.speeds)) > limits.LARGEST_SPEED
 
 
 def _position(truth: TruthTrack, stamp_ns: int) -> Array:

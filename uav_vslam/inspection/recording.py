@@ -2,7 +2,7 @@
 """All checks of one vehicle's recording, in order; one that can't be made does not keep the others from it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from uav_vslam.inspection import cameras, start, stereo_stamps, timing, topics, 
 from uav_vslam.inspection.finding import Finding, Severity, count, error, ok
 from uav_vslam.inspection.imu import check_imu, readings_in_body
 from uav_vslam.inspection.imu_noise import NoiseLevels, recommended
-from uav_vslam.inspection.motion import scale_against_truth
+from uav_vslam.inspection.motion import check_scale, is_absurd, scale_of_truth
 from uav_vslam.inspection.stereo_stamps import OffsetHistogram
 from uav_vslam.vision.tracking.frontend import MAX_GAP_S as TRACKED_GAP_S
 
@@ -63,15 +63,16 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     rig = _judge_cameras(survey, found)
     readings = readings_in_body(survey)
     looked = _look(survey, rig, config, found)
-    imu_findings, found.noise = check_imu(survey, readings, rig, looked, config)
+    scale = None if rig is None or survey.truth is None else scale_of_truth(looked.steps, survey.truth, rig)
+    truth = survey.truth if not is_absurd(survey.truth, scale) else None
+    imu_findings, found.noise = check_imu(replace(survey, truth=truth), readings, rig, looked, config)
     found.findings += imu_findings
     images_ns = _stamps(survey, "left")
-    found.findings += start.check_start(survey.initial, images_ns, readings, config, survey.truth)
+    found.findings += start.check_start(survey.initial, images_ns, readings, config, truth)
     if config.start.method == "given" and not survey.initial and readings:
         found.start_method = start.method_for(readings, config)
     found.findings += start.check_truth(survey.truth, images_ns, recorded="truth" in survey.streams)
-    if rig is not None and survey.truth is not None:
-        found.findings += scale_against_truth(looked.steps, survey.truth, rig)
+    found.findings += check_scale(scale)
     return found
 
 

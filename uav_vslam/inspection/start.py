@@ -77,7 +77,7 @@ def check_truth(truth: TruthTrack | None, images_ns: Stamps, *, recorded: bool) 
     if (apart_s := spacing_s(truth)) > MAX_SPACING_S:
         seen, remedy = f"poses {apart_s:.2g} s apart", "score with `uav-vslam evaluate RESULTS --max-gap S`"
         found.append(warning("truth rate", seen, f"at most {MAX_SPACING_S:g} s apart", remedy))
-    speed = _speeds(truth)
+    speed = truth.speeds
     if len(speed) and speed.max() > limits.LARGEST_SPEED:
         fast = int((speed > limits.LARGEST_SPEED).sum())
         seen = f"{fast} steps are faster, the fastest {speed.max():.3g} m/s"
@@ -184,8 +184,3 @@ def method_for(readings: list[ImuSample], config: VehicleConfig) -> str:
 def _static(readings: list[ImuSample], config: VehicleConfig) -> NavEstimate:
     first = [r for r in readings if r.stamp_ns - readings[0].stamp_ns <= config.start.rest_s * NS_PER_S]
     return static_alignment(first, first[-1].stamp_ns if first else 0, config.imu)
-
-
-def _speeds(truth: TruthTrack) -> NDArray[np.float64]:
-    seconds = np.diff(truth.stamps_ns) / NS_PER_S
-    return np.asarray(np.linalg.norm(np.diff(truth.positions_world, axis=0), axis=1) / seconds)
