@@ -3,12 +3,13 @@
 
 import dataclasses
 import itertools
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from faulty import IMU, in_unit, later
+from faulty import IMU, TRUTH, in_unit, later, never_turned
 
 from uav_vslam.cli.main import main
 from uav_vslam.simulation.recording import record
@@ -107,6 +108,24 @@ def test_ground_truth_in_another_unit_is_warned_about(
     lines = [line for line in capsys.readouterr().err.splitlines() if "extends over" in line]
     assert len(lines) == bool(said)
     assert all(said in line for line in lines)
+
+
+def test_ground_truth_that_never_turns_is_warned_about_and_attitude_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its attitude counted as an error of the estimate, with a NEES of 634."""
+    sample = Path(__file__).parents[2] / "bags" / "sample"
+    bag = rewritten(sample, tmp_path / "bag", edited(TRUTH, never_turned))
+    arguments = ["--config", "sample", "--vehicles", "uav1", "uav2", "--no-maps", "--no-smoothing"]
+    assert main(["run", str(bag), *arguments, "--results", str(tmp_path / "out")]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "never changes" in line]
+    assert [line.startswith(f"{WARNING}uav1: the orientation of the ground truth") for line in lines] == [True]
+    vehicles = json.loads((tmp_path / "out" / "latest" / "summary.json").read_text())["vehicles"]
+    errors, true = (vehicles[name]["s_slam"] for name in ("uav1", "uav2"))
+    assert errors["ate_m"] is not None
+    for key in ("rpe_5s_m", "rpe_5s_deg", "rpe_14m_attitude_mrad", "nees_rotation"):
+        assert errors[key] is None
+        assert true[key] is not None
 
 
 @pytest.mark.parametrize("late_ns", [0, 30_000_000])

@@ -81,6 +81,11 @@ def test_truth_in_another_unit_is_the_cause_and_judges_nothing(unit: str, clean:
     assert {fault.subject for fault in faults(found.findings)} <= {"scale", "truth motion"}
 
 
+def test_truth_that_never_turns_is_the_cause_and_judges_no_axes(clean: Path, tmp_path: Path) -> None:
+    found = inspected(rewritten(clean, tmp_path / "bag", *FAULTS["truth without an attitude"][0]()))
+    assert [fault.subject for fault in faults(found.findings)] == ["truth attitude"]
+
+
 @pytest.mark.parametrize("fault", [*RUNS, *REFUSED])
 def test_what_can_run_is_run_and_what_lacks_something_is_refused(
     fault: str, clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -146,6 +146,13 @@ def in_unit(unit_m: float) -> Change:
     return edited(TRUTH, edit)
 
 
+def never_turned(message: Any) -> Any:
+    """Give the orientation that a source of positions alone fills in."""
+    q = message.pose.pose.orientation
+    q.w, q.x, q.y, q.z = 1.0, 0.0, 0.0, 0.0
+    return message
+
+
 def half_size(message: Any) -> Any:
     """Describe images of half the size."""
     return dataclasses.replace(message, width=message.width // 2, height=message.height // 2, k=0.5 * message.k)
@@ -300,6 +307,16 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
     "truth in millimetres": (
         lambda: [in_unit(1e-3)],
         [("warning", "scale", ("cameras fly 0.001 times the distance of the truth", "the truth is in millimetres"))],
+    ),
+    "truth without an attitude": (
+        lambda: [edited(TRUTH, never_turned)],
+        [
+            (
+                "warning",
+                "truth attitude",
+                ("the same in all", "the gyroscope turns", "only positions are compared"),
+            )
+        ],
     ),
     "truth in kilometres": (
         lambda: [in_unit(1e3)],

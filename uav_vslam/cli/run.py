@@ -77,7 +77,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.config import idle_settings, load_link, separate_maps
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
-    from uav_vslam.datasets.truth import other_time, other_unit
+    from uav_vslam.datasets.truth import no_attitude, other_time, other_unit
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline import flight_result, fly
@@ -124,7 +124,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     for vehicle, truth in truths.items():
         if truth is not None:
             estimate = result.vehicles[vehicle].s_slam
-            doubts = (doubt(truth, estimate) for doubt in (other_time, other_unit))
+            doubts = (doubt(truth, estimate) for doubt in (other_time, other_unit, no_attitude))
             warn_each(f"{vehicle}: {text}" for text in doubts if text)
     for vehicle, track in tracks.items():
         warn_each(f"{vehicle}: {text}" for text in track.warnings)

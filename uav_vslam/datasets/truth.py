@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorded ground truth as a trajectory for evaluation."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.datasets.truth_track import TruthTrack
+from uav_vslam.evaluation.attitude import lacks_attitude, largest_turn_rad
 from uav_vslam.evaluation.pairing import MAX_GAP_S, pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
@@ -70,6 +72,17 @@ def other_unit(truth: Trajectory, flight: Trajectory) -> str:
     return (
         f"the ground truth extends over {times:.3g} times what the estimate does{said}; errors mean nothing before "
         "that is clear, unless the estimate has diverged"
+    )
+
+
+def no_attitude(truth: Trajectory, flight: Trajectory) -> str:
+    """Return that ground truth holds positions alone, if it never turns and a flight does; otherwise nothing."""
+    if not lacks_attitude(truth, flight):
+        return ""
+    return (
+        "the orientation of the ground truth never changes, while the estimate turns by up to "
+        f"{math.degrees(largest_turn_rad(flight)):.0f} deg: errors of attitude, and those expressed in the body, are "
+        "left out"
     )
 
 

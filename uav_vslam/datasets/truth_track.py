@@ -36,6 +36,11 @@ class TruthTrack:
         return len(self.stamps_ns)
 
     @property
+    def turns(self) -> bool:
+        """Whether the orientation changes at all: sources of positions alone fill in the identity."""
+        return len(self) > 0 and bool(np.ptp(self.R_world_body, axis=0).any())
+
+    @property
     def speeds(self) -> Array:
         """(N-1,) mean speeds between poses [m/s]."""
         seconds = np.diff(self.stamps_ns) / NS_PER_S

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from uav_vslam.evaluation.attitude import lacks_attitude
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import so3_log
@@ -26,7 +27,8 @@ class Nees:
 
     Attributes:
         position: (N,) e^T P^-1 e / 3 of the position; NaN where P is not positive definite.
-        rotation: (N,) the same for the map-frame rotation vector xi, R_true = Exp(xi) R.
+        rotation: (N,) the same for the map-frame rotation vector xi, R_true = Exp(xi) R; all NaN where the ground truth
+            has no attitude.
     """
 
     position: Array
@@ -55,10 +57,10 @@ def nees(estimate: Trajectory, truth: Trajectory) -> Nees | None:
         return None
     position_error = reference.positions - paired.positions
     rotation_error = so3_log(reference.rotations @ paired.rotations.transpose(0, 2, 1))
-    return Nees(
-        normalised(position_error, paired.covariance[:, :3, :3]),
-        normalised(rotation_error, paired.covariance[:, 3:, 3:]),
-    )
+    rotation = normalised(rotation_error, paired.covariance[:, 3:, 3:])
+    if lacks_attitude(truth, estimate):
+        rotation = np.full(len(paired), np.nan)
+    return Nees(normalised(position_error, paired.covariance[:, :3, :3]), rotation)
 
 
 def normalised(error: Array, covariance: Array) -> Array:

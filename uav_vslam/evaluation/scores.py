@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All scores of one trajectory against its ground truth, under the keys of `summary.json`; null where there are none.
 
+Of ground truth without an attitude, relative errors are null: they are expressed in the body.
+
 The keys are those of every study's runs too, so that a score has one definition: `ATE_KEYS` names the alignments,
 `RELATIVE_LENGTHS_M` the segments.
 """
@@ -8,6 +10,9 @@ The keys are those of every study's runs too, so that a score has one definition
 import math
 from typing import Any
 
+import numpy as np
+
+from uav_vslam.evaluation.attitude import lacks_attitude
 from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.segments import MotionError, motion_error
@@ -52,7 +57,8 @@ def error_scores(track: Trajectory, truth: Trajectory | None, *, alignment: str 
         track, truth, alignment: see `track_scores`.
     """
     absolute = None if truth is None else absolute_error(track, truth, alignment=alignment)
-    relative = None if truth is None else relative_error(track, truth, delta=RPE_DELTA_S)
+    oriented = None if truth is None or lacks_attitude(truth, track) else truth
+    relative = None if oriented is None else relative_error(track, oriented, delta=RPE_DELTA_S)
     return {
         "ate_m": absolute.ate_m if absolute else None,
         **{key: _aligned_m(track, truth, name) for name, key in ATE_KEYS.items()},
@@ -68,6 +74,7 @@ def error_scores(track: Trajectory, truth: Trajectory | None, *, alignment: str 
 
 def relative_scores(track: Trajectory, truth: Trajectory | None) -> Figures:
     """Return the errors by direction over segments of `RELATIVE_LENGTHS_M`; no alignment matters to them."""
+    truth = None if truth is None or lacks_attitude(truth, track) else truth
     found: Figures = {}
     for length_m in RELATIVE_LENGTHS_M:
         error = None if truth is None else motion_error(*pair_with_truth(track, truth), length_m)
@@ -90,7 +97,7 @@ def consistency_scores(track: Trajectory, truth: Trajectory | None) -> Figures:
     """Return the NEES of an estimate; None where its covariance or the truth is unknown."""
     values = None if truth is None else nees(track, truth)
     position = summarise(values.position) if values else None
-    rotation = summarise(values.rotation) if values else None
+    rotation = summarise(values.rotation) if values and not np.isnan(values.rotation).all() else None
     return {
         "nees_position": position.mean if position else None,
         "nees_position_end": position.end if position else None,

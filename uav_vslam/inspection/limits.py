@@ -26,6 +26,7 @@ TILT_DEG = 30.0  # between measured and expected direction of gravity: accelerat
 MEAN_TILT_DEG = 10.0  # the same over a whole flight with truth, where accelerations are known
 LARGEST_RATE = math.radians(2000.0)  # [rad/s] largest range of usual gyroscopes
 MEAN_RATE = math.radians(300.0)  # [rad/s] rms: faster an aircraft turns only in aerobatics
+TURNS = 0.05  # [rad/s] mean rate, beyond the bias of usual gyroscopes: the body turns
 REST_WINDOW_S = 1.0  # rest is looked for in windows of this length
 EXTREME_LEVELS = 50  # distinct levels of a signal; with fewer, quantisation repeats the extremes as well
 EXTREME_COUNT = 3  # readings at exactly the largest value

@@ -13,7 +13,7 @@ from uav_vslam.inspection import limits
 from uav_vslam.inspection.finding import Finding, ok, warning
 from uav_vslam.inspection.rotation import CAMERAS, RatePairs, mean_rates, rates_of_rotations
 from uav_vslam.inspection.views import Step
-from uav_vslam.types import NS_PER_S
+from uav_vslam.types import NS_PER_S, ImuSample
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -132,6 +132,28 @@ def check_scale(scale: Scale | None) -> list[Finding]:
         return [warning("scale", f"{seen}: the truth is in {scale.unit}", f"{low} to {high}", remedy)]
     remedy = "check baseline and focal length, and that truth is in metres and at the right time"
     return [warning("scale", seen, f"{low} to {high}", remedy)]
+
+
+def check_attitude(truth: TruthTrack | None, readings: list[ImuSample]) -> list[Finding]:
+    """Check that truth turns if the gyroscope does.
+
+    Args:
+        truth: true motion, or None.
+        readings: of the IMU, in stamp order.
+    """
+    if truth is None or len(truth) < 3 or truth.turns:
+        return []
+    within = [one for one in readings if truth.stamps_ns[0] <= one.stamp_ns <= truth.stamps_ns[-1]]
+    if len(within) < 2:
+        return []
+    parts = max(1, round((within[-1].stamp_ns - within[0].stamp_ns) / (INTERVAL_S * NS_PER_S)))
+    means = [part.mean(axis=0) for part in np.array_split(np.array([one.gyro for one in within]), parts) if len(part)]
+    rate = float(np.linalg.norm(means, axis=1).max())
+    if rate <= limits.TURNS:
+        return []
+    seen = f"the same in all {len(truth)} poses, while the gyroscope turns at up to {np.degrees(rate):.1f} deg/s"
+    remedy = "record the body's orientation: without, only positions are compared, and no axes"
+    return [warning("truth attitude", seen, "the orientation of the body", remedy)]
 
 
 def is_absurd(truth: TruthTrack | None, scale: Scale | None) -> bool:

@@ -20,7 +20,7 @@ from uav_vslam.inspection import cameras, start, stereo_stamps, timing, topics, 
 from uav_vslam.inspection.finding import Finding, Severity, count, error, ok
 from uav_vslam.inspection.imu import check_imu, readings_in_body
 from uav_vslam.inspection.imu_noise import NoiseLevels, recommended
-from uav_vslam.inspection.motion import check_scale, is_absurd, scale_of_truth
+from uav_vslam.inspection.motion import check_attitude, check_scale, is_absurd, scale_of_truth
 from uav_vslam.inspection.stereo_stamps import OffsetHistogram
 from uav_vslam.vision.tracking.frontend import MAX_GAP_S as TRACKED_GAP_S
 
@@ -64,7 +64,8 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     readings = readings_in_body(survey)
     looked = _look(survey, rig, config, found)
     scale = None if rig is None or survey.truth is None else scale_of_truth(looked.steps, survey.truth, rig)
-    truth = survey.truth if not is_absurd(survey.truth, scale) else None
+    no_attitude = check_attitude(survey.truth, readings)
+    truth = None if no_attitude or is_absurd(survey.truth, scale) else survey.truth  # by which others are judged
     imu_findings, found.noise = check_imu(replace(survey, truth=truth), readings, rig, looked, config)
     found.findings += imu_findings
     images_ns = _stamps(survey, "left")
@@ -72,7 +73,7 @@ def inspect(survey: Survey, config: VehicleConfig) -> Inspection:
     if config.start.method == "given" and not survey.initial and readings:
         found.start_method = start.method_for(readings, config)
     found.findings += start.check_truth(survey.truth, images_ns, recorded="truth" in survey.streams)
-    found.findings += check_scale(scale)
+    found.findings += no_attitude + check_scale(scale)
     return found
 
 
