@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 from uav_vslam.config import ImuConfig  # noqa: E402
 from uav_vslam.geometry.pose import Pose  # noqa: E402
-from uav_vslam.ins.preintegration import unknown_motion  # noqa: E402
+from uav_vslam.ins.increments import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
 from uav_vslam.ros.slam_backend_node import MANY_BLIND, MANY_COASTED, SlamBackendNode  # noqa: E402
 from uav_vslam.slam.frame_report import FrameReport  # noqa: E402

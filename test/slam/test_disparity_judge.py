@@ -9,7 +9,7 @@ import pytest
 from uav_vslam.config import RigConfig, VehicleConfig
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.filters import make_filter
-from uav_vslam.ins.preintegration import unknown_motion_since
+from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.slam.disparity_judge import JUDGED_AFTER_S, LEVEL_RAD, DisparityJudge
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate

@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 
-from uav_vslam.ins.preintegration import unknown_motion
+from uav_vslam.ins.increments import unknown_motion
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.imu_fault import ImuFaultDetector
 from uav_vslam.slam.seen_motion import MIN_INLIERS, MotionFinder, Step

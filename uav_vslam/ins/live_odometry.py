@@ -8,7 +8,8 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.ins.imu_statistics import ImuStatistics
-from uav_vslam.ins.preintegration import bridged, preintegrate
+from uav_vslam.ins.increments import bridged
+from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 

@@ -9,7 +9,8 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.imu_buffer import ImuBuffer
 from uav_vslam.ins.imu_statistics import ImuStatistics
-from uav_vslam.ins.preintegration import bridged, has_gap, preintegrate
+from uav_vslam.ins.increments import bridged
+from uav_vslam.ins.preintegration import has_gap, preintegrate
 from uav_vslam.ins.propagation import corrected, propagate, transition
 from uav_vslam.types import ImuIncrement, ImuSample, NavEstimate, NavState
 

@@ -6,7 +6,7 @@ from collections import deque
 from typing import Any
 
 from uav_vslam.config import ImuConfig
-from uav_vslam.ins.preintegration import unknown_motion_since
+from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.ins.propagation import transition
 from uav_vslam.ins.sensor_lag import IMAGES, IMU, LEAST_NS, SensorLag
 from uav_vslam.stamps import (

@@ -18,7 +18,7 @@ from uav_vslam.estimation.observation import projectable
 from uav_vslam.estimation.rig_belief import DisparityEstimate
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import unknown_motion_since
+from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.slam.disparity_judge import DisparityJudge
 from uav_vslam.slam.frame_report import FrameReport

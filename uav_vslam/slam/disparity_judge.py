@@ -8,7 +8,7 @@ the IMU are missing, since the motion is then no measure of it.
 import numpy as np
 
 from uav_vslam.estimation.filter import Filter
-from uav_vslam.ins.preintegration import lacks_readings
+from uav_vslam.ins.increments import lacks_readings
 from uav_vslam.ins.propagation import ROTATION
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate
 

@@ -12,7 +12,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.ins.preintegration import lacks_readings
+from uav_vslam.ins.increments import lacks_readings
 from uav_vslam.types import ImuIncrement
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.alignment import levelled
-from uav_vslam.ins.preintegration import compose
+from uav_vslam.ins.increments import compose
 from uav_vslam.slam.visual_inertial_alignment import GRAVITY, VELOCITY, Alignment, View, align
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 from uav_vslam.vision.matching.nn_ratio import match_descriptors

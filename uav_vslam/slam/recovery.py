@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import ImuConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.ins.preintegration import MOST_ROTATION_SIGMA, UNKNOWN_SPEED_SIGMA
+from uav_vslam.ins.increments import MOST_ROTATION_SIGMA, UNKNOWN_SPEED_SIGMA
 from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, NAV_DIM, POSITION, ROTATION, VELOCITY
 from uav_vslam.numerics import cholesky, symmetrise
 from uav_vslam.types import NavEstimate

@@ -16,13 +16,8 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import (
-    LEAP_S,
-    MOST_ROTATION_SIGMA,
-    UNKNOWN_RATE_SIGMA,
-    UNKNOWN_SPEED_SIGMA,
-    unknown_motion_since,
-)
+from uav_vslam.ins.gaps import LEAP_S, UNKNOWN_RATE_SIGMA
+from uav_vslam.ins.increments import MOST_ROTATION_SIGMA, UNKNOWN_SPEED_SIGMA, unknown_motion_since
 from uav_vslam.slam.imu_fault import ImuFaultDetector
 from uav_vslam.types import ImuIncrement, NavState, StereoFeatures
 from uav_vslam.vision.pnp import pnp_ransac

@@ -12,7 +12,7 @@ from typing import Any
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence, MapError
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import bridged, lacks_readings, unknown_motion_since
+from uav_vslam.ins.increments import bridged, lacks_readings, unknown_motion_since
 from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import SlamBackend

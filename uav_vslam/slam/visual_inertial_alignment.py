@@ -25,7 +25,7 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.ins.preintegration import compose, error_transfer
+from uav_vslam.ins.increments import compose, error_transfer
 from uav_vslam.slam.map_points import MapPoints
 from uav_vslam.slam.pose_equations import TINY_INFORMATION, PoseEquations
 from uav_vslam.types import ImuIncrement
