@@ -28,7 +28,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ins.live_odometry import LiveOdometry
-from uav_vslam.ins.preintegration import MAX_GAP_S
+from uav_vslam.ins.pending_start import PendingStart, Refusal
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.ins.sensor_clock import EARLY_STARTS, bridges, carried_over, sensor_time_line
 from uav_vslam.ins.sensor_lag import IMAGES, IMU
@@ -107,9 +107,7 @@ class InsPropagatorNode(VehicleNode):
         self._reckoner = DeadReckoning(self.config.imu)
         self._live: LiveOdometry | None = None
         self._startup_buffer = StartupBuffer(self.config.start.rest_s if self._aligns else MAX_APART_S)
-        self._given: NavEstimate | None = None  # start state whose stamp no IMU sample has reached yet
-        self._given_frame = ""
-        self._corrected_ns = -1  # newest correction before the start: the back end is in flight
+        self._pending_start = PendingStart(self._startup_buffer)
         self.alarms.pop("imu_stamps", None)
 
     def reset(self) -> None:
@@ -198,46 +196,30 @@ class InsPropagatorNode(VehicleNode):
         if self._preintegrator is not None:  # found in flight by the back end
             self._start(given)
             return
-        if given.state.stamp_ns >= self._corrected_ns:  # latched, the take-off state comes in flight too
-            self._wait_to_start(given, message.child_frame_id)
-
-    def _wait_to_start(self, given: NavEstimate, frame: str) -> None:
-        self._given, self._given_frame = given, frame
+        self._pending_start.give(given, message.child_frame_id)
         self._start_if_confirmed()
 
     def _start_if_confirmed(self) -> None:
-        """Start once IMU samples are near the stamp; a start from long before them is refused."""
-        if self._given is None or (ahead_s := self._startup_buffer.ahead_s(self._given.state.stamp_ns)) is None:
-            return
-        given = self._given
-        self.notes["start"] = f"given {ahead_s:+.1f} s from the newest IMU sample"
-        if ahead_s > MAX_APART_S:
-            return
-        self._given = None
-        stamp_ns = given.state.stamp_ns
-        if refusal := self._startup_buffer.refusal(stamp_ns, in_flight=stamp_ns == self._corrected_ns):
-            self._refuse_start("start_stamp", f"initial_state is stamped {stamp_ns} ns, {refusal}")
-        elif conflict := self._sensors.conflict(self._given_frame):
-            self._refuse_start("start_frame", f"initial_state {conflict}")
-        else:
-            self._start(given)
-
-    def _refuse_start(self, reason: str, text: str) -> None:
-        """Drop a start state; until another is taken, nothing else says why there is no estimate."""
-        self.drop(reason, text)
-        self.alarms["start"] = f"no start: {text}"
+        """Start once IMU samples are near the start state's stamp, or say why there is no estimate until another."""
+        if (ahead_s := self._pending_start.ahead_s) is not None:
+            self.notes["start"] = f"given {ahead_s:+.1f} s from the newest IMU sample"
+        found = self._pending_start.confirmed(self._sensors.conflict)
+        if isinstance(found, Refusal):
+            self.drop(found.reason, found.text)
+            self.alarms["start"] = f"no start: {found.text}"
+        elif found is not None:
+            self._start(found)
 
     def _start(self, initial: NavEstimate) -> None:
         self.alarms.pop("start", None)
-        unmeasured = self._startup_buffer.uncovered_s(initial.state.stamp_ns) > MAX_GAP_S
-        in_flight = unmeasured and initial.state.stamp_ns == self._corrected_ns
-        early = self._startup_buffer.take(from_first_reading=in_flight)
+        is_resumed = self._pending_start.is_resumed(initial.state.stamp_ns)
+        early = self._startup_buffer.take(from_first_reading=is_resumed)
         for estimate in self._reckoner.start(initial):
             self._publish_dead_reckoning(estimate, None)
         already_running = self._preintegrator is not None  # in flight, increments are needed before the start state
         if self._preintegrator is None:
             # restarted in flight: the images show the back end the motion up to the next one
-            self._preintegrator = ImuPreintegrator(self.config.imu, initial.state, at_next_image=in_flight)
+            self._preintegrator = ImuPreintegrator(self.config.imu, initial.state, at_next_image=is_resumed)
         statistics = self._preintegrator.statistics
         self._live = LiveOdometry(initial, self.config.imu, statistics, period_s=self._period_s)
         for item in early:
@@ -267,7 +249,7 @@ class InsPropagatorNode(VehicleNode):
         before, start = self._live.estimate if self._live is not None else None, self._start_near(first_ns)
         self._forget_flight()
         if start is not None:
-            self._given, self._given_frame = navigation_from_msg(start), start.child_frame_id
+            self._pending_start.give(navigation_from_msg(start), start.child_frame_id)
             return f"{jump}; started again from the newest start state"
         if before is None or self._policy != "bridge":
             return f"{jump}; it starts again"
@@ -365,8 +347,8 @@ class InsPropagatorNode(VehicleNode):
             self._live.correct(corrected)
         elif self._preintegrator is None or self._is_reset:
             # started again in flight: the back end knows better than the take-off state, which it publishes only once
-            self._corrected_ns = corrected.state.stamp_ns
-            self._wait_to_start(corrected, message.child_frame_id)
+            self._pending_start.resume(corrected, message.child_frame_id)
+            self._start_if_confirmed()
 
 
 def main(args: list[str] | None = None) -> int:
