@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The back end's node begins a session in flight even where its number can't be stored, and tells when it coasts."""
+"""The back end's node begins a session in flight even where its number can't be stored, and names impossible inputs."""
 
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,13 +12,11 @@ from lone_node import deliver, lone_node  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from uav_vslam.config import ImuConfig  # noqa: E402
-from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ins.increments import unknown_motion  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
-from uav_vslam.ros.slam_backend_node import MANY_BLIND, MANY_COASTED, SlamBackendNode  # noqa: E402
-from uav_vslam.slam.frame_report import FrameReport  # noqa: E402
+from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.slam.stage import SlamStage  # noqa: E402
-from uav_vslam.types import NS_PER_S, NavEstimate, NavState, PoseEstimate, StereoFeatures  # noqa: E402
+from uav_vslam.types import NS_PER_S, StereoFeatures  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -59,28 +56,6 @@ def test_a_reset_begins_a_session_that_can_not_be_stored(node: SlamBackendNode) 
     assert response.success, response.message
     assert node._stage.session == SESSION + 1
     assert node.alarms["start"].startswith("no estimate before a new initial_state")
-
-
-def test_frames_that_coast_with_features_are_an_alarm(node: SlamBackendNode) -> None:
-    for k in range(MANY_COASTED):
-        assert "coasted" not in node.alarms
-        node._report_coasting(coasting_at(k, features=50))
-    assert f"{MANY_COASTED} frames of the last 10 s had features" in node.alarms["coasted"]
-    node._report_coasting(dataclasses.replace(coasting_at(100, features=50), coasted=False))
-    assert "coasted" not in node.alarms
-
-
-def test_frames_that_coast_without_features_are_an_alarm(node: SlamBackendNode) -> None:
-    for k in range(MANY_BLIND):
-        assert "coasted" not in node.alarms
-        node._report_coasting(coasting_at(k, features=3))
-    assert f"{MANY_BLIND} frames of the last 10 s had fewer than 20 features" in node.alarms["coasted"]
-
-
-def coasting_at(frame: int, *, features: int) -> FrameReport:
-    state = NavState(1000 * NS_PER_S + frame * FRAME_NS, Pose.identity(), np.zeros(3), np.zeros(3), np.zeros(3))
-    pose = PoseEstimate(state.stamp_ns, state.T_map_body, np.eye(6))
-    return FrameReport(pose, NavEstimate(state, np.eye(15)), features, 0, False, None, 0, coasted=True)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import ConfigError
 from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.monitor import DROPPED
+from uav_vslam.ros.backend_status import BackendStatus
 from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import (
     cloud_to_msg,
@@ -43,15 +44,12 @@ from uav_vslam.ros.convert import (
     pose_with_covariance_to_msg,
     twist_to_msg,
 )
-from uav_vslam.ros.health import RECENT_S, RecentEvents
 from uav_vslam.ros.map_services import offer_map_services
 from uav_vslam.ros.qos import LATCHED, MOTION, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import VehicleNode, run_node
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
 from uav_vslam.slam.clocked_stage import ClockedStage
-from uav_vslam.slam.frame_report import FrameReport
-from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
 from uav_vslam.slam.session import next_session
 from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.slam.state_folder import state_folder
@@ -61,7 +59,6 @@ from uav_vslam_msgs.msg import FrameQuality, InsIncrement, JointInformation, Nav
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
 
 MAX_PATH = 2000  # poses in a published path
-MANY_COASTED, MANY_BLIND = 5, 30  # frames of the last `RECENT_S`; a camera may be covered for a moment
 
 
 class SlamBackendNode(VehicleNode):
@@ -72,8 +69,7 @@ class SlamBackendNode(VehicleNode):
         self._checkpoint = checkpoint_file(state_folder(), self.vehicle)
         self._saved_ns: int | None = None
         self._clocked = ClockedStage(self._resumed() or self._fresh(), self.config, self._next_session)
-        self._recoveries, self._recovery = RecentEvents(), ""
-        self._coasted, self._blind, self._warned = RecentEvents(), RecentEvents(), RecentEvents()
+        self._status = BackendStatus(self)
         self._path: deque[PoseStamped] = deque(maxlen=MAX_PATH)
         self._odometry = self.advertise(Odometry, "odometry", NEWEST)
         self._paths = self.advertise(Path, "path", STATE)
@@ -178,7 +174,7 @@ class SlamBackendNode(VehicleNode):
     def _publish(self, output: FrameOutput) -> None:
         if self._finds_start and self._stage.initial is not None:
             self._publish_start(self._stage.initial)
-        self._count(output)
+        self._status.report(output)
         if output.joint is not None:
             self._publish_epoch(output.joint)
         self._quality.publish(quality_to_msg(output.quality, frame_id=self.map_frame))
@@ -215,47 +211,6 @@ class SlamBackendNode(VehicleNode):
         self._path.append(PoseStamped(header=header(pose.stamp_ns, self.map_frame), pose=pose_to_msg(pose.T_map_body)))
         twist = twist_to_msg(body_twist(report.nav, output.increment))
         self._odometry.publish(odometry_to_msg(pose, twist, frame_id=self.map_frame, child_frame_id=self.base_frame))
-
-    def _count(self, output: FrameOutput) -> None:
-        report = output.report
-        self.counts["frames"] += 1
-        self.counts["frames_coasted"] += report.coasted
-        self.counts["relocalisations"] += report.relocalised
-        self.counts["closures"] += report.closures
-        self.counts["recoveries"] += report.recovery != ""
-        self._report_recoveries(report)
-        self._report_coasting(report)
-        self.notes["landmarks"] = str(report.landmarks)
-        self.notes["associated"] = str(report.associated)
-        if report.innovation is not None:
-            self.notes["nis_per_dof"] = f"{report.innovation.nis / max(report.innovation.dof, 1):.2f}"
-        for text in output.warnings:
-            self.get_logger().warning(text)
-            self.notes["warning"] = self.alarms["warning"] = text
-        if not self._warned.count(report.pose.stamp_ns, len(output.warnings)):
-            self.alarms.pop("warning", None)
-
-    def _report_coasting(self, report: FrameReport) -> None:
-        """Warn while the estimate goes on by the IMU alone, though frames have features or because they have not."""
-        stamp_ns, sees = report.pose.stamp_ns, report.features >= MIN_FEATURES
-        coasted = self._coasted.count(stamp_ns, report.coasted and sees)
-        blind = self._blind.count(stamp_ns, report.coasted and not sees)
-        text = ""
-        if coasted >= MANY_COASTED:
-            text = (
-                f"{coasted} frames of the last {RECENT_S:g} s had features, but none where the estimate "
-                f"expects it: {COASTING_REMEDY}"
-            )
-        elif blind >= MANY_BLIND:
-            text = f"{blind} frames of the last {RECENT_S:g} s had fewer than {MIN_FEATURES} features: see front end"
-        self.report_alarm("coasted", text)
-
-    def _report_recoveries(self, report: FrameReport) -> None:
-        """Warn while the filter was re-initialised recently: what it claims is then no more than a guess."""
-        self._recovery = report.recovery or self._recovery
-        recent = self._recoveries.count(report.pose.stamp_ns, report.recovery != "")
-        text = f"the filter was re-initialised {recent}x in the last {RECENT_S:g} s, the last time: {self._recovery}"
-        self.report_alarm("recovery", text if recent else "")
 
 
 def main(args: list[str] | None = None) -> int:
