@@ -12,7 +12,8 @@ import matplotlib.pyplot as plt
 
 from uav_vslam.config import find_config, load_vehicle
 from uav_vslam.evaluation.result import FlightResult
-from uav_vslam.offline import flight_result, fly
+from uav_vslam.offline.flight import fly
+from uav_vslam.offline.result import flight_result
 from uav_vslam.report.style import STYLES, tracks_of
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, simulate_fleet

@@ -24,7 +24,6 @@ import rclpy
 import yaml
 from nav_msgs.msg import Odometry
 
-from uav_vslam import offline
 from uav_vslam.cli.recordings import open_flights
 from uav_vslam.config import load_fleet
 from uav_vslam.datasets.messages import header_stamp_ns
@@ -32,6 +31,7 @@ from uav_vslam.datasets.outputs import RecordedOutputs, read_outputs
 from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
+from uav_vslam.offline.flight import fly as fly_offline
 from uav_vslam.ros.domain import claimed_domain
 from uav_vslam.ros.qos import SENSOR
 from uav_vslam.studies.live.compute import child_commands, node_name
@@ -115,7 +115,7 @@ def fly(seed: int, rate: float, folder: Path) -> dict[str, tuple[float, float, f
     vehicles = {name: {"config": str(ROOT / "config" / "kagaru.yaml")} for name in MOST}
     fleet.write_text(yaml.safe_dump({"vehicles": vehicles, "mode": "wideband"}), encoding="utf-8")
     configs = load_fleet(fleet).vehicles
-    tracks, undisturbed = offline.fly(list(open_flights((bag,), configs).values()), configs, workers=2)
+    tracks, undisturbed = fly_offline(list(open_flights((bag,), configs).values()), configs, workers=2)
     stamps_ns = [output.report.pose.stamp_ns for output in tracks["uav1"].outputs]
     options = ["--bag", str(bag), "--rate", str(rate), "--record", str(out), "--on-failure", "restart"]
     launch([str(fleet), *options], folder / f"launch_{seed}.log", stamps_ns)

@@ -86,7 +86,7 @@ AT_HOME_FILES = {
     },
     "cv2": {
         "geometry/camera.py",
-        "offline.py",
+        "offline/track.py",
         "cli/calibrate.py",
         "cli/check.py",
         "cli/map.py",

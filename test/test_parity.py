@@ -20,7 +20,8 @@ from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.evaluation.output import ALL_TRACKS
 from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.fleet import CooperativeTrack
-from uav_vslam.offline import flight_result, fly
+from uav_vslam.offline.flight import fly
+from uav_vslam.offline.result import flight_result
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS

@@ -11,7 +11,7 @@ from uav_vslam.config import VehicleConfig
 from uav_vslam.cooperation.fused_pose import move, propagated
 from uav_vslam.fleet import cooperate
 from uav_vslam.numerics import symmetrise
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_fleet

@@ -22,7 +22,7 @@ from uav_vslam.datasets.truth import truth_warnings
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle

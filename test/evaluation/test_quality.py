@@ -22,7 +22,8 @@ from uav_vslam.evaluation.quality import (
 )
 from uav_vslam.evaluation.result import VehicleResult
 from uav_vslam.evaluation.summary import build_summary
-from uav_vslam.offline import flight_result, track_vehicle
+from uav_vslam.offline.result import flight_result
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import BackendConfig, VehicleConfig
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.overlay.tracks import TRAIL_FRAMES, evenly, overlays
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks

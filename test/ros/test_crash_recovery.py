@@ -17,7 +17,6 @@ from nav_msgs.msg import Odometry  # noqa: E402
 from node_processes import Witness  # noqa: E402
 from short_bag import before  # noqa: E402
 
-from uav_vslam import offline  # noqa: E402
 from uav_vslam.cli.recordings import open_flights  # noqa: E402
 from uav_vslam.config import load_fleet  # noqa: E402
 from uav_vslam.datasets.messages import stamp_ns_of  # noqa: E402
@@ -26,6 +25,7 @@ from uav_vslam.evaluation.consistency import nees  # noqa: E402
 from uav_vslam.evaluation.trajectory import Trajectory  # noqa: E402
 from uav_vslam.evaluation.trajectory_error import absolute_error  # noqa: E402
 from uav_vslam.fleet import CooperativeTrack  # noqa: E402
+from uav_vslam.offline.flight import fly as fly_offline  # noqa: E402
 from uav_vslam.pipeline import VehicleTrack  # noqa: E402
 from uav_vslam.types import NS_PER_S, PoseEstimate  # noqa: E402
 from waiting import wait_for  # noqa: E402
@@ -79,7 +79,7 @@ def undisturbed() -> Tracks:
     """The same flight without ROS, which the graph equals (test_parity)."""
     configs = load_fleet(ROOT / "config" / "fleet_demo.yaml").vehicles
     flights = open_flights((SAMPLE,), configs)
-    tracks, fleet = offline.fly(list(flights.values()), configs, workers=2)
+    tracks, fleet = fly_offline(list(flights.values()), configs, workers=2)
     return {name: (tracks[name], fleet[name]) for name in fleet}
 
 

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 from uav_vslam.config import StartConfig, VehicleConfig  # noqa: E402
 from uav_vslam.ins.preintegration import preintegrate  # noqa: E402
-from uav_vslam.offline import track_vehicle  # noqa: E402
+from uav_vslam.offline.track import track_vehicle  # noqa: E402
 from uav_vslam.ros.convert import features_to_msg, increment_to_msg  # noqa: E402
 from uav_vslam.ros.slam_backend_node import SlamBackendNode  # noqa: E402
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks  # noqa: E402

@@ -13,7 +13,7 @@ from uav_vslam.evaluation.consistency import chi_square_band, nees
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins.propagation import propagate, transition
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource

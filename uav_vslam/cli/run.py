@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uav_vslam.datasets.bag import BagFlight
     from uav_vslam.evaluation.result import FlightResult
     from uav_vslam.evaluation.trajectory import Trajectory
-    from uav_vslam.offline import FlightSource
+    from uav_vslam.offline.source import FlightSource
     from uav_vslam.pipeline import VehicleTrack
 
 FIRST_FRAMES = 20  # that show how far apart the stamps of a pair are
@@ -80,7 +80,8 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.datasets.truth import no_attitude, other_time, other_unit
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
-    from uav_vslam.offline import flight_result, fly
+    from uav_vslam.offline.flight import fly
+    from uav_vslam.offline.result import flight_result
     from uav_vslam.report.page.page import NAME as PAGE_NAME
     from uav_vslam.report.table import print_summary
 

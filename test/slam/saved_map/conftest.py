@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import RigConfig, VehicleConfig
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkField, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet

@@ -14,7 +14,7 @@ from uav_vslam.errors import ConfigError, MapError, UavVslamError
 from uav_vslam.fleet import cooperate
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.ins.preintegration import preintegrate
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import observe
 from uav_vslam.simulation.source import SimulatedSource

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.simulation.terrain import ground_of

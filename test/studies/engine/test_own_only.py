@@ -7,7 +7,7 @@ import pytest
 from uav_vslam.config import IMU_GRADES, VehicleConfig
 from uav_vslam.errors import ConfigError, FilterDivergence
 from uav_vslam.ins.imu_buffer import MAX_HELD_S
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource

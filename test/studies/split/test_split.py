@@ -17,7 +17,7 @@ from uav_vslam.datasets.cut_options import CutOptions
 from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut
 from uav_vslam.datasets.cutting import Cut, plan_cut, poses_of, with_drawn_starts
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.offline import fly
+from uav_vslam.offline.flight import fly
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight

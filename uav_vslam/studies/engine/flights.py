@@ -19,7 +19,10 @@ from uav_vslam.evaluation.summary import build_summary
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.offline import FlightSource, flight_result, fly, smooth_track
+from uav_vslam.offline.flight import fly
+from uav_vslam.offline.result import flight_result
+from uav_vslam.offline.source import FlightSource
+from uav_vslam.offline.track import smooth_track
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource

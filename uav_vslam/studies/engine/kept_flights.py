@@ -11,7 +11,8 @@ from uav_vslam.mapping.flight_views import flight_views
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.mapping.view import View
-from uav_vslam.offline import FlightSource, fly
+from uav_vslam.offline.flight import fly
+from uav_vslam.offline.source import FlightSource
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet

@@ -18,7 +18,7 @@ from uav_vslam.datasets.truth import trajectory_of
 from uav_vslam.errors import BagError, UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.stereo import StereoRig
-from uav_vslam.offline import FlightSource
+from uav_vslam.offline.source import FlightSource
 from uav_vslam.studies.engine.study import Progress
 from uav_vslam.types import ImuSample, NavEstimate, StereoFeatures, StereoFrame
 from uav_vslam.vision.stereo_points import StereoFrontend

@@ -16,7 +16,7 @@ from uav_vslam.cooperation.point_pairs import rotated
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import quaternion_wxyz_from_rotation, rotation_from_rpy
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.landmarks import LandmarkField, LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import FLEET, Scenario, simulate_fleet

@@ -18,7 +18,7 @@ from uav_vslam.evaluation.scores import track_scores
 from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.studies.engine.pool import in_pool, mean
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.studies.engine.score_columns import pooled_scores

@@ -10,7 +10,8 @@ from typing import Any
 from uav_vslam.config import VehicleConfig
 from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.summary import build_summary
-from uav_vslam.offline import flight_result, track_vehicle
+from uav_vslam.offline.result import flight_result
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.faults import FAULTS, FaultySource, end_s
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle

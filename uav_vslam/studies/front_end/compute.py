@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.evaluation.study import Row
-from uav_vslam.offline import FlightSource
+from uav_vslam.offline.source import FlightSource
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource

@@ -20,7 +20,7 @@ from uav_vslam.evaluation.consistency import nees
 from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.evaluation.trajectory_error import absolute_error
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.recording import recording_of
 from uav_vslam.simulation.scenario import Scenario, simulate_vehicle
 from uav_vslam.simulation.terrain import ground_of

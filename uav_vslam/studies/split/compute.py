@@ -18,7 +18,8 @@ from uav_vslam.datasets.cutting import WHAT_A_CUT_HIDES, Cut, CutVehicle, with_d
 from uav_vslam.errors import InvalidMessage, UavVslamError
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.fleet import cooperate
-from uav_vslam.offline import link_counters, track_vehicle
+from uav_vslam.offline.result import link_counters
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.studies.engine.pool import in_pool
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.types import ImuSample, StereoFeatures, StereoFrame

@@ -11,7 +11,8 @@ import dataclasses
 from uav_vslam.config import VehicleConfig
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.offline import flight_result, fly
+from uav_vslam.offline.flight import fly
+from uav_vslam.offline.result import flight_result
 from uav_vslam.simulation.landmarks import LandmarkNoise, scatter_landmarks
 from uav_vslam.simulation.scenario import Scenario, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource

@@ -11,7 +11,9 @@ import pytest
 from uav_vslam.config import StartConfig, VehicleConfig
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.scores import error_scores, relative_key
-from uav_vslam.offline import flight_result, fly, track_vehicle
+from uav_vslam.offline.flight import fly
+from uav_vslam.offline.result import flight_result
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.landmarks import scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource

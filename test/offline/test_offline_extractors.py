@@ -6,7 +6,7 @@ import dataclasses
 import pytest
 
 from uav_vslam.config import FrontendConfig, VehicleConfig
-from uav_vslam.offline import track_vehicle
+from uav_vslam.offline.track import track_vehicle
 from uav_vslam.simulation.scenario import SCENARIOS, simulate_vehicle
 from uav_vslam.simulation.source import SimulatedSource
 from uav_vslam.vision.features import EXTRACTORS

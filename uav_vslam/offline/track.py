@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A vehicle's own-only pipeline over its data; a flight without a result, or one in doubt, says why."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from uav_vslam.config import VehicleConfig
+from uav_vslam.errors import BagError, FilterDivergence, UavVslamError
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.offline.source import FlightSource, start_state
+from uav_vslam.pipeline import VehiclePipeline, VehicleTrack
+from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
+from uav_vslam.smoothing.flight import FilteredFlight
+from uav_vslam.smoothing.smoother import smooth
+
+COASTING_SHARE = 0.5  # of the frames, from which the whole flight is in doubt
+
+
+def track_vehicle(
+    source: FlightSource,
+    config: VehicleConfig,
+    on_frame: Callable[[], None] = lambda: None,
+    *,
+    keep_features: bool = False,
+    smoothing: bool = False,
+    keep_map: bool = False,
+) -> VehicleTrack:
+    """Run one vehicle's own-only pipeline over its data; a damaged recording is used up to the damage.
+
+    Args:
+        source: sensor data.
+        config: of the vehicle.
+        on_frame: called after each frame.
+        keep_features: in the track, for pictures.
+        smoothing: smooth the whole flight afterwards, and the map.
+        keep_map: in the track.
+
+    Raises:
+        UavVslamError: the source has no start state and the configuration does not set how to find one, or none was
+            found; no frame was processed, or no IMU reading used.
+    """
+    cv2.setNumThreads(1)
+    pipeline = VehiclePipeline(
+        start_state(source, config),
+        rig=source.rig,
+        config=config,
+        vehicle=source.vehicle,
+        keep_features=keep_features or smoothing,
+        keep_map=keep_map,
+    )
+    try:
+        for _ in pipeline.run(source.iter_events()):
+            on_frame()
+    except BagError as error:
+        pipeline.track.broken = str(error)
+    if pipeline.missing_start:
+        raise UavVslamError(
+            f"{source.vehicle}: none of {pipeline.track.frames_in} frames allowed a start in flight; "
+            f"the last: {pipeline.missing_start}"
+        )
+    _count_unpaired(source, pipeline.track)
+    _check_measured(pipeline.track)
+    _report_coasting(pipeline.track)
+    if keep_map:
+        _keep_saved_map(pipeline)
+    if smoothing:
+        smooth_track(pipeline.track, source.rig, config)
+    if not keep_features:
+        pipeline.track.features.clear()
+    return pipeline.track
+
+
+def smooth_track(track: VehicleTrack, rig: StereoRig, config: VehicleConfig) -> None:
+    """Smooth the poses, and the map if there is one, of a track that keeps its features, or add why it failed."""
+    if track.start is None or not track.outputs:
+        return
+    try:
+        flight = FilteredFlight.of_outputs(track.start, track.outputs, track.features)
+        found = smooth(flight, rig, config, track.saved_map)
+        track.smoothed, track.saved_map = [estimate.pose for estimate in found.estimates], found.saved_map
+    except (FilterDivergence, np.linalg.LinAlgError, MemoryError) as error:
+        track.warnings.append(f"the flight could not be smoothed: {error}")
+
+
+def _keep_saved_map(pipeline: VehiclePipeline) -> None:
+    """Add the map to a pipeline's track; without one, why there is none."""
+    try:
+        pipeline.track.saved_map = pipeline.saved_map()
+    except (FilterDivergence, np.linalg.LinAlgError) as error:
+        pipeline.track.warnings.append(f"the map could not be saved: {error}")
+
+
+def _count_unpaired(source: FlightSource, track: VehicleTrack) -> None:
+    """Count frames by the images recorded, not by the pairs found.
+
+    Raises:
+        UavVslamError: no frame was processed.
+    """
+    alone = source.frame_count - track.frames_in
+    if alone > 0:
+        track.dropped["unread" if track.broken else "unpaired"] = alone
+        track.frames_in = source.frame_count
+    if track.outputs or track.broken or source.frame_count == 0:
+        return
+    reasons = ", ".join(f"{reason} {count}" for reason, count in track.dropped.items()) or "the IMU does not cover any"
+    detail = f"; {source.unpaired_reason()}" if alone > 0 else ""
+    raise UavVslamError(f"{source.vehicle}: none of {source.frame_count} frames was processed: {reasons}{detail}")
+
+
+def _check_measured(track: VehicleTrack) -> None:
+    """Check that the flight is more than a guess.
+
+    Raises:
+        UavVslamError: no IMU reading was used.
+    """
+    increments = [output.increment for output in track.outputs if output.increment is not None]
+    if increments and not any(increment.samples for increment in increments):
+        reasons = ", ".join(f"{reason} {count}" for reason, count in track.dropped.items()) or "none is in the flight"
+        raise UavVslamError(
+            f"{track.vehicle}: no IMU reading was used ({reasons}), so all motion is unknown; uav-vslam check says "
+            "what is wrong with the recording"
+        )
+
+
+def _report_coasting(track: VehicleTrack) -> None:
+    """Warn of a flight that is mostly dead reckoning although its frames have features."""
+    reports = [output.report for output in track.outputs]
+    missed = sum(report.coasted and report.features >= MIN_FEATURES for report in reports)
+    if missed > COASTING_SHARE * len(reports):
+        track.warnings.append(
+            f"{missed} of {len(reports)} frames had features, but none where the estimate expects it: what it claims "
+            f"is in doubt; {COASTING_REMEDY} (uav-vslam check)"
+        )
