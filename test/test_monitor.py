@@ -117,20 +117,20 @@ def test_the_worst_health_comes_first_and_a_node_without_news_is_silent() -> Non
 def test_named_vehicles_alone_are_watched_and_awaited() -> None:
     fleet = Fleet(["uav2", "uav1"])
     assert fleet.vehicle("stranger") is None
-    assert fleet.missing(0.0) == ["uav2", "uav1"]
+    assert fleet.missing == ["uav2", "uav1"]
     first = fleet.vehicle("uav1")
     assert first is not None
     first.streams["imu"].arrived(1.0)
-    assert (fleet.missing(1.0), fleet.is_complete(1.0)) == (["uav2"], False)
+    assert (fleet.missing, fleet.is_complete) == (["uav2"], False)
 
 
 def test_without_names_all_that_are_heard_are_watched_in_order() -> None:
     fleet = Fleet()
-    assert not fleet.is_complete(0.0)
+    assert not fleet.is_complete
     for name in ("uav2", "uav1"):
         vehicle = fleet.vehicle(name)
         assert vehicle is not None
         vehicle.streams["odometry"].arrived(1.0)
         assert fleet.vehicle(name) is vehicle
     assert list(fleet.vehicles) == ["uav1", "uav2"]
-    assert fleet.is_complete(1.0)
+    assert fleet.is_complete

@@ -29,6 +29,11 @@ class Stream:
         while now_s - self._arrivals_s[0] > WINDOW_S and len(self._arrivals_s) > 2:
             self._arrivals_s.popleft()
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether a message ever came."""
+        return bool(self._arrivals_s)
+
     def rate_hz(self, now_s: float) -> float | None:
         """Return the rate over the window, falling as soon as a message is overdue; None before the second message."""
         intervals = len(self._arrivals_s) - 1
@@ -155,6 +160,11 @@ class Vehicle:
         self.coasted += coasted
         self.landmarks = landmarks
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether anything was ever received."""
+        return bool(self.nodes) or any(stream.has_begun for stream in self.streams.values())
+
     def age_s(self, now_s: float) -> float | None:
         """Return the time since anything was received; None before."""
         streams = [age_s for stream in self.streams.values() if (age_s := stream.age_s(now_s)) is not None]
@@ -211,13 +221,15 @@ class Fleet:
             self.vehicles = dict(sorted([*self.vehicles.items(), (name, Vehicle(name))]))
         return self.vehicles.get(name)
 
-    def missing(self, now_s: float) -> list[str]:
-        """Return the names of vehicles from which nothing has come yet."""
-        return [name for name, vehicle in self.vehicles.items() if vehicle.age_s(now_s) is None]
+    @property
+    def missing(self) -> list[str]:
+        """Names of the vehicles from which nothing has come yet."""
+        return [name for name, vehicle in self.vehicles.items() if not vehicle.is_heard]
 
-    def is_complete(self, now_s: float) -> bool:
-        """Return whether there is a vehicle, and something has come from each."""
-        return bool(self.vehicles) and not self.missing(now_s)
+    @property
+    def is_complete(self) -> bool:
+        """Whether there is a vehicle, and something has come from each."""
+        return bool(self.vehicles) and not self.missing
 
     def health(self, now_s: float) -> list[Health]:
         """Return the health of all nodes, the worst first."""

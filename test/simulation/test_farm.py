@@ -7,13 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
-from uav_vslam.simulation.farm import HIGHEST_M, Farm
+from uav_vslam.simulation.farm import Farm
 from uav_vslam.simulation.fields import FIELD_M, corner, is_track, outline, places
 from uav_vslam.simulation.ridged import Ridged
 from uav_vslam.simulation.solids import Label
 from uav_vslam.simulation.terrain import Relief
 
 SIDE_M = 540.0
+HIGHEST_M = 10.0  # nothing stands higher above the ground
 WINDOW = -0.5 * SIDE_M, -0.5 * SIDE_M, 0.5 * SIDE_M, 0.5 * SIDE_M
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from first_hits import first_hits
 from numpy.typing import NDArray
+from ridged_roof import roof_corners
 
 from uav_vslam.geometry.camera import PinholeCamera
 from uav_vslam.geometry.pose import Pose
@@ -76,7 +77,7 @@ def fitted_corners(covered: Image, corners: Array) -> Array:
 
 def roof_outline(solid: Ridged) -> Array:
     """Return the (6, 3) corners of a roof clockwise in an image from above; the roof hides the walls there."""
-    return solid.roof_corners[[0, 4, 3, 2, 5, 1]]
+    return roof_corners(solid)[[0, 4, 3, 2, 5, 1]]
 
 
 @pytest.mark.parametrize(("heading", "tilt"), [(0.0, 0.0), (0.4, 0.03), (1.2, -0.03)])

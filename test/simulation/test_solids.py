@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from ridged_roof import roof_corners
 
 from uav_vslam.simulation.dome import Dome
 from uav_vslam.simulation.ridged import Ridged
@@ -71,7 +72,7 @@ def test_normals_point_out_of_the_face_that_is_entered(solid: Solid) -> None:
 
 
 def test_a_barns_corners_lie_on_its_roof() -> None:
-    corners = BARN.roof_corners
+    corners = roof_corners(BARN)
     inwards = corners + 1e-9 * ([BARN.x, BARN.y, 0.0] - corners)
     np.testing.assert_allclose(BARN.top(inwards[:, 0], inwards[:, 1]), corners[:, 2], atol=1e-6)
     assert corners[:, 2].max() == pytest.approx(BARN.highest_z)

@@ -63,9 +63,8 @@ def _show_once(graph: GraphListener, fleet: Fleet, wait_s: float) -> int:
     from uav_vslam.report.live_table import live_view
 
     graph.spin(wait_s)
-    now_s = time.monotonic()
-    wide(None).print(live_view(fleet, now_s))
-    return 0 if fleet.is_complete(now_s) else 1
+    wide(None).print(live_view(fleet, time.monotonic()))
+    return 0 if fleet.is_complete else 1
 
 
 def _show_live(graph: GraphListener, fleet: Fleet, every_s: float) -> None:

@@ -115,7 +115,7 @@ class BagFlight:
             return np.zeros(0, np.int64)
         return np.asarray(abs(right[nearest(left, right)] - left))
 
-    def pair_tolerance_ns(self, first: int | None = None) -> int:
+    def pair_tolerance_ns(self, first: int) -> int:
         """Return the largest difference between the stamps of a pair [ns], after the first so many left images."""
         tolerance = PairTolerance(round(self.input.pair_tolerance_s * NS_PER_S))
         for stamp_ns in self._stamps_ns(self.left_topic, first):

@@ -101,7 +101,7 @@ def _peer_cells(peer: Peer) -> tuple[str, ...]:
 
 def _remarks(fleet: Fleet, now_s: float) -> list[tuple[str, str]]:
     """Return lines with their styles: vehicles awaited, nodes that are not well, messages dropped."""
-    missing = fleet.missing(now_s)
+    missing = fleet.missing
     if not fleet.vehicles:
         return [("waiting for a vehicle: none on this ROS domain so far; is it the nodes' domain?", STYLES[WARN])]
     remarks = [(f"waiting for {', '.join(missing)}: nothing received so far", STYLES[WARN])] if missing else []

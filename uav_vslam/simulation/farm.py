@@ -15,8 +15,7 @@ Array = NDArray[np.float64]
 Heights = Callable[[NDArray[np.floating], NDArray[np.floating]], NDArray[np.floating]]  # [m] at x, y [m]
 
 FOOT_M = 3.0  # by which solids reach below the ground at their centre
-HIGHEST_M = 10.0  # nothing stands higher above the ground,
-BEYOND_FIELD_M = 12.0  # nor farther outside its field
+BEYOND_FIELD_M = 12.0  # nothing stands farther outside its field
 
 BARNS_PER_FIELD = (0.2, 0.35, 0.3, 0.15)  # probability of 0, 1, ... barns: 2 % of the ground
 BARN_LENGTH_M, BARN_WIDTH_M = (9.0, 20.0), (6.0, 10.0)

@@ -52,14 +52,6 @@ class Ridged:
         return np.stack([a, b], axis=-1) @ self._axes + [self.x, self.y]
 
     @property
-    def roof_corners(self) -> Array:
-        """(6, 3) corners of the roof [m]: the eaves above the footprint's corners, then the ends of the ridge."""
-        ridge = 0.5 * self.length_m * np.array([[1.0], [-1.0]]) * self._axes[0] + [self.x, self.y]
-        xy = np.concatenate([self.footprint, ridge])
-        a, b = self._local(xy)
-        return np.column_stack([xy, self.ridge_z + self.climb * a - self.pitch * np.abs(b)])
-
-    @property
     def _axes(self) -> Array:
         """(2, 2) unit vectors along and across the ridge, as rows."""
         c, s = np.cos(self.heading_rad), np.sin(self.heading_rad)
