@@ -71,16 +71,26 @@ class Rig:
         self.front, other, self.executor = graph
         self.received = []
         other.create_subscription(StereoFeatures, "stereo_features", self.received.append, STATE)
-        names = {Image: "image_raw", CompressedImage: "image_raw/compressed"}
-        self.images = {
-            (side, kind): other.create_publisher(kind, f"{side}/{names[kind]}", IMAGE)
-            for side in ("left", "right")
-            for kind in kinds
-        }
+        self._other = other
+        self.images = self._drivers(kinds)
         self._infos = {s: other.create_publisher(CameraInfo, f"{s}/camera_info", STATE) for s in ("left", "right")}
         self._transforms = other.create_publisher(TFMessage, "/tf_static", LATCHED)
         publishers = [*self.images.values(), *self._infos.values()]
         assert self.until(lambda: all(p.get_subscription_count() for p in publishers))
+
+    def _drivers(self, kinds):
+        names = {Image: "image_raw", CompressedImage: "image_raw/compressed"}
+        return {
+            (side, kind): self._other.create_publisher(kind, f"{side}/{names[kind]}", IMAGE)
+            for side in ("left", "right")
+            for kind in kinds
+        }
+
+    def replace_drivers(self, kind):
+        for publisher in self.images.values():
+            self._other.destroy_publisher(publisher)
+        self.images = self._drivers([kind])
+        assert self.until(lambda: all(p.get_subscription_count() for p in self.images.values()))
 
     def turn(self):
         self.executor.spin_once(timeout_sec=0.02)
@@ -182,6 +192,20 @@ def test_compressed_images_are_used_if_raw_ones_are_advertised_but_never_arrive(
     assert rig.front.counts["pairs"] == 0
     publish()
     assert rig.until(lambda: len(rig.received) == 1)
+
+
+def test_drivers_that_change_between_raw_and_compressed_images_in_flight_are_followed(graph):
+    rig = Rig(graph, [Image])
+    rig.calibrate()
+    png = cv2.imencode(".png", np.zeros((HEIGHT, WIDTH), np.uint8))[1].tobytes()
+    for flight, kind in enumerate((Image, CompressedImage, Image)):
+        if flight:
+            rig.replace_drivers(kind)
+        for (side, _), publisher in rig.images.items():
+            image = blank_image(side)
+            image.header = header(STAMP_NS + flight * 100_000_000, f"{side}_optical")
+            publisher.publish(image if kind is Image else encoded(image, png))
+        assert rig.until(lambda pairs=flight + 1: len(rig.received) == pairs), flight
 
 
 @pytest.mark.parametrize(("extractor", "text"), [("sfit", "use one of sift, asift"), ("surf", "pip install mahotas")])

@@ -89,7 +89,7 @@ class VehicleNode(PausableNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         DiscoveryReport(self, lambda: unmatched(self._inputs))
         create_wall_timer(self, DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
-        create_wall_timer(self, FOLLOW_PERIOD_S, self._follow_reliability)
+        create_wall_timer(self, FOLLOW_PERIOD_S, self.follow_offers)
         create_wall_timer(self, START_S, self._report_missing)
         if self.own.autostart:
             self.begin()
@@ -218,7 +218,8 @@ class VehicleNode(PausableNode):
             self.get_logger().error(text)
         self.failures[subject] = text
 
-    def _follow_reliability(self) -> None:
+    def follow_offers(self) -> None:
+        """Adapt the inputs to what is published now; called periodically."""
         for one in self._inputs:
             if one.follow(self):
                 offered = f"{one.qos.reliability.name}, {one.qos.durability.name}"

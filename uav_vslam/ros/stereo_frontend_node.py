@@ -56,18 +56,30 @@ class StereoFrontendNode(VehicleNode):
         self._pairer: StereoPairer[Pixels] = StereoPairer(tolerance_ns=round(given.pair_tolerance_s * NS_PER_S))
         self._waiting: deque[StereoFrame] = deque()
         self._publisher = self.advertise(StereoFeatures, "stereo_features", RESUMABLE)
-        self._choices: dict[str, dict[type, Input]] = {}  # by camera: its candidate topics, until one is selected
+        self._candidates: dict[str, dict[type, Callable[[], Input]]] = {}  # by camera: opens each of its topics
+        self._choices: dict[str, dict[type, Input]] = {}  # by camera: its open topics, one once it is selected
         for side, add in (("left", self._pairer.add_left), ("right", self._pairer.add_right)):
             topic, on_image = getattr(given.topics, side), partial(self._on_image, side, add)
-            self._choices[side] = {
-                kind: self.listen(kind, name, on_image, IMAGE, instead_of=topic)
+            self._candidates[side] = {
+                kind: partial(self.listen, kind, name, on_image, IMAGE, instead_of=topic)
                 for kind, name in image_topics(self, topic).items()
             }
+            self._choices[side] = {kind: listen() for kind, listen in self._candidates[side].items()}
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
         if self._frontend is not None:
             self._frontend.configure(config.frontend)
+
+    def follow_offers(self) -> None:
+        """Also listen to all topics of a camera again when nobody publishes the selected one any more."""
+        super().follow_offers()
+        for side, choices in self._choices.items():
+            if any(self.count_publishers(one.subscription.topic_name) for one in choices.values()):
+                continue
+            for kind, listen in self._candidates[side].items():
+                if kind not in choices:
+                    choices[kind] = listen()
 
     def reset(self) -> None:
         """Forget the tracks and the images that wait."""
