@@ -127,3 +127,11 @@ def test_a_topic_that_can_not_be_is_one_line(node: str, arguments: list[str], sa
     assert done.returncode == 2, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if not line.startswith("[INFO]")]
     assert (line.startswith("uav_vslam: "), said in line, "; correct the " in line) == (True, True, True)
+
+
+@pytest.mark.parametrize("node", ["slam_backend", "fusion"])
+def test_a_vehicle_whose_name_is_no_namespace_is_one_line_with_the_reason(node: str) -> None:
+    command = [sys.executable, "-m", f"uav_vslam.ros.{node}_node", "--ros-args", "-r", "__ns:=/uav1"]
+    done = subprocess.run([*command, "-p", "vehicle:=a/b"], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "vehicle = 'a/b' is not allowed; use a valid ROS namespace" in done.stderr

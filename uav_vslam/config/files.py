@@ -23,7 +23,7 @@ import yaml
 
 from uav_vslam.config.fleet import FleetConfig, LinkConfig, RadioConfig, ReplayConfig
 from uav_vslam.config.nodes import LinkNodeConfig
-from uav_vslam.config.settings import build, differences, flatten, flattened, plain
+from uav_vslam.config.settings import build, differences, flatten, flattened, is_vehicle_name, plain
 from uav_vslam.config.vehicle import FusionConfig, VehicleConfig
 from uav_vslam.errors import ConfigError, one_line
 
@@ -182,7 +182,7 @@ def _beside(values: dict[str, Any], path: Path) -> dict[str, Any]:
 
 def _vehicle_file(path: Path, name: Any, entry: Any) -> Path | None:
     """Return the parameter file that a fleet file names for a vehicle."""
-    if not (isinstance(name, str) and name.isascii() and name.isidentifier()):
+    if not is_vehicle_name(name):
         raise ConfigError(f"{path}: vehicle name {name!r} must be a valid ROS namespace: letters, digits, underscores")
     entry = entry or {}
     if not (isinstance(entry, dict) and isinstance(entry.get("config") or "", str)):

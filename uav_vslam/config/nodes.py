@@ -4,7 +4,7 @@
 from dataclasses import dataclass, field
 
 from uav_vslam.config.fleet import LinkConfig, ReplayConfig
-from uav_vslam.config.settings import Settings, all_settings, setting
+from uav_vslam.config.settings import Settings, all_settings, is_vehicle_name, refuse, setting
 from uav_vslam.config.vehicle import VehicleConfig
 
 
@@ -24,6 +24,10 @@ class VehicleNodeConfig(Settings):
         "go on from what a process that died left: live settings, the back end's checkpoint, the mapper's folder; the "
         "launcher sets it when it restarts a node",
     )
+
+    def _check_together(self) -> None:
+        if self.vehicle and not is_vehicle_name(self.vehicle):
+            refuse("vehicle", self.vehicle, "a valid ROS namespace: letters, digits, underscores")
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,6 +144,11 @@ def refuse(name: str, value: Any, allowed: str) -> typing.NoReturn:
     raise ConfigError(f"{name} = {value!r} is not allowed; use {allowed}")
 
 
+def is_vehicle_name(name: object) -> bool:
+    """Return whether a value can name a vehicle, and so its ROS namespace."""
+    return isinstance(name, str) and name.isascii() and name.isidentifier()
+
+
 @functools.cache
 def own_settings(cls: Any) -> dict[str, Setting]:
     """Return the settings of a configuration class by name, without those of its sections."""
