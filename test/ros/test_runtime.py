@@ -129,6 +129,29 @@ def test_a_topic_that_can_not_be_is_one_line(node: str, arguments: list[str], sa
     assert (line.startswith("uav_vslam: "), said in line, "; correct the " in line) == (True, True, True)
 
 
+@pytest.mark.parametrize(
+    ("node", "arguments", "said"),
+    [
+        ("fusion", ["peers:=[uav2, uav2]"], "peers = ['uav2', 'uav2'] is not allowed; use each name once"),
+        ("fusion", ["peers:=[uav2, uav1]"], "holds the vehicle itself, uav1"),
+        ("recorder", ["output:=bag", "vehicles:=[uav1, uav1]"], "vehicles = ['uav1', 'uav1'] is not allowed"),
+        ("link_emulator", ["vehicles:=[uav1, uav1]"], "vehicles = ['uav1', 'uav1'] is not allowed"),
+        ("replay", ["vehicles:=[uav1, uav1]"], "vehicles = ['uav1', 'uav1'] is not allowed"),
+    ],
+)
+def test_vehicles_that_are_named_twice_are_one_line(node: str, arguments: list[str], said: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", f"uav_vslam.ros.{node}_node", "--ros-args", "-r", "__ns:=/uav1"]
+    for argument in arguments:
+        command += ["-p", argument]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    except subprocess.TimeoutExpired:
+        pytest.fail("it runs")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert said in done.stderr
+    assert not (tmp_path / "bag").exists()
+
+
 @pytest.mark.parametrize("node", ["slam_backend", "fusion"])
 def test_a_vehicle_whose_name_is_no_namespace_is_one_line_with_the_reason(node: str) -> None:
     command = [sys.executable, "-m", f"uav_vslam.ros.{node}_node", "--ros-args", "-r", "__ns:=/uav1"]

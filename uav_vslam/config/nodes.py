@@ -57,6 +57,10 @@ class FusionNodeConfig(VehicleNodeConfig):
     radio_peers: tuple[str, ...] = setting((), "addresses of the other vehicles on the radio's domain")
     radio_interface: str = setting("", "network interface whose traffic is reported; empty for none")
 
+    def _check_together(self) -> None:
+        VehicleNodeConfig._check_together(self)
+        _check_fleet("peers", self.peers)
+
 
 @dataclass(frozen=True, slots=True)
 class MapConfig(Settings):
@@ -90,6 +94,9 @@ class ReplayNodeConfig(ReplayConfig):
         (), "settings of `input` that the vehicles' nodes have, as VEHICLE:KEY:=VALUE (uav1:topics.left:=/camera/left)"
     )
 
+    def _check_together(self) -> None:
+        _check_fleet("vehicles", self.vehicles)
+
 
 @dataclass(frozen=True, slots=True)
 class LinkNodeConfig(Settings):
@@ -98,6 +105,9 @@ class LinkNodeConfig(Settings):
     vehicles: tuple[str, ...] = setting((), "names of the vehicles, two or more")
     link: LinkConfig = field(default_factory=LinkConfig)
 
+    def _check_together(self) -> None:
+        _check_fleet("vehicles", self.vehicles)
+
 
 @dataclass(frozen=True, slots=True)
 class RecorderNodeConfig(Settings):
@@ -105,6 +115,9 @@ class RecorderNodeConfig(Settings):
 
     output: str = setting("", "folder to create")
     vehicles: tuple[str, ...] = setting((), "names of the vehicles")
+
+    def _check_together(self) -> None:
+        _check_fleet("vehicles", self.vehicles)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +136,12 @@ class NodeParameters:
     def used_names(self) -> list[str]:
         """Dotted names of the vehicle's settings that the node uses."""
         return [name for name in all_settings(VehicleConfig) if {name, *_parts(name)} & set(self.uses)]
+
+
+def _check_fleet(name: str, vehicles: tuple[str, ...]) -> None:
+    """Refuse repeated vehicles, whose messages would count twice."""
+    if len(set(vehicles)) < len(vehicles):
+        refuse(name, list(vehicles), "each name once")
 
 
 def _parts(name: str) -> list[str]:
