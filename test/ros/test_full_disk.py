@@ -4,6 +4,7 @@
 A limit of its file's size stands in for the disk: the kernel refuses the same write, after the same partial one.
 """
 
+import re
 import resource
 import signal
 import subprocess
@@ -19,7 +20,9 @@ from node_processes import Witness, running  # noqa: E402
 from uav_vslam.datasets.cdr import decode  # noqa: E402
 from uav_vslam.datasets.rosbag import iter_raw  # noqa: E402
 from uav_vslam.errors import BagError  # noqa: E402
+from uav_vslam.ros.command import node_command  # noqa: E402
 from uav_vslam.ros.fleet_commands import NodeSpec  # noqa: E402
+from uav_vslam.ros.supervisor import Supervisor  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -63,9 +66,9 @@ class Recording:
         self.limit(self.file.stat().st_size + ROOM)
         assert self.until(lambda: self.witness.is_error(RECORDER) and self.count("dropped") > 5)
 
-    def end(self) -> None:
+    def end(self) -> int:
         self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(60) == 0
+        return self.process.wait(60)
 
 
 @pytest.mark.parametrize("room_again", [True, False])
@@ -82,13 +85,16 @@ def test_a_recorder_on_a_full_disk_goes_on(room_again: bool, domain_id: int, tmp
             recording.limit(resource.RLIM_INFINITY)
             assert recording.until(lambda: not witness.is_error(RECORDER) and recording.count("written") > before + 8)
             assert "messages were not recorded" in witness.text(RECORDER)
-        recording.end()
+        assert recording.end() == (0 if room_again else 1)
     log = (tmp_path / "recorder.log").read_text()
     assert "Traceback" not in log
     assert ("has no end" in log) == (not room_again)
     numbers, damage = read(bag)
     assert (damage == "") == room_again
     assert numbers == sorted(set(numbers))
+    (count,) = re.findall(r"(\d+) messages recorded", log)
+    assert int(count) == len(numbers)
+    assert ("lost with the end of the bag" in log) == (not room_again)
     missing = set(range(1, numbers[-1] + 1)) - set(numbers)
     if room_again:
         assert len(numbers) > before - 5
@@ -97,6 +103,22 @@ def test_a_recorder_on_a_full_disk_goes_on(room_again: bool, domain_id: int, tmp
     else:
         assert len(numbers) * len(PAYLOAD) > 1.5e6
         assert not missing
+
+
+def test_a_fleet_whose_bag_has_no_end_does_not_end_well(domain_id: int, tmp_path: Path) -> None:
+    bag, said = tmp_path / "out", []
+    spec = NodeSpec("recorder", "recorder", "/", {"output": str(bag), "vehicles": ["uav1"]})
+
+    def on_line(_: str, line: str) -> None:
+        said.append(line)
+        if "recording to" in line:
+            size = (bag / "out.mcap").stat().st_size
+            resource.prlimit(supervisor._children[0].process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+            signal.raise_signal(signal.SIGTERM)
+
+    supervisor = Supervisor({"ROS_DOMAIN_ID": str(domain_id)}, on_line=on_line)
+    assert supervisor.run([node_command(spec)]) == 1
+    assert any("has no end" in line for line in said)
 
 
 def read(bag: Path) -> tuple[list[int], str]:

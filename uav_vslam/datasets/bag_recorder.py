@@ -55,6 +55,8 @@ class RawRecorder:
             )
         self.path = path
         self._connections: dict[str, Connection] = {}
+        self._taken = 0  # messages
+        self._chunks: list[tuple[int, int]] = []  # of a retrying bag: where each ends [bytes], messages up to there
         try:
             self._writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
             if zstd:
@@ -89,6 +91,15 @@ class RawRecorder:
             raise BagError(f"{topic} was recorded as {connection.msgtype} and can't also hold {msgtype}")
         with self._naming_itself():
             self._writer.write(connection, stamp_ns, data)
+        self._taken += 1
+        self._note_chunk()
+
+    @property
+    def lost(self) -> int:
+        """Messages that a retrying bag took, but that its closed file lacks."""
+        if self._file is None:
+            return 0
+        return self._taken - max((count for end, count in self._chunks if end <= self._file.written), default=0)
 
     def is_full(self) -> bool:
         """Try to write what a retrying bag holds back, and return whether its disk is still full."""
@@ -105,11 +116,27 @@ class RawRecorder:
         """
         with self._naming_itself():
             try:
+                self._end_chunk()
                 self._writer.close()
             except OSError as error:
                 if self._file is None:
                     raise
                 raise BagError(f"bag {self.path} has no end: {error}; what was recorded before can be read") from None
+
+    def _end_chunk(self) -> None:
+        """Write the messages that wait for their chunk of a retrying bag to be full."""
+        storage = self._writer.storage
+        if self._file is not None and isinstance(storage, McapWriter) and storage.chunk.msgs:
+            storage.close_chunk()
+            self._note_chunk()
+
+    def _note_chunk(self) -> None:
+        """Note the end of a retrying bag's file if it has grown: its messages are written by whole chunks."""
+        if self._file is None:
+            return
+        end = self._file.tell()
+        if not self._chunks or end > self._chunks[-1][0]:
+            self._chunks.append((end, self._taken))
 
     @contextmanager
     def _naming_itself(self) -> Iterator[None]:

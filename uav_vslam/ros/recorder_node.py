@@ -9,7 +9,8 @@ in   /<vehicle>/odometry, fused/odometry, ins/dead_reckoning, ground_truth/odome
 out  /diagnostics                                                                      the recorder's own status
 
 Messages are written byte for byte, with their header stamps. The bag is complete after SIGINT or SIGTERM. While the
-disk is full, messages are dropped and counted, and the status is ERROR; with room again, recording goes on.
+disk is full, messages are dropped and counted, and the status is ERROR; with room again, recording goes on. If it is
+full at the end, the exit code is 1.
 """
 
 import time
@@ -50,7 +51,11 @@ SILENCE_S = 10.0  # of wall time, without a message of a vehicle
 
 
 class RecorderNode(Node):
-    """Writes raw messages to a bag."""
+    """Writes raw messages to a bag.
+
+    Attributes:
+        exit_code: of the process, once the node is destroyed.
+    """
 
     def __init__(self) -> None:
         super().__init__("recorder")
@@ -63,7 +68,7 @@ class RecorderNode(Node):
         Path(output).parent.mkdir(parents=True, exist_ok=True)
         self._bag = RawRecorder(Path(output), retrying=True)
         self._output = output
-        self._written = self._dropped = 0
+        self._written = self._dropped = self.exit_code = 0
         self._inputs: list[Any] = []
         self._newest_s: dict[str, float] = {}  # by vehicle: when its last message came
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -82,8 +87,11 @@ class RecorderNode(Node):
         try:
             self._bag.close()
         except BagError as error:
+            self.exit_code = 1
             self.get_logger().error(str(error))
-        self.get_logger().info(f"{self._written} messages recorded, {self._dropped} dropped")
+        lost = self._bag.lost
+        text = f"{self._written - lost} messages recorded, {self._dropped} dropped"
+        self.get_logger().info(f"{text}, {lost} lost with the end of the bag" if lost else text)
         super().destroy_node()
 
     def _record(self, topic: str, message_type: Any, vehicle: str) -> None:

@@ -292,7 +292,8 @@ def run_node(
 ) -> int:
     """Initialise ROS, spin one node until SIGINT or SIGTERM, and shut down; return the exit code.
 
-    A node may end itself by raising SystemExit in a callback. An error of ours is one line and exit code 2.
+    A node may end itself by raising SystemExit in a callback, and may set an `exit_code` while it is destroyed. An
+    error of ours is one line and exit code 2.
 
     Args:
         factory: makes the node.
@@ -331,7 +332,7 @@ def run_node(
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    return int(getattr(node, "exit_code", 0))
 
 
 def _made(factory: Callable[[], Node]) -> Node:
