@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Increments start at a start state near the IMU samples, given or estimated at rest."""
 
+import itertools
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 from geometry_msgs.msg import TransformStamped, Vector3  # noqa: E402
 from lone_node import deliver, lone_node  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
+from node_processes import Witness, running  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Imu  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
@@ -19,8 +22,9 @@ from uav_vslam.ins.startup_buffer import MAX_APART_S  # noqa: E402
 from uav_vslam.ros import calibration  # noqa: E402
 from uav_vslam.ros.batches import Batches, take_waiting  # noqa: E402
 from uav_vslam.ros.convert import header, navigation_to_msg, transform_to_msg  # noqa: E402
+from uav_vslam.ros.fleet_commands import NodeSpec  # noqa: E402
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode  # noqa: E402
-from uav_vslam.ros.qos import SENSOR, STAMPS, STATE  # noqa: E402
+from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY, SENSOR, STAMPS, STATE  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState  # noqa: E402
 from uav_vslam_msgs.msg import NavigationState  # noqa: E402
 from waiting import wait_for  # noqa: E402
@@ -326,3 +330,54 @@ def test_a_node_that_is_behind_catches_up_in_one_turn(make: Make) -> None:
     assert wait_for(lambda: sum(len(m.transforms) for m in transforms) >= 2 * 18, lambda: take_waiting(listening))
     assert len(transforms) <= 5
     assert node.counts["imu_gaps"] == 0
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        ("uav2/base_link", "initial_state is of uav2/base_link, which /tf_static does not connect with the body"),
+        ("uav1/left_optical", "initial_state is of uav1/left_optical, which /tf_static places elsewhere than the body"),
+        ("", ""),
+    ],
+)
+def test_a_start_state_of_another_frame_than_the_body_is_told(
+    domain_id: int, tmp_path: Path, frame: str, said: str
+) -> None:
+    """The readings come first, in the body's frame, so that nothing else asks for /tf_static."""
+    spec, log = NodeSpec("ins_propagator", "ins_propagator", "/uav1", {}), tmp_path / "ins_propagator.log"
+    with Witness(domain_id) as witness, running([spec], tmp_path, domain_id):
+        create = witness.node.create_publisher
+        readings, images = (
+            create(Imu, "/uav1/imu/data_raw", SENSOR),
+            create(CameraInfo, "/uav1/left/camera_info", STAMPS),
+        )
+        starts = create(NavigationState, "/uav1/initial_state", LATCHED)
+        transforms = create(TFMessage, "/tf_static", LATCHED_BY_MANY)
+        publishers = (readings, images, starts, transforms)
+        assert witness.sees(lambda: all(one.get_subscription_count() for one in publishers))
+        turns = itertools.count()
+
+        def fly() -> None:
+            stamp_ns = NOW_NS + next(turns) * STEP_NS
+            readings.publish(Imu(header=header(stamp_ns, "uav1/base_link"), linear_acceleration=Vector3(z=9.81)))
+            images.publish(CameraInfo(header=header(stamp_ns, "left_optical")))
+
+        def rest_a_while() -> None:
+            for _ in range(2):  # what was sent before the first of both has been handled
+                witness.statuses.clear()
+                assert witness.sees(lambda: witness.text("uav1: ins_propagator"), fly)
+
+        rest_a_while()
+        camera = Pose(np.eye(3), np.array([0.1, 0.0, 0.0]))
+        edge = transform_to_msg(camera, stamp_ns=0, parent="uav1/base_link", child="uav1/left_optical")
+        transforms.publish(TFMessage(transforms=[edge]))
+        rest_a_while()
+        start = start_at(NOW_NS + next(turns) * STEP_NS)
+        start.child_frame_id = frame
+        starts.publish(start)
+        if said:
+            assert witness.sees(lambda: said in log.read_text(), fly), log.read_text()
+        refused = "elsewhere" in said
+        if not refused:
+            assert witness.sees(lambda: int(witness.value("uav1: ins_propagator", "increments") or 0) > 5, fly)
+        assert ("initial_state" in log.read_text()) == bool(said)

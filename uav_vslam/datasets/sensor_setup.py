@@ -149,6 +149,17 @@ class SensorSetup:
             f"connects them, set input.frames.base: {frame} and input.frames.imu: {self._imu_frame}"
         )
 
+    def unplaced(self, frame: str) -> str:
+        """Return why it is not known whether a state of a frame is one of the body, empty if it is known."""
+        frame, base = frame.lstrip("/"), self.config.base_frame(self.vehicle)
+        in_files = self._cameras_in_files and not self._base_named  # `conflict` then judges by names
+        if not frame or in_files or self.frames.connected(base, frame):
+            return ""
+        return (
+            f"is of {frame}, which /tf_static does not connect with the body, {base}, and is taken for the body's: "
+            f"give it for {base}, or set input.frames.base: {frame}"
+        )
+
     def _apart(self, frame: str) -> str:
         """Return where /tf_static has a frame, if it is not where the body is."""
         base = self.config.base_frame(self.vehicle)

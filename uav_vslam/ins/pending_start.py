@@ -26,23 +26,26 @@ class PendingStart:
     """Holds the newest start state until readings are near its stamp, then lets the vehicle start there or refuses it.
 
     The state is given from outside, or is the newest estimate of a back end that is in flight already.
+
+    Attributes:
+        frame: name of the newest one's body frame.
     """
 
     def __init__(self, buffer: StartupBuffer) -> None:
         """Decide by the readings in a buffer, which others fill."""
         self._buffer = buffer
         self._given: NavEstimate | None = None
-        self._frame = ""
+        self.frame = ""
         self._resumed_ns = -1  # of the back end's estimate
 
     def give(self, start: NavEstimate, frame: str) -> None:
         """Take a start state, unless the back end's is newer: latched, the take-off state comes in flight too."""
         if start.state.stamp_ns >= self._resumed_ns:
-            self._given, self._frame = start, frame
+            self._given, self.frame = start, frame
 
     def resume(self, estimate: NavEstimate, frame: str) -> None:
         """Take the estimate of a back end in flight, which makes no newer one without increments."""
-        self._given, self._frame, self._resumed_ns = estimate, frame, estimate.state.stamp_ns
+        self._given, self.frame, self._resumed_ns = estimate, frame, estimate.state.stamp_ns
 
     @property
     def ahead_s(self) -> float | None:
@@ -61,7 +64,7 @@ class PendingStart:
         stamp_ns = start.state.stamp_ns
         if text := self._buffer.refusal(stamp_ns, in_flight=stamp_ns == self._resumed_ns):
             return Refusal("start_stamp", f"initial_state is stamped {stamp_ns} ns, {text}")
-        if text := conflict(self._frame):
+        if text := conflict(self.frame):
             return Refusal("start_frame", f"initial_state {text}")
         return start
 

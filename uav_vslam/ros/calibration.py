@@ -187,6 +187,10 @@ class ImuListener:
         """Return why a start state of a frame is not one of the body, as `SensorSetup.conflict`."""
         return self._setup.conflict(frame)
 
+    def unplaced(self, frame: str) -> str:
+        """Return why nothing tells whether a start state of a frame is one of the body, as `SensorSetup.unplaced`."""
+        return self._setup.unplaced(frame)
+
     def _on_imu(self, data: bytes) -> None:
         reading, frame = imu_from_data(data)
         if self._mounting is not None:
@@ -207,10 +211,8 @@ class ImuListener:
         self._node.get_logger().warning(text)
 
     def _on_transforms(self, message: TFMessage) -> None:
-        if self._mounting is not None:
-            return  # the IMU's place is constant
-        self._setup.frames.add(transforms_of(message))
-        if self._waiting:
+        self._setup.frames.add(transforms_of(message))  # in flight too: start states may be of any frame
+        if self._mounting is None and self._waiting:  # the IMU's place is constant
             self._locate()
 
     def _locate(self) -> None:

@@ -208,6 +208,8 @@ class InsPropagatorNode(VehicleNode):
             self.drop(found.reason, found.text)
             self.alarms["start"] = f"no start: {found.text}"
         elif found is not None:
+            unplaced = self._sensors.unplaced(self._pending_start.frame)
+            self.report_alarm("start_frame", f"initial_state {unplaced}" if unplaced else "", logged=True)
             self._start(found)
 
     def _start(self, initial: NavEstimate) -> None:
