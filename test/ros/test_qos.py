@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A vehicle's subscriptions match its peers' publishers in any combination of modes."""
 
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS")
+from node_processes import Witness, running
 from rclpy.duration import Duration
 from rclpy.qos import (
     HistoryPolicy,
@@ -13,8 +16,10 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 
+from uav_vslam.ros.fleet_commands import NodeSpec
 from uav_vslam.ros.qos import RADIO, compatible_qos
 
+pytestmark = pytest.mark.ros
 MODES = sorted(RADIO)
 NARROW = RADIO["narrowband"]
 
@@ -50,3 +55,12 @@ def test_the_modes_are_those_of_the_design() -> None:
         1,
     )
     assert NARROW.lifespan == Duration(seconds=2)
+
+
+def test_an_override_of_a_topic_that_the_node_does_not_have_is_named(domain_id: int, tmp_path: Path) -> None:
+    right, wrong = (f"qos_overrides./uav1/fused/{name}.publisher.depth" for name in ("odometry", "odometri"))
+    spec = NodeSpec("fusion", "fusion", "/uav1", {right: 5, wrong: 5})
+    with Witness(domain_id) as witness, running([spec], tmp_path, domain_id):
+        assert witness.sees(lambda: witness.text("uav1: fusion"))
+    (line,) = [line for line in (tmp_path / "fusion.log").read_text().splitlines() if "without effect" in line]
+    assert f"{wrong}; did you mean {right}?" in line

@@ -38,7 +38,7 @@ from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
 from uav_vslam.ros.log_folder import log_folder
-from uav_vslam.ros.params import VehicleParameters, declare, read
+from uav_vslam.ros.params import VehicleParameters, declare, read, warn_of_idle_qos
 from uav_vslam.ros.qos import LATCHED_BY_MANY
 from uav_vslam.ros.readiness import DiscoveryReport
 from uav_vslam.ros.timers import create_wall_timer
@@ -316,6 +316,7 @@ def run_node(
         with environment({} if shared_memory else udp_alone()):
             _initialise(args)
             node = _made(factory)
+        warn_of_idle_qos(node)
         executor = executor_type()
         executor.add_node(node)
         while not stopping:  # each node has a timer on wall time, which ends the wait
