@@ -15,6 +15,8 @@ from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from lone_node import lone_node  # noqa: E402
 from node_flight import NodeFlight  # noqa: E402
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.client import Client  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
@@ -203,3 +205,8 @@ def test_a_node_that_is_shut_down_ignores_messages_for_good(make: Make) -> None:
     flight = make()
     assert change(flight, "fusion", Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert status(flight, "fusion") == (DiagnosticStatus.WARN, "finalized: messages are ignored")
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="none")
+    request = SetParameters.Request(parameters=[Parameter(name="fusion.mode", value=value)])
+    (result,) = call(flight, SetParameters, "fusion/set_parameters", request).results
+    text = "the node is finalized and follows no setting: restart its process"
+    assert (result.successful, result.reason) == (False, text)

@@ -5,14 +5,17 @@
 ~/pause           std_srvs/SetBool: true deactivates the node, false activates it
 ~/change_state and the others of a managed node, for `ros2 lifecycle`: deactivate pauses, cleanup resets
 
-A node that is not active receives its messages and ignores them, counted as `paused`.
+A node that is not active receives its messages and ignores them, counted as `paused`. One that is shut down also
+refuses settings, which it could not follow.
 """
 
 from typing import Any
 
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from uav_vslam.errors import UavVslamError
@@ -38,6 +41,7 @@ class PausableNode(LifecycleNode):
         self.paused = UNCONFIGURED
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/pause", self._on_pause)
+        self.add_on_set_parameters_callback(self._check_state)
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
 
@@ -74,6 +78,14 @@ class PausableNode(LifecycleNode):
         """Ignore messages for good; the process ends by a signal."""
         self.paused = FINALIZED
         return TransitionCallbackReturn.SUCCESS
+
+    def _check_state(self, _: list[Parameter]) -> SetParametersResult:
+        """Refuse settings for good once the node is shut down."""
+        if self.paused != FINALIZED:
+            return SetParametersResult(successful=True)
+        return SetParametersResult(
+            successful=False, reason=f"the node is {self.paused} and follows no setting: {REMEDIES[self.paused]}"
+        )
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
