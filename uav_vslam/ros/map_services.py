@@ -24,8 +24,8 @@ def offer_map_services(node: Node, stage: Callable[[], SlamStage]) -> None:
 
     def save() -> str:
         path, saved = _map_file(node), stage().saved_map()
-        if not len(saved) and Path(path).exists():
-            raise MapError(f"no landmark is mapped so far, and {path} is not replaced; save in flight, before a reset")
+        if not len(saved):
+            raise MapError(f"no landmark is mapped so far, and {path} is not written; save in flight, before a reset")
         size = save_map(saved, path)
         return f"{path}: map {saved.hash}, {len(saved)} landmarks in {size / 1e3:.0f} kB"
 
