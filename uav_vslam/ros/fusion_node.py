@@ -27,7 +27,7 @@ from uav_vslam.cooperation.exchange import Exchange
 from uav_vslam.cooperation.fused_pose import FusedEpoch
 from uav_vslam.cooperation.fusion import Fusion
 from uav_vslam.cooperation.peer_faults import namesake_fault, peer_faults
-from uav_vslam.errors import ConfigError, InvalidMessage
+from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.convert import (
     cloud_to_msg,
     header,
@@ -84,9 +84,7 @@ class FusionNode(VehicleNode):
         self.listen(Odometry, "odometry", self._on_odometry, NEWEST)
         if self._participant is not None:
             self._participant.serve(self)
-        peers = list(self.own.peers)
-        if self.vehicle in peers:
-            raise ConfigError(f"peers = {peers} holds the vehicle itself, {self.vehicle}; leave it out")
+        peers = [peer for peer in self.own.peers if peer != self.vehicle]  # vehicles may share a list of all
         host = self._participant.node if self._participant else None
         self._radio = Radio(self, peers, host=host)
         self._exchange = Exchange(self._fusion, peers, self._radio, self.config.fusion, on_drop=self.drop)
