@@ -41,11 +41,11 @@ def test_until_then_the_filter_expects_a_wrong_one_but_reports_by_a_right_one(fl
     judge, (f, nav) = DisparityJudge(), started(flown(1))
     judge.after_update(f, nav)
     assert sigma_px(f) == pytest.approx(RIG.miscalibrated_sigma_px)
-    assert sigma_px(judge.reported(f)) == pytest.approx(RIG.disparity_sigma_px)
+    assert sigma_px(judge.trusting(f)) == pytest.approx(RIG.disparity_sigma_px)
     later = dataclasses.replace(nav, state=dataclasses.replace(nav.state, stamp_ns=nav.state.stamp_ns + 4 * NS_PER_S))
     judge.after_update(f, later)
     assert sigma_px(f) == pytest.approx(RIG.disparity_sigma_px)
-    assert judge.reported(f) is f
+    assert judge.trusting(f) is f
 
 
 @pytest.mark.parametrize("level", [True, False])
@@ -57,7 +57,7 @@ def test_where_readings_are_missing_it_is_judged_for_the_last_time(flown, level:
     assert sigma_px(f) == pytest.approx(RIG.miscalibrated_sigma_px if level else RIG.disparity_sigma_px)
     judge.before_prediction(f, nothing_known(flight, nav))
     assert sigma_px(f) == pytest.approx(RIG.disparity_sigma_px)
-    assert judge.reported(f) is f
+    assert judge.trusting(f) is f
 
 
 @pytest.mark.parametrize("seed", [1, 3])

@@ -199,7 +199,7 @@ class SlamBackend:
     def _present(self, choose: Choice | None = None) -> Present:
         """Return the estimate of the present, see `TrackWindow.present`."""
         present = self._window.present(self._filter, self._map, choose)
-        return dataclasses.replace(present, filter=self._disparity_judge.reported(present.filter))
+        return dataclasses.replace(present, filter=self._disparity_judge.trusting(present.filter))
 
     def _take_present(self, outcome: _Outcome, features: StereoFeatures) -> None:
         """Set the estimate to that of the filter and its tracks together."""
@@ -277,6 +277,7 @@ class SlamBackend:
         )
 
     def _propagate_unaided(self, increment: ImuIncrement | None) -> None:
+        """Propagate what the filter was initialised with by the IMU alone."""
         if self._unaided is None or increment is None:
             return
         is_recent = increment.stamp_ns - self._reset_ns <= UNAIDED_S * NS_PER_S
@@ -375,9 +376,9 @@ class SlamBackend:
             if not by_landmarks:
                 return none, innovation, 0
         left_behind = self._map.long_unseen(self._frame)
-        expecting = self._disparity_judge.reported(self._filter)  # gates that allow for any calibration are ambiguous
+        trusting = self._disparity_judge.trusting(self._filter)
         candidates = self._matcher.candidates(
-            expecting, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
+            trusting, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
         )
         for found in candidates:
             matches = self._of_other_tracks(found, features)

@@ -19,7 +19,8 @@ JUDGED_AFTER_S = 3.0  # and since then, or since the start, a wrong velocity doe
 class DisparityJudge:
     """Judges the disparity of one filter, from its start on.
 
-    Until then the filter has the wide prior, and what is reported of it is judged for that moment only.
+    Before it does, the filter expects a wrong calibration. What is reported of it, and what landmarks are associated
+    by, trusts the calibration: a wrong start velocity must show as that, and wide gates are ambiguous.
     """
 
     def __init__(self) -> None:
@@ -53,6 +54,6 @@ class DisparityJudge:
             slam_filter.judge_disparity()
             self._has_judged = True
 
-    def reported(self, present: Filter) -> Filter:
-        """Return the estimate to report of a filter, or of its copy with more tracks."""
-        return present if self._has_judged or self._has_ended else present.trusting_disparity()
+    def trusting(self, slam_filter: Filter) -> Filter:
+        """Return a filter, or a copy that trusts the calibration as long as that is not judged."""
+        return slam_filter if self._has_judged or self._has_ended else slam_filter.trusting_disparity()
