@@ -24,12 +24,15 @@ def sigma_px(of: Filter) -> float:
     return float(np.sqrt(of.belief.covariance(np.zeros(0, np.int64))[row, row].item()))
 
 
-def started(flight, tilt_rad: float = 0.001) -> tuple[Filter, NavEstimate]:
+def started(flight, tilt_rad: float = 0.001, *, tracks: bool = True) -> tuple[Filter, NavEstimate]:
     covariance = flight.vehicle.initial.covariance.copy()
     covariance[6:8, 6:8] = tilt_rad**2 * np.eye(2)
     initial = dataclasses.replace(flight.vehicle.initial, covariance=covariance)
     config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, rig=RIG)
-    return make_filter(initial, rig=flight.vehicle.rig, config=config), initial
+    f = make_filter(initial, rig=flight.vehicle.rig, config=config)
+    if tracks:
+        f.keep_pose()
+    return f, initial
 
 
 def nothing_known(flight, nav: NavEstimate) -> ImuIncrement:
@@ -46,6 +49,12 @@ def test_until_then_the_filter_expects_a_wrong_one_but_reports_by_a_right_one(fl
     judge.after_update(f, later)
     assert sigma_px(f) == pytest.approx(RIG.disparity_sigma_px)
     assert judge.trusting(f) is f
+
+
+def test_without_tracks_a_calibration_is_trusted_until_it_is_judged(flown) -> None:
+    judge, (f, nav) = DisparityJudge(), started(flown(1), tracks=False)
+    judge.after_update(f, nav)
+    assert sigma_px(f) == pytest.approx(RIG.disparity_sigma_px)
 
 
 @pytest.mark.parametrize("level", [True, False])

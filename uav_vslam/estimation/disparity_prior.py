@@ -7,8 +7,7 @@ alone is over-confident where the calibration is wrong, a wide one costs accurac
 
 Given measurements the posterior is a mixture of two Gaussians, but a filter holds one: that with the mean and variance
 of the mixture, by the prior that leads there. This prior is a term of the information, so it can be exchanged at any
-time, as if it had been there from the start. Until there is enough to judge by, the filter has the wide one: with the
-other, points of a wrong calibration would be refused, or make the state certain and wrong.
+time, as if it had been there from the start. It can be the wide one until there is enough to judge by.
 
 Symbols: with the likelihood N(mu, v) of the measurements alone, a prior N(0, s^2) leads to the mean k mu and the
 variance k v, k = s^2 / (s^2 + v). A mixture with weights w has the mean sum(w k) mu and the variance

@@ -376,9 +376,8 @@ class SlamBackend:
             if not by_landmarks:
                 return none, innovation, 0
         left_behind = self._map.long_unseen(self._frame)
-        trusting = self._disparity_judge.trusting(self._filter)
         candidates = self._matcher.candidates(
-            trusting, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
+            self._filter, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
         )
         for found in candidates:
             matches = self._of_other_tracks(found, features)

@@ -19,8 +19,10 @@ JUDGED_AFTER_S = 3.0  # and since then, or since the start, a wrong velocity doe
 class DisparityJudge:
     """Judges the disparity of one filter, from its start on.
 
-    Before it does, the filter expects a wrong calibration. What is reported of it, and what landmarks are associated
-    by, trusts the calibration: a wrong start velocity must show as that, and wide gates are ambiguous.
+    Before it does, a filter that uses tracks expects a wrong calibration: they are so exact that one which is trusted
+    soon makes the state certain and wrong. What is reported of it trusts the calibration: a wrong start velocity must
+    show as that. Landmarks alone are so noisy that a calibration doubted at the start is linearised too far from the
+    truth.
     """
 
     def __init__(self) -> None:
@@ -48,7 +50,8 @@ class DisparityJudge:
             if np.diagonal(nav.covariance)[ROTATION][:2].max() > LEVEL_RAD**2:
                 slam_filter.forget_disparity()
                 return
-            slam_filter.doubt_disparity()
+            if len(slam_filter.past):
+                slam_filter.doubt_disparity()
             self._level_ns = nav.state.stamp_ns
         if (nav.state.stamp_ns - self._level_ns) / NS_PER_S > JUDGED_AFTER_S:
             slam_filter.judge_disparity()

@@ -26,7 +26,7 @@ from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.epochs import crosses_epoch
 from uav_vslam.slam.packet import PacketPolicy, make_packet
 from uav_vslam.studies.engine.own_only import Flight, Track
-from uav_vslam.types import JointInformation, LandmarkPacket, NavEstimate, PoseEstimate
+from uav_vslam.types import JointInformation, LandmarkPacket, PoseEstimate
 
 Array = NDArray[np.float64]
 Pairs = NDArray[np.int64]
@@ -143,7 +143,7 @@ def fly_with_write_back(flights: Sequence[Flight], config: VehicleConfig, scheme
                 _exchange(backends, senders, received, config, scheme.write)
             previous_ns = stamp_ns
             for name in names:
-                poses[name].append(backends[name].estimate().pose)
+                poses[name].append(backends[name].filter.nav_estimate().pose)
         except (UavVslamError, np.linalg.LinAlgError) as error:
             failure = failure or f"{type(error).__name__}: {error}"
         if failure:
@@ -157,10 +157,6 @@ class _OpenBackend(SlamBackend):
     @property
     def filter(self) -> Filter:
         return self._filter
-
-    def estimate(self) -> NavEstimate:
-        """Return the estimate with what was written to the filter since the last frame."""
-        return self._present().filter.nav_estimate()
 
 
 def _backend(flight: Flight, config: VehicleConfig) -> _OpenBackend:
