@@ -58,7 +58,7 @@ def test_without_tracks_a_calibration_is_trusted_until_it_is_judged(flown) -> No
 
 
 @pytest.mark.parametrize("level", [True, False])
-def test_where_readings_are_missing_it_is_judged_for_the_last_time(flown, level: bool) -> None:
+def test_what_is_not_judged_when_readings_are_missing_is_trusted(flown, level: bool) -> None:
     flight = flown(1)
     judge, (f, nav) = DisparityJudge(), started(flight, 0.5 * LEVEL_RAD if level else 2.0 * LEVEL_RAD)
     judge.after_update(f, nav)

@@ -440,11 +440,15 @@ class Filter:
         if self._errors.has_disparity:
             self._exchange_disparity_prior(self._errors.disparity_prior.unjudged_variance)
 
+    def trust_disparity(self) -> None:
+        """Go on as if the disparity had not been doubted."""
+        if self._errors.has_disparity:
+            self._exchange_disparity_prior(self._errors.disparity_prior.variance)
+
     def trusting_disparity(self) -> Self:
-        """Return a copy of this filter as if it had not doubted the disparity."""
+        """Return a copy of this filter that trusts the disparity."""
         other = copy.copy(self)
-        if other._errors.has_disparity:
-            other._exchange_disparity_prior(other._errors.disparity_prior.variance)
+        other.trust_disparity()
         return other
 
     def forget_disparity(self) -> None:

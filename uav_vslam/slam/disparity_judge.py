@@ -30,11 +30,11 @@ class DisparityJudge:
         self._has_judged = self._has_ended = False
 
     def before_prediction(self, slam_filter: Filter, increment: ImuIncrement) -> None:
-        """Judge for the last time before the first motion that readings are missing of."""
+        """End before the first motion that readings are missing of; what is not judged by then is trusted."""
         if self._has_ended or not lacks_readings(increment):
             return
-        if self._level_ns is not None:
-            slam_filter.judge_disparity()
+        if not self._has_judged:
+            slam_filter.trust_disparity()
         self._has_ended = True
 
     def after_update(self, slam_filter: Filter, nav: NavEstimate) -> None:
