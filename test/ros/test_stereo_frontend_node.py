@@ -264,12 +264,17 @@ def test_a_silent_camera_is_reported_again_after_a_reset(domain_id):
             assert "pairs" not in node.alarms
 
 
+def calibrate(node: StereoFrontendNode) -> None:
+    """Deliver the calibration of both cameras."""
+    deliver(node, "/tf_static", extrinsics(node))
+    for side in ("left", "right"):
+        deliver(node, f"{side}/camera_info", calibration(side))
+
+
 def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(domain_id):
     with lone_node(StereoFrontendNode, domain_id) as made:
         node = made()
-        deliver(node, "/tf_static", extrinsics(node))
-        for side in ("left", "right"):
-            deliver(node, f"{side}/camera_info", calibration(side))
+        calibrate(node)
         used = node._rig.rig
         zoomed = calibration("left")
         zoomed.k[0] *= 1.1
@@ -302,9 +307,7 @@ def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(do
 def test_a_calibration_that_changes_to_one_that_can_not_be_used_is_named_as_long_as_it_lasts(domain_id):
     with lone_node(StereoFrontendNode, domain_id) as made:
         node = made()
-        deliver(node, "/tf_static", extrinsics(node))
-        for side in ("left", "right"):
-            deliver(node, f"{side}/camera_info", calibration(side))
+        calibrate(node)
         used = node._rig.rig
         elsewhere = calibration("left")
         elsewhere.header.frame_id = "gimbal"

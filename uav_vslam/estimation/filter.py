@@ -425,7 +425,9 @@ class Filter:
         self._exchange_disparity_prior(now)
 
     def _exchange_disparity_prior(self, variance: float) -> None:
-        """Exchange the prior, as if the estimate had begun with the other one [px^2]."""
+        """Exchange the prior, if there is one, as if the estimate had begun with the other one [px^2]."""
+        if not self._errors.has_disparity:
+            return
         prior, mean = self._errors.disparity_variance, self.rig_state.disparity_px
         if abs(np.log(variance / prior)) < PRIOR_TOLERANCE:
             return
@@ -437,13 +439,11 @@ class Filter:
 
     def doubt_disparity(self) -> None:
         """Expect a wrong calibration until it is judged, see `DisparityPrior`."""
-        if self._errors.has_disparity:
-            self._exchange_disparity_prior(self._errors.disparity_prior.unjudged_variance)
+        self._exchange_disparity_prior(self._errors.disparity_prior.unjudged_variance)
 
     def trust_disparity(self) -> None:
         """Go on as if the disparity had not been doubted."""
-        if self._errors.has_disparity:
-            self._exchange_disparity_prior(self._errors.disparity_prior.variance)
+        self._exchange_disparity_prior(self._errors.disparity_prior.variance)
 
     def trusting_disparity(self) -> Self:
         """Return a copy of this filter that trusts the disparity."""

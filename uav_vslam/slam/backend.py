@@ -325,8 +325,8 @@ class SlamBackend:
 
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
-        config = self._vehicle_config
-        config = dataclasses.replace(config, rig=dataclasses.replace(config.rig, flexing=self._flexing))
+        rig_config = dataclasses.replace(self._vehicle_config.rig, flexing=self._flexing)
+        config = dataclasses.replace(self._vehicle_config, rig=rig_config)
         self._filter = make_filter(initial, rig=self._rig, config=config)
         self._map.remove(np.arange(len(self._map)))
         self._window = TrackWindow(past_poses(config), self._config)
