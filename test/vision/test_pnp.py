@@ -12,12 +12,12 @@ CAMERA = PinholeCamera(1280, 960, 1642.0, 1640.0, 640.0, 480.0)
 T_MAP_LEFT = Pose(so3_exp([np.pi - 0.05, 0.1, 0.04]), np.array([120.0, -40.0, 71.0]))  # looks down from 71 m
 
 
-def observe(count=120, wrong=0.0, noise_px=0.3, seed=0):
+def observe(count=120, wrong=0.0, noise_px=0.3, seed=0, relief_m=2.0):
     """Return ground points, their pixels, and the mask of correct pixels."""
     rng = np.random.default_rng(seed)
     pixels = rng.uniform([0, 0], [1280, 960], (count, 2))
     rays_map = CAMERA.bearings(pixels) @ T_MAP_LEFT.R.T
-    height = rng.normal(0, 2.0, count)
+    height = rng.normal(0, relief_m, count)
     points = T_MAP_LEFT.t + ((height - T_MAP_LEFT.t[2]) / rays_map[:, 2])[:, None] * rays_map
     pixels = pixels + rng.normal(0, noise_px, pixels.shape)
     true = rng.random(count) >= wrong
@@ -39,6 +39,14 @@ def test_pose_and_inliers_are_found_among_wrong_matches(wrong):
     assert radians < 3e-3
     assert inliers[true].mean() > 0.99
     assert inliers[~true].sum() <= 1
+
+
+def test_flat_ground_is_not_ambiguous():
+    for seed in range(20):
+        points, pixels, _ = observe(seed=seed, relief_m=0.0)
+        T, inliers = pnp_ransac(points, pixels, CAMERA, None, threshold_px=3.0)
+        assert inliers.all()
+        assert pose_error(T)[1] < 3e-3
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])

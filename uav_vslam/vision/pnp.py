@@ -56,9 +56,13 @@ def pnp_ransac(
 
 
 def _ransac(points: Array, pixels: Array, camera: PinholeCamera, *, threshold_px: float) -> Pose | None:
-    """Return T_left_map with the largest consensus over random samples of four, or None."""
+    """Return T_left_map with the largest consensus over random samples of four, or None.
+
+    Of OpenCV's result only the consensus is used: it refits the pose to it by EPnP, which over flat ground may return
+    one that is 0.4 rad off. SQPnP has no such ambiguity.
+    """
     try:
-        found, rotation_vector, translation, _ = cv2.solvePnPRansac(
+        found, _, _, consensus = cv2.solvePnPRansac(
             points,
             pixels,
             camera.K,
@@ -67,6 +71,12 @@ def _ransac(points: Array, pixels: Array, camera: PinholeCamera, *, threshold_px
             reprojectionError=threshold_px,
             confidence=CONFIDENCE,
             flags=cv2.SOLVEPNP_AP3P,
+        )
+        if not found:
+            return None
+        rows = consensus.ravel()
+        found, rotation_vector, translation = cv2.solvePnP(
+            points[rows], pixels[rows], camera.K, None, flags=cv2.SOLVEPNP_SQPNP
         )
     except cv2.error:  # degenerate points: OpenCV fails an assertion
         return None
