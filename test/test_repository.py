@@ -105,6 +105,23 @@ def test_no_file_is_tied_to_one_machine() -> None:
     assert found == []
 
 
+def anchors(page: str) -> set[str]:
+    """What links can name in a Markdown page: its headings, as GitHub writes them."""
+    headings = re.findall(r"^#+ (.*)", page, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_link_of_a_document_leads_to_a_file_and_a_heading() -> None:
+    pages = {path: path.read_text() for path in tracked("*.md")}
+    links = [(path, link) for path, page in pages.items() for link in re.findall(r"\]\(([^)\s]+)\)", page)]
+    inside = [(path, *link.partition("#")[::2]) for path, link in links if "://" not in link]
+    assert inside
+    for path, name, anchor in inside:
+        target = (path.parent / name).resolve() if name else path
+        assert target.exists(), f"{path.name}: {name}"
+        assert not anchor or anchor in anchors(pages[target]), f"{path.name}: {name}#{anchor}"
+
+
 def test_every_requirement_in_a_lock_is_hashed_and_pinned() -> None:
     for lock in sorted((ROOT / "requirements").glob("*.txt")):
         requirements = re.findall(r"^([A-Za-z0-9].*?)(?=^[A-Za-z0-9]|\Z)", lock.read_text(), re.MULTILINE | re.DOTALL)
