@@ -13,7 +13,8 @@ EXAMPLES = """examples:
   uav-vslam report results/2026-01-31_140000_study_models                  a study
   uav-vslam report results/2026-01-31_150000_pictures_mosaic               a mosaic of plain pictures
 
-run, demo, study and mosaic write the page themselves. It needs a browser alone: scripts, pictures and data are inside.
+run, map, demo, evaluate BAG, study and mosaic write the page themselves. It needs a browser alone: scripts, pictures
+and data are inside.
 """
 
 

@@ -24,7 +24,7 @@ STUDY = Study(
     help="landmark level: 2.8 km over known ground, with each retention policy: error, time of a frame, memory",
     takes="minutes",
     examples="""examples:
-  uav-vslam study long                                  5 seeds, the four policies
+  uav-vslam study long                                  5 seeds, each policy
   uav-vslam study long --variant backend.retention_cell_m=15 --variant backend.retention_cell_m=40
   uav-vslam study long --seeds 1 --variant backend.retention=none,backend.max_in_view=60
 """,
