@@ -183,6 +183,23 @@ def test_a_lone_reading_from_the_future_is_dropped_and_stops_nothing() -> None:
         np.testing.assert_array_equal(a.report.nav.covariance, b.report.nav.covariance)
 
 
+def test_single_readings_that_are_no_motion_are_left_out_and_cost_nothing() -> None:
+    (source,) = simulated(1)
+    readings = [event for event in source.iter_events() if isinstance(event, ImuSample)]
+    wild = {one.stamp_ns for one in readings[200::500]}
+    events = [
+        dataclasses.replace(event, gyro=event.gyro + 5.0)
+        if isinstance(event, ImuSample) and event.stamp_ns in wild
+        else event
+        for event in source.iter_events()
+    ]
+    track, undisturbed = fly(source, config_of(source), events), fly(source, config_of(source))
+    assert track.dropped == {"imu_outlier": len(wild)}
+    assert not track.warnings
+    for a, b in zip(track.poses, undisturbed.poses, strict=True):
+        assert np.linalg.norm(a.T_map_body.t - b.T_map_body.t) < 0.1
+
+
 def test_frames_at_the_end_are_completed_with_the_last_readings() -> None:
     (source,) = simulated(1, frames=8)
     last = int(source.simulated.frame_stamps_ns[-1])

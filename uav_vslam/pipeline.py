@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import BagError, InvalidMessage
 from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.ins.outliers import OUTLIER, OutlierFilter
 from uav_vslam.ins.preintegrator import ImuPreintegrator
 from uav_vslam.ins.sensor_clock import bridges, sensor_time_line
 from uav_vslam.ins.sensor_lag import IMAGES, IMU
@@ -80,6 +81,7 @@ class VehiclePipeline:
         self._keep_features = keep_features
         self._frontend = make_frontend(rig, config.frontend, config.rig)
         self._preintegrator = ImuPreintegrator(config.imu, initial.state if initial else None)
+        self._outliers = OutlierFilter()
         self._policy = config.input.on_time_jump
         self._stamps = sensor_time_line(self._policy)
         self._slam = SlamStage(config, vehicle=vehicle, keep_map=keep_map)
@@ -107,11 +109,19 @@ class VehiclePipeline:
         """
         for event in events:
             yield from self.add_imu(event) if isinstance(event, ImuSample) else self.add_frame(event)
+        for reading in self._outliers.rest():
+            self._preintegrator.add_imu(reading)
         yield from self._complete(self._preintegrator.increments(flush=True))
 
     def add_imu(self, sample: ImuSample) -> list[FrameOutput]:
         """Add an IMU sample; it may complete a waiting frame."""
         return self._add(self._stamps.add(IMU, sample.stamp_ns, sample))
+
+    def _add_reading(self, sample: ImuSample) -> None:
+        judged = self._outliers.add(sample)
+        self._refused[OUTLIER] += judged.outlier is not None
+        for reading in judged.readings:
+            self._preintegrator.add_imu(reading)
 
     def add_frame(self, frame: StereoFrame | StereoFeatures) -> list[FrameOutput]:
         """Add a frame, or its simulated features; frames before the start state are dropped."""
@@ -132,7 +142,7 @@ class VehiclePipeline:
         for _, item in admitted.items:
             try:
                 if isinstance(item, ImuSample):
-                    self._preintegrator.add_imu(item)
+                    self._add_reading(item)
                 elif isinstance(item, StereoFeatures):
                     self._add_features(item)
             except InvalidMessage as error:

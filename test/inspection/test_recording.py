@@ -69,9 +69,13 @@ def test_a_planted_fault_is_named_and_decides_whether_the_graph_can_run(
         assert not found.usable
 
 
-def test_readings_of_nan_are_no_other_fault(clean: Path, tmp_path: Path) -> None:
-    found = inspected(rewritten(clean, tmp_path / "bag", *FAULTS["a few IMU readings of NaN"][0]()))
-    assert [fault.subject for fault in faults(found.findings)] == ["IMU readings"]
+@pytest.mark.parametrize(
+    ("fault", "subject"),
+    [("a few IMU readings of NaN", "IMU readings"), ("a few IMU readings that are no motion", "IMU outliers")],
+)
+def test_readings_that_are_left_out_are_no_other_fault(fault: str, subject: str, clean: Path, tmp_path: Path) -> None:
+    found = inspected(rewritten(clean, tmp_path / "bag", *FAULTS[fault][0]()))
+    assert [fault.subject for fault in faults(found.findings)] == [subject]
 
 
 @pytest.mark.parametrize("unit", ["millimetres", "kilometres"])

@@ -77,6 +77,18 @@ def test_a_start_without_a_stamp_is_refused_and_the_next_one_used(make: Make, fi
     assert "start" not in node.alarms
 
 
+def test_a_single_reading_that_is_no_motion_is_left_out_and_counted(make: Make) -> None:
+    node = make()
+    deliver(node, "initial_state", start_at(NOW_NS))
+    rest(node, NOW_NS, 0.5)
+    wild = Imu(header=header(NOW_NS + 505_000_000, node.base_frame), linear_acceleration=Vector3(z=500.0))
+    deliver(node, "imu/data_raw", wild)
+    rest(node, NOW_NS + 510_000_000, 0.5)
+    assert node.counts["dropped/imu_outlier"] == 1
+    assert node._live is not None
+    assert np.linalg.norm(node._live.estimate.state.v_map) < 1e-3
+
+
 def test_a_start_long_after_the_first_imu_samples_is_waited_for(make: Make) -> None:
     node, wait_s = make(), MAX_APART_S + 1.0
     deliver(node, "initial_state", start_at(NOW_NS + round(wait_s * NS_PER_S)))

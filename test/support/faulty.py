@@ -77,9 +77,9 @@ def scaled(sensor: str, factor: float) -> Change:
     return edited(IMU, edit)
 
 
-def not_a_number(sensor: str, numbers: range) -> Change:
-    """Let some readings of `angular_velocity` or `linear_acceleration` be NaN."""
-    change = scaled(sensor, float("nan"))
+def some_scaled(sensor: str, factor: float, numbers: range) -> Change:
+    """Scale some readings of `angular_velocity` or `linear_acceleration`."""
+    change = scaled(sensor, factor)
     return _counted(IMU, lambda number, raw: change(raw) if number in numbers else raw)
 
 
@@ -232,11 +232,15 @@ FAULTS: dict[str, tuple[Callable[[], list[Change]], list[Expected]]] = {
         ],
     ),
     "a few IMU readings of NaN": (
-        lambda: [not_a_number("linear_acceleration", range(200, 205))],
+        lambda: [some_scaled("linear_acceleration", np.nan, range(200, 205))],
         [("warning", "IMU readings", ("5 of 685", "0 of the gyroscope, 5 of the accelerometer"))],
     ),
+    "a few IMU readings that are no motion": (
+        lambda: [some_scaled("linear_acceleration", -5.0, range(200, 500, 100))],
+        [("warning", "IMU outliers", ("3 of 685", "45.4 m/s^2", "left out"))],
+    ),
     "an IMU of NaN": (
-        lambda: [not_a_number("angular_velocity", range(1000))],
+        lambda: [some_scaled("angular_velocity", np.nan, range(1000))],
         [("error", "IMU readings", ("685 of 685", "685 of the gyroscope, 0 of"))],
     ),
     "IMU upside down": (

@@ -54,6 +54,8 @@ def check_imu(
     found = imu_readings.check_finite(*raw)
     if not readings:
         return found, {}
+    readings, left_out = imu_readings.without_outliers(readings)
+    found += left_out
     finite = np.isfinite(np.hstack(raw)).all(axis=1)
     for (sensor, unit), values in zip(imu_readings.SENSORS, raw, strict=True):
         found += imu_readings.check_stuck(values[finite], sensor)

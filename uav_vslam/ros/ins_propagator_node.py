@@ -28,6 +28,7 @@ from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
 from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ins.live_odometry import LiveOdometry
+from uav_vslam.ins.outliers import OUTLIER, OutlierFilter
 from uav_vslam.ins.pending_start import PendingStart, Refusal
 from uav_vslam.ins.preintegrator import DeadReckoning, ImuPreintegrator
 from uav_vslam.ins.sensor_clock import EARLY_STARTS, bridges, carried_over, sensor_time_line
@@ -105,6 +106,7 @@ class InsPropagatorNode(VehicleNode):
         """Be as before the first message; where the start is searched for, increments are needed before it."""
         self._preintegrator = ImuPreintegrator(self.config.imu) if self.config.start.searches else None
         self._reckoner = DeadReckoning(self.config.imu)
+        self._outliers = OutlierFilter()
         self._live: LiveOdometry | None = None
         self._startup_buffer = StartupBuffer(self.config.start.rest_s if self._aligns else MAX_APART_S)
         self._pending_start = PendingStart(self._startup_buffer)
@@ -238,10 +240,18 @@ class InsPropagatorNode(VehicleNode):
         happened = self._follow(admitted.jump, admitted) if admitted.jump is not None else ""
         self.report_clock(self._stamps, happened)
         for _, each in admitted.items:
-            try:
-                self._process(each)
-            except InvalidMessage as error:
-                self.drop(error.reason, f"{name}: {error}")
+            for item in self._plausible(each) if isinstance(each, ImuSample) else [each]:
+                try:
+                    self._process(item)
+                except InvalidMessage as error:
+                    self.drop(error.reason, f"{name}: {error}")
+
+    def _plausible(self, reading: ImuSample) -> list[ImuSample]:
+        """Return the readings that are no outliers, as far as it is known by now."""
+        judged = self._outliers.add(reading)
+        if judged.outlier is not None:
+            self.drop(OUTLIER, judged.finding)
+        return judged.readings
 
     def _follow(self, jump: TimeJump, admitted: Admitted[ImuSample | int]) -> str:
         """Go on after a jump of the clock as configured; return what was done."""
