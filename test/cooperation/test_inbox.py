@@ -4,14 +4,18 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from uav_vslam.cooperation.authentication import FleetKey
 from uav_vslam.cooperation.inbox import (
+    AHEAD,
     FUTURE_S,
     KEPT_PER_PEER,
     MAX_PEERS,
+    MIN_DELAY_S,
+    MOST_AHEAD,
     NOTHING_COMMON,
     SESSION_ENDED,
     SUPERSEDED,
@@ -313,7 +317,23 @@ def test_packets_of_a_peer_that_is_ahead_are_kept_until_their_time_comes(make_sm
         newest = inbox.newest("uav2", sequence * S_NS)
         if sequence > ahead_s:
             assert newest.sequence == sequence - ahead_s
-    assert len(inbox.peers["uav2"].packets) == ahead_s + 1
+    assert len(inbox.peers["uav2"].packets) == ahead_s + 2  # that of this very moment is not old enough either
+
+
+@pytest.mark.parametrize(("epoch_s", "ahead_s"), [(0.1, 1.0), (0.1, 4.0), (0.25, 4.0), (0.5, 9.0)])
+def test_short_epochs_too_find_a_packet_of_a_peer_that_is_ahead(make_small_packet, epoch_s, ahead_s) -> None:
+    inbox, epochs, found = Inbox("uav1"), round(3 * ahead_s / epoch_s), []
+    for sequence in range(1, epochs + 1):
+        now_ns = round(sequence * epoch_s * S_NS)
+        offer(inbox, make_small_packet(sequence, stamp_ns=now_ns + round(ahead_s * S_NS)))
+        inbox.advance(now_ns, OWN_SESSION)
+        found.append(inbox.newest("uav2", now_ns - round(MIN_DELAY_S * S_NS)))
+    begun = found[round((ahead_s + MIN_DELAY_S) / epoch_s) + 1 :]
+    assert None not in begun
+    assert begun[-1].sequence > begun[0].sequence
+    record = inbox.peers["uav2"]
+    assert record.waiting <= MOST_AHEAD + 1
+    assert (record.dropped[AHEAD] > 0) == ((ahead_s + MIN_DELAY_S) / epoch_s > MOST_AHEAD)
 
 
 def test_another_vehicle_of_the_own_name_is_told_from_an_own_packet_that_comes_back(make_small_packet) -> None:

@@ -19,7 +19,7 @@ from uav_vslam.cooperation.authentication import authentication_for
 from uav_vslam.cooperation.common_landmarks import comparable
 from uav_vslam.cooperation.epoch_fusion import EpochFusion
 from uav_vslam.cooperation.fused_pose import FusedEpoch, propagated
-from uav_vslam.cooperation.inbox import DESCRIPTOR_SIZE, FEWER_COMMON, Inbox
+from uav_vslam.cooperation.inbox import DESCRIPTOR_SIZE, FEWER_COMMON, MIN_DELAY_S, Inbox
 from uav_vslam.cooperation.loaded_map import LoadedMap
 from uav_vslam.cooperation.peer_frame import CommonFrame, PeerFrame, UnknownFrame
 from uav_vslam.estimation.belief import state_rows
@@ -32,7 +32,6 @@ from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket, PoseEsti
 
 Pairs = NDArray[np.intp]
 
-MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that replays are deterministic
 ENOUGH_SHARED = 5  # common landmarks; with fewer, an older packet that shares more is preferred
 FEEDBACK = PacketPolicy(form=ANCHOR, max_landmarks=20)  # a few suffice, and one bound over many takes long
 

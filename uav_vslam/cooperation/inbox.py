@@ -21,7 +21,8 @@ from uav_vslam.slam.packet import check_contents, check_form
 from uav_vslam.types import NS_PER_S, LandmarkPacket
 
 KEPT_PER_PEER = 4  # recent packets, so that an epoch finds one that is old enough
-MOST_KEPT = 16  # so many, of a peer that is ahead: with fewer, none would be left when its time comes
+MOST_AHEAD = 16  # further ones of a peer that is ahead: with fewer, none would be left when its time comes
+MIN_DELAY_S = 0.2  # only packets this much older than the epoch are fused, so that replays are deterministic
 MAX_PEERS = 64  # forged names must not fill the memory
 FUTURE_S = 10.0  # a packet whose stamp is further ahead of the own epochs is refused: no clock errs by so much
 NAMESAKE_S = 10.0  # one that is silent for so long has gone
@@ -33,6 +34,7 @@ NOTHING_COMMON = "nothing_common"  # none of its landmarks was an own one
 DESCRIPTOR_SIZE = "descriptor_size"  # its descriptors can't be compared with the own ones
 EMPTY = "empty"
 SESSION_ENDED = "session_ended"
+AHEAD = "ahead"  # too many of the peer's packets were waiting for their time already
 
 _NO_KEY_HERE = "signs its packets, but this vehicle has no key (fusion.fleet_key_file): they are used unverified"
 _KEY_FAULTS = {  # by reason of the refusal
@@ -73,7 +75,7 @@ class PeerRecord:
         return len(self.unused)
 
     def keep(self, packet: LandmarkPacket, now_ns: int) -> None:
-        """Keep a packet for the epochs after `now_ns` [ns]; the oldest make room."""
+        """Keep a packet for the epochs after `now_ns` [ns]; the oldest make room, or what is too many ahead."""
         self.unused[packet.order] = SUPERSEDED if len(packet) else EMPTY
         _keep(packet, self.arrived, now_ns)
         if len(packet):  # an empty one, from a full link or an empty view, does not replace the one before
@@ -109,7 +111,8 @@ class PeerRecord:
     def _settle(self) -> None:
         kept = {p.order for p in (*self.arrived, *self.packets)}
         for order in self.unused.keys() - kept:
-            self.dropped[self.unused.pop(order)] += 1
+            reason = self.unused.pop(order)
+            self.dropped[AHEAD if kept and order > max(kept) else reason] += 1
 
 
 class Inbox:
@@ -217,10 +220,13 @@ class Inbox:
 
 
 def _keep(packet: LandmarkPacket, among: list[LandmarkPacket], now_ns: int) -> None:
+    """Add a packet, and keep the newest that is old enough to be fused, and those whose time comes first."""
     among.append(packet)
     among.sort(key=lambda p: p.order)
-    ahead = sum(p.stamp_ns > now_ns for p in among) if now_ns else 0
-    del among[: -min(max(KEPT_PER_PEER, ahead + 1), MOST_KEPT)]
+    old_enough_ns = now_ns - round(MIN_DELAY_S * NS_PER_S)
+    ahead = sum(p.stamp_ns > old_enough_ns for p in among) if now_ns else 0
+    del among[len(among) - ahead + MOST_AHEAD :]
+    del among[: -max(KEPT_PER_PEER, min(ahead, MOST_AHEAD) + 1)]
 
 
 def _check_order(packet: LandmarkPacket, kept: list[LandmarkPacket]) -> None:
