@@ -163,15 +163,17 @@ def test_a_packet_shrinks_to_what_the_budget_has_room_for(make_joint: Callable[.
 def test_a_vehicle_that_receives_a_peer_leaves_no_epoch_to_discovery(
     make_joint: Callable[..., JointInformation], make_small_packet: Maker
 ) -> None:
-    sent = {}
-    for received in (True, False):
+    sent, late = {}, {}
+    for clock_s in (0, -60, None):  # a peer's clock; None: no peer
         vehicle = Exchanging(FusionConfig(mode="narrowband", budget_bytes_per_s=5000))
         for second in range(100, 115):
-            if received:
-                vehicle.comes("uav2", make_small_packet(second))
+            if clock_s is not None:
+                vehicle.comes("uav2", make_small_packet(second + clock_s))
             vehicle.epoch(make_joint([[1.0, 2.0, 0.0]], np.eye(9), stamp_ns=second * NS_PER_S))
-        sent[received] = len(vehicle.listeners["uav2"].received)
-    assert sent[True] == 15 > sent[False]
+            late[clock_s] = {peer: vehicle.fusion.inbox.silent_s(peer) for peer in vehicle.fusion.inbox.peers}
+        sent[clock_s] = len(vehicle.listeners["uav2"].received)
+    assert sent[0] == sent[-60] == 15 > sent[None]
+    assert late == {0: {"uav2": 1.0}, -60: {"uav2": 1.0}, None: {}}
 
 
 def test_after_a_restart_of_the_clock_packets_are_sent_within_the_same_budget(

@@ -32,7 +32,7 @@ def test_narrowband_saves_for_large_packets_and_uses_up_its_budget() -> None:
             sizes.append(min(outbox.available(stamp_ns), NARROWBAND_PACKET_BYTES))
             assert outbox.try_reserve(stamp_ns, sizes[-1])
             assert outbox.bytes_sent <= 900 * (stamp_ns / NS_PER_S + 1)  # from the very first epoch on
-        outbox.on_packet(stamp_ns)
+        outbox.on_packet()
     assert 55 <= len(sizes) <= 65  # two epochs of three
     assert min(sizes) >= 1125
     assert max(sizes) == NARROWBAND_PACKET_BYTES
@@ -48,7 +48,7 @@ def test_where_every_peer_costs_a_copy_narrowband_saves_for_all_of_them() -> Non
             assert outbox.available(stamp_ns) // 5 >= 1125
             assert outbox.try_reserve(stamp_ns, 5 * 1125)
             sent += 1
-        outbox.on_packet(stamp_ns)
+        outbox.on_packet()
     assert 13 <= sent <= 15
 
 
@@ -93,8 +93,7 @@ def test_narrowband_without_peers_leaves_the_radio_to_discovery() -> None:
     outbox = Outbox(FusionConfig(mode="narrowband", silent_after_s=2.0))
     assert turns(outbox, range(100, 101)) == [False]  # nothing saved yet
     assert turns(outbox, range(101, 108)) == [True] * 4 + [False] * 3
-    outbox.on_packet(107 * NS_PER_S)
-    outbox.on_packet(99 * NS_PER_S)  # a late packet makes nobody silent
+    outbox.on_packet()
     assert turns(outbox, range(108, 119)) == [True] * 7 + [False] * 3 + [True]
 
 
@@ -103,20 +102,12 @@ def test_other_modes_send_at_every_epoch_or_at_none(mode: str, expected: bool) -
     assert turns(Outbox(FusionConfig(mode=mode)), range(5)) == [expected] * 5
 
 
-def test_a_stamp_from_the_future_does_not_keep_a_peer_from_being_silent() -> None:
-    outbox = Outbox(FusionConfig(mode="narrowband"))
-    turns(outbox, range(100, 101))
-    outbox.on_packet(10**18)
-    assert turns(outbox, range(101, 104)) == [True, True, True]
-    assert turns(outbox, range(120, 126)) == [True] * 5 + [False]
-
-
 def test_what_is_relayed_before_the_first_epoch_counts_in_the_mean_rate_and_its_time_does_not() -> None:
     outbox = Outbox(FusionConfig(mode="narrowband"))
     assert outbox.try_reserve(outbox.now_ns, 500)
     begin_ns = 1_700_000_000 * NS_PER_S
     for stamp_ns in (begin_ns + each for each in epochs(60)):
-        outbox.on_packet(stamp_ns)
+        outbox.on_packet()
         if outbox.should_send(stamp_ns):
             assert outbox.try_reserve(stamp_ns, min(outbox.available(stamp_ns), NARROWBAND_PACKET_BYTES))
     assert outbox.sent_bytes_per_s == pytest.approx(900, rel=0.05)

@@ -307,7 +307,7 @@ class FusionConfig(Settings):
     mode: str = setting("wideband", "communication mode", choices=MODE_BUDGETS, live=True)
     budget_bytes_per_s: int = setting(0, "largest payload rate; 0: that of the mode", unit="B/s", at_least=0, live=True)
     silent_after_s: float = setting(
-        5.0, "a peer whose newest packet is older is reported as silent", unit="s", above=0, live=True
+        5.0, "a peer of which nothing is received for longer is reported as silent", unit="s", above=0, live=True
     )
     epoch_s: float = setting(
         1.0,

@@ -128,7 +128,7 @@ class Exchange:
             if not relayed or error.reason not in EXPECTED_OF_RELAYS:
                 self._drop(error.reason, f"packet from {sender}: {error}")
             return
-        self.outbox.on_packet(packet.stamp_ns)
+        self.outbox.on_packet()
         if self.settings.relay:
             self._relay(packet, [peer for peer in self._peers if peer not in (sender, packet.vehicle)])
 
@@ -144,7 +144,7 @@ class Exchange:
         except InvalidMessage as error:
             self._drop(error.reason, f"feedback: {error}")
             return
-        self.outbox.on_packet(packet.stamp_ns)
+        self.outbox.on_packet()
 
     def _check_packet(self, sender: str, packet: LandmarkPacket) -> None:
         """Refuse packets of vehicles outside the fleet, and feedback where packets are expected."""

@@ -171,6 +171,14 @@ class Inbox:
         old_enough = [p for p in record.packets if p.stamp_ns <= not_after_ns] if record else []
         return old_enough[-1] if old_enough else None
 
+    def silent_s(self, peer: str) -> float:
+        """Return the own time without a packet of a peer's session that counts, since the own start at most [s]."""
+        sessions = self.peers[peer].sessions
+        if self._own is None or sessions is None:
+            return 0.0
+        was_heard = self._own[1] <= sessions.received_ns <= self.now_ns
+        return (self.now_ns - (sessions.received_ns if was_heard else self._own[1])) / NS_PER_S
+
     def _check(self, packet: LandmarkPacket) -> None:
         if packet.vehicle == self._vehicle and (self._own is None or packet.session == self._own[0]):
             raise InvalidMessage("own", f"a packet claims to come from {self._vehicle} itself")

@@ -28,7 +28,7 @@ class Outbox:
         self._first_ns: int | None = None  # stamp of the first epoch
         self._last_ns: int | None = None  # of the last packet
         self._flown_ns = 0  # before the clock was set
-        self._last_received_ns = 0  # stamp of the newest packet of any peer
+        self._last_received_ns = 0  # own time of the last packet of any peer
         self.now_ns = 0
         self._silent_epochs = 0
         self._granted: tuple[int, int, int] | None = None  # arguments of the current budget
@@ -68,9 +68,9 @@ class Outbox:
             return self._flown_ns
         return self._flown_ns + self._last_ns - self._first_ns
 
-    def on_packet(self, stamp_ns: int) -> None:
-        """Record the arrival of a peer's packet; a stamp in the future counts as now."""
-        self._last_received_ns = max(self._last_received_ns, min(stamp_ns, self.now_ns))
+    def on_packet(self) -> None:
+        """Record the arrival of a peer's packet; its stamp is that of another clock."""
+        self._last_received_ns = self.now_ns
 
     def should_send(self, stamp_ns: int, *, copies: int = 1) -> bool:
         """Return, once an epoch, whether to send a packet, which crosses the radio `copies` times.

@@ -22,7 +22,7 @@ class StatusReporter:
     """Makes fusion/status.
 
     Attributes:
-        silent: peers whose newest packet is too old, with its age [s].
+        silent: peers that have not been received for too long, and for how long [s].
     """
 
     def __init__(self, vehicle: str, fusion: Fusion, exchange: Exchange, interface: Interface | None) -> None:
@@ -36,7 +36,8 @@ class StatusReporter:
         """Return the message of an epoch; `own_weight` is the weight of the own information in its fusion."""
         mode, outbox = self._exchange.settings.mode, self._exchange.outbox
         peers = [self._peer(name, stamp_ns) for name in sorted(self._fusion.inbox.peers)]
-        self.silent = {peer.peer: peer.age_s for peer in peers if peer.silent and mode != "none"}
+        silent = (peer.peer for peer in peers if peer.silent and mode != "none")
+        self.silent = {peer: self._fusion.inbox.silent_s(peer) for peer in silent}
         sent, received = self._wire()
         return FusionStatus(
             header=header(stamp_ns, frame_id),
@@ -65,7 +66,6 @@ class StatusReporter:
     def _peer(self, name: str, stamp_ns: int) -> PeerLink:
         record = self._fusion.inbox.peers[name]
         newest = record.arrived[-1]
-        age_s = (stamp_ns - newest.stamp_ns) / NS_PER_S
         return PeerLink(
             peer=name,
             session=newest.session,
@@ -78,6 +78,6 @@ class StatusReporter:
             drop_reasons=list(record.dropped),
             drop_counts=list(record.dropped.values()),
             common_landmarks=record.common_landmarks,
-            age_s=age_s,
-            silent=age_s > self._exchange.settings.silent_after_s,
+            age_s=(stamp_ns - newest.stamp_ns) / NS_PER_S,
+            silent=self._fusion.inbox.silent_s(name) > self._exchange.settings.silent_after_s,
         )
