@@ -53,6 +53,13 @@ def test_what_is_sent_has_a_unit_as_what_is_received_has() -> None:
     assert shown(flying(), 80).count("[kB/s]") == 2
 
 
+def test_a_radio_of_which_nothing_is_known_yet_is_not_said_to_receive_nothing() -> None:
+    fleet = flying()
+    alone, unknown = fleet.vehicles.values()
+    alone.link, unknown.link = Link("wideband", 0.0, None, ()), None
+    assert [rows(shown(fleet), name)[1][3:] for name in ("uav1", "uav2")] == [["none", "received"], ["–"]]
+
+
 def test_nodes_that_are_well_are_counted_and_drops_named() -> None:
     text = shown(flying())
     assert "all 2 nodes that report are well" in text

@@ -76,7 +76,7 @@ def _radio(vehicles: list[Vehicle]) -> Table:
         for k, peer in enumerate(peers):
             table.add_row(*(own if k == 0 else ("", "", "")), *_peer_cells(peer), style="red" if peer.silent else None)
         if not peers:
-            table.add_row(*own, "none received")
+            table.add_row(*own, "none received" if vehicle.link else ABSENT)
     return table
 
 

@@ -14,6 +14,7 @@ replayed, or only up to its damage.
 """
 
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import partial
 from importlib import import_module
@@ -234,8 +235,11 @@ class ReplayNode(Node):
 
     def _finish(self) -> None:
         self.get_logger().info(self._summary())
-        if unanswered := len(self._answers.open()):
-            self.get_logger().warning(f"{unanswered} frames were not answered: the graph is slower than the replay")
+        if unanswered := Counter(vehicle for vehicle, _ in self._answers.open()):
+            counts = ", ".join(f"{name} {count}" for name, count in unanswered.items())
+            self.get_logger().warning(
+                f"frames that were not answered: {counts}; the graph is slower than the replay, or a node has stopped"
+            )
         idle = [name for name, count in self._answers.processed.items() if self._wait_for and count == 0]
         if idle:
             self.get_logger().error(f"{', '.join(idle)} processed no frame; the warnings of its nodes say why")
