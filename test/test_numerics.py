@@ -57,6 +57,11 @@ def test_a_triangle_is_inverted_directly_or_by_halves(n: int) -> None:
     np.testing.assert_array_equal(L, before)
 
 
+def test_the_inverse_of_an_empty_matrix_is_empty_and_lapack_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    assert inverse_spd(np.zeros((0, 0)), "A").shape == (0, 0)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_submatrix_has_the_rows_and_columns_in_the_order_asked_for() -> None:
     A, rows, columns = np.arange(30.0).reshape(5, 6), np.array([3, 0]), np.array([5, 1, 2])
     np.testing.assert_array_equal(submatrix(A, rows), A[np.ix_(rows, rows)])

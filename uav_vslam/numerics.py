@@ -53,6 +53,8 @@ def inverse_spd(A: Array, what: str) -> Array:
 
 def inverse_from_cholesky(L: Array) -> Array:
     """Return (L L^T)^-1 for a lower factor L (n, n)."""
+    if len(L) == 0:  # LAPACK would complain on the terminal
+        return np.zeros((0, 0))
     lower, _ = dpotri(L, lower=1)  # the upper triangle keeps L's zeros
     inverse = lower + lower.T
     inverse.flat[:: len(L) + 1] *= 0.5
