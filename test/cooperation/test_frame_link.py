@@ -25,7 +25,9 @@ def meet(make_joint, sent_map):
     world = np.column_stack([rng.uniform(-50, 50, (COUNT, 2)), rng.normal(0, 2, COUNT)])
     P = 0.1**2 * np.eye(6 + 3 * COUNT)
 
-    def receive(link: FrameLink, rows=range(COUNT), *, wrong: int = 0, T: Pose = T_OWN_PEER, session: int = 1, **key):
+    def receive(
+        link: FrameLink, rows=range(COUNT), *, wrong=0, T: Pose = T_OWN_PEER, session: int = 1, config=CONFIG, **key
+    ):
         rows = np.asarray(rows)
         appearance = rows.copy()
         appearance[:wrong] = np.roll(rows[:wrong], 1)
@@ -38,7 +40,7 @@ def meet(make_joint, sent_map):
             identifiers=rows.astype(np.uint32),
             **key,
         )
-        pairs = link.find_common(OwnLandmarks(own.positions, P[6:, 6:], own.descriptors), packet, config=CONFIG)
+        pairs = link.find_common(OwnLandmarks(own.positions, P[6:, 6:], own.descriptors), packet, config=config)
         return [(int(a), int(rows[b])) for a, b in pairs]
 
     return receive
@@ -159,6 +161,14 @@ def test_small_packets_together_are_enough(meet) -> None:
     assert meet(link, range(6)) == []
     assert [a for a, _ in meet(link, range(6, 12))] == list(range(6, 12))
     assert_known(link, T_OWN_PEER)
+
+
+def test_a_single_landmark_says_nothing_about_an_unknown_frame(meet) -> None:
+    link, one = FrameLink(), FusionConfig(min_common=1)
+    meet(link, range(6), config=one)
+    meet(link, range(6, 12), config=one)
+    assert meet(link, range(12, 13), config=one) == []
+    assert meet(link, range(13, 15), config=one) == [(13, 13), (14, 14)]
 
 
 def test_an_earlier_session_is_no_evidence(meet) -> None:

@@ -346,7 +346,9 @@ class FusionConfig(Settings):
     gate_probability: float = setting(
         0.99, "that a correct pair of landmarks passes its chi-square gate", above=0, below=1
     )
-    min_common: int = setting(2, "pairs that must agree with each other before any is used", at_least=1)
+    min_common: int = setting(
+        2, "pairs that must agree with each other before any is used; two at least without common_origin", at_least=1
+    )
     floor_sigma_m: float = setting(
         0.3,
         "standard deviation added to each packet landmark: two descriptors rarely show exactly the same point",

@@ -20,6 +20,7 @@ from uav_vslam.types import LandmarkPacket
 Pairs = NDArray[np.intp]
 
 MISFITS = 3  # packets in a row that contradict the frame
+LEAST = 2  # landmarks of a packet: a single one has nothing to say about more than the frame
 
 
 class FrameLink:
@@ -55,7 +56,7 @@ class FrameLink:
         points = PointPairs.of(own, self._received, pairs, config.floor_sigma_m)
         now = np.flatnonzero(pairs[:, 1] < len(packet))  # landmarks of earlier packets only align the frames
         is_new, self._newest = packet.order != self._newest, packet.order
-        rows = self._inliers(points, now, config.min_common, is_new=is_new)
+        rows = self._inliers(points, now, max(config.min_common, LEAST), is_new=is_new)
         return pairs[rows]
 
     def agreeing(self, points: PointPairs) -> Pairs:
