@@ -110,6 +110,16 @@ def test_a_packet_reaches_every_peer_after_the_delay_by_the_ros_clock(air: Calla
     assert sorted(radio.received) == [("uav2", "uav1", 7), ("uav3", "uav1", 7)]
 
 
+def test_feedback_that_cannot_be_decoded_is_dropped_and_counted(air: Callable[..., Air]) -> None:
+    radio = air("delay_s: 0.0")
+    feedback = radio.others.create_publisher(LandmarkInformation, "/uav2/fusion/feedback", RADIO["wideband"])
+    assert radio.spin(feedback.get_subscription_count)
+    feedback.publish(b"\x00\x01\x00\x00nonsense")
+    assert radio.spin(lambda: radio.diagnostics.get("dropped/undecodable") == "1")
+    radio.at(100.0)
+    radio.send("uav1", 7)
+
+
 def test_the_fate_of_packets_is_reported_by_direction(air: Callable[..., Air]) -> None:
     radio = air("blackouts: [1.0, 2.0], duplication: 1.0")
     for second in (100, 101, 102):

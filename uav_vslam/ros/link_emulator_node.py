@@ -20,14 +20,15 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 
 from uav_vslam.config.nodes import LinkNodeConfig
 from uav_vslam.cooperation.link import Link, link_between
-from uav_vslam.errors import ConfigError
+from uav_vslam.errors import ConfigError, InvalidMessage
+from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.diagnostics import status_message
 from uav_vslam.ros.fleet_commands import feedback_to, link_output, packets_of
 from uav_vslam.ros.inputs import unmatched
+from uav_vslam.ros.packet_message import decoded
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import RADIO
 from uav_vslam.ros.radio import PeerInput
@@ -65,6 +66,7 @@ class LinkEmulatorNode(Node):
         }
         self._inputs = [self._listen(packets_of(name), partial(self._on_packet, name)) for name in vehicles]
         self._inputs += [self._listen(feedback_to(name), partial(self._on_feedback, name)) for name in vehicles]
+        self._undecodable = 0  # messages of feedback that show no sender
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         DiscoveryReport(self, lambda: unmatched(self._inputs))
         create_wall_timer(self, POLL_S, self._deliver)
@@ -94,7 +96,13 @@ class LinkEmulatorNode(Node):
                 link.send(now_ns, len(data), (self._outputs[direction], data))
 
     def _on_feedback(self, receiver: str, data: bytes) -> None:
-        link = self._links.get((deserialize_message(data, LandmarkInformation).vehicle, receiver))
+        try:
+            sender = decoded(data).vehicle
+        except InvalidMessage as error:
+            self._undecodable += 1
+            self.get_logger().warning(f"dropped feedback to {receiver}: {error}", throttle_duration_sec=5.0)
+            return
+        link = self._links.get((sender, receiver))
         if link is not None:
             link.send(self.get_clock().now().nanoseconds, len(data), (self._returns[receiver], data))
 
@@ -109,7 +117,7 @@ class LinkEmulatorNode(Node):
             one.follow(self)
 
     def _report(self) -> None:
-        values: dict[str, str] = {}
+        values = {DROPPED + "undecodable": str(self._undecodable)} if self._undecodable else {}
         for (sender, receiver), link in self._links.items():
             for fate, count in sorted(link.packets.items()):
                 values[f"{sender}>{receiver}/{fate}"] = f"{count} packets, {link.size_bytes[fate]} B"

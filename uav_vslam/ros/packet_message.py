@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message
 
 from uav_vslam.datasets.messages import time_ns_of
 from uav_vslam.errors import InvalidMessage
@@ -46,6 +47,18 @@ def packet_to_msg(packet: LandmarkPacket) -> LandmarkInformation:
         message.own_factors = flat(points.own_factors)
         message.own_sizes = flat(points.own_sizes)
     return message
+
+
+def decoded(data: bytes) -> LandmarkInformation:
+    """Return the message in serialised bytes.
+
+    Raises:
+        InvalidMessage: there is none.
+    """
+    try:
+        return deserialize_message(data, LandmarkInformation)
+    except Exception as error:  # rclpy names no class for it
+        raise InvalidMessage("undecodable", f"{len(data)} bytes are no packet: {error}") from None
 
 
 def packet_from_msg(message: LandmarkInformation) -> LandmarkPacket:

@@ -12,14 +12,13 @@ from typing import Any
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 
 from uav_vslam.config import FusionConfig
 from uav_vslam.cooperation.exchange import Receiver
-from uav_vslam.errors import InvalidMessage
 from uav_vslam.ros.fleet_commands import feedback_to, packets_of
 from uav_vslam.ros.inputs import Input
-from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg
+from uav_vslam.ros.packet_message import decoded, packet_from_msg, packet_to_msg
 from uav_vslam.ros.qos import RADIO, compatible_qos
 from uav_vslam.ros.runtime import VehicleNode
 from uav_vslam.types import LandmarkPacket
@@ -164,11 +163,7 @@ class Radio:
         topic = self._node.resolve_topic_name(name)  # remapped if a link is emulated
 
         def on_bytes(data: bytes) -> None:
-            try:
-                message = deserialize_message(data, LandmarkInformation)
-            except Exception as error:  # rclpy names no class for it
-                raise InvalidMessage("undecodable", f"{len(data)} bytes are no packet: {error}") from None
-            callback(packet_from_msg(message), len(data))
+            callback(packet_from_msg(decoded(data)), len(data))
 
         events = self._counters("deadline", "liveliness", "message_lost", "incompatible_qos", "matched", of=peer)
         one = PeerInput(
