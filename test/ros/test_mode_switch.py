@@ -10,13 +10,15 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS")
 from command import refused
+from sensor_msgs.msg import Imu
 
 from uav_vslam.cli.arguments import MODES
 from uav_vslam.cli.main import main
 from uav_vslam.config.vehicle import MODE_BUDGETS
 from uav_vslam.errors import UavVslamError
 from uav_vslam.ros.mode_switch import switch_mode
-from uav_vslam.ros.topic_tools import observer
+from uav_vslam.ros.qos import NEWEST
+from uav_vslam.ros.topic_tools import observer, print_rate
 
 pytestmark = pytest.mark.ros
 
@@ -79,3 +81,13 @@ def test_a_name_that_no_topic_can_have_is_refused_in_one_line(
 ) -> None:
     error = refused(capsys, "topic", action, topic, "--wait", "0.1", "--domain", str(domain_id))
     assert f"{topic!r} is no topic: topic name must not" in error
+
+
+def test_the_rate_of_a_stream_that_has_stopped_is_zero(domain_id: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """Those of a latched topic that were sent before come all at once."""
+    with observer(domain_id) as node:
+        sender = node.create_publisher(Imu, "/uav1/imu", NEWEST)
+        for _ in range(10):
+            sender.publish(Imu())
+        assert print_rate(node, "/uav1/imu", wait_s=10.0, count=2) == 0
+    assert capsys.readouterr().out == 2 * "0.00 Hz, 0.00 kB/s\n"

@@ -75,7 +75,7 @@ def echo(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
         print("\n".join(format_message(message)), "---", sep="\n", flush=True)
         printed.append(None)
 
-    _subscribe(node, topic, show, wait_s=wait_s, raw=False)
+    _subscribe(node, topic, show, wait_s=wait_s, rate=False)
     node.spin_until(lambda: 0 < count <= len(printed))
     return 0
 
@@ -83,7 +83,7 @@ def echo(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
 def print_rate(node: Observer, topic: str, *, wait_s: float, count: int) -> int:
     """Print a topic's rate and bandwidth once a second, `count` times or (0) without end."""
     sizes: list[int] = []
-    _subscribe(node, topic, lambda data: sizes.append(len(data)), wait_s=wait_s, raw=True)
+    _subscribe(node, topic, lambda data: sizes.append(len(data)), wait_s=wait_s, rate=True)
     reports = 0
     while not count or reports < count:
         begin_s = time.monotonic()
@@ -120,8 +120,8 @@ def _format_scalar(value: Any) -> str:
     return f"{value:.6g}" if hasattr(value, "hex") else repr(value)
 
 
-def _subscribe(node: Observer, topic: str, callback: Callable[[Any], None], *, wait_s: float, raw: bool) -> None:
-    """Subscribe with the QoS that the publishers offer.
+def _subscribe(node: Observer, topic: str, callback: Callable[[Any], None], *, wait_s: float, rate: bool) -> None:
+    """Subscribe with the QoS that the publishers offer; for a rate to serialised messages, and without earlier ones.
 
     Raises:
         UavVslamError: no topic can have that name, or it has no publisher, or its type is not installed.
@@ -136,13 +136,13 @@ def _subscribe(node: Observer, topic: str, callback: Callable[[Any], None], *, w
         raise UavVslamError(f"{absolute}: no publisher; see `uav-vslam topic list` and check ROS_DOMAIN_ID")
     offers = [info.qos_profile for info in node.get_publishers_info_by_topic(absolute)]
     reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
-    latched = all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    latched = not rate and all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
     qos = QoSProfile(
         depth=100,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-    node.create_subscription(_message_type(node, absolute), absolute, callback, qos, raw=raw)
+    node.create_subscription(_message_type(node, absolute), absolute, callback, qos, raw=rate)
 
 
 def _message_type(node: Observer, topic: str) -> Any:
