@@ -291,6 +291,8 @@ def test_a_fleet_of_several_computers_has_addresses_on_a_radio(write: Write) -> 
     [
         ("vehicles: {a: {address: 10.77.0.1}, b: }", "b has none"),
         ("vehicles: {a: {address: computer-a}}", "vehicles.a.address = 'computer-a' must be like 10.77.0.1"),
+        ("vehicles: {a: {address: 10.77.0.1}}", "which has no ROS domain; set radio.domain_id"),
+        ("vehicles: {a: {address: 10.77.0.1}, b: {address: 10.77.0.1}}", "a, b have one address on the radio"),
         ("vehicles: {a: }\nradio: {domain: 42}", "unknown key domain"),
         ("vehicles: {a: }\nradio: 42", "radio must hold keys and values"),
     ],

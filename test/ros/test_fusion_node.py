@@ -196,10 +196,18 @@ def test_an_epoch_that_fails_leaves_the_vehicle_its_pose(
     assert flight.epoch(3).header.stamp.sec == 3
 
 
-def test_a_mode_that_there_is_not_ends_the_node_at_its_start(domain_id: int) -> None:
-    rclpy.init(args=["--ros-args", "-r", "__ns:=/uav1", "-p", "fusion.mode:=radio"], domain_id=domain_id)
+@pytest.mark.parametrize(
+    ("parameter", "message"),
+    [
+        ("fusion.mode:=radio", "mode = 'radio' is not allowed; use one of wideband, narrowband, none"),
+        ("radio_domain_id:={own}", "radio_domain_id = {own} is the vehicle's own ROS domain"),
+    ],
+)
+def test_a_wrong_parameter_ends_the_node_at_its_start(domain_id: int, parameter: str, message: str) -> None:
+    given = ["--ros-args", "-r", "__ns:=/uav1", "-p", parameter.format(own=domain_id)]
+    rclpy.init(args=given, domain_id=domain_id)
     try:
-        with pytest.raises(ConfigError, match="mode = 'radio' is not allowed; use one of wideband, narrowband, none"):
+        with pytest.raises(ConfigError, match=message.format(own=domain_id)):
             FusionNode()
     finally:
         rclpy.try_shutdown()

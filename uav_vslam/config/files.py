@@ -146,9 +146,10 @@ def load_fleet(path: Path, *, overrides: Mapping[str, Any] | None = None) -> Fle
         for name, entry in tree["vehicles"].items()
     }
     radio = build(RadioConfig, _section(path, tree, "radio"), where=f"{path}: radio")
-    return FleetConfig(
-        vehicles, _replay(path, _section(path, tree, "replay")), radio, _addresses(path, tree["vehicles"])
-    )
+    addresses = _addresses(path, tree["vehicles"])
+    if addresses and radio.domain_id < 0:
+        raise ConfigError(f"{path}: vehicles have addresses on the radio, which has no ROS domain; set radio.domain_id")
+    return FleetConfig(vehicles, _replay(path, _section(path, tree, "replay")), radio, addresses)
 
 
 def parameter_file(configs: Mapping[str, VehicleConfig]) -> dict[str, Any]:
@@ -221,6 +222,8 @@ def _addresses(path: Path, entries: Mapping[str, Any]) -> dict[str, str]:
     missing = sorted(set(entries) - set(given))
     if given and missing:
         raise ConfigError(f"{path}: vehicles have addresses on the radio, but {', '.join(missing)} has none; add it")
+    if twice := sorted(name for name, one in given.items() if list(given.values()).count(one) > 1):
+        raise ConfigError(f"{path}: {', '.join(twice)} have one address on the radio; each computer has its own")
     return given
 
 

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from uav_vslam.config.nodes import FusionNodeConfig
+from uav_vslam.errors import ConfigError
 from uav_vslam.ros.params import read
 from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam.ros.transport import DISCOVERY_RANGE, STATIC_PEERS, environment
@@ -25,10 +26,18 @@ def open_participant(name: str) -> "Participant | None":
 
     The first participant of a process has the port that peers look for, so a temporary node reads the
     parameters first. They are `radio_domain_id` (-1: the radio shares the vehicle's domain) and `radio_peers`.
+
+    Raises:
+        ConfigError: a parameter is wrong.
     """
     reader = Node(name, enable_rosout=False, start_parameter_services=False)
     try:
         own, namespace = read(reader, FusionNodeConfig), reader.get_namespace()
+        if own.radio_domain_id == reader.context.get_domain_id():  # another node may have the port that peers look for
+            raise ConfigError(
+                f"radio_domain_id = {own.radio_domain_id} is the vehicle's own ROS domain (ROS_DOMAIN_ID, --domain); "
+                "the radio needs another, the same on all computers"
+            )
     finally:
         reader.destroy_node()
     return Participant(namespace, own.radio_domain_id, own.radio_peers) if own.radio_domain_id >= 0 else None
