@@ -260,8 +260,8 @@ class VehicleNode(PausableNode):
             return DiagnosticStatus.ERROR, "; ".join(self.failures.values())
         if missing and self._startup.lasts():
             return DiagnosticStatus.OK, f"starting, waiting for {missing}"
-        if missing:
-            return DiagnosticStatus.WARN, f"waiting for {missing}"
+        if missing:  # an alarm may say why, or be about another input
+            return DiagnosticStatus.WARN, "; ".join([*self.alarms.values(), f"waiting for {missing}"])
         if pauses:
             return DiagnosticStatus.WARN, _pauses_text(pauses)
         if self.alarms:
