@@ -12,7 +12,7 @@ rclpy = pytest.importorskip("rclpy", reason="needs ROS")
 
 from uav_vslam.geometry.pose import Pose  # noqa: E402
 from uav_vslam.ros.backend_status import MANY_BLIND, MANY_COASTED, BackendStatus  # noqa: E402
-from uav_vslam.ros.runtime import VehicleNode  # noqa: E402
+from uav_vslam.ros.vehicle_node import VehicleNode  # noqa: E402
 from uav_vslam.slam.frame_report import FrameReport  # noqa: E402
 from uav_vslam.slam.stage import FrameOutput  # noqa: E402
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState, PoseEstimate  # noqa: E402

@@ -21,7 +21,7 @@ from uav_vslam.fleet import Air, LinkTransport, Sent  # noqa: E402
 from uav_vslam.ros.packet_message import packet_from_msg, packet_to_msg  # noqa: E402
 from uav_vslam.ros.qos import RADIO  # noqa: E402
 from uav_vslam.ros.radio import Radio  # noqa: E402
-from uav_vslam.ros.runtime import VehicleNode  # noqa: E402
+from uav_vslam.ros.vehicle_node import VehicleNode  # noqa: E402
 from uav_vslam.slam.packet import canonical_bytes  # noqa: E402
 from uav_vslam.types import NS_PER_S, JointInformation, LandmarkPacket  # noqa: E402
 from uav_vslam_msgs.msg import LandmarkInformation  # noqa: E402

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 import rclpy
 from rclpy.serialization import serialize_message
 
-from uav_vslam.ros.runtime import VehicleNode
+from uav_vslam.ros.vehicle_node import VehicleNode
 
 
 class Destroyable(Protocol):

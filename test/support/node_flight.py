@@ -18,8 +18,8 @@ from uav_vslam.ros.convert import features_to_msg, header, navigation_to_msg, st
 from uav_vslam.ros.fusion_node import FusionNode
 from uav_vslam.ros.ins_propagator_node import InsPropagatorNode
 from uav_vslam.ros.qos import LATCHED, RESUMABLE, SENSOR, STATE
-from uav_vslam.ros.runtime import VehicleNode
 from uav_vslam.ros.slam_backend_node import SlamBackendNode
+from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.simulation.landmarks import observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SimulatedVehicle
 from uav_vslam.types import NS_PER_S, ImuSample, NavEstimate, StereoFeatures

@@ -2,7 +2,7 @@
 """What the back end's diagnostics say of its frames: counts, coasting, recoveries, warnings."""
 
 from uav_vslam.ros.health import RECENT_S, RecentEvents
-from uav_vslam.ros.runtime import VehicleNode
+from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import COASTING_REMEDY, MIN_FEATURES
 from uav_vslam.slam.stage import FrameOutput

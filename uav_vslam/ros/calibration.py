@@ -19,7 +19,7 @@ from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.ros.convert import imu_from_data
 from uav_vslam.ros.qos import LATCHED_BY_MANY, SENSOR, STATE
-from uav_vslam.ros.runtime import VehicleNode
+from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.types import ImuSample
 
 MAX_WAITING = 2000  # readings held until the place of the IMU is known

@@ -41,8 +41,9 @@ from uav_vslam.ros.fusion_status import StatusReporter, account
 from uav_vslam.ros.qos import NEWEST, STATE
 from uav_vslam.ros.radio import Radio
 from uav_vslam.ros.radio_participant import open_participant
-from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.traffic import Interface
+from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.slam.epochs import crosses_epoch
 from uav_vslam.slam.saved_map import load_map
 from uav_vslam.stamps import IMAGE_TIME_JUMP_S, TimeLine

@@ -46,8 +46,9 @@ from uav_vslam.ros.health import RECENT_S, RecentEvents
 from uav_vslam.ros.inputs import Input, image_topics
 from uav_vslam.ros.odometry_data import OdometryData
 from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STAMPS, STATE
-from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
+from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.stamps import Admitted, TimeJump
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState

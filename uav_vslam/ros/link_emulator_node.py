@@ -33,8 +33,9 @@ from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import RADIO
 from uav_vslam.ros.radio import PeerInput
 from uav_vslam.ros.readiness import DiscoveryReport
-from uav_vslam.ros.runtime import FOLLOW_PERIOD_S, run_node
+from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
+from uav_vslam.ros.vehicle_node import FOLLOW_PERIOD_S
 from uav_vslam_msgs.msg import LandmarkInformation
 
 POLL_S = 0.01  # largest additional delay

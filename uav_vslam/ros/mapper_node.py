@@ -30,8 +30,9 @@ from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import cloud_to_msg, header, image_from_msg, pose_from_msg
 from uav_vslam.ros.inputs import image_topics
 from uav_vslam.ros.qos import IMAGES, LATCHED, SENSOR
-from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
+from uav_vslam.ros.vehicle_node import VehicleNode
 
 MESH_STEP_M = 2.0  # sides of the triangles that are published
 COLOUR = ColorRGBA(r=0.55, g=0.6, b=0.45, a=1.0)

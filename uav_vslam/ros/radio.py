@@ -20,7 +20,7 @@ from uav_vslam.ros.fleet_commands import feedback_to, packets_of
 from uav_vslam.ros.inputs import Input
 from uav_vslam.ros.packet_message import decoded, packet_from_msg, packet_to_msg
 from uav_vslam.ros.qos import RADIO, compatible_qos
-from uav_vslam.ros.runtime import VehicleNode
+from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.types import LandmarkPacket
 from uav_vslam_msgs.msg import LandmarkInformation
 

@@ -47,7 +47,8 @@ from uav_vslam.ros.convert import (
 from uav_vslam.ros.map_services import offer_map_services
 from uav_vslam.ros.qos import LATCHED, MOTION, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
-from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.ros.runtime import run_node
+from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
 from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.session import next_session

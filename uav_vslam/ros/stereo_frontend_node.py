@@ -26,7 +26,8 @@ from uav_vslam.ros.calibration import RigListener
 from uav_vslam.ros.convert import features_to_msg, image_from_msg
 from uav_vslam.ros.inputs import Input, image_topics
 from uav_vslam.ros.qos import IMAGE, RESUMABLE
-from uav_vslam.ros.runtime import VehicleNode, run_node
+from uav_vslam.ros.runtime import run_node
+from uav_vslam.ros.vehicle_node import VehicleNode
 from uav_vslam.types import NS_PER_S, StereoFrame
 from uav_vslam.types import StereoFeatures as Features
 from uav_vslam.vision.features import make_extractor

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Base of every vehicle node: configuration, inputs, rejected messages counted by reason, and diagnostics."""
+
+import copy
+import time
+import typing
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.parameter_service import ParameterService
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from uav_vslam.config import VehicleConfig, idle_settings
+from uav_vslam.config.nodes import NODES
+from uav_vslam.errors import ConfigError, UavVslamError
+from uav_vslam.monitor import DROPPED
+from uav_vslam.ros.diagnostics import status_message
+from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
+from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
+from uav_vslam.ros.lifecycle import PausableNode
+from uav_vslam.ros.params import VehicleParameters, declare, read
+from uav_vslam.ros.qos import LATCHED_BY_MANY
+from uav_vslam.ros.readiness import DiscoveryReport
+from uav_vslam.ros.timers import create_wall_timer
+from uav_vslam.slam.state_folder import state_folder
+from uav_vslam.stamps import TimeLine
+
+DIAGNOSTICS_PERIOD_S = 1.0
+FOLLOW_PERIOD_S = 0.5  # how often inputs check the reliability that is offered
+
+
+class VehicleNode(PausableNode):
+    """A node in a vehicle's namespace, with its configuration and its health.
+
+    Parameters: those that `config.nodes.NODES` lists for the node's name.
+
+    Attributes:
+        own: the node's own parameters.
+        vehicle: name.
+        counts: what happened how often, for the diagnostics.
+        notes: further values for the diagnostics.
+        alarms: current faults, by subject; they set the status to WARN.
+        failures: current faults that keep the node from working, by subject; they set it to ERROR.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, start_parameter_services=False)
+        self.own: Any = read(self, typing.cast(Any, NODES[name].own))
+        declare(self, self.own)
+        self._parameter_service = ParameterService(self) if self.own.parameter_services else None
+        self._settings = VehicleParameters(self, NODES[name].used_names, self.configure)
+        for setting, text in idle_settings(self.config).items():
+            if setting in NODES[name].used_names:
+                self.get_logger().warning(text)
+        namespace = self.get_namespace().strip("/").replace("/", "_")
+        self.vehicle: str = self.own.vehicle or namespace
+        if not self.vehicle:
+            raise ConfigError(f"start it in its vehicle's namespace, as in --ros-args -r __ns:=/uav1 (node {name})")
+        self._settings.keep_live(state_folder() / f"{self.vehicle}_{name}.json", resume=self.own.resume)
+        self.counts: Counter[str] = Counter()
+        self.notes: dict[str, str] = {}
+        self.alarms: dict[str, str] = {}
+        self.failures: dict[str, str] = {}
+        self._inputs: list[Input] = []
+        self._mixed: set[str] = set()  # topics that several nodes publish
+        self._refused = 0  # messages off the time line, as last reported
+        self._startup, self._recent_drops = Start(self.get_clock()), RecentDrops()
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        DiscoveryReport(self, lambda: unmatched(self._inputs))
+        create_wall_timer(self, DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
+        create_wall_timer(self, FOLLOW_PERIOD_S, self.follow_offers)
+        create_wall_timer(self, START_S, self._report_missing)
+        if self.own.autostart:
+            self.begin()
+
+    @property
+    def config(self) -> VehicleConfig:
+        """The vehicle's configuration; live settings as they are now."""
+        return self._settings.config
+
+    def configure(self, config: VehicleConfig) -> None:
+        """Go on with live settings that have changed."""
+
+    @property
+    def world_frame(self) -> str:
+        """Name of the frame of the fused estimate."""
+        return self.config.frames.world or ("world" if self.config.fusion.common_origin else f"{self.vehicle}/world")
+
+    @property
+    def map_frame(self) -> str:
+        """Name of the vehicle's map frame."""
+        return self.config.frames.map_of(self.vehicle)
+
+    @property
+    def odom_frame(self) -> str:
+        """Name of the frame in which the own pose has no jumps."""
+        return self.config.frames.odom or f"{self.vehicle}/odom"
+
+    @property
+    def base_frame(self) -> str:
+        """Name of the body frame."""
+        return self.config.input.base_frame(self.vehicle)
+
+    def listen(
+        self,
+        message_type: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile,
+        *,
+        instead_of: str = "",
+        raw: bool = False,
+        group: CallbackGroup | None = None,
+    ) -> Input:
+        """Subscribe; a message that the callback rejects is dropped and counted by reason.
+
+        Args:
+            message_type, topic, qos: as for create_subscription.
+            callback: may raise ValueError or an error of ours.
+            instead_of: another topic that this one can replace: the node needs only one of them.
+            raw: the callback gets serialised messages.
+            group: as for create_subscription.
+        """
+        one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic, raw, group)
+        one.shared = qos is LATCHED_BY_MANY
+        one.subscribe(self)
+        self.watch(one)
+        return one
+
+    def guarded(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback that drops and counts messages that `callback` rejects."""
+
+        def call(message: Any) -> None:
+            if self.paused:
+                self.counts["paused"] += 1
+                return
+            try:
+                callback(message)
+            except (ValueError, UavVslamError) as error:
+                self.drop(getattr(error, "reason", "refused"), f"{topic}: {error}")
+
+        return call
+
+    def watch(self, one: Input) -> None:
+        """Report an input's faults in the diagnostics, and adapt its reliability to the offer."""
+        self._inputs.append(one)
+        self._startup = Start(self.get_clock())  # in flight too: a new communication mode has new inputs
+
+    def unwatch(self, one: Input) -> None:
+        """Stop watching an input that is to be closed."""
+        if one in self._inputs:
+            self._inputs.remove(one)
+
+    def advertise(self, message_type: Any, topic: str, qos: QoSProfile) -> Any:
+        """Create a publisher whose policies can be overridden by parameters qos_overrides.<topic>.publisher.
+
+        It does not watch for subscriptions that can't match it: they say so themselves, and each watch costs time at
+        every turn of the executor.
+        """
+        overrides = QoSOverridingOptions.with_default_policies()
+        events = PublisherEventCallbacks(use_default_callbacks=False)
+        own = copy.copy(qos)  # rclpy writes overrides into it, and other topics share the profile
+        return self.create_publisher(message_type, topic, own, qos_overriding_options=overrides, event_callbacks=events)
+
+    def drop(self, reason: str, detail: str) -> None:
+        """Count a dropped message and log it, throttled."""
+        self.counts[f"{DROPPED}{reason}"] += 1
+        self.get_logger().warning(f"dropped a message: {detail}", throttle_duration_sec=5.0)
+
+    def report_clock(self, line: TimeLine[Any], happened: str = "") -> None:
+        """Report a jump of the clock that was followed, messages off the time line, and clocks that disagree."""
+        if happened:
+            self.counts["time_jumps"] += 1
+            self.notes["time_jump"] = happened
+            self.get_logger().warning(happened)
+        if (refused := line.refused.total()) != self._refused:
+            self._refused = refused
+            self.counts |= {f"{DROPPED}{reason}": count for reason, count in line.refused.items()}
+            self.get_logger().warning(f"dropped a message: {line.refusal}", throttle_duration_sec=5.0)
+        self.report_failure("clock", "; ".join(line.faults.values()))
+
+    def report_alarm(self, subject: str, text: str, *, logged: bool = False) -> None:
+        """Set an alarm, and log a new one if wished; an empty text means that there is none."""
+        if not text:
+            self.alarms.pop(subject, None)
+            return
+        if logged and subject not in self.alarms:
+            self.get_logger().warning(text)
+        self.alarms[subject] = text
+
+    def report_failure(self, subject: str, text: str) -> None:
+        """Set a failure, and log it if it is new; an empty text means that there is none."""
+        if not text:
+            self.failures.pop(subject, None)
+            return
+        if subject not in self.failures:
+            self.get_logger().error(text)
+        self.failures[subject] = text
+
+    def follow_offers(self) -> None:
+        """Adapt the inputs to what is published now; called periodically."""
+        for one in self._inputs:
+            if one.follow(self):
+                offered = f"{one.qos.reliability.name}, {one.qos.durability.name}"
+                self.get_logger().info(f"{one.subscription.topic_name} switched to the QoS offered: {offered}")
+        self._refuse_mixed()
+
+    def _refuse_mixed(self) -> None:
+        """Report inputs that several nodes publish; the inputs themselves stop passing messages on."""
+        faults = mixed(self._inputs, self)
+        for topic in self._mixed - faults.keys():
+            self.get_logger().info(f"one node publishes {topic} again; it is used")
+        for topic in self._mixed | faults.keys():
+            self.report_failure(topic, faults.get(topic, ""))
+        self._mixed = set(faults)
+        refused = sum(one.refused for one in self._inputs)
+        if refused:
+            self.counts[f"{DROPPED}several_publishers"] = refused
+
+    def _report_missing(self) -> None:
+        waiting = []
+        for topic in () if self._startup.lasts() else silent(self._inputs):
+            resolved = self.resolve_topic_name(topic)
+            published = self.count_publishers(resolved) > 0
+            waiting.append(f"{resolved} ({'published, but no message yet' if published else 'no publisher'})")
+        if waiting:  # one line for all: the throttle counts lines of code, not texts
+            self.get_logger().warning(f"waiting for {', '.join(waiting)}", throttle_duration_sec=20.0)
+        pauses = stopped(self._inputs, time.monotonic())
+        if pauses:
+            self.get_logger().warning(_pauses_text(pauses), throttle_duration_sec=20.0)
+
+    def _health(self) -> tuple[bytes, str]:
+        """Return the level and the text of the node's status: failures first, then what most explains the rest."""
+        missing, drops = ", ".join(silent(self._inputs)), self._recent_drops.next_report(self.counts)
+        pauses = stopped(self._inputs, time.monotonic())
+        if self.paused:
+            return DiagnosticStatus.WARN, f"{self.paused}: messages are ignored"
+        if self.failures:
+            return DiagnosticStatus.ERROR, "; ".join(self.failures.values())
+        if missing and self._startup.lasts():
+            return DiagnosticStatus.OK, f"starting, waiting for {missing}"
+        if missing:  # an alarm may say why, or be about another input
+            return DiagnosticStatus.WARN, "; ".join([*self.alarms.values(), f"waiting for {missing}"])
+        if pauses:
+            return DiagnosticStatus.WARN, _pauses_text(pauses)
+        if self.alarms:
+            return DiagnosticStatus.WARN, "; ".join(self.alarms.values())
+        if drops:
+            return DiagnosticStatus.WARN, f"dropped in the last {RECENT_REPORTS * DIAGNOSTICS_PERIOD_S:g} s: {drops}"
+        return DiagnosticStatus.OK, "running"
+
+    def _publish_diagnostics(self) -> None:
+        level, text = self._health()
+        values = {key: str(count) for key, count in sorted(self.counts.items())} | self.notes
+        name, stamp = f"{self.vehicle}: {self.get_name()}", self.get_clock().now().to_msg()
+        self._diagnostics.publish(
+            status_message(name, values, level=level, text=text, vehicle=self.vehicle, stamp=stamp)
+        )
+
+
+def _pauses_text(pauses: dict[str, float]) -> str:
+    return "no more messages from " + ", ".join(f"{topic} for {pause_s:.0f} s" for topic, pause_s in pauses.items())
