@@ -35,9 +35,11 @@ from nav_msgs.msg import Odometry
 from uav_vslam.cli.progress import progress_bar
 from uav_vslam.config import load_fleet
 from uav_vslam.datasets.messages import header_stamp_ns
+from uav_vslam.ros.answers import Answers
 from uav_vslam.ros.domain import claimed_domain
-from uav_vslam.ros.pacing import Answers, Kind, RealTime, Recorded
+from uav_vslam.ros.pacing import RealTime
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
+from uav_vslam.ros.recorded import Kind, Recorded
 from uav_vslam.ros.recording import Recording
 from uav_vslam.ros.shared_memory import FOLDER
 from uav_vslam.studies.live.compute import PROC, child_commands, node_name

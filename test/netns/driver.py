@@ -17,8 +17,8 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 
 from uav_vslam.ros.fleet_commands import VEHICLE_NODES
-from uav_vslam.ros.pacing import Kind
 from uav_vslam.ros.qos import IMAGE, LATCHED, SENSOR, STATE
+from uav_vslam.ros.recorded import Kind
 from uav_vslam.ros.recording import Recording
 from uav_vslam.types import NS_PER_S
 from uav_vslam_msgs.msg import FusionStatus

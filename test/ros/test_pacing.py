@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from uav_vslam.ros.pacing import EARLY_PERIOD_S, IMU_AHEAD, Answers, Kind, LockStep, Readings, RealTime, Recorded
+from uav_vslam.ros.answers import IMU_AHEAD, Answers, Readings
+from uav_vslam.ros.pacing import EARLY_PERIOD_S, LockStep, RealTime
+from uav_vslam.ros.recorded import Kind, Recorded
 
 MS = 1_000_000
 TOPICS = ("odometry", "fused/odometry")

@@ -16,7 +16,7 @@ from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import SIDES
-from uav_vslam.ros.pacing import FRAME_PARTS, FrameShape, Kind, Recorded
+from uav_vslam.ros.recorded import FRAME_PARTS, FrameShape, Kind, Recorded
 from uav_vslam.types import NS_PER_S
 
 TF, TF_STATIC = "/tf", "/tf_static"

@@ -32,22 +32,14 @@ from uav_vslam.config.nodes import ReplayNodeConfig
 from uav_vslam.config.settings import build
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.errors import BagError, ConfigError
+from uav_vslam.ros.answers import EARLY_ANSWER, IMU_AHEAD, Answers, Readings
 from uav_vslam.ros.batches import Batches, take_waiting
 from uav_vslam.ros.convert import stamp_from_ns
-from uav_vslam.ros.pacing import (
-    EARLY_ANSWER,
-    IMU_AHEAD,
-    Answers,
-    Kind,
-    LockStep,
-    Pacer,
-    Readings,
-    RealTime,
-    Recorded,
-)
+from uav_vslam.ros.pacing import LockStep, Pacer, RealTime
 from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import IMAGE, LATCHED, RESUMABLE, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
+from uav_vslam.ros.recorded import Kind, Recorded
 from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording
 from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
