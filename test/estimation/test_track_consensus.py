@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import RigConfig
-from uav_vslam.estimation.past_poses import TrackObservation, Tracks, observe_tracks
 from uav_vslam.estimation.rig_errors import RigErrors
 from uav_vslam.estimation.track_consensus import LEAST_ASKED, WIDE, trusted
+from uav_vslam.estimation.tracks import TrackObservation, Tracks, observe_tracks
 from uav_vslam.geometry.pose import POSE_DIM
 
 VIEWS = 3

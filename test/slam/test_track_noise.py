@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import BackendConfig, ImuConfig, VehicleConfig
-from uav_vslam.estimation.past_poses import OFFSET
+from uav_vslam.estimation.tracks import OFFSET
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.geometry.stereo import StereoRig

@@ -38,7 +38,7 @@ from uav_vslam.estimation.linearisation import (
 )
 from uav_vslam.estimation.models import MODELS, POSE, StateModel, chart_transport, difference
 from uav_vslam.estimation.observation import in_left_camera, smoothed, triangulation_covariance
-from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPoses, Tracks, observe_tracks
+from uav_vslam.estimation.past_poses import COPY_VARIANCE, PastPoses
 from uav_vslam.estimation.rig_belief import (
     DisparityEstimate,
     claimed_belief,
@@ -49,6 +49,7 @@ from uav_vslam.estimation.rig_belief import (
 )
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_consensus import trusted
+from uav_vslam.estimation.tracks import Tracks, observe_tracks
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
@@ -119,7 +120,7 @@ class Filter:
             depth_sigma_ratio: see `observation.smoothed`.
             robust: down-weight observations with large posterior residuals by Huber's kernel [huber64].
             rig_config: uncertainty of the calibration; an exact one unless given.
-            track_sigma_px: standard deviation of a tracked point's right pixel about the left one, see `past_poses`.
+            track_sigma_px: standard deviation of a tracked point's right pixel about the left one, see `tracks`.
         """
         self._imu, self._gamma = imu, gamma
         self._linear: Linearisation = linearisation or Jacobians()
@@ -215,7 +216,7 @@ class Filter:
         """Take in tracks of points that are no landmarks; the next `update` uses what they say about the past poses.
 
         Args:
-            tracks: pixels at the past poses, at least `past_poses.MIN_VIEWS` of each.
+            tracks: pixels at the past poses, at least `tracks.MIN_VIEWS` of each.
             probability: of the chi-square gate.
             become_landmarks: (T,) whose points are appended to the landmarks, if they pass the gate.
             others: makes tracks that only help to find the wrong ones, see `track_consensus`.

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.estimation.past_poses import TrackObservation
+from uav_vslam.estimation.tracks import TrackObservation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -17,7 +17,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.estimation.past_poses import OFFSET
+from uav_vslam.estimation.tracks import OFFSET
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.numerics import robust_sigma
 from uav_vslam.types import StereoFeatures

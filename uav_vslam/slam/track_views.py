@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.estimation.past_poses import Tracks
+from uav_vslam.estimation.tracks import Tracks
 from uav_vslam.types import StereoFeatures
 
 Mask = NDArray[np.bool_]

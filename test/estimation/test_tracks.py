@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks of points that are no landmarks: what they say about past poses, against dense least squares."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from uav_vslam.config import RigConfig
+from uav_vslam.estimation.past_poses import PastPoses
+from uav_vslam.estimation.rig_errors import RigErrors, RigState
+from uav_vslam.estimation.tracks import DRIFT, LEFT, OFFSET, TrackObservation, Tracks, observe_tracks
+from uav_vslam.geometry.pose import POSE_DIM
+
+Array = NDArray[np.float64]
+
+VIEWS = 4
+SIGMA_PX = 0.1
+RIG = RigConfig(time_offset_sigma_s=1e-3)
+RATE = np.array([0.05, -0.2, 0.1])
+
+
+def past_poses(course) -> PastPoses:
+    return course.past_poses(VIEWS, RATE)
+
+
+def seen_tracks(course, rng: np.random.Generator | None = None) -> Tracks:
+    """Return all landmarks as tracks, some with missing views."""
+    pixels = np.stack([course.pixels(frame, np.arange(len(course.landmarks))) for frame in range(VIEWS)], axis=1)
+    seen = np.ones(pixels.shape[:2], bool)
+    seen[0, :2], seen[1, -1], seen[2, 1] = False, False, False
+    noise = 0.0 if rng is None else rng.normal(0.0, 0.5 * SIGMA_PX, pixels.shape)
+    return Tracks(np.where(seen[..., None], pixels + noise, np.nan), seen)
+
+
+def observed(course, tracks: Tracks, past: PastPoses | None = None, rig_state: RigState | None = None):
+    errors = RigErrors(course.rig, RIG, 15)
+    state = rig_state or RigState()
+    shown = (past or past_poses(course)).at_exposure(state.time_offset_s)
+    return observe_tracks(tracks, shown, rig=errors.rig(state), errors=errors, sigma_px=SIGMA_PX)
+
+
+def misfit(seen: TrackObservation) -> Array:
+    """Return (T, 4V) residuals after each track's point has been fitted: what is left for the poses."""
+    return seen.residual - np.einsum("tij,tkj,tk->ti", seen.Q, seen.Q, seen.residual)
+
+
+def test_points_are_found_where_they_are(course) -> None:
+    tracks = seen_tracks(course)
+    found = observed(course, dataclasses.replace(tracks, pixels=np.nan_to_num(tracks.pixels)))
+    assert found.good.all()
+    np.testing.assert_allclose(found.points, course.landmarks, atol=1e-6)
+    np.testing.assert_array_equal(found.views, tracks.seen.sum(axis=1))
+    np.testing.assert_allclose(found.residual, 0.0, atol=1e-6)
+
+
+def test_jacobians_are_the_numerical_ones(course) -> None:
+    """Move each past pose and each rig error, and fit the points again: the change of the misfit is -H."""
+    tracks = seen_tracks(course, np.random.default_rng(1))
+    tracks = dataclasses.replace(tracks, pixels=np.nan_to_num(tracks.pixels))
+    at = observed(course, tracks)
+    projected = at.H - at.Q @ at.of_points
+    errors = RigErrors(course.rig, RIG, 15)
+    step = 1e-6
+    for column in range(errors.dim + POSE_DIM * VIEWS):
+        ends = []
+        for sign in (1.0, -1.0):
+            past, delta = past_poses(course), np.zeros(15 + errors.dim)
+            if column < errors.dim:
+                delta[15 + column] = sign * step
+            else:
+                moves = np.zeros((VIEWS, POSE_DIM))
+                moves[divmod(column - errors.dim, POSE_DIM)] = sign * step
+                past = past.moved(moves[:, 3:], past.t + moves[:, :3])
+            ends.append(misfit(observed(course, tracks, past, errors.retract(RigState(), delta))))
+        slope = (ends[1] - ends[0]) / (2 * step)
+        scale = np.abs(projected[..., column]).max()
+        np.testing.assert_allclose(slope / scale, projected[..., column] / scale, atol=2e-3)
+
+
+def test_a_track_says_nothing_about_position_and_heading_of_the_map(course) -> None:
+    seen = observed(course, dataclasses.replace(t := seen_tracks(course), pixels=np.nan_to_num(t.pixels)))
+    positions = past_poses(course).t
+    up = np.array([0.0, 0.0, 1.0])
+    for shift, turn in [(axis, np.zeros(3)) for axis in np.eye(3)] + [(np.zeros(3), up)]:
+        of_poses = [np.concatenate([shift + np.cross(turn, p), turn]) for p in positions]
+        gauge = np.concatenate([np.zeros(RigErrors(course.rig, RIG, 15).dim), *of_poses])
+        Y = seen.of_poses().Y
+        assert np.abs(Y @ gauge).max() < 1e-9 * np.abs(Y).max() * np.abs(gauge).max()
+
+
+def test_poses_and_point_together_are_the_information_of_the_views(course) -> None:
+    """The two parts of the split add up to the normal equations of poses and points."""
+    tracks = seen_tracks(course, np.random.default_rng(2))
+    seen = observed(course, dataclasses.replace(tracks, pixels=np.nan_to_num(tracks.pixels)))
+    H_f = seen.Q @ seen.R
+    of_poses, of_points = seen.of_poses(), seen.of_points
+    whole = np.einsum("tia,tib->ab", seen.H, seen.H)
+    pieces = of_poses.Y + np.einsum("tka,tkb->ab", of_points, of_points)
+    np.testing.assert_allclose(pieces, whole, atol=1e-8 * np.abs(whole).max())
+    cross = np.swapaxes(of_points, 1, 2) @ seen.R
+    np.testing.assert_allclose(cross, np.swapaxes(seen.H, 1, 2) @ H_f, atol=1e-8 * np.abs(cross).max())
+
+
+def test_noise_of_a_track_is_white_after_whitening(course) -> None:
+    """Left pixels scatter about a patch that drifts as its image moves; right ones about them, with a constant."""
+    count, rng = 4000, np.random.default_rng(3)
+    one = seen_tracks(course)
+    pixels = np.repeat(one.pixels[5:6], count, axis=0)
+    moved_px = np.linalg.norm(np.diff(one.pixels[5, :, :2], axis=0), axis=1)
+    steps = DRIFT * SIGMA_PX * np.sqrt(moved_px)[:, None] * rng.normal(size=(count, VIEWS - 1, 2))
+    drift = np.concatenate([np.zeros((count, 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+    left = drift + rng.normal(0.0, LEFT * SIGMA_PX, (count, VIEWS, 2))
+    match = rng.normal(0.0, SIGMA_PX, (count, VIEWS, 2)) + rng.normal(0.0, OFFSET * SIGMA_PX, (count, 1, 2))
+    noisy = Tracks(pixels + np.concatenate([left, left + match], axis=-1), np.ones((count, VIEWS), bool))
+    seen = observed(course, noisy)
+    chi2, freedom = np.sum(misfit(seen) ** 2, axis=1), 4 * VIEWS - 3
+    assert seen.of_poses().norm2 == pytest.approx(chi2.sum())
+    assert seen.of_poses().dof == freedom * count
+    assert abs(chi2.mean() / freedom - 1.0) < 4.0 * np.sqrt(2.0 / freedom / count)
+    assert abs(chi2.var() / (2 * freedom) - 1.0) < 0.15
+
+
+def test_the_way_of_the_image_is_the_median_tracks_and_stops_where_none_is_followed() -> None:
+    pixels = np.zeros((3, 4, 4))
+    pixels[:, :, 0] = np.outer([3.0, 4.0, 90.0], [0.0, 1.0, 2.0, 3.0])
+    seen = np.array([[1, 1, 0, 1], [1, 1, 0, 1], [1, 1, 0, 0]], bool)
+    np.testing.assert_allclose(Tracks(pixels, seen).way_px, [0.0, 4.0, 4.0, 4.0])
+    np.testing.assert_allclose(Tracks(pixels[:2], seen[:2]).way_px, [0.0, 3.5, 3.5, 3.5])
+    np.testing.assert_array_equal(Tracks(pixels[:0], seen[:0]).way_px, np.zeros(4))
+
+
+def test_a_track_that_slides_fails_the_gate_and_others_pass(course) -> None:
+    tracks = seen_tracks(course)
+    pixels = np.nan_to_num(tracks.pixels)
+    pixels[4, :, [0, 2]] += np.linspace(0.0, 40 * SIGMA_PX, VIEWS) ** 2
+    P = np.diag(np.full(RigErrors(course.rig, RIG, 15).dim + POSE_DIM * VIEWS, 1e-12))
+    passed = observed(course, Tracks(pixels, tracks.seen)).gated(P, 0.99)[0]
+    assert not passed[4]
+    assert passed.sum() == len(passed) - 1
+
+
+def test_points_that_cannot_be_triangulated_fail_the_gate(course) -> None:
+    tracks = seen_tracks(course)
+    pixels = np.nan_to_num(tracks.pixels)
+    far = course.rig.project(1e6 * course.rig.left.bearings(pixels[3, :, :2]))
+    pixels[3, :, 2:] = 2 * far[:, 2:] - pixels[3, :, 2:]  # beyond infinity: the rays diverge
+    assert not observed(course, Tracks(pixels, tracks.seen)).good[3]
+
+
+@pytest.mark.parametrize("name", ["eif", "ekf", "ukf"])
+def test_all_forms_of_the_filter_use_tracks_alike(course, name: str) -> None:
+    """Past poses, an update by tracks, and a track that becomes a landmark: as in the information form."""
+    outcomes = []
+    for form in ("eif", name):
+        f = course.filter(name=form, track_sigma_px=SIGMA_PX)
+        for frame in range(VIEWS):
+            if frame:
+                f.predict(course.increments[frame - 1])
+            f.keep_pose()
+        tracks = seen_tracks(course, np.random.default_rng(4))
+        tracks = dataclasses.replace(tracks, pixels=np.nan_to_num(tracks.pixels))
+        passed = f.observe_tracks(tracks, probability=0.9999, become_landmarks=np.arange(len(tracks)) < 3)
+        f.update(np.zeros(0, np.int64), np.zeros((0, 4)))
+        assert passed.mean() > 0.9
+        assert len(f.landmarks) == passed[:3].sum()
+        outcomes.append(f)
+    first, other = outcomes
+    loose = 1e-5 if name == "ekf" else 2e-2  # cubature propagates the mean otherwise
+    np.testing.assert_allclose(other.nav.T_map_body.t, first.nav.T_map_body.t, atol=loose)
+    sigma = np.sqrt(np.diag(first.covariance()))
+    error = (other.covariance() - first.covariance()) / np.outer(sigma, sigma)
+    np.testing.assert_allclose(error, 0.0, atol=1e-4 if name == "ekf" else 5e-2)
+
+
+def test_a_copy_with_tracks_leaves_the_filter_alone(course) -> None:
+    f = course.filter(track_sigma_px=SIGMA_PX)
+    f.keep_pose()
+    f.predict(course.increments[0])
+    f.keep_pose()
+    whole = seen_tracks(course)
+    tracks = Tracks(np.nan_to_num(whole.pixels[3:, :2]), whole.seen[3:, :2])
+    before = (f.nav, f.landmarks.copy(), f.covariance(), f.past)
+    other, passed, innovation = f.with_tracks(tracks, probability=0.99, become_landmarks=np.ones(len(tracks), bool))
+    assert passed.all()
+    assert innovation.dof > 0
+    assert len(other.landmarks) == len(tracks)
+    assert np.trace(other.nav_estimate().covariance[6:9, 6:9]) < np.trace(f.nav_estimate().covariance[6:9, 6:9])
+    assert not f.has_tracks
+    assert f.nav is before[0]
+    assert f.past is before[3]
+    np.testing.assert_array_equal(f.landmarks, before[1])
+    np.testing.assert_array_equal(f.covariance(), before[2])
+
+
+@pytest.mark.parametrize("name", ["eif", "ekf", "ukf"])
+def test_without_its_landmarks_a_copy_with_tracks_knows_the_same_of_the_vehicle(course, name: str) -> None:
+    f = course.filter(name=name, track_sigma_px=SIGMA_PX)
+    f.keep_pose()
+    f.add_landmarks(course.pixels(0, np.arange(10), np.random.default_rng(5)))
+    f.predict(course.increments[0])
+    f.keep_pose()
+    whole = seen_tracks(course)
+    tracks = Tracks(np.nan_to_num(whole.pixels[3:, :2]), whole.seen[3:, :2])
+    none = np.zeros(len(tracks), bool)
+    (one, passed, innovation), (other, others_passed, others_innovation) = (
+        some.with_tracks(tracks, probability=0.99, become_landmarks=none) for some in (f, f.without_landmarks())
+    )
+    assert len(f.landmarks) == 10
+    assert len(other.landmarks) == 0
+    np.testing.assert_array_equal(others_passed, passed)
+    assert others_innovation.nis == pytest.approx(innovation.nis, rel=1e-6)
+    for mine, others in ((one.nav_estimate(), other.nav_estimate()), (one.past_estimate(0), other.past_estimate(0))):
+        sigma = np.sqrt(np.diag(mine.covariance))
+        np.testing.assert_allclose((others.covariance - mine.covariance) / np.outer(sigma, sigma), 0.0, atol=1e-6)
+    np.testing.assert_allclose(other.nav.T_map_body.t, one.nav.T_map_body.t, atol=1e-9)
+    np.testing.assert_allclose(other.nav.v_map, one.nav.v_map, atol=1e-9)
