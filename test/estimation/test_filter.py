@@ -12,12 +12,13 @@ from scipy.stats import chi2, multivariate_normal
 from uav_vslam.config import EXACT_RIG, BackendConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.covariance import CovarianceBelief
-from uav_vslam.estimation.filter import HUBER_PROBABILITY, Filter
+from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.filters import BOUNDED, FILTERS
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.linearisation import Cubature, Jacobians
 from uav_vslam.estimation.models import MODELS, difference
 from uav_vslam.estimation.observation import point_jacobian, triangulation_covariance
+from uav_vslam.estimation.weighted_update import HUBER_PROBABILITY
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import skew, so3_exp
 from uav_vslam.geometry.stereo import STEREO_DOF

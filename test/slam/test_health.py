@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_vslam.estimation.filter import Innovation
+from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.slam.health import MAX_LOST, MAX_NIS_PER_DOF, WINDOW, FilterHealth
 
 DOF = 160  # forty landmarks

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.estimation.filter import Innovation
+from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.propagation import VELOCITY

@@ -14,17 +14,15 @@ import copy
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
 
 from uav_vslam.config import EXACT_RIG, ImuConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, Update, VehicleObservation
+from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, VehicleObservation
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.information import InformationBelief
@@ -50,6 +48,7 @@ from uav_vslam.estimation.rig_belief import (
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
+from uav_vslam.estimation.weighted_update import Innovation, WeightedUpdate, huber_weights, whitened
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
@@ -60,27 +59,7 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseE
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-HUBER_PROBABILITY = 0.999  # of a correct observation to keep full weight
 PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged
-
-
-@dataclass(frozen=True, slots=True)
-class Innovation:
-    """Consistency of an update with the prediction.
-
-    Attributes:
-        nis: nu^T S^-1 nu, chi-square with `dof` degrees of freedom.
-        dof: number of pixel coordinates.
-        log_likelihood: of the observation, given all earlier ones.
-        accepted: whether the update was applied.
-        downweighted: number of landmarks down-weighted by the robust kernel.
-    """
-
-    nis: float
-    dof: int
-    log_likelihood: float = 0.0
-    accepted: bool = True
-    downweighted: int = 0
 
 
 class Filter:
@@ -118,7 +97,7 @@ class Filter:
             gamma: of the H-infinity bound; None for no bound.
             sigma_px: standard deviation of each pixel coordinate.
             depth_sigma_ratio: see `observation.smoothed`.
-            robust: down-weight observations with large posterior residuals by Huber's kernel [huber64].
+            robust: down-weight observations with large posterior residuals, see `weighted_update`.
             rig_config: uncertainty of the calibration; an exact one unless given.
             track_sigma_px: standard deviation of a tracked point's right pixel about the left one, see `tracks`.
         """
@@ -319,35 +298,28 @@ class Filter:
             weights: (M,) divide the noise variance; None for ones.
         """
         before = (self.nav, self.belief)
-        prior = np.zeros(self.belief.size)
         with _stamped(self.nav.stamp_ns):
-            if linearise_at is not None and self._model.invariant:
-                self._of_tracks = None  # linearised elsewhere, at a pose known to be far off
-                prior = self._move_linearisation(linearise_at)
-                predicted = self._predicted(landmarks, self._belief_for_regression(landmarks))
-            else:
-                predicted = self._predicted(landmarks, self.belief)
+            prior, predicted = self._linearised(landmarks, linearise_at)
             nu = pixels - predicted.expected
             nu = nu - Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu).apply(prior)
-            update, weights, downweighted = self._updated(
-                predicted, nu, np.ones(len(nu)) if weights is None else weights
-            )
+            found = self._updated(predicted, nu, np.ones(len(nu)) if weights is None else weights)
         dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else self._of_tracks.dof)
-        log_det_R = float(np.linalg.slogdet(predicted.R)[1].sum() - STEREO_DOF * np.log(weights).sum())
-        innovation = Innovation(
-            nis=update.nis,
-            dof=dof,
-            log_likelihood=-0.5 * (update.nis + update.log_det + log_det_R + dof * np.log(2.0 * np.pi)),
-            accepted=dof == 0 or bool(chdtrc(dof, update.nis) >= significance),
-            downweighted=downweighted,
-        )
+        innovation = found.innovation(predicted.R, dof=dof, significance=significance)
         if innovation.accepted:
             self._of_tracks = None
             with _stamped(self.nav.stamp_ns):
-                self.correct(update.belief, prior + update.delta)
+                self.correct(found.update.belief, prior + found.update.delta)
         else:
             self.nav, self.belief = before
         return innovation
+
+    def _linearised(self, landmarks: Indices, at: Pose | None) -> tuple[Array, PredictedObservation]:
+        """Move the linearisation point, if wished; return the prior mean as an error from it, and the prediction."""
+        if at is None or not self._model.invariant:
+            return np.zeros(self.belief.size), self._predicted(landmarks, self.belief)
+        self._of_tracks = None  # linearised elsewhere, at a pose known to be far off
+        prior = self._move_linearisation(at)
+        return prior, self._predicted(landmarks, self._belief_for_regression(landmarks))
 
     def add_landmarks(self, pixels: Array) -> Mask:
         """Append landmarks at their triangulated positions; see `can_add_landmarks`.
@@ -481,7 +453,7 @@ class Filter:
             return self.belief
         marginals, M = self.belief.marginals(landmarks), len(landmarks)
         first = Jacobians().observation(self._camera(), landmarks, self.landmarks[landmarks], marginals)
-        return self.belief.updated(_whitened(first, np.zeros((M, STEREO_DOF)), np.ones(M))).belief
+        return self.belief.updated(whitened(first, np.zeros((M, STEREO_DOF)), np.ones(M))).belief
 
     def _camera(self) -> Camera:
         rate_map = np.zeros(3) if self._rate_map is None else self._rate_map
@@ -496,22 +468,15 @@ class Filter:
             past_rows=POSE_DIM * len(self.past),
         )
 
-    def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> tuple[Update, Array, int]:
-        """Update, and once more with Huber weights if there are large posterior residuals.
-
-        Return the update, its (M,) weights, and the number of down-weighted landmarks.
-        """
-        observation = dataclasses.replace(_whitened(predicted, nu, weights), of_vehicle=self._of_tracks)
+    def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> WeightedUpdate:
+        """Update, and once more with Huber's weights if there are large posterior residuals."""
+        observation = whitened(predicted, nu, weights, of_vehicle=self._of_tracks)
         update = self.belief.updated(observation)
-        if not self._robust or not len(nu):
-            return update, weights, 0
-        residual = np.linalg.norm(observation.nu - observation.apply(update.delta), axis=1)
-        huber = np.minimum(1.0, np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY)) / np.maximum(residual, 1e-12))
-        if (huber < 1.0).any():
-            weights = huber * weights
-            observation = dataclasses.replace(_whitened(predicted, nu, weights), of_vehicle=self._of_tracks)
-            update = self.belief.updated(observation)
-        return update, weights, int((huber < 1.0).sum())
+        huber = huber_weights(observation, update.delta) if self._robust else np.ones(len(nu))
+        if not (huber < 1.0).any():
+            return WeightedUpdate(update, weights)
+        observation = whitened(predicted, nu, huber * weights, of_vehicle=self._of_tracks)
+        return WeightedUpdate(self.belief.updated(observation), huber * weights, int((huber < 1.0).sum()))
 
     def _with_rig_prior(self, P_nav: Array) -> Array:
         nav_dim = self._model.nav_dim
@@ -559,17 +524,6 @@ class Filter:
         B = chart_transport(self.vehicle, moved_position, moved_velocity, moved_points[count:])
         B[self._past_rows].reshape(count, 2, 3, 3)[:, 0] = skew(moved_points[:count])
         return B
-
-
-def _whitened(predicted: PredictedObservation, nu: Array, weights: Array) -> Observation:
-    """Return the observation with unit noise: divided by the factor of R, times the square root of its weight."""
-    L_inv = np.linalg.inv(np.linalg.cholesky(predicted.R)) * np.sqrt(weights)[:, None, None]
-    return Observation(
-        predicted.landmarks,
-        L_inv @ predicted.H_vehicle,
-        L_inv @ predicted.H_landmark,
-        np.einsum("nij,nj->ni", L_inv, nu),
-    )
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.estimation.models import POSE
+from uav_vslam.estimation.weighted_update import WeightedUpdate
 from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.ins.propagation import propagate, transition
 from uav_vslam.numerics import is_positive_definite, symmetrise
@@ -61,9 +62,7 @@ class ThesisUnscentedFilter(Filter):
         P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T
         self.belief = CovarianceBelief(definite(symmetrise(P)), self.vehicle)
 
-    def _updated(
-        self, predicted: PredictedObservation, nu: Array, observation_weights: Array
-    ) -> tuple[Update, Array, int]:
+    def _updated(self, predicted: PredictedObservation, nu: Array, observation_weights: Array) -> WeightedUpdate:
         chi, mean_weights, weights = self._sigma_points()
         P = self.covariance()
         seen = self._project(chi, predicted) / self.sigma_px
@@ -78,7 +77,8 @@ class ThesisUnscentedFilter(Filter):
             after = bounded(after, self._gamma)
         nis = float(innovation @ np.linalg.solve(S, innovation))
         belief = CovarianceBelief(definite(after), self.vehicle)
-        return Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1])), observation_weights, 0
+        update = Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1]))
+        return WeightedUpdate(update, observation_weights)
 
     def _sigma_points(self) -> tuple[Array, Array, Array]:
         """Return chi (2n+1, n) and the weights of mean and covariance; Eq. (4.3.2)."""

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.filter import Innovation
 from uav_vslam.estimation.filters import make_filter, past_poses
 from uav_vslam.estimation.observation import projectable
 from uav_vslam.estimation.rig_belief import DisparityEstimate
+from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.increments import unknown_motion_since

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.estimation.filter import Innovation
 from uav_vslam.estimation.rig_belief import DisparityEstimate
+from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.types import NavEstimate, PoseEstimate
 
 

@@ -3,7 +3,7 @@
 
 from collections import deque
 
-from uav_vslam.estimation.filter import Innovation
+from uav_vslam.estimation.weighted_update import Innovation
 
 WINDOW = 20  # frames
 MAX_NIS_PER_DOF = 4.0  # over a window a consistent filter is within a few percent of 1, a badly tuned one below 2

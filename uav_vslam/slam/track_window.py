@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import BackendConfig
 from uav_vslam.estimation.belief import NO_ROWS
-from uav_vslam.estimation.filter import Filter, Innovation
+from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.tracks import MIN_VIEWS
+from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.image_grid import spread
 from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.track_views import TrackViews

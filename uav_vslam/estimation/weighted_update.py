@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An update with weighted stereo observations, and its consistency with the prediction."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, chdtri
+
+from uav_vslam.estimation.belief import Observation, Update, VehicleObservation
+from uav_vslam.estimation.linearisation import PredictedObservation
+from uav_vslam.geometry.stereo import STEREO_DOF
+
+Array = NDArray[np.float64]
+
+HUBER_PROBABILITY = 0.999  # of a correct observation to keep full weight
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """Consistency of an update with the prediction.
+
+    Attributes:
+        nis: nu^T S^-1 nu, chi-square with `dof` degrees of freedom.
+        dof: number of pixel coordinates.
+        log_likelihood: of the observation, given all earlier ones.
+        accepted: whether the update was applied.
+        downweighted: number of landmarks down-weighted by the robust kernel.
+    """
+
+    nis: float
+    dof: int
+    log_likelihood: float = 0.0
+    accepted: bool = True
+    downweighted: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WeightedUpdate:
+    """An update that is not applied yet.
+
+    Attributes:
+        update: its result.
+        weights: (M,) of the observed landmarks: they divide the noise variance.
+        downweighted: number of landmarks down-weighted by the robust kernel.
+    """
+
+    update: Update
+    weights: Array
+    downweighted: int = 0
+
+    def innovation(self, R: Array, *, dof: int, significance: float) -> Innovation:
+        """Return its consistency with the prediction.
+
+        Args:
+            R: (M, 4, 4) noise covariance before the weights [px^2].
+            dof: number of observations, those of the vehicle alone included.
+            significance: probability with which a correct set of observations is rejected.
+        """
+        nis = self.update.nis
+        log_det_R = float(np.linalg.slogdet(R)[1].sum() - STEREO_DOF * np.log(self.weights).sum())
+        return Innovation(
+            nis=nis,
+            dof=dof,
+            log_likelihood=-0.5 * (nis + self.update.log_det + log_det_R + dof * np.log(2.0 * np.pi)),
+            accepted=dof == 0 or bool(chdtrc(dof, nis) >= significance),
+            downweighted=self.downweighted,
+        )
+
+
+def whitened(
+    predicted: PredictedObservation, nu: Array, weights: Array, *, of_vehicle: VehicleObservation | None = None
+) -> Observation:
+    """Return the observation with unit noise: divided by the factor of R, times the square root of its weight.
+
+    Args:
+        predicted: of M landmarks.
+        nu: (M, 4) innovations [px].
+        weights: (M,) divide the noise variance.
+        of_vehicle: further observations, of the vehicle alone.
+    """
+    L_inv = np.linalg.inv(np.linalg.cholesky(predicted.R)) * np.sqrt(weights)[:, None, None]
+    return Observation(
+        predicted.landmarks,
+        L_inv @ predicted.H_vehicle,
+        L_inv @ predicted.H_landmark,
+        np.einsum("nij,nj->ni", L_inv, nu),
+        of_vehicle,
+    )
+
+
+def huber_weights(observation: Observation, delta: Array) -> Array:
+    """Return the (M,) weights of Huber's kernel [huber64], 1 or less, for the residuals at a correction `delta`."""
+    residual = np.linalg.norm(observation.nu - observation.apply(delta), axis=1)
+    bound = np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY))
+    return np.asarray(np.minimum(1.0, bound / np.maximum(residual, 1e-12)))
