@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import VehicleConfig
-from uav_vslam.datasets.bag import _in_stamp_order, open_flight, vehicles
+from uav_vslam.datasets.bag import open_flight, vehicles
+from uav_vslam.datasets.bag_flight import in_stamp_order
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import RawMessage, decode, encode
 from uav_vslam.datasets.flight_writer import ImageCoding
@@ -62,7 +63,7 @@ def test_a_recorded_flight_is_the_simulated_one(tiny: Scenario, tiny_bag: Path, 
     np.testing.assert_array_equal(flight.initial_state.covariance, vehicle.initial.covariance)
 
 
-def test_events_come_in_stamp_order_with_every_bit(tiny: Scenario, tiny_bag: Path) -> None:
+def test_events_comein_stamp_order_with_every_bit(tiny: Scenario, tiny_bag: Path) -> None:
     vehicle = simulate_vehicle(tiny, 0)
     events = list(open_flight(tiny_bag, "uav1").iter_events())
     stamps = [event.stamp_ns for event in events]
@@ -387,5 +388,5 @@ def test_a_truncated_bag_opens_and_replays_up_to_the_damage(tiny_bag: Path, tmp_
 def test_late_events_are_sorted_and_a_clock_that_was_set_back_keeps_the_recorded_order() -> None:
     stamps_ms = [0, 200, 100, 400, 300, 10_000, 10_200, 10_100, 500, 700, 600]
     events = [ImuSample(stamp_ms * 1_000_000, np.zeros(3), np.zeros(3)) for stamp_ms in stamps_ms]
-    ordered = [event.stamp_ns // 1_000_000 for event in _in_stamp_order(iter(events))]
+    ordered = [event.stamp_ns // 1_000_000 for event in in_stamp_order(iter(events))]
     assert ordered == [0, 100, 200, 300, 400, 10_000, 10_100, 10_200, 500, 600, 700]

@@ -11,7 +11,8 @@ import pytest
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import ImuConfig, InputConfig, VehicleConfig, load_fleet
-from uav_vslam.datasets.bag import BagFlight, open_flight
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cdr import decode
 from uav_vslam.datasets.cut_options import CutOptions
 from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut

@@ -16,7 +16,7 @@ from uav_vslam.errors import UavVslamError
 
 if TYPE_CHECKING:
     from uav_vslam.config import VehicleConfig
-    from uav_vslam.datasets.bag import BagFlight
+    from uav_vslam.datasets.bag_flight import BagFlight
     from uav_vslam.datasets.cutting import Cut
 
 HELP = "cut one recording into overlapping legs, as several vehicles that fly at the same time"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uav_vslam.cli.messages import warn
-from uav_vslam.datasets.bag import BagFlight
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.errors import UavVslamError
 from uav_vslam.evaluation.files.results_folder import read_results
 from uav_vslam.geometry.pose import Pose

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from uav_vslam.config import InputConfig, VehicleConfig
-    from uav_vslam.datasets.bag import BagFlight
+    from uav_vslam.datasets.bag_flight import BagFlight
 
 
 def bags_and_configs(

@@ -14,7 +14,7 @@ from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from uav_vslam.config import InputConfig
-    from uav_vslam.datasets.bag import BagFlight
+    from uav_vslam.datasets.bag_flight import BagFlight
     from uav_vslam.evaluation.result import FlightResult
     from uav_vslam.evaluation.trajectory import Trajectory
     from uav_vslam.offline.source import FlightSource

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from uav_vslam.datasets.bag import BagFlight
+    from uav_vslam.datasets.bag_flight import BagFlight
     from uav_vslam.overlay.tracks import TrackOverlay
     from uav_vslam.pipeline import VehicleTrack
 

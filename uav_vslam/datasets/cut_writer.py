@@ -16,7 +16,7 @@ import yaml
 
 from uav_vslam.config import InputConfig, StartConfig, VehicleConfig, parameter_file
 from uav_vslam.config.input import COMPRESSED
-from uav_vslam.datasets.bag import BagFlight
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import decode, encode
 from uav_vslam.datasets.cutting import CutVehicle

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import InputConfig, VehicleConfig
-from uav_vslam.datasets.bag import BagFlight, open_flight
+from uav_vslam.datasets.bag import open_flight
 from uav_vslam.datasets.bag import vehicles as vehicles_of
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cut_options import CutOptions
 from uav_vslam.datasets.seen_points import seen_flight
 from uav_vslam.datasets.starts import drawn_start, true_start

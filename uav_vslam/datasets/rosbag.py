@@ -68,6 +68,19 @@ def iter_raw(paths: Sequence[Path], topics: Sequence[str] | None = None) -> Iter
     yield from heapq.merge(*streams, key=lambda raw: raw.stamp_ns)
 
 
+def iter_readable(paths: Sequence[Path], topics: Sequence[str]) -> Iterator[RawMessage]:
+    """Yield the readable messages of some topics; damage is ignored, because `iter_raw` reports it at the replay."""
+    try:
+        yield from iter_raw(paths, topics)
+    except BagError:
+        return
+
+
+def names_of(paths: Sequence[Path]) -> str:
+    """Return the bags' paths as an error names them."""
+    return ", ".join(map(str, paths))
+
+
 def _hint(path: Path) -> str:
     """Return what to do with a path that is no bag, if that is plain."""
     if any((path / name).is_dir() for name in DATA_SETS):

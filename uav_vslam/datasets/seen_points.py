@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_vslam.config import VehicleConfig, replaced
-from uav_vslam.datasets.bag import BagFlight
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cdr import RawMessage, decode
 from uav_vslam.datasets.messages import header_stamp_ns, image_of
 from uav_vslam.datasets.rosbag import iter_raw

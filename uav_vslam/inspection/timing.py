@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.datasets.bag import REORDER_NS
+from uav_vslam.datasets.bag_flight import REORDER_NS
 from uav_vslam.datasets.survey import Stream
 from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.ins.gaps import BLIND_S, bursts_hz

@@ -25,7 +25,8 @@ from data_sets import (
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import load_vehicle
-from uav_vslam.datasets.bag import BagFlight, open_flight
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.importing.axes import rotation_to_enu, rotation_to_flu
 from uav_vslam.datasets.importing.columns import Clock
 from uav_vslam.datasets.importing.kagaru import read_kagaru

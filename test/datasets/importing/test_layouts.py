@@ -11,7 +11,8 @@ from data_sets import Flight, fisheye_rig, fly, rectified_rig, write_direct, wri
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import load_vehicle
-from uav_vslam.datasets.bag import BagFlight, open_flight
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.importing.kitti import T_FLU_OPTICAL, read_kitti
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tumvi import read_tumvi

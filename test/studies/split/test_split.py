@@ -12,7 +12,8 @@ import pytest
 
 from uav_vslam.cli.main import main
 from uav_vslam.config import VehicleConfig, find_config, load_fleet, load_vehicle
-from uav_vslam.datasets.bag import BagFlight, open_flight
+from uav_vslam.datasets.bag import open_flight
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cut_options import CutOptions
 from uav_vslam.datasets.cut_writer import FLEET_FILE, write_cut
 from uav_vslam.datasets.cutting import Cut, plan_cut, poses_of, with_drawn_starts

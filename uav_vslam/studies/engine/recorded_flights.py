@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.config import FrontendConfig, VehicleConfig
-from uav_vslam.datasets.bag import BagFlight, open_flight, vehicles
+from uav_vslam.datasets.bag import open_flight, vehicles
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.flight_writer import write_flights
 from uav_vslam.datasets.importing.euroc import read_euroc
 from uav_vslam.datasets.truth import trajectory_of

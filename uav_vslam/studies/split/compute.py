@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uav_vslam.config import StartConfig, VehicleConfig
-from uav_vslam.datasets.bag import BagFlight
+from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cut_writer import MARGIN_NS
 from uav_vslam.datasets.cutting import WHAT_A_CUT_HIDES, Cut, CutVehicle, with_drawn_starts
 from uav_vslam.errors import InvalidMessage, UavVslamError
