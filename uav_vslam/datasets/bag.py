@@ -21,6 +21,7 @@ from uav_vslam.datasets.rosbag import TopicInfo, iter_readable, names_of, topics
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import BagError, CalibrationError, InvalidMessage
 from uav_vslam.geometry.stereo import SIDES
+from uav_vslam.types import NavEstimate
 
 DEFAULT_VEHICLE = "uav1"  # where topics do not begin with its name
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -66,15 +67,9 @@ def open_flight(paths: Path | Sequence[Path], vehicle: str, config: InputConfig 
         if TF in topics and setup.missing_transforms():
             setup.frames.borrow(unmoved_edges(bags))
         rig, T_body_imu = setup.rig(), setup.T_body_imu()
-        start = _first(bags, config.topic(name, "initial_state"))
-        if start is not None and (conflict := setup.conflict(start.child_frame_id)):
-            raise CalibrationError(f"{config.topic(name, 'initial_state')} {conflict}")
-        initial_state = None if start is None else navigation_state_of(start)
+        initial_state = _initial_state(bags, setup)
     except CalibrationError as error:
         raise CalibrationError(f"bag {names_of(bags)}, vehicle {name}: {error}") from None
-    except InvalidMessage as error:
-        topic = config.topic(name, "initial_state")
-        raise BagError(f"bag {names_of(bags)}: {topic}: {error}; record a start state that is valid") from None
     return BagFlight(
         paths=bags,
         vehicle=name,
@@ -123,6 +118,19 @@ def _missing_topic(bags: Sequence[Path], topics: dict[str, TopicInfo], topic: st
     remedy = "set input.calibration" if topic == TF_STATIC else "set input.topics"
     remedy += ", or input.calibration" if topic.endswith("camera_info") else ""
     return BagError(f"bag {names_of(bags)} lacks {topic}; {there}; record that topic, or {remedy}")
+
+
+def _initial_state(bags: Sequence[Path], setup: SensorSetup) -> NavEstimate | None:
+    """Return the recorded start state; None if there is none."""
+    topic = setup.config.topic(setup.vehicle, "initial_state")
+    if (start := _first(bags, topic)) is None:
+        return None
+    if conflict := setup.conflict(start.child_frame_id):
+        raise CalibrationError(f"{topic} {conflict}")
+    try:
+        return navigation_state_of(start)
+    except InvalidMessage as error:
+        raise BagError(f"bag {names_of(bags)}: {topic}: {error}; record a start state that is valid") from None
 
 
 def _collect(bags: Sequence[Path], topics: dict[str, TopicInfo], setup: SensorSetup) -> None:
