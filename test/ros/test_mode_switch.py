@@ -14,7 +14,7 @@ from sensor_msgs.msg import Imu
 
 from uav_vslam.cli.arguments import MODES
 from uav_vslam.cli.main import main
-from uav_vslam.config.vehicle import MODE_BUDGETS
+from uav_vslam.config.fusion import MODE_BUDGETS
 from uav_vslam.errors import UavVslamError
 from uav_vslam.ros.mode_switch import switch_mode
 from uav_vslam.ros.qos import NEWEST

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from uav_vslam.evaluation.files.geodetic import Datum
 
 
-MODES = ("wideband", "narrowband", "none")  # the names in config.vehicle.MODE_BUDGETS
+MODES = ("wideband", "narrowband", "none")  # the names in config.fusion.MODE_BUDGETS
 MOST_OFFSET_S = 1e9  # between two clocks, one of which may count from its own start
 
 

@@ -22,9 +22,10 @@ from typing import Any
 import yaml
 
 from uav_vslam.config.fleet import FleetConfig, LinkConfig, RadioConfig, ReplayConfig
+from uav_vslam.config.fusion import FusionConfig
 from uav_vslam.config.nodes import LinkNodeConfig
 from uav_vslam.config.settings import build, differences, flatten, flattened, is_vehicle_name, plain
-from uav_vslam.config.vehicle import FusionConfig, VehicleConfig
+from uav_vslam.config.vehicle import VehicleConfig
 from uav_vslam.errors import ConfigError, one_line
 
 ALL_NODES, PARAMETERS = "/**", "ros__parameters"
