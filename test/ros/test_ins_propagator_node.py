@@ -301,8 +301,9 @@ def test_a_correction_steps_from_map_to_odom_and_the_odometry_has_a_rate_and_cov
     def spin(until: Callable[[], object]) -> bool:
         return wait_for(until, lambda: rclpy.spin_once(other, timeout_sec=0.02))
 
+    outputs = node._outputs
     try:
-        assert spin(lambda: node._tf.get_subscription_count() and node._odometry.get_subscription_count())
+        assert spin(lambda: outputs._tf.get_subscription_count() and outputs._odometry.get_subscription_count())
         deliver(node, "initial_state", start_at(NOW_NS))
         rest(node, NOW_NS, 0.2)
         assert spin(lambda: len(edges) == 20 and len(odometry) == 10)
@@ -337,7 +338,7 @@ def test_a_node_that_is_behind_catches_up_in_one_turn(make: Make) -> None:
     )
     readings = node.create_publisher(Imu, "imu/data_raw", SENSOR)
     images = node.create_publisher(CameraInfo, "left/camera_info", STAMPS)
-    assert wait_for(lambda: all(p.get_subscription_count() for p in (readings, images, node._tf)))
+    assert wait_for(lambda: all(p.get_subscription_count() for p in (readings, images, node._outputs._tf)))
     gravity, before = Vector3(z=node.config.imu.gravity), node.counts["increments"]
     for k in range(11, 91):
         stamp_ns = NOW_NS + k * STEP_NS

@@ -17,16 +17,12 @@ out  ins/increment        uav_vslam_msgs/InsIncrement, one per image
 
 from collections import deque
 
-from geometry_msgs.msg import TransformStamped
-from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo
-from tf2_msgs.msg import TFMessage
 
 from uav_vslam.datasets.messages import header_stamp_ns, stamp_ns_of
 from uav_vslam.errors import InvalidMessage
 from uav_vslam.ins.alignment import static_alignment
-from uav_vslam.ins.body_twist import body_twist
 from uav_vslam.ins.live_odometry import LiveOdometry
 from uav_vslam.ins.outliers import OUTLIER, OutlierFilter
 from uav_vslam.ins.pending_start import PendingStart, Refusal
@@ -40,12 +36,11 @@ from uav_vslam.ros.convert import (
     increment_to_msg,
     navigation_from_msg,
     navigation_to_msg,
-    transform_to_msg,
 )
-from uav_vslam.ros.health import RECENT_S, RecentEvents
 from uav_vslam.ros.inputs import Input, image_topics
-from uav_vslam.ros.odometry_data import OdometryData
-from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STAMPS, STATE
+from uav_vslam.ros.ins_outputs import InsOutputs
+from uav_vslam.ros.ins_status import InsStatus
+from uav_vslam.ros.qos import IMAGE, LATCHED, MOTION, NEWEST, STAMPS
 from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam.ros.vehicle_node import VehicleNode
@@ -53,8 +48,6 @@ from uav_vslam.stamps import Admitted, TimeJump
 from uav_vslam.types import NS_PER_S, ImuIncrement, ImuSample, NavEstimate
 from uav_vslam_msgs.msg import InsIncrement, NavigationState
 
-SILENT_NS = 2 * NS_PER_S  # of readings without a new stamp of an image
-MAX_LAG_S = 2.0  # of the back end's corrections
 SHORTEST_NS = NS_PER_S // 1000  # time between two looks at the readings
 
 
@@ -70,24 +63,20 @@ class InsPropagatorNode(VehicleNode):
         self._stamps = sensor_time_line(self._policy)
         self._image_ns = -1
         self._period_s = 1.0 / self.own.odometry_rate_hz if self.own.odometry_rate_hz else 0.0
-        self._gaps = RecentEvents()
         self._is_reset = False  # by itself: the back end may be in flight
         self._correction: NavigationState | None = None  # the newest
         self._resumed = False  # from a correction of before a reset, which no newer one has confirmed
-        self._transforms: list[TransformStamped] = []  # of the readings of a batch
         self._in_batch = False
         self._forget_flight()
         self._increments = self.advertise(InsIncrement, "ins/increment", MOTION)
-        self._dead_reckoning = self.advertise(Odometry, "ins/dead_reckoning", STATE)
-        self._odometry = self.advertise(Odometry, "ins/odometry", STATE)
-        self._odometry_of = OdometryData(frame_id=self.map_frame, child_frame_id=self.base_frame)
-        self._tf = self.advertise(TFMessage, "/tf", STATE)
+        self._outputs = InsOutputs(self)
         if self._aligns:
             self._initial_state = self.advertise(NavigationState, topics.initial_state, LATCHED)
         else:
             self.listen(NavigationState, topics.initial_state, self._on_initial_state, LATCHED)
         self._batches, self._reading_ns = Batches(at_once=True), -1
         self._sensors = ImuListener(self, self._on_reading, self._batches)
+        self._status = InsStatus(self, self._sensors)
         if self._period_s:
             self._timer = create_wall_timer(self, self._period_s, self._take_waiting)
         self._images = [
@@ -151,33 +140,13 @@ class InsPropagatorNode(VehicleNode):
             one.take_waiting(self)
         self._sensors.take_readings()
         self._in_batch = False
-        self._publish_transforms()
+        self._outputs.publish_transforms()
 
     def _on_reading(self, reading: ImuSample) -> None:
         self._reading_ns = reading.stamp_ns
-        self._report_image_stamps()
+        self._status.report_image_stamps(self._reading_ns, self._image_ns)
         self._feed(IMU, reading.stamp_ns, reading)
         self._batches.at_once = not self._period_s or self._live is None or reading.stamp_ns < self._image_ns
-
-    def _report_lag(self, lag_s: float) -> None:
-        """Warn while the back end's corrections are late: everything after the INS is then as late."""
-        text = f"the back end's estimate is {lag_s:.1f} s behind the readings: it or the front end does not keep up"
-        self.report_alarm("lag", text if lag_s > MAX_LAG_S else "", logged=True)
-
-    def _report_image_stamps(self) -> None:
-        """Warn while readings go on without new stamps of images: a camera_info that comes once, or is not stamped."""
-        if self._image_ns < 0 or self._reading_ns - self._image_ns <= SILENT_NS:
-            self.alarms.pop("images", None)
-        elif "images" not in self.alarms:
-            topic = self._stamped_topics()[0][3]
-            instead = (
-                "; a file with the calibration can replace it (input.calibration)" if self._sensors.has_infos else ""
-            )
-            text = (
-                f"{topic} has brought no new stamp for {SILENT_NS / NS_PER_S:g} s of readings: it has to come with "
-                f"each image, and with its stamp{instead}"
-            )
-            self.report_alarm("images", text, logged=True)
 
     def _on_stamped(self, data: bytes) -> None:
         stamp_ns = header_stamp_ns(data) + self._sensors.time_offset_ns
@@ -220,7 +189,7 @@ class InsPropagatorNode(VehicleNode):
         is_resumed = self._pending_start.is_resumed(initial.state.stamp_ns)
         early = self._startup_buffer.take(from_first_reading=is_resumed)
         for estimate in self._reckoner.start(initial):
-            self._publish_dead_reckoning(estimate, None)
+            self._outputs.publish_dead_reckoning(estimate, None)
         already_running = self._preintegrator is not None  # in flight, increments are needed before the start state
         if self._preintegrator is None:
             # restarted in flight: the images show the back end the motion up to the next one
@@ -298,38 +267,15 @@ class InsPropagatorNode(VehicleNode):
         for increment in increments:
             self._publish_increment(increment)
         if increments:
-            self._report_bursts(preintegrator.statistics.fault)
-            self._report_gaps(increments[-1].stamp_ns, preintegrator.gaps - before)
-
-    def _report_gaps(self, stamp_ns: int, gaps: int) -> None:
-        """Count increments with gaps in their readings, and warn of them for a while: not of those between bursts."""
-        self.counts["imu_gaps"] += gaps
-        recent = self._gaps.count(stamp_ns, gaps)
-        text = f"{recent} increments of the last {RECENT_S:g} s lack IMU readings"
-        self.report_alarm("imu", text if recent and "imu_stamps" not in self.alarms else "")
-
-    def _report_bursts(self, text: str) -> None:
-        """Warn of readings stamped in bursts while they are."""
-        self.report_alarm("imu_stamps", text, logged=True)
+            self._status.report_bursts(preintegrator.statistics.fault)
+            self._status.report_gaps(increments[-1].stamp_ns, preintegrator.gaps - before)
 
     def _propagate(self, live: LiveOdometry, item: ImuSample | int) -> None:
         if not isinstance(item, ImuSample) or not live.add_imu(item):
             return
-        if self._odometry.get_subscription_count():
-            self._odometry.publish(self._odometry_data(live.estimate, live.increment))
-        if self._tf.get_subscription_count():
-            stamp_ns, odom = live.estimate.state.stamp_ns, self.odom_frame
-            jumps = transform_to_msg(live.T_map_odom, stamp_ns=stamp_ns, parent=self.map_frame, child=odom)
-            motion = transform_to_msg(live.T_odom_body, stamp_ns=stamp_ns, parent=odom, child=self.base_frame)
-            self._transforms += [jumps, motion]
-            if not self._in_batch:
-                self._publish_transforms()
-
-    def _publish_transforms(self) -> None:
-        """Publish the transforms of a batch at once: where a machine is behind, each message may wait for readers."""
-        if self._transforms:
-            self._tf.publish(TFMessage(transforms=self._transforms))
-            self._transforms = []
+        self._outputs.publish_odometry(live)
+        if not self._in_batch:
+            self._outputs.publish_transforms()
 
     def _align(self, samples: list[ImuSample]) -> None:
         """Estimate the start state from IMU samples at rest, and publish it."""
@@ -343,19 +289,12 @@ class InsPropagatorNode(VehicleNode):
         self.counts["increments"] += 1
         self._increments.publish(increment_to_msg(increment, frame_id=self.base_frame))
         for estimate in self._reckoner.add(increment):
-            self._publish_dead_reckoning(estimate, increment)
-
-    def _publish_dead_reckoning(self, nav: NavEstimate, increment: ImuIncrement | None) -> None:
-        if self._dead_reckoning.get_subscription_count():
-            self._dead_reckoning.publish(self._odometry_data(nav, increment))
-
-    def _odometry_data(self, nav: NavEstimate, increment: ImuIncrement | None) -> bytes:
-        return self._odometry_of.of(nav.pose, body_twist(nav, increment))
+            self._outputs.publish_dead_reckoning(estimate, increment)
 
     def _on_correction(self, message: NavigationState) -> None:
         corrected = navigation_from_msg(message)
         self._correction, self._resumed = message, False
-        self._report_lag((self._reading_ns - corrected.state.stamp_ns) / NS_PER_S)
+        self._status.report_lag((self._reading_ns - corrected.state.stamp_ns) / NS_PER_S)
         if self._live is not None:
             self._live.correct(corrected)
         elif self._preintegrator is None or self._is_reset:
