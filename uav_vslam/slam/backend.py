@@ -55,6 +55,7 @@ class _Outcome:
     Attributes:
         matches: landmarks that corrected the state.
         known: landmarks and tracks that the frame could have shown.
+        restart: where a recovery re-initialises the filter; None for the newest estimate.
     """
 
     known: int
@@ -68,6 +69,12 @@ class _Outcome:
     late_sightings: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     smoothed: PoseEstimate | None = None
     recovery: str = ""
+    restart: NavEstimate | None = None
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the image has corrected the estimate."""
+        return not self.recovery and self.innovation is not None and self.innovation.dof > 0
 
     def give_up(self) -> None:
         """Forget what has corrected a state that is re-initialised."""
@@ -150,20 +157,12 @@ class SlamBackend:
         self._increment, features = step.increment, step.features
         self._propagate_unaided(increment)
         outcome = self._estimate(step)
-        confirmed = not outcome.recovery and outcome.innovation is not None and outcome.innovation.dof > 0
-        if confirmed:
+        if outcome.is_confirmed:
             self._confirmed = self._nav
-        missed = not confirmed and min(len(features), outcome.known) >= MIN_FEATURES
-        if vibration := self._noticed_vibration():
-            self._imu_fault = ImuFaultDetector(self._vehicle_config.imu.gravity)  # images missed for another reason
-            outcome.recovery = vibration
-        elif increment is not None and self._imu_fault.add(
-            increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
-        ):
-            self._nav, outcome.recovery = self._since_confirmed(), self._imu_fault.reason
+        self._look_for_faults(outcome, step, increment, R_map_body)
         if outcome.recovery:
             outcome.give_up()
-            self._recover(self._unaided if vibration else None)
+            self._recover(outcome.restart)
             if self._imu_fault.reason:  # the motion from here on is that of the tracks
                 self._window.add_frame(self._filter, features)
         added = self._add_landmarks(outcome.matches, features)
@@ -195,6 +194,26 @@ class SlamBackend:
                 self._nav = advance(self._nav, increment, self._vehicle_config.imu)
             outcome.recovery = str(error)
         return outcome
+
+    def _look_for_faults(
+        self, outcome: _Outcome, step: Step, increment: ImuIncrement | None, R_map_body: NDArray[np.float64]
+    ) -> None:
+        """Order a recovery if this frame shows that the rig vibrates, or that the IMU is faulty.
+
+        Args:
+            outcome: of the frame.
+            step: what it was processed with; its motion may be that of the tracks.
+            increment: the motion that the IMU measured.
+            R_map_body: (3, 3) attitude at the frame before.
+        """
+        missed = not outcome.is_confirmed and min(len(step.features), outcome.known) >= MIN_FEATURES
+        if vibration := self._noticed_vibration():
+            self._imu_fault = ImuFaultDetector(self._vehicle_config.imu.gravity)  # images missed for another reason
+            outcome.recovery, outcome.restart = vibration, self._unaided
+        elif increment is not None and self._imu_fault.add(
+            increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
+        ):
+            self._nav, outcome.recovery = self._since_confirmed(), self._imu_fault.reason
 
     def _present(self, choose: Choice | None = None) -> Present:
         """Return the estimate of the present, see `TrackWindow.present`."""
