@@ -162,18 +162,18 @@ def launch(
     specs = node_specs(fleet, link=link, vehicles=vehicles, use_sim_time=use_sim_time, record=bag, maps=maps)
     if not parameter_services:
         specs = [without_parameter_services(spec) for spec in specs]
-    environment = discovery_environment(os.environ, own_radio=fleet.radio.domain_id >= 0 or not vehicles)
-    environment |= {} if domain_id is None else {"ROS_DOMAIN_ID": str(domain_id)}
-    if log_dir is not None:
-        environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")
-    commands = [node_command(spec, log_level) for spec in specs]
     _remove_leftovers()
     _warn_without_key(fleet)
     if apart := separate_maps(fleet.vehicles):
         warn(apart)
-    escalation = SAVING if maps else ESCALATION
-    supervisor = Supervisor(environment, restarts=restarts, log_dir=log_dir, on_line=on_line, escalation=escalation)
-    return supervisor.run(commands)
+    supervisor = Supervisor(
+        _environment(domain_id, log_dir, own_radio=fleet.radio.domain_id >= 0 or not vehicles),
+        restarts=restarts,
+        log_dir=log_dir,
+        on_line=on_line,
+        escalation=SAVING if maps else ESCALATION,
+    )
+    return supervisor.run([node_command(spec, log_level) for spec in specs])
 
 
 def _check_places(record: Path | None, maps: str, vehicles: Collection[str]) -> None:
@@ -187,6 +187,16 @@ def _check_places(record: Path | None, maps: str, vehicles: Collection[str]) -> 
         require_place(record)
     for name in vehicles if maps else ():
         require_place(Path(maps) / name)
+
+
+def _environment(domain_id: int | None, log_dir: Path | None, *, own_radio: bool) -> dict[str, str]:
+    """Return the variables of the processes in addition to ours."""
+    environment = discovery_environment(os.environ, own_radio=own_radio)
+    if domain_id is not None:
+        environment["ROS_DOMAIN_ID"] = str(domain_id)
+    if log_dir is not None:
+        environment["ROS_LOG_DIR"] = str(log_dir.resolve() / "ros")
+    return environment
 
 
 def discovery_environment(given: Mapping[str, str], *, own_radio: bool) -> dict[str, str]:
