@@ -13,7 +13,7 @@ from uav_vslam.cli.messages import warn, warn_each
 from uav_vslam.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from uav_vslam.config import InputConfig
+    from uav_vslam.config import InputConfig, VehicleConfig
     from uav_vslam.datasets.bag_flight import BagFlight
     from uav_vslam.evaluation.result import FlightResult
     from uav_vslam.evaluation.trajectory import Trajectory
@@ -73,11 +73,10 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     import time
     from functools import partial
 
-    from uav_vslam.cli.recordings import bags_and_configs, open_flights
-    from uav_vslam.config import idle_settings, load_link, separate_maps
+    from uav_vslam.cli.recordings import open_flights
+    from uav_vslam.config import load_link
     from uav_vslam.cooperation.link import link_between
     from uav_vslam.datasets.sensor_setup import with_noise_of_files
-    from uav_vslam.datasets.truth import no_attitude, other_time, other_unit
     from uav_vslam.evaluation.output import write_results
     from uav_vslam.evaluation.summary import build_summary
     from uav_vslam.offline.flight import fly
@@ -85,13 +84,7 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     from uav_vslam.report.page.page import NAME as PAGE_NAME
     from uav_vslam.report.table import print_summary
 
-    more = {"fusion.mode": args.mode} if args.mode else {}
-    if args.map is not None:
-        more |= {"start.method": "map", "start.map": str(args.map.resolve())}
-    bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles), more)
-    warn_each(text for config in configs.values() for text in idle_settings(config).values())
-    if apart := separate_maps(configs):
-        warn(apart)
+    bags, configs = _configured(args)
     links = partial(link_between, load_link(args.link)) if args.link else None
     flights = open_flights(bags, configs)
     configs = {name: with_noise_of_files(config) for name, config in configs.items()}
@@ -122,16 +115,29 @@ def flown(args: argparse.Namespace) -> tuple[Path, int]:
     print(f"results: {folder}")
     if not args.no_plots:
         print(f"page: {folder / PAGE_NAME}")
-    for vehicle, truth in truths.items():
-        if truth is not None:
-            estimate = result.vehicles[vehicle].s_slam
-            doubts = (doubt(truth, estimate) for doubt in (other_time, other_unit, no_attitude))
-            warn_each(f"{vehicle}: {text}" for text in doubts if text)
+    _warn_of_doubts(result, truths)
     for vehicle, track in tracks.items():
         warn_each(f"{vehicle}: {text}" for text in track.warnings)
     broken = sorted(track.broken for track in tracks.values() if track.broken)
     warn_each(broken)
     return folder, 2 if broken else 0
+
+
+def _configured(args: argparse.Namespace) -> tuple[tuple[Path, ...], dict[str, VehicleConfig]]:
+    """Return the bags and each vehicle's configuration, after warnings about them."""
+    from functools import partial
+
+    from uav_vslam.cli.recordings import bags_and_configs
+    from uav_vslam.config import idle_settings, separate_maps
+
+    more = {"fusion.mode": args.mode} if args.mode else {}
+    if args.map is not None:
+        more |= {"start.method": "map", "start.map": str(args.map.resolve())}
+    bags, configs = bags_and_configs(args, partial(_vehicles, args.vehicles), more)
+    warn_each(text for config in configs.values() for text in idle_settings(config).values())
+    if apart := separate_maps(configs):
+        warn(apart)
+    return bags, configs
 
 
 def _truth(flight: BagFlight) -> Trajectory | None:
@@ -143,6 +149,17 @@ def _truth(flight: BagFlight) -> Trajectory | None:
         return None
     warn_each(f"{flight.vehicle}: {text}" for text in truth_warnings(truth))
     return trajectory_of(truth) if len(truth) else None
+
+
+def _warn_of_doubts(result: FlightResult, truths: dict[str, Trajectory | None]) -> None:
+    """Warn where the recorded truth seems to have another time or unit than the estimate, or no attitude."""
+    from uav_vslam.datasets.truth import no_attitude, other_time, other_unit
+
+    for vehicle, truth in truths.items():
+        if truth is not None:
+            estimate = result.vehicles[vehicle].s_slam
+            doubts = (doubt(truth, estimate) for doubt in (other_time, other_unit, no_attitude))
+            warn_each(f"{vehicle}: {text}" for text in doubts if text)
 
 
 def _save_maps(tracks: dict[str, VehicleTrack], folder: Path) -> None:
@@ -200,12 +217,13 @@ def _report_offset(flight: BagFlight) -> None:
 def _vehicles(requested: Sequence[str] | None, bags: tuple[Path, ...], config: InputConfig) -> list[str]:
     """Return the vehicles to run: those requested, or all in the bags."""
     from uav_vslam.datasets.bag import vehicles
+    from uav_vslam.datasets.rosbag import names_of
     from uav_vslam.errors import BagError, ConfigError
 
     names = [name.strip("/") for name in requested or vehicles(bags, config)]
     if not names:
         raise BagError(
-            f"bag {', '.join(map(str, bags))} holds no <vehicle>/{config.topics.left}; record or remap the images, or "
+            f"bag {names_of(bags)} holds no <vehicle>/{config.topics.left}; record or remap the images, or "
             f"name its topics by input.topics, which this proposes: uav-vslam check {' '.join(map(str, bags))}"
         )
     if nested := next((name for name in names if "/" in name), ""):
