@@ -139,12 +139,12 @@ class Filter:
 
     @property
     def can_add_landmarks(self) -> bool:
-        """Return whether landmarks can be added.
+        """Whether landmarks can be added.
 
         If the time offset is a state, their positions depend on the angular rate: it is known from the first increment
         on, whether propagated over it or given it by `starts` or `ends`.
         """
-        return self._rate_map is not None or self._errors.time_offset.start == self._errors.time_offset.stop
+        return not self._errors.has_time_offset or self._rate_map is not None
 
     def covariance(self) -> Array:
         """Return (vehicle + 3N, vehicle + 3N), the full covariance in the model's coordinates."""
@@ -168,7 +168,7 @@ class Filter:
             F[:nav_dim, :nav_dim], Q[:nav_dim, :nav_dim] = process.F, process.Q
             Q[self._errors.rows, self._errors.rows] = np.diag(self._errors.noise_variance(increment.dt_s))
             self.belief = self.belief.predicted(F, Q)
-            if self._errors.vibration_variance > 0:
+            if self._errors.has_vibration:
                 rows = np.arange(self._errors.vibration.start, self._errors.vibration.stop)
                 self.belief = self.belief.reset_rows(rows, self._errors.vibration_variance)
                 self.rig_state = self._errors.reset_vibration(self.rig_state)
@@ -177,11 +177,15 @@ class Filter:
         self.nav = process.nav
         self.ends(increment)
 
+    @property
+    def _known_rate_map(self) -> Array:
+        """The (3,) angular rate [rad/s]; zero while it is unknown."""
+        return np.zeros(3) if self._rate_map is None else self._rate_map
+
     def keep_pose(self) -> None:
         """Keep the present pose in the state, as the newest past one; not with `euler9`."""
         self.belief = self.belief.cloned(POSE, COPY_VARIANCE)
-        rate_map = np.zeros(3) if self._rate_map is None else self._rate_map
-        self.past = self.past.followed_by(self.nav, rate_map)
+        self.past = self.past.followed_by(self.nav, self._known_rate_map)
 
     def past_estimate(self, number: int) -> PoseEstimate:
         """Return a past pose, as later frames have corrected it, with its covariance."""
@@ -232,7 +236,7 @@ class Filter:
 
     @property
     def has_tracks(self) -> bool:
-        """Return whether tracks are waiting for the next update."""
+        """Whether tracks are waiting for the next update."""
         return self._of_tracks is not None
 
     def with_tracks(
@@ -456,7 +460,7 @@ class Filter:
         return self.belief.updated(whitened(first, np.zeros((M, STEREO_DOF)), np.ones(M))).belief
 
     def _camera(self) -> Camera:
-        rate_map = np.zeros(3) if self._rate_map is None else self._rate_map
+        rate_map = self._known_rate_map
         return Camera(
             rig=self.rig,
             errors=self._errors,

@@ -197,7 +197,7 @@ def camera_points(camera: Camera, landmarks: Array) -> tuple[Array, Array, Array
     nav_dim = camera.model.nav_dim
     J = np.zeros((len(landmarks), 3, camera.errors.rows.stop + camera.past_rows))
     J[:, :, :nav_dim] = jacobian.nav @ camera.model.to_map(camera.nav)
-    if camera.errors.time_offset.stop > camera.errors.time_offset.start:
+    if camera.errors.has_time_offset:
         motion = np.zeros(jacobian.nav.shape[2])
         motion[POSITION], motion[ROTATION] = camera.nav.v_map, camera.rate_map
         J[:, :, camera.errors.time_offset] = (jacobian.nav @ motion)[:, :, None]

@@ -91,6 +91,16 @@ class RigErrors:
         return self.disparity.stop > self.disparity.start
 
     @property
+    def has_time_offset(self) -> bool:
+        """Whether the offset of the cameras' clock is a state."""
+        return self.time_offset.stop > self.time_offset.start
+
+    @property
+    def has_vibration(self) -> bool:
+        """Whether the right camera's vibration is a state."""
+        return self.vibration.stop > self.vibration.start
+
+    @property
     def disparity_variance(self) -> float:
         """Of the prior in use [px^2]."""
         row = self.disparity.start - self.rows.start

@@ -257,8 +257,7 @@ def _by_rig(views: _Views, points: Array, by_pose: Array, past: PastPoses, rig: 
         return np.zeros((T, V, 4, 0))
     H = errors.pixel_jacobian(rig, views.points(0, points).reshape(-1, 3)).reshape(T, V, 4, errors.dim)
     H = H * by_pose.any(axis=(2, 3), keepdims=True)
-    column = errors.time_offset.start - errors.rows.start
-    if errors.time_offset.stop > errors.time_offset.start:
+    if errors.has_time_offset:
         motion = np.hstack([past.v_map, past.rate_map])
-        H[..., column] = np.einsum("tvki,vi->tvk", by_pose, motion)
+        H[..., errors.time_offset.start - errors.rows.start] = np.einsum("tvki,vi->tvk", by_pose, motion)
     return H

@@ -102,7 +102,7 @@ class RigEstimate:
     @property
     def vibrates(self) -> bool:
         """Whether the rig flexes."""
-        return self.errors.vibration.stop > self.errors.vibration.start
+        return self.errors.has_vibration
 
     @property
     def lasting(self) -> Array:
