@@ -87,16 +87,24 @@ def node_specs(
     if vehicles:
         specs = [_on_radio(fleet, spec) if spec.executable == "fusion" else spec for spec in specs]
     if link is not None:
-        parameters = {"vehicles": list(fleet.vehicles), "use_sim_time": sim_time}
-        parameters |= {f"link.{name}": value for name, value in differences(link).items()}
-        specs.append(NodeSpec("link_emulator", "link_emulator", "/", parameters))
+        specs.append(_link_emulator_spec(fleet, link, sim_time=sim_time))
     if fleet.replay.bags:
-        parameters = {"vehicles": list(here), **differences(fleet.replay)}
-        finding = [name for name, config in here.items() if config.start.method != "given"]
-        parameters |= {"finding_start": finding} if finding else {}
-        parameters |= _replay_inputs(here)
-        specs.append(NodeSpec("replay", "replay", "/", parameters))
+        specs.append(_replay_spec(fleet, here))
     return specs
+
+
+def _link_emulator_spec(fleet: FleetConfig, link: LinkConfig, *, sim_time: bool) -> NodeSpec:
+    parameters = {"vehicles": list(fleet.vehicles), "use_sim_time": sim_time}
+    parameters |= {f"link.{name}": value for name, value in differences(link).items()}
+    return NodeSpec("link_emulator", "link_emulator", "/", parameters)
+
+
+def _replay_spec(fleet: FleetConfig, here: Mapping[str, VehicleConfig]) -> NodeSpec:
+    """Return the replay for the vehicles of this computer; of those that find their start state none is replayed."""
+    parameters = {"vehicles": list(here), **differences(fleet.replay)}
+    finding = [name for name, config in here.items() if config.start.method != "given"]
+    parameters |= {"finding_start": finding} if finding else {}
+    return NodeSpec("replay", "replay", "/", parameters | _replay_inputs(here))
 
 
 def _vehicle_specs(
