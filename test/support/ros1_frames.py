@@ -7,7 +7,7 @@ import numpy as np
 
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import decode, encode
-from uav_vslam.datasets.flight_writer import TF, TF_STATIC
+from uav_vslam.datasets.frame_tree import TF, TF_STATIC
 from uav_vslam.datasets.message_builders import transforms_message
 from uav_vslam.datasets.messages import transforms_of
 from uav_vslam.datasets.rosbag import iter_raw

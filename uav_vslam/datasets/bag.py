@@ -10,8 +10,7 @@ from uav_vslam.config import InputConfig
 from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.cdr import decode
-from uav_vslam.datasets.flight_writer import TF, TF_STATIC
-from uav_vslam.datasets.frame_tree import Edge, UnmovedFrames
+from uav_vslam.datasets.frame_tree import TF, TF_STATIC, Edge, UnmovedFrames
 from uav_vslam.datasets.messages import (
     TRUTH_TYPES,
     navigation_state_of,

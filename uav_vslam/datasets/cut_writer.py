@@ -20,7 +20,8 @@ from uav_vslam.datasets.bag_flight import BagFlight
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import decode, encode
 from uav_vslam.datasets.cutting import CutVehicle
-from uav_vslam.datasets.flight_writer import LATCHED_TOPICS, TF_STATIC
+from uav_vslam.datasets.flight_writer import LATCHED_TOPICS
+from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.message_builders import (
     camera_info_message,
     navigation_state_message,

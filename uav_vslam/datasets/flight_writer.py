@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.datasets.bag_recorder import RawRecorder
 from uav_vslam.datasets.cdr import encoded_view
+from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.message_builders import (
     camera_info_message,
     compressed_image_message,
@@ -28,8 +29,6 @@ from uav_vslam.errors import BagError
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.types import ImuSample, NavEstimate, StereoFrame
 
-TF_STATIC = "/tf_static"
-TF = "/tf"
 LATCHED_TOPICS = (TF_STATIC, "initial_state")
 
 # Order of messages with equal stamps: subscribers need the start state before the image.

@@ -8,6 +8,7 @@ import numpy as np
 from uav_vslam.errors import CalibrationError
 from uav_vslam.geometry.pose import Pose
 
+TF, TF_STATIC = "/tf", "/tf_static"  # topics
 SAME_PLACE = 1e-4  # largest difference of two poses that are the same [m], and of their rotation matrices
 
 

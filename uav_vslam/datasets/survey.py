@@ -16,8 +16,7 @@ from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import IMAGE_TYPES
 from uav_vslam.datasets.calibration_files import Calibration
 from uav_vslam.datasets.cdr import RawMessage, decode
-from uav_vslam.datasets.flight_writer import TF, TF_STATIC
-from uav_vslam.datasets.frame_tree import UnmovedFrames
+from uav_vslam.datasets.frame_tree import TF, TF_STATIC, UnmovedFrames
 from uav_vslam.datasets.messages import (
     TRUTH_TYPES,
     header_stamp_ns,

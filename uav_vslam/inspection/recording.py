@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.config import VehicleConfig, replaced
 from uav_vslam.datasets.bag import DEFAULT_VEHICLE, open_flight
-from uav_vslam.datasets.flight_writer import TF_STATIC
+from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo, topics_of
 from uav_vslam.datasets.sensor_setup import with_noise_of_files
 from uav_vslam.datasets.survey import Survey, message_count, survey_flight

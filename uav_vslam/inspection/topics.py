@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from uav_vslam.config import InputConfig
 from uav_vslam.config.input import COMPRESSED, image_names
 from uav_vslam.datasets.bag import DEFAULT_VEHICLE
-from uav_vslam.datasets.flight_writer import TF, TF_STATIC
+from uav_vslam.datasets.frame_tree import TF, TF_STATIC
 from uav_vslam.datasets.rosbag import TopicInfo
 from uav_vslam.datasets.survey import TYPES, Survey, topic_of
 from uav_vslam.geometry.stereo import SIDES

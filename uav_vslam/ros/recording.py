@@ -10,6 +10,7 @@ from uav_vslam.config.input import image_names
 from uav_vslam.datasets.bag import unmoved_edges
 from uav_vslam.datasets.bag import vehicles as vehicles_of
 from uav_vslam.datasets.cdr import RawMessage, encode
+from uav_vslam.datasets.frame_tree import TF, TF_STATIC
 from uav_vslam.datasets.message_builders import transforms_message
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.datasets.rosbag import TopicInfo, iter_raw, topics_of
@@ -19,7 +20,6 @@ from uav_vslam.geometry.stereo import SIDES
 from uav_vslam.ros.recorded import FRAME_PARTS, FrameShape, Kind, Recorded
 from uav_vslam.types import NS_PER_S
 
-TF, TF_STATIC = "/tf", "/tf_static"
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 INITIAL_STATE = "initial_state"
 KINDS = {"left": Kind.LEFT, "right": Kind.RIGHT, "left_info": Kind.INFO, "imu": Kind.IMU}  # by role

@@ -30,6 +30,7 @@ from tf2_msgs.msg import TFMessage
 from uav_vslam.config import InputConfig
 from uav_vslam.config.nodes import ReplayNodeConfig
 from uav_vslam.config.settings import build
+from uav_vslam.datasets.frame_tree import TF_STATIC
 from uav_vslam.datasets.messages import header_stamp_ns
 from uav_vslam.errors import BagError, ConfigError
 from uav_vslam.ros.answers import EARLY_ANSWER, IMU_AHEAD, Answers, Readings
@@ -40,7 +41,7 @@ from uav_vslam.ros.params import declare, read
 from uav_vslam.ros.qos import IMAGE, LATCHED, RESUMABLE, SENSOR, STATE
 from uav_vslam.ros.readiness import Readiness
 from uav_vslam.ros.recorded import Kind, Recorded
-from uav_vslam.ros.recording import INITIAL_STATE, TF_STATIC, Recording
+from uav_vslam.ros.recording import INITIAL_STATE, Recording
 from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam_msgs.msg import NavigationState, StereoFeatures
