@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scale and place of a reconstruction: by the height that is given, or by GPS, even if its receiver was stuck."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from uav_vslam.mapping.pictures.bundle import Scene
 from uav_vslam.mapping.pictures.gps_positions import local_positions
 from uav_vslam.mapping.pictures.lens import PARAMETERS, project
 from uav_vslam.mapping.pictures.picture import Geodetic, Picture
-from uav_vslam.mapping.pictures.placement import HEIGHT_WITHOUT_SCALE, Placement, place
+from uav_vslam.mapping.pictures.placement import HEIGHT_WITHOUT_SCALE, Placement, levelled, place
 from uav_vslam.mapping.pictures.procedure import Adjusted
 from uav_vslam.mapping.pictures.tracks import Tracks
 
@@ -186,3 +187,29 @@ def test_positions_on_both_sides_of_the_antimeridian_are_neighbours(flown: tuple
         height, placement = placed(flown[1], gps(flown[0]), datum=datum)
         assert placement.believed
         assert height == pytest.approx(HEIGHT_M, rel=0.1)
+
+
+def test_points_that_only_two_cameras_on_one_vehicle_see_do_not_tilt_the_ground(flown: tuple[Array, Adjusted]) -> None:
+    scene, tracks = flown[1].scene, flown[1].tracks
+    rng = np.random.default_rng(4)
+    ray = np.column_stack([rng.uniform(-0.4, 0.4, (300, 2)), np.ones(300)])  # in the first camera's axes
+    anywhere = scene.centres[0] + SCALE * HEIGHT_M * rng.uniform(0.5, 500.0, (300, 1)) * (ray @ scene.R_cam_map[0])
+    twin = scene.centres[0] + SCALE * np.array([0.1, 0.0, 0.0])
+    seen = [
+        project((anywhere - c) @ scene.R_cam_map[0].T, scene.lenses.repeat(300, 0)) for c in (scene.centres[0], twin)
+    ]
+    more = Tracks(
+        np.append(tracks.picture, np.tile([0, SIDE * SIDE], 300)),
+        np.append(tracks.point, tracks.count + np.arange(300).repeat(2)),
+        np.vstack([tracks.pixels, np.stack(seen, axis=1).reshape(-1, 2)]),
+        tracks.count + 300,
+    )
+    both = replace(
+        scene,
+        R_cam_map=np.vstack([scene.R_cam_map, scene.R_cam_map[:1]]),
+        centres=np.vstack([scene.centres, twin]),
+        lens_of=np.append(scene.lens_of, 0),
+        points=np.vstack([scene.points, anywhere]),
+    )
+    level = levelled(replace(flown[1], scene=both, tracks=more, used=np.arange(SIDE * SIDE + 1)))
+    np.testing.assert_allclose(level.scene.R_cam_map[:, 2], levelled(flown[1]).scene.R_cam_map[[0] * 26, 2], atol=1e-9)

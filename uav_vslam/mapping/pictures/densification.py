@@ -36,6 +36,16 @@ def all_points(adjusted: Adjusted, tracks: Tracks, pictures: Sequence[Picture]) 
     return np.asarray(points[(worst <= MOST_SIGMAS * adjusted.noise_px) & (angle >= LEAST_ANGLE_RAD)])
 
 
+def ground_points(adjusted: Adjusted) -> Array:
+    """Return those (P, 3) points of the scene with rays at a fair angle; all, if there are none.
+
+    The others lie anywhere along their rays: two cameras on one vehicle take pictures from almost the same place.
+    """
+    _, angle = intersected(adjusted, adjusted.tracks)
+    fair = angle >= LEAST_ANGLE_RAD
+    return adjusted.scene.points[fair] if fair.any() else adjusted.scene.points
+
+
 def intersected(adjusted: Adjusted, tracks: Tracks) -> tuple[Array, Array]:
     """Return (P, 3) points nearest to their rays, and (P,) typical angles between a point's rays [rad]."""
     scene, picture = adjusted.scene, tracks.picture

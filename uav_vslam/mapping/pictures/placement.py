@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frame of the result: z up from the ground, and east, north and metres as far as GPS tells them.
 
-Pictures alone leave a similarity open. The plane through the ground's points is made level. If GPS is there, scale, yaw
-and position follow from the similarity in the plane that brings half of the positions nearest, whatever the others are
-(least median of squares [rousseeuw84], then re-weighted), and the ground's slope from their heights. How far the
-positions then lie from the pictures' tells whether they can be believed; if so, they enter a last adjustment.
+Pictures alone leave a similarity open. The plane through the ground's points, but those that are seen from one place
+only, is made level. If GPS is there, scale, yaw and position follow from the similarity in the plane that brings half
+of the positions nearest, whatever the others are (least median of squares [rousseeuw84], then re-weighted), and the
+ground's slope from their heights. How far the positions then lie from the pictures' tells whether they can be believed;
+if so, they enter a last adjustment.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.geodetic import Datum
 from uav_vslam.mapping.pictures.bundle import Priors, Scene
+from uav_vslam.mapping.pictures.densification import ground_points
 from uav_vslam.mapping.pictures.gps_positions import local_positions, without_repeats
 from uav_vslam.mapping.pictures.picture import Picture
 from uav_vslam.mapping.pictures.procedure import Adjusted, finish, lens_priors
@@ -71,7 +73,7 @@ class Placement:
 def levelled(adjusted: Adjusted) -> Adjusted:
     """Return the scene with z up from the plane of its points, at a median height of one."""
     scene = adjusted.scene
-    normal, point = ground_plane(scene.points)
+    normal, point = ground_plane(ground_points(adjusted))
     centres = scene.centres[adjusted.used]
     if np.median((centres - point) @ normal) < 0.0:
         normal = -normal
@@ -177,7 +179,7 @@ def _sloping(adjusted: Adjusted, positions: Array, used: NDArray[np.intp]) -> Ad
 
 def _ground_slope(adjusted: Adjusted) -> Array:
     """Return the (2,) gradient of the ground on average."""
-    normal, _ = ground_plane(adjusted.scene.points)
+    normal, _ = ground_plane(ground_points(adjusted))
     return np.asarray(-normal[:2] / normal[2])
 
 
