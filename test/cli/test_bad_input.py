@@ -402,6 +402,7 @@ def test_wrong_paths_and_numbers_are_told(
     [
         (["--map", "FILE/map"], "map/uav1: can't be made"),
         (["--map", "/proc/map"], "/proc/map/uav1: can't be made"),
+        (["--map", "FOLDER"], "folder/uav1/tiles already holds a height grid"),
         (["--record", "FILE/bag"], "bag: can't be made"),
         (["--record", "FOLDER"], "folder exists already"),
     ],
@@ -409,7 +410,8 @@ def test_wrong_paths_and_numbers_are_told(
 def test_places_that_can_not_be_made_are_told_before_a_fleet_starts(
     options: list[str], said: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder/uav1/tiles").mkdir(parents=True)
+    (tmp_path / "folder/uav1/tiles/grid.json").touch()
     (tmp_path / "file").write_text("no folder")
     fleet = tmp_path / "fleet.yaml"
     fleet.write_text(f"vehicles: {{uav1: {{}}}}\nreplay: {{bags: [{good}]}}\n")

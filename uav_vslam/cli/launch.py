@@ -177,9 +177,10 @@ def launch(
 
 
 def _check_places(record: Path | None, maps: str, vehicles: Collection[str]) -> None:
-    """Refuse folders that can't be made before anything is started: nodes would fail one by one."""
+    """Refuse folders that can't be made or are taken before anything is started: nodes would fail one by one."""
     from uav_vslam.datasets.unfinished import require_place
     from uav_vslam.errors import BagError
+    from uav_vslam.mapping.surface.tiles import TILES, require_no_grid
 
     if record is not None:
         if record.exists():
@@ -187,6 +188,7 @@ def _check_places(record: Path | None, maps: str, vehicles: Collection[str]) -> 
         require_place(record)
     for name in vehicles if maps else ():
         require_place(Path(maps) / name)
+        require_no_grid(Path(maps) / name / TILES)
 
 
 def _environment(domain_id: int | None, log_dir: Path | None, *, own_radio: bool) -> dict[str, str]:

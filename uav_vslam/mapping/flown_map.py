@@ -20,6 +20,7 @@ from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.surface.grid import HeightGrid
 from uav_vslam.mapping.surface.mapper import SurfaceMapper
 from uav_vslam.mapping.surface.settings import SurfaceSettings
+from uav_vslam.mapping.surface.tiles import TILES
 from uav_vslam.mapping.surface_files import FIGURES, write_surface
 from uav_vslam.mapping.view import View
 
@@ -53,7 +54,7 @@ class FlownMap:
         """
         settings = SurfaceSettings()
         self.folder = folder
-        self.grid = HeightGrid(cell_m, folder / "tiles" if folder else None)
+        self.grid = HeightGrid(cell_m, folder / TILES if folder else None)
         self.mapper, self.overlap = SurfaceMapper(self.grid, settings), Overlap()
         self._scratch = TemporaryDirectory(dir=folder, prefix="mosaic_") if folder and pixel_m else None
         tiles = Path(self._scratch.name) if self._scratch else None

@@ -22,8 +22,19 @@ CELL = np.dtype(
 )
 Tile = NDArray[np.void]
 
+TILES = "tiles"  # the folder of a map that holds them
 INDEX = "grid.json"
 VERSION = 1
+
+
+def require_no_grid(folder: Path) -> None:
+    """Refuse a folder that holds a grid.
+
+    Raises:
+        UavVslamError: it does.
+    """
+    if (folder / INDEX).exists():
+        raise UavVslamError(f"{folder} already holds a height grid; name another folder, or open that one")
 
 
 class GridTiles(TileStore[Tile]):
@@ -37,8 +48,7 @@ class GridTiles(TileStore[Tile]):
         """
         super().__init__(cell_m, folder, most_tiles=max(1, most_bytes // (SIDE * SIDE * CELL.itemsize)))
         if folder is not None:
-            if (folder / INDEX).exists():
-                raise UavVslamError(f"{folder} already holds a height grid; name another folder, or open that one")
+            require_no_grid(folder)
             self.flush()
 
     @staticmethod
