@@ -168,7 +168,7 @@ def _tags(raster: Raster, datum: Datum | None) -> list[Any]:
 def _keys(datum: Datum | None) -> tuple[tuple[int, ...], tuple[float, ...], str]:
     """Return the directory of GeoKeys, its doubles and its texts."""
     if datum is None:
-        text = "map frame: metres east and north of its origin, without datum|"
+        text = "map frame, without datum|"  # pictures alone tell neither metres nor north
         entries = [(1024, 0, 1, USER_DEFINED), (1025, 0, 1, AREA), (1026, TEXTS, len(text), 0)]
         return _directory(entries), (), text
     text = "transverse Mercator centred on the map's datum|"
