@@ -137,6 +137,8 @@ def test_a_portrait_picture_is_turned_to_lie_like_the_others(tmp_path: Path) -> 
     ("text", "told"),
     [
         ("file,lat_deg,lon_deg\na.png,1,2\n", "alt_m"),
+        (TABLE.replace(",", ";") + "a.png;30.1;20;350;\n", "first line is 'file;lat_deg"),
+        (TABLE + "S\xfcd.png,30.1,20,350,\n", "not UTF-8"),
         (TABLE + "a.png,30.1,x,350,\n", "line 2"),
         (TABLE + "a.png,130.1,20,350,\n", "WGS 84"),
     ],
@@ -144,7 +146,7 @@ def test_a_portrait_picture_is_turned_to_lie_like_the_others(tmp_path: Path) -> 
 def test_a_malformed_table_is_an_error_that_says_where(tmp_path: Path, text: str, told: str) -> None:
     for k, name in enumerate("ab"):
         picture(tmp_path / f"{name}.png", seed=k)
-    (tmp_path / "gps.csv").write_text(text)
+    (tmp_path / "gps.csv").write_text(text, encoding="latin-1")
     with pytest.raises(PictureError, match=told):
         read_folder(tmp_path)
 

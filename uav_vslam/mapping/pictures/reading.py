@@ -83,14 +83,20 @@ def read_positions(path: Path) -> dict[str, Row]:
     """Return the rows of a table of positions by the pictures' file names.
 
     Raises:
-        PictureError: a column is missing, or a value is no number or out of range.
+        PictureError: it is not UTF-8, a column is missing, or a value is no number or out of range.
     """
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader(file)
-        missing = [name for name in NEEDED if name not in (reader.fieldnames or ())]
-        if missing:
-            raise PictureError(f"{path} has no column {', '.join(missing)}; it needs {','.join(NEEDED)}[,datetime]")
-        return {row["file"]: _row(row, f"{path}, line {reader.line_num}") for row in reader}
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file)
+            found = reader.fieldnames or ()
+            if missing := [name for name in NEEDED if name not in found]:
+                raise PictureError(
+                    f"{path} has no column {', '.join(missing)}; it needs {','.join(NEEDED)}[,datetime], separated by "
+                    f"commas, and its first line is {','.join(found)!r}"
+                )
+            return {row["file"]: _row(row, f"{path}, line {reader.line_num}") for row in reader}
+    except UnicodeDecodeError as error:
+        raise PictureError(f"{path} is not UTF-8 ({error.reason}); save it as CSV in UTF-8") from None
 
 
 def _row(row: dict[str, str], where: str) -> Row:
