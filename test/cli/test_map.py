@@ -72,7 +72,7 @@ def test_the_orthomosaic_of_two_vehicles_shows_the_true_ground_at_its_place(resu
 
 
 def test_a_flight_that_has_been_run_gives_the_same_map(
-    result: Path, bag: Path, capsys: pytest.CaptureFixture[str]
+    result: Path, bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = (result / "map/map.json").read_bytes()
     assert main(["map", str(result)]) == 2
@@ -85,7 +85,10 @@ def test_a_flight_that_has_been_run_gives_the_same_map(
         assert np.array_equal(np.load(tile)["cells"], np.load(result / "map/tiles" / tile.name)["cells"])
     shutil.rmtree(result / "map")
     options = ["--bags", str(bag), "--vehicles", "uav2", "--cell", "1", "--datum=-28.2325,153.0012,20", "--yaw", "30"]
+    axes: list[str] = []
+    monkeypatch.setattr("uav_vslam.report.style.save", lambda drawn, _: axes.append(drawn.axes[0].get_ylabel()))
     assert main(["map", str(result), *options]) == 0
+    assert axes == ["y [m]", "y [m]"]  # not north
     tree = json.loads((result / "map/map.json").read_text())
     assert list(tree["vehicles"]) == ["uav2"]
     assert tree["datum"] == {"latitude_deg": -28.2325, "longitude_deg": 153.0012, "height_m": 20.0, "yaw_deg": 30.0}

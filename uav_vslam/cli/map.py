@@ -117,7 +117,7 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: D
         for vehicle, share in tree.pop("shares").items():
             tree["vehicles"][vehicle]["share"] = share
     write_json(folder / FIGURES, tree)
-    _draw(grid, overlap, folder)
+    _draw(grid, overlap, folder, turned=datum is not None and datum.yaw_deg != 0.0)
     print_map(tree, _times_ms(mapper))
     if mapper.least_cell_m:
         count, least_m = mapper.refused[SMALL_CELLS], mapper.least_cell_m
@@ -131,13 +131,13 @@ def _times_ms(mapper: SurfaceMapper) -> dict[str, float]:
     return {stage: 1e3 * seconds / frames for stage, seconds in mapper.seconds.items()}
 
 
-def _draw(grid: HeightGrid, overlap: Overlap, folder: Path) -> list[Path]:
-    from uav_vslam.report.height_picture import height_picture, overlap_picture
+def _draw(grid: HeightGrid, overlap: Overlap, folder: Path, *, turned: bool) -> list[Path]:
+    from uav_vslam.report.height_picture import MAP, TURNED, height_picture, overlap_picture
     from uav_vslam.report.style import save
 
-    extent = overlap.extent(grid)
+    extent, frame = overlap.extent(grid), TURNED if turned else MAP
     figures: dict[str, Any] = {
-        PICTURE: height_picture(grid.height(extent), extent.bounds_m),
-        "overlap.png": overlap_picture(overlap.count(grid, extent), extent.bounds_m),
+        PICTURE: height_picture(grid.height(extent), extent.bounds_m, frame),
+        "overlap.png": overlap_picture(overlap.count(grid, extent), extent.bounds_m, frame),
     }
     return [save(figure, folder / name) for name, figure in figures.items() if figure is not None]

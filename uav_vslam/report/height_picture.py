@@ -35,7 +35,7 @@ class Frame:
     unit: str = "m"
 
 
-MAP = Frame()
+MAP, TURNED = Frame(), Frame("x", "y")
 
 
 def height_picture(height: NDArray[np.floating], bounds_m: Bounds, frame: Frame = MAP) -> Figure | None:

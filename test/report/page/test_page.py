@@ -108,6 +108,17 @@ def test_the_quality_of_the_map_is_that_of_map_json(full: Path, tmp_path: Path) 
     assert SUMMARY["accuracy"]["ce90_m"] == 0.21
 
 
+def test_a_map_that_is_turned_is_not_called_north_up(full: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(full, tmp_path / "turned"))
+    datum = {"latitude_deg": -28.2325, "longitude_deg": 153.0012, "height_m": 20.0}
+    for yaw, up, axis in (({}, "north up", ""), ({"yaw_deg": 30.0}, "x to the right, y up", "30° counter-clockwise")):
+        (folder / "map" / "map.json").write_text(json.dumps(SUMMARY | {"datum": datum | yaw}))
+        text = write_page([folder]).read_text()
+        assert f"Orthomosaic, {up}" in text
+        assert axis in text
+        assert ("North to south" in text) == (not yaw)
+
+
 def test_a_map_may_lack_anything_but_its_summary(full: Path, tmp_path: Path) -> None:
     folder = tmp_path / "less"
     shutil.copytree(full, folder)

@@ -45,6 +45,7 @@ def quality_rows(summary: Figures) -> list[list[Cell]]:
     accuracy, model = summary.get("accuracy") or {}, summary.get("model") or {}
     low, high = surface.get("height_m") or (None, None)
     west, south, east, north = summary.get("bounds_m") or (None,) * 4
+    along_x, along_y = ("Along x", "Along y") if _yaw_deg(summary) else ("East to west", "North to south")
     source = "claimed" if accuracy.get("claimed") else "against the truth"
     figures = [
         ("Ground sampling distance", summary.get("gsd_m"), "m"),
@@ -56,8 +57,8 @@ def quality_rows(summary: Figures) -> list[list[Cell]]:
         ("Median 1σ of the height", surface.get("median_sigma_m"), "m"),
         ("Coverage", _percent(surface.get("coverage")), "%"),
         ("Filled from neighbours", _percent(surface.get("filled")), "%"),
-        ("East to west", None if west is None or east is None else east - west, "m"),
-        ("North to south", None if south is None or north is None else north - south, "m"),
+        (along_x, None if west is None or east is None else east - west, "m"),
+        (along_y, None if south is None or north is None else north - south, "m"),
         ("Lowest height", low, "m"),
         ("Highest height", high, "m"),
         ("Triangles of the model", model.get("triangles"), ""),
@@ -74,6 +75,7 @@ def _section(flight: FlightFiles, picture_bytes: int, model_bytes: int, *, sever
     summary = read_json(folder / SUMMARY)
     ending = f": {flight.label}" if several else ""
     rows = quality_rows(summary)
+    axes = "x to the right, y up" if _yaw_deg(summary) else "north up"
     vehicles = [
         [name, str(found.get("views", "–")), f"{100.0 * found['share']:.0f} %" if "share" in found else "–"]
         for name, found in (summary.get("vehicles") or {}).items()
@@ -87,7 +89,7 @@ def _section(flight: FlightFiles, picture_bytes: int, model_bytes: int, *, sever
             table(["Vehicle", "Views", "Share"], vehicles, caption="Views per vehicle") if vehicles else None,
             class_="cells",
         ),
-        _picture(folder, ORTHOMOSAICS, "Orthomosaic, north up", round(SHARES["orthomosaic"] * picture_bytes)),
+        _picture(folder, ORTHOMOSAICS, f"Orthomosaic, {axes}", round(SHARES["orthomosaic"] * picture_bytes)),
         _model(folder / MODEL, model_bytes),
         tag(
             "div",
@@ -126,4 +128,10 @@ def _percent(share: float | None) -> float | None:
 def _datum(datum: Figures | None) -> str:
     if not datum:
         return ""
-    return f", origin at {datum['latitude_deg']:.6f}°, {datum['longitude_deg']:.6f}°, {datum['height_m']:.1f} m"
+    turned = f", x axis {yaw:g}° counter-clockwise from east" if (yaw := datum.get("yaw_deg")) else ""
+    return f", origin at {datum['latitude_deg']:.6f}°, {datum['longitude_deg']:.6f}°, {datum['height_m']:.1f} m{turned}"
+
+
+def _yaw_deg(summary: Figures) -> float:
+    """Return by how much the map's x axis is turned from east, counter-clockwise, as far as it is known [deg]."""
+    return float((summary.get("datum") or {}).get("yaw_deg", 0.0))
