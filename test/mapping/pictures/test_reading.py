@@ -48,6 +48,16 @@ def test_exif_gives_focal_length_time_and_position(tmp_path: Path) -> None:
     assert first.position.height_m == pytest.approx(347.0)
 
 
+def test_gps_without_an_altitude_is_named_unless_the_table_has_one(tmp_path: Path) -> None:
+    degrees = (IFDRational(30), IFDRational(10), IFDRational(36))
+    for k, name in enumerate("abc"):
+        gps = {1: "N", 2: degrees, 3: "W", 4: degrees} | ({6: IFDRational(3470, 10)} if name == "c" else {})
+        picture(tmp_path / f"{name}.jpg", seed=k, tags={0x8825: gps})
+    (tmp_path / "gps.csv").write_text(TABLE + "b.jpg,30.1,-98.1,350,\n")
+    (warning,) = read_folder(tmp_path).warnings
+    assert "without an altitude: a.jpg;" in warning
+
+
 def test_the_focal_plane_gives_the_focal_length_of_a_shrunk_picture() -> None:
     tags = {0x920A: 8.8, 0xA20E: 4000 / 13.2 * 10.0, 0xA210: 3, 0xA002: 4000}
     assert focal_px(tags, (1000, 750)) == pytest.approx(8.8 * 1000 / 13.2)

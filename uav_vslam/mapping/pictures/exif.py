@@ -25,12 +25,16 @@ Tags = Mapping[int, Any]
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """EXIF data as far as they are there; `focal_px` is for the image's stored width and height."""
+    """EXIF data as far as they are there.
+
+    `focal_px` is for the image's stored width and height; `without_altitude`: GPS has a place, but no altitude.
+    """
 
     camera: str
     focal_px: float | None
     time_s: float | None
     position: Geodetic | None
+    without_altitude: bool
 
 
 def metadata_of(image: PillowImage.Image) -> Metadata:
@@ -43,6 +47,7 @@ def metadata_of(image: PillowImage.Image) -> Metadata:
         focal_px(details, image.size),
         clock_s(details.get(DATE_TIME_ORIGINAL) or main.get(DATE_TIME), details.get(SUBSECONDS)),
         position_of(gps),
+        _number(gps.get(ALTITUDE)) is None and position_of({**gps, ALTITUDE: 0.0}) is not None,
     )
 
 

@@ -50,7 +50,7 @@ def read_folder(folder: Path, *, focal_px: float | None = None) -> Folder:
         raise PictureError(f"{folder} is not a folder; name the one that holds the pictures")
     files = _files(folder)
     below = [path for path in sorted(folder.iterdir()) if path.is_dir() and _files(path)]
-    pictures, unreadable = _opened(files)
+    pictures, unreadable, flat = _opened(files)
     pictures, copies = _without_copies(pictures)
     if len(pictures) < FEWEST:
         raise PictureError(
@@ -63,7 +63,7 @@ def read_folder(folder: Path, *, focal_px: float | None = None) -> Folder:
     if focal_px is not None:
         pictures = [dataclasses.replace(picture, focal_px=focal_px) for picture in pictures]
     pictures = [_with_row(picture, positions) for picture in _by_focal_length(_lying_alike(pictures))]
-    texts = [*_left_out(unreadable, copies, below), *_unnamed(positions, pictures)]
+    texts = [*_left_out(unreadable, copies, below), *_unnamed(positions, pictures), *_without_altitude(flat, pictures)]
     return Folder(tuple(_by_time(pictures)), tuple(texts))
 
 
@@ -111,9 +111,9 @@ def _row(row: dict[str, str], where: str) -> Row:
     return Row(None if position.unset else position, clock_s(row.get("datetime")))
 
 
-def _opened(files: Sequence[Path]) -> tuple[list[Picture], list[Path]]:
-    """Return the pictures of files, and the files that are none or damaged."""
-    found, unreadable = [], []
+def _opened(files: Sequence[Path]) -> tuple[list[Picture], list[Path], set[Path]]:
+    """Return the pictures of files, the files that are none or damaged, and those whose GPS has no altitude."""
+    found, unreadable, flat = [], [], set()
     for path in files:
         try:
             with PillowImage.open(path) as image:
@@ -123,7 +123,9 @@ def _opened(files: Sequence[Path]) -> tuple[list[Picture], list[Path]]:
             unreadable.append(path)
             continue
         found.append(Picture(path, *size, False, data.camera, data.focal_px, data.time_s, data.position))
-    return found, unreadable
+        if data.without_altitude:
+            flat.add(path)
+    return found, unreadable, flat
 
 
 def _check_whole(image: PillowImage.Image) -> None:
@@ -216,6 +218,11 @@ def _of_other_kinds(folder: Path) -> Iterator[str]:
 def _unnamed(rows: dict[str, Row], pictures: Sequence[Picture]) -> Iterator[str]:
     if rows and not any(picture.name in rows for picture in pictures):
         yield f"{TABLE} names none of the pictures; its column `file` must hold names such as {pictures[0].name}"
+
+
+def _without_altitude(flat: set[Path], pictures: Sequence[Picture]) -> Iterator[str]:
+    if names := [picture.name for picture in pictures if picture.position is None and picture.path in flat]:
+        yield f"not used, GPS positions without an altitude: {listed(names)}; {TABLE} can give them with one"
 
 
 def listed(names: Sequence[str]) -> str:
