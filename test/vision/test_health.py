@@ -95,3 +95,13 @@ def test_a_third_of_the_pairs_missing_for_long_stays_reported(rig: StereoRig) ->
 def test_jittering_and_irregular_stamps_raise_no_alarm(rig: StereoRig, jitter: float) -> None:
     stamps_s = np.cumsum(0.1 + jitter * np.random.default_rng(4).random(60))
     assert pair_alarms(rig, 1.0 + stamps_s) == [""] * 60
+
+
+def test_a_camera_that_shows_nothing_is_reported_beside_one_that_was_poor_before(rig: StereoRig) -> None:
+    health, rng = FrontendHealth(rig, EPIPOLAR_PX), np.random.default_rng(5)
+    left, right = rng.integers(0, 120, (2, 120, 160), np.uint8)
+    assert health.check_images(1, left, right)
+    assert health.check_images(2, 2 * left, right + 1)
+    assert list(health.alarms) == ["left image"]
+    assert not health.check_images(3, np.zeros_like(left), right)
+    assert list(health.alarms) == ["left camera"]

@@ -48,7 +48,10 @@ class FrontendHealth:
         self._count_missing(stamp_ns)
         for (name, camera), image in zip(self._cameras.items(), (left, right), strict=True):
             found = camera.add(image)
-            self._set(f"{name} camera", f"the {name} camera {' and '.join(found)}" if found else "")
+            text = f"the {name} camera {' and '.join(found)}" if found else ""
+            # Two subjects, for each is logged at its onset only: an image that is not used, and one that is poor.
+            self._set(f"{name} camera", text if camera.blind else "")
+            self._set(f"{name} image", "" if camera.blind else text)
         self._set("image order", "")
         return not any(camera.blind for camera in self._cameras.values())
 

@@ -59,7 +59,7 @@ def test_the_study_of_faults_flies_through_each_and_tells_what_was_said(tmp_path
     assert "left camera" in said["black images, 3 s"]
     assert "right camera" in said["black images, 3 s"]
     assert said["right camera frozen, 3 s"].startswith("right camera")
-    assert "left camera" in said["half as bright, 3 s"]
+    assert "left image" in said["half as bright, 3 s"]
     coasted = {row["condition"]: row["frames_coasted"] for row in rows}
     assert coasted["none"] <= 1  # the first frame has no landmarks yet
     assert coasted["left and right swapped, 1 s"] >= 5
