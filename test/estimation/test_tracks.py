@@ -8,10 +8,14 @@ import pytest
 from numpy.typing import NDArray
 
 from uav_vslam.config import RigConfig
+from uav_vslam.estimation.belief import NO_ROWS
+from uav_vslam.estimation.filter import Filter
+from uav_vslam.estimation.filters import FILTERS
 from uav_vslam.estimation.past_poses import PastPoses
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.tracks import DRIFT, LEFT, OFFSET, TrackObservation, Tracks, observe_tracks
 from uav_vslam.geometry.pose import POSE_DIM
+from uav_vslam.types import NavEstimate
 
 Array = NDArray[np.float64]
 
@@ -216,3 +220,36 @@ def test_without_its_landmarks_a_copy_with_tracks_knows_the_same_of_the_vehicle(
         np.testing.assert_allclose((others.covariance - mine.covariance) / np.outer(sigma, sigma), 0.0, atol=1e-6)
     np.testing.assert_allclose(other.nav.T_map_body.t, one.nav.T_map_body.t, atol=1e-9)
     np.testing.assert_allclose(other.nav.v_map, one.nav.v_map, atol=1e-9)
+
+
+def flown_at_wrong_velocity(course, error: Array, name: str = "eif") -> tuple[Filter, Tracks]:
+    """Return a filter over two frames with that velocity's error [m/s] and twice its variance, and their tracks."""
+    state, P = course.initial.state, course.initial.covariance.copy()
+    P[3:6, 3:6] = 2.0 * np.mean(error**2) * np.eye(3)
+    start = NavEstimate(dataclasses.replace(state, v_map=state.v_map - error), P)
+    f = FILTERS[name](start, rig=course.rig, imu=course.imu, track_sigma_px=SIGMA_PX)
+    f.keep_pose()
+    f.predict(course.increments[0])
+    f.keep_pose()
+    whole = seen_tracks(course)
+    return f, Tracks(np.nan_to_num(whole.pixels[3:, :2]), whole.seen[3:, :2])
+
+
+@pytest.mark.parametrize("name", ["eif", "ekf", "ukf"])
+def test_tracks_that_move_the_estimate_far_are_linearised_where_they_lead(course, name: str) -> None:
+    f, tracks = flown_at_wrong_velocity(course, np.array([10.0, -6.0, 4.0]), name)
+    other, passed, innovation = f.with_tracks(tracks, probability=0.99, become_landmarks=np.ones(len(tracks), bool))
+    assert passed.all()
+    assert innovation.nis < innovation.dof  # the tracks have no noise
+    first, last = (course.true_state(frame).T_map_body for frame in range(2))
+    moved = other.past.pose(0).inverse() @ other.past.pose(1)
+    truly = first.inverse() @ last
+    assert np.linalg.norm(moved.t - truly.t) < 0.01  # the prediction was 1.7 m off
+    seen_from = other.nav.T_map_body.inverse().apply(other.landmarks)
+    np.testing.assert_allclose(seen_from, last.inverse().apply(course.landmarks[3:]), atol=0.1)  # 1 sigma: 0.4 m
+
+
+def test_tracks_that_fit_the_prediction_are_linearised_there(course) -> None:
+    f, tracks = flown_at_wrong_velocity(course, np.array([0.05, -0.05, 0.05]))
+    used, first = np.ones(len(tracks), bool), f._tracks_linearised(tracks)
+    assert f._tracks_relinearised(tracks, used, first, f.belief.covariance(NO_ROWS)) is first

@@ -14,7 +14,6 @@ import copy
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Self
 
 import numpy as np
@@ -46,7 +45,8 @@ from uav_vslam.estimation.rig_belief import (
     rig_evidence,
 )
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
-from uav_vslam.estimation.track_consensus import trusted
+from uav_vslam.estimation.track_consensus import WIDE, trusted
+from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
 from uav_vslam.estimation.weighted_update import Innovation, WeightedUpdate, huber_weights, whitened
 from uav_vslam.geometry.pose import POSE_DIM, Pose
@@ -59,6 +59,8 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseE
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+RELINEARISATIONS = 5  # of tracks, at most
+NONLINEAR = 1.0  # by which their squared residuals, over their noise, may exceed those predicted
 PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged
 
 
@@ -209,30 +211,67 @@ class Filter:
         """
         if len(tracks) == 0:
             return np.zeros(0, bool)
-        past = self.past.at_exposure(self.rig_state.time_offset_s)
         with _stamped(self.nav.stamp_ns):
-            observed = partial(
-                observe_tracks, past=past, rig=self.rig, errors=self._errors, sigma_px=self.track_sigma_px
+            P, first = self.belief.covariance(NO_ROWS), self._tracks_linearised(tracks)
+            passed = trusted(
+                first.seen,
+                (lambda: self._tracks_linearised(others()).seen) if others else None,
+                submatrix(P, self._track_rows),
+                probability,
             )
-            rows, seen = np.r_[self._errors.rows, self._past_rows], observed(tracks)
-            P = submatrix(self.belief.covariance(NO_ROWS), rows)
-            passed = trusted(seen, (lambda: observed(others())) if others else None, P, probability)
             if not passed.any():
                 return passed
-            of_poses = seen.chosen(passed).of_poses()
-            Y, i = np.zeros((self.vehicle,) * 2), np.zeros(self.vehicle)
-            Y[rows[:, None], rows], i[rows] = of_poses.Y, of_poses.i
-            self._of_tracks = dataclasses.replace(of_poses, Y=Y, i=i)
-            new = seen.chosen(passed & become_landmarks)
-            self.belief = self.belief.appended(self._by_vehicle(new.of_points, rows), new.R)
-            self.landmarks = np.vstack([self.landmarks, new.points])
+            linearised = self._tracks_relinearised(tracks, passed, first, P)
+            self._of_tracks = linearised.of_vehicle(passed)
+            points, H, R = linearised.of_points(passed & become_landmarks)
+            self.belief = self.belief.appended(H, R)
+            self.landmarks = np.vstack([self.landmarks, points])
         return passed
 
-    def _by_vehicle(self, H: Array, rows: Indices) -> Array:
-        """Return a Jacobian by some rows of the vehicle as one by all."""
-        whole = np.zeros((*H.shape[:-1], self.vehicle))
-        whole[..., rows] = H
-        return whole
+    @property
+    def _track_rows(self) -> Indices:
+        """The rows of the error that tracks depend on."""
+        return np.r_[self._errors.rows, self._past_rows]
+
+    def _tracks_linearised(self, tracks: Tracks, move: Move | None = None) -> LinearisedTracks:
+        """Linearise tracks at the mean."""
+        past = self.past.at_exposure(self.rig_state.time_offset_s)
+        seen = observe_tracks(tracks, past, rig=self.rig, errors=self._errors, sigma_px=self.track_sigma_px)
+        return LinearisedTracks(seen, self._track_rows, self.vehicle, move)
+
+    def _tracks_relinearised(self, tracks: Tracks, used: Mask, first: LinearisedTracks, P: Array) -> LinearisedTracks:
+        """Return tracks as linearised at the mean that those used lead to, or at this one if that is near enough.
+
+        P is the covariance of the vehicle.
+        """
+        best, said = first, first.of_vehicle(used)
+        if np.vdot(said.Y, P) < WIDE * used.sum():
+            return best
+        cost = said.norm2
+        for _ in range(RELINEARISATIONS):
+            weighted = np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i)
+            delta = P @ weighted
+            predicted = said.norm2 - float(delta @ (2.0 * said.i - said.Y @ delta))
+            other, move = self._moved(delta)
+            there = other._tracks_linearised(tracks, move)
+            residual = there.squared_residual(used)
+            if residual - predicted < NONLINEAR or residual + float(delta @ weighted) > cost:
+                break
+            best, said, cost = there, there.of_vehicle(used), residual + float(delta @ weighted)
+        return best
+
+    def _moved(self, delta: Array) -> tuple[Self, Move]:
+        """Return a copy without landmarks whose mean is moved by (vehicle,) `delta`, and that as a move."""
+        other = self.without_landmarks()
+        other.correct(other.belief, delta)
+        T = np.eye(self.vehicle)
+        if self._model.invariant:
+            before, after = self.nav, other.nav
+            B = other._transport(
+                after.T_map_body.t - before.T_map_body.t, after.v_map - before.v_map, other.past.t - self.past.t
+            )
+            T[:, ROTATION] -= B
+        return other, Move(delta, T)
 
     @property
     def has_tracks(self) -> bool:

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks linearised at another mean than the filter's, as what they say about the error of the filter's own mean.
+
+After a long time without an image the velocity may be off by metres a second. Over low ground, the first tracks then
+move the mean by a multiple of what a linearisation about it holds for: views that are exact to a hundredth of a pixel
+make the state certain of what is off by ten sigma. So they are linearised again at the mean that they lead to, until
+their residuals there are those that the linearisation predicts, as in an iterated Kalman filter.
+
+Symbols: with the mean moved by delta, the error becomes e' = T (e - delta), and a residual r' = H' e' + noise is
+r' + H' T delta = H' T e + noise.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.estimation.belief import Indices, VehicleObservation
+from uav_vslam.estimation.tracks import TrackObservation
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """From the filter's mean to another one.
+
+    Attributes:
+        delta: (vehicle,) correction.
+        T: (vehicle, vehicle) see above.
+    """
+
+    delta: Array
+    T: Array
+
+
+@dataclass(frozen=True, slots=True)
+class LinearisedTracks:
+    """Tracks linearised at a mean.
+
+    Attributes:
+        seen: there.
+        rows: of the vehicle's error, the columns of `seen.H`.
+        vehicle: number of rows of the vehicle's error.
+        move: from the filter's mean; None at that itself.
+    """
+
+    seen: TrackObservation
+    rows: Indices
+    vehicle: int
+    move: Move | None = None
+
+    def squared_residual(self, tracks: Mask) -> float:
+        """Return the sum of some tracks' whitened squared residuals at the mean."""
+        return self.seen.chosen(tracks).of_poses().norm2
+
+    def of_vehicle(self, tracks: Mask) -> VehicleObservation:
+        """Return what some tracks say about the error of the filter's mean."""
+        said = self.seen.chosen(tracks).of_poses()
+        Y, i = np.zeros((self.vehicle,) * 2), np.zeros(self.vehicle)
+        Y[self.rows[:, None], self.rows], i[self.rows] = said.Y, said.i
+        if self.move is None:
+            return dataclasses.replace(said, Y=Y, i=i)
+        T, delta = self.move.T, self.move.delta
+        Y, i = T.T @ Y @ T, T.T @ i
+        return dataclasses.replace(said, Y=Y, i=i + Y @ delta, norm2=said.norm2 + float(delta @ (2.0 * i + Y @ delta)))
+
+    def of_points(self, tracks: Mask) -> tuple[Array, Array, Array]:
+        """Return the points (K, 3) of some tracks, and what `Belief.appended` takes: (K, 3, vehicle) and (K, 3, 3)."""
+        chosen = self.seen.chosen(tracks)
+        H = np.zeros((len(chosen.points), 3, self.vehicle))
+        H[..., self.rows] = chosen.of_points
+        if self.move is None:
+            return chosen.points, H, chosen.R
+        H = H @ self.move.T
+        return chosen.points + np.linalg.solve(chosen.R, (H @ self.move.delta)[..., None])[..., 0], H, chosen.R
