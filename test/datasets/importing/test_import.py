@@ -266,6 +266,15 @@ def test_keyframes_far_apart_are_not_tracked(mav0: Path, tmp_path: Path) -> None
     assert config.frontend.method == "sift"
 
 
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["euroc", "euroc_video"])
+def test_the_configured_sigmas_allow_for_the_biases_of_eurocs_imu(data_root: Path, name: str) -> None:
+    mav0, imu = data_root / "euroc_v101_keyframes" / "mav0", load_vehicle(find_config(name)).imu
+    rows = np.loadtxt(mav0 / "state_groundtruth_estimate0" / "data.csv", delimiter=",")
+    assert np.abs(rows[:, 11:14]).max() < 2.0 * imu.gyro_bias_sigma
+    assert np.abs(rows[:, 14:17]).max() < 2.0 * imu.accel_bias_sigma
+
+
 def test_the_written_configuration_is_the_formats_and_one_that_is_there_is_kept(
     mav0: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
