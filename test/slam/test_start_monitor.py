@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.config.vehicle import START_METHODS, StartConfig
 from uav_vslam.estimation.weighted_update import Innovation
 from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
@@ -16,21 +17,22 @@ from uav_vslam.slam.stage import SlamStage
 from uav_vslam.slam.start_monitor import (
     MAX_COASTED,
     NEGLIGIBLE,
-    REMEDY,
     WATCHED_S,
     StartMonitor,
     velocity_correction,
 )
 from uav_vslam.types import NS_PER_S, NavEstimate, NavState
 
+REMEDY = "check initial_state and its covariance, the IMU noise and the calibration"
 ZERO = np.zeros(3)
 FRAMES = 24  # 3.2 s
 VELOCITY_SIGMA, TILT_SIGMA_DEG, YAW_SIGMA_DEG = 0.1, 0.2, 0.5  # of a simulated start
 
 
-def warnings_of(flight, initial: NavEstimate) -> list[str]:
+def warnings_of(flight, initial: NavEstimate, method: str = "given") -> list[str]:
     """Fly from a start state and return the warnings."""
-    stage = SlamStage(VehicleConfig(imu=flight.vehicle.scenario.imu_config), vehicle="uav1")
+    config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, start=StartConfig(method=method))
+    stage = SlamStage(config, vehicle="uav1")
     stage.rig = flight.vehicle.rig
     stage.start(initial)
     for features, increment in flight.frames:
@@ -68,6 +70,20 @@ def test_a_start_many_sigmas_off_is_detected_once(flown, what: str, seed: int) -
     flight = flown(seed)
     (warning,) = warnings_of(flight, moved(flight.vehicle.initial, **WRONG[what]))
     assert warning.endswith(REMEDY)
+
+
+def test_a_start_that_was_not_recorded_is_not_sought_in_the_recording(flown) -> None:
+    flight = flown(1)
+    (warning,) = warnings_of(flight, moved(flight.vehicle.initial, **WRONG["all velocities"]), "static")
+    assert "at rest, imu.gyro_bias_sigma and imu.accel_bias_sigma, the IMU noise" in warning
+    assert "initial_state" not in warning
+
+
+@pytest.mark.parametrize("method", START_METHODS)
+def test_each_method_of_a_start_has_its_remedy(method: str) -> None:
+    monitor = StartMonitor(method)
+    warning = [monitor.add(report(0.1 * k), DEAD_RECKONED) for k in range(MAX_COASTED + 1)][-1]
+    assert ("initial_state" in warning) == (method == "given")
 
 
 def report(second: float, *, innovation=None, features: int = 50, landmarks: int = 50, velocity=ZERO) -> FrameReport:

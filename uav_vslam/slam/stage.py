@@ -98,7 +98,7 @@ class SlamStage:
         self._queue = FrameQueue()
         self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
-        self._start_monitor, self._rig_monitor = StartMonitor(), RigMonitor(config.rig)
+        self._start_monitor, self._rig_monitor = StartMonitor(config.start.method), RigMonitor(config.rig)
         self._noise_monitor = NoiseMonitor(config.imu)
         self._dead_reckoning = DeadReckoning(config.imu)
         self._previous_ns: int | None = None

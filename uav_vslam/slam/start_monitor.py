@@ -23,13 +23,21 @@ NEGLIGIBLE = 0.01  # [m/s] corrections below are negligible at any covariance
 MAX_NIS_PER_DOF = 2.0  # of all updates since the start; a consistent filter is within a few percent of 1
 MAX_COASTED = 3  # frames with enough features, but none that the prediction explains
 
-REMEDY = "check initial_state and its covariance, the IMU noise and the calibration"
+OF_BIASES = "imu.gyro_bias_sigma and imu.accel_bias_sigma"
+CHECKED = {  # by `start.method`, besides what can be wrong with any start
+    "given": "initial_state and its covariance",
+    "static": f"that the vehicle was at rest, {OF_BIASES}",
+    "in_flight": OF_BIASES,
+    "map": f"the map, {OF_BIASES}",
+}
 
 
 class StartMonitor:
     """Monitors the frames after the start and warns once."""
 
-    def __init__(self) -> None:
+    def __init__(self, method: str = "given") -> None:
+        """Begin before the first frame; `method` is that of the start."""
+        self._remedy = f"check {CHECKED[method]}, the IMU noise and the calibration"
         self._end_ns: int | None = None
         self._nis, self._dof, self._coasted, self._landmarks = 0.0, 0, 0, 0
         self._warned = False
@@ -56,7 +64,7 @@ class StartMonitor:
         finding = self._finding(report, dead_reckoned)
         self._landmarks = report.landmarks
         self._warned = finding != ""
-        return f"{finding}; {REMEDY}" if finding else ""
+        return f"{finding}; {self._remedy}" if finding else ""
 
     def _finding(self, report: FrameReport, dead_reckoned: NavEstimate) -> str:
         if report.innovation is not None and report.innovation.dof > 0:
