@@ -126,6 +126,17 @@ def test_noise_of_a_track_is_white_after_whitening(course) -> None:
     assert abs(chi2.var() / (2 * freedom) - 1.0) < 0.15
 
 
+def test_a_track_that_is_used_again_and_again_says_little_more_of_a_constant_error(course) -> None:
+    one = seen_tracks(course)
+    disparity = RigErrors(course.rig, RIG, 15).disparity.start - 15
+    information = []
+    for uses in range(50):
+        H = observed(course, Tracks(np.nan_to_num(one.pixels[5:6]), one.seen[5:6], uses)).H[0, :, disparity]
+        information.append(float(H @ H))
+    assert information[0] == pytest.approx(1.0 / (SIGMA_PX**2 * (1.0 / VIEWS + OFFSET**2)), rel=0.2)
+    assert sum(information) < 3.0 * information[0]
+
+
 def test_the_way_of_the_image_is_the_median_tracks_and_stops_where_none_is_followed() -> None:
     pixels = np.zeros((3, 4, 4))
     pixels[:, :, 0] = np.outer([3.0, 4.0, 90.0], [0.0, 1.0, 2.0, 3.0])

@@ -79,6 +79,18 @@ def test_a_view_that_was_used_as_a_landmark_is_no_tracks_any_more() -> None:
     assert len(views) == 0
 
 
+def test_uses_of_a_track_are_counted_until_it_ends() -> None:
+    views, row = TrackViews(), np.zeros(1, np.intp)
+    for uses in range(3):
+        views.add_frame(feature(7, 1.0))
+        np.testing.assert_array_equal(views.chosen(row).earlier, [uses])
+        views.use(row)
+        views.remove(np.ones(1, bool))
+    views.add_frame(feature(3, 1.0))
+    views.add_frame(feature(7, 1.0))
+    np.testing.assert_array_equal(views.chosen(np.arange(2)).earlier, [0, 0])
+
+
 def test_every_view_of_a_track_is_used_once(flown, monkeypatch) -> None:
     """Count the views that the filter takes for good, and those that are left at the end."""
     flight = flown(3, frames=FRAMES, tracked_px=SIGMA_PX / 2)

@@ -12,6 +12,9 @@ Together they are all the information of the track.
 Noise of a track: the tracked patch slides slowly over the ground (a random walk along the way of its image, which both
 cameras share), the left pixel scatters about it, the right one about the left one, and by a constant from camera to
 camera. Taken for white, these errors let long tracks count for far more than they know.
+
+A track that fills the window is used, and goes on. Its constant is the same in each use: with k times the standard
+deviation in the k-th, all of them together count for little more than the first, as while a vehicle stands.
 """
 
 import dataclasses
@@ -47,10 +50,12 @@ class Tracks:
     Attributes:
         pixels: (T, V, 4) undistorted pixels; anything where not seen.
         seen: (T, V).
+        earlier: how often each of the T tracks, or all, has been used before, by views that are not among these.
     """
 
     pixels: Array
     seen: Mask
+    earlier: NDArray[np.intp] | int = 0
 
     def __len__(self) -> int:
         return len(self.seen)
@@ -183,7 +188,7 @@ class _Views:
             R_camera_map = np.swapaxes(past.R @ T_body_camera.R, 1, 2)
             centre = past.t + past.R @ T_body_camera.t
             self._cameras.append((camera, R_camera_map, -(R_camera_map @ centre[..., None])[..., 0]))
-        self._left_whitening, self._right_whitening = _whitening(tracks.seen, tracks.way_px, sigma_px)
+        self._left_whitening, self._right_whitening = _whitening(tracks, sigma_px)
         self.ahead: Array = (past.pose(-1) @ rig.T_body_left).apply(np.array([0.0, 0.0, 1e3 * rig.baseline_m]))
 
     def first_points(self) -> Array:
@@ -231,14 +236,16 @@ class _Views:
         return H.reshape(T, 4 * V, V * k)
 
 
-def _whitening(seen: Mask, way_px: Array, sigma_px: float) -> tuple[Array, Array]:
+def _whitening(tracks: Tracks, sigma_px: float) -> tuple[Array, Array]:
     """Return (T, V, V) inverse factors of the covariance of the left pixels and of the right pixels minus them."""
-    V = seen.shape[1]
-    _, first, of_track = np.unique(seen @ (1 << np.arange(V)), return_index=True, return_inverse=True)
-    masks = seen[first]
+    V, way_px = tracks.seen.shape[1], tracks.way_px
+    earlier = np.broadcast_to(tracks.earlier, len(tracks))
+    patterns = tracks.seen @ (1 << np.arange(V)) + (earlier << V)
+    _, first, of_track = np.unique(patterns, return_index=True, return_inverse=True)
+    masks = tracks.seen[first]
     both = masks[:, :, None] & masks[:, None, :]
     left = LEFT**2 * np.eye(V) + DRIFT**2 * np.minimum(way_px[:, None], way_px)
-    right = np.eye(V) + OFFSET**2
+    right = np.eye(V) + (OFFSET * (1.0 + earlier[first, None, None])) ** 2
     factors = (np.linalg.cholesky(np.where(both, sigma_px**2 * C, np.eye(V))) for C in (left, right))
     own, match = (np.linalg.inv(L)[of_track] for L in factors)
     return np.asarray(own), np.asarray(match)

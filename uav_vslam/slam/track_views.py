@@ -26,6 +26,7 @@ class TrackViews:
         self.pixels: NDArray[np.float64] = np.zeros((0, 0, 4))
         self.seen: Mask = np.zeros((0, 0), bool)
         self.descriptors: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
+        self._uses: dict[int, int] = {}  # of tracks that go on
 
     def __len__(self) -> int:
         return len(self.tracks)
@@ -37,7 +38,8 @@ class TrackViews:
 
     def chosen(self, rows: Rows) -> Tracks:
         """Return some of the tracks."""
-        return Tracks(self.pixels[rows], self.seen[rows])
+        earlier = np.array([self._uses.get(track, 0) for track in self.tracks[rows].tolist()], np.intp)
+        return Tracks(self.pixels[rows], self.seen[rows], earlier)
 
     def add_frame(self, features: StereoFeatures) -> None:
         """Append a frame with its tracked points."""
@@ -54,6 +56,11 @@ class TrackViews:
         if len(shown):
             descriptors[new] = shown.descriptors
         self.tracks, self.pixels, self.seen, self.descriptors = tracks, pixels, seen, descriptors
+        self._uses = {track: self._uses[track] for track in shown.tracks.tolist() if track in self._uses}
+
+    def use(self, rows: Rows) -> None:
+        """Count the use of some tracks; their views are to be removed."""
+        self._uses |= {track: self._uses.get(track, 0) + 1 for track in self.tracks[rows].tolist()}
 
     def forget_newest(self, tracks: NDArray[np.uint32]) -> None:
         """Forget the views of some tracks in the newest frame: they have been used as landmarks."""

@@ -103,6 +103,7 @@ class TrackWindow:
         )
         for track in views.tracks[~views.seen[:, -1]].tolist():
             self._ids.pop(track, None)
+        views.use(used)
         views.remove(finished)
 
     def present(self, slam_filter: Filter, landmark_map: LandmarkMap, choose: Choice | None = None) -> Present:
