@@ -18,6 +18,7 @@ from uav_vslam.numerics import submatrix, symmetrise
 Array = NDArray[np.float64]
 
 MIN_VARIANCE_REDUCTION = 1e-6  # share of the prior variance: below it, a direction of the rig is unobserved
+TOLERATED_RAD = np.deg2rad(0.001)  # attitude that a right calibration may be off by: 0.005 px at the edge of an image
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +71,16 @@ def claimed_belief(belief: Belief, errors: RigErrors, state: RigState) -> Belief
 def rig_evidence(belief: Belief, errors: RigErrors, state: RigState) -> float:
     """Return the test statistic of the calibration, chi-square with a degree of freedom per state of `calibrated`.
 
-    Under a correct prior the estimate has covariance P_0 - P. Zero without such states.
+    Under a correct prior the estimate has covariance P_0 - P, and an error e that is tolerated moves it by
+    (P_0 - P) P_0^-1 e. Zero without such states.
     """
     rows = errors.calibrated
     prior = submatrix(errors.prior_covariance, rows - errors.rows.start)
     learnt = symmetrise(prior - submatrix(belief.covariance(NO_ROWS), rows))
     values, vectors = eigh(learnt, prior)
-    along = vectors.T @ errors.calibration(state)
     known = values > MIN_VARIANCE_REDUCTION
-    return float(np.sum(along[known] ** 2 / values[known]))
+    values, vectors = values[known], vectors[:, known]
+    of_attitude = np.isin(rows, np.r_[errors.attitude])
+    moved = TOLERATED_RAD * values[:, None] * vectors[of_attitude].T
+    along = vectors.T @ errors.calibration(state)
+    return float(along @ np.linalg.solve(np.diag(values) + moved @ moved.T, along))
