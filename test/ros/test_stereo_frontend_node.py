@@ -304,6 +304,21 @@ def test_a_calibration_that_changes_in_flight_is_named_and_used_after_a_reset(do
         assert node._rig.rig.left.fx > 0.0
 
 
+def test_images_of_another_size_than_their_calibration_are_an_alarm_while_they_come(domain_id):
+    with lone_node(StereoFrontendNode, domain_id) as made:
+        node = made()
+        calibrate(node)
+        for k, (width, told) in enumerate([(WIDTH, False), (WIDTH // 2, True), (WIDTH // 2, True), (WIDTH, False)]):
+            for side in ("left", "right"):
+                image = blank_image(side)
+                image.header = header(STAMP_NS + k * 100_000_000, f"{side}_optical")
+                image.height, image.width, image.step = HEIGHT * width // WIDTH, width, width
+                deliver(node, f"{side}/image_raw", image)
+            size = f"the left image is {WIDTH // 2}x{HEIGHT // 2} px, but its calibration is for {WIDTH}x{HEIGHT} px"
+            assert (size in " ".join(node.alarms.values())) == told
+        assert node.counts["dropped/image_size"] == 2
+
+
 def test_a_calibration_that_changes_to_one_that_can_not_be_used_is_named_as_long_as_it_lasts(domain_id):
     with lone_node(StereoFrontendNode, domain_id) as made:
         node = made()

@@ -145,7 +145,6 @@ class StereoFrontendNode(VehicleNode):
         self._frontend = self._frontend or make_frontend(rig, self.config.frontend, self.config.rig)
         while self._waiting:
             features = self._extracted(self._frontend, self._waiting.popleft())
-            self._alarm(self._frontend.alarms)
             frame_id = self._rig.left_frame(self._image_frame)
             self._publisher.publish(features_to_msg(features, frame_id=frame_id, size=rig.left.size))
             self.counts["features"] += len(features)
@@ -153,10 +152,13 @@ class StereoFrontendNode(VehicleNode):
     def _extracted(self, frontend: Frontend, frame: StereoFrame) -> Features:
         """Return the features of a pair, none if it is invalid: the filter then dead-reckons."""
         try:
-            return frontend.process(frame)
+            features = frontend.process(frame)
         except InvalidMessage as error:
             self.drop(error.reason, str(error))
+            self.alarms = frontend.alarms | {error.reason: str(error)}
             return Features.empty(frame.stamp_ns)
+        self._alarm(frontend.alarms)
+        return features
 
     def _alarm(self, alarms: dict[str, str]) -> None:
         """Report current faults: in the diagnostics while they last, in the log at their onset, and count them."""

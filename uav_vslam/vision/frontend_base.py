@@ -52,5 +52,9 @@ class Frontend(ABC):
             if image.size == 0:
                 raise InvalidMessage("image", f"the {name} image could not be read")
             if image.shape[:2] != (camera.height, camera.width):
-                met, wanted = image.shape[1::-1], camera.size
-                raise InvalidMessage("image_size", f"{name} image is {met} px but its calibration is for {wanted} px")
+                raise InvalidMessage(
+                    "image_size",
+                    f"the {name} image is {image.shape[1]}x{image.shape[0]} px, but its calibration is for "
+                    f"{camera.width}x{camera.height} px: calibrate at that size, or give K for it; binning and region "
+                    "of interest of a camera_info are not applied",
+                )
