@@ -185,6 +185,33 @@ def test_readings_in_a_frame_of_their_own_wait_for_its_transform_but_not_for_eve
     )  # it hovers, and knows it
 
 
+def test_a_place_of_the_imu_that_changes_in_flight_is_named_and_used_after_a_reset(make: Make) -> None:
+    node = make("odometry_rate_hz:=0.0")
+
+    def place(pose: Pose) -> None:
+        edge = transform_to_msg(pose, stamp_ns=0, parent="uav1/base_link", child="imu_link")
+        deliver(node, "/tf_static", TFMessage(transforms=[edge]))
+
+    def hover(start_ns: int, gravity: float) -> None:
+        deliver(node, "initial_state", start_at(start_ns))
+        for k in range(100):
+            reading = Imu(header=header(start_ns + k * STEP_NS, "imu_link"), linear_acceleration=Vector3(z=gravity))
+            deliver(node, "imu/data_raw", reading)
+        assert node._live is not None
+        assert np.linalg.norm(node._live.estimate.state.v_map) < 1e-9
+
+    upright, upside_down = Pose.identity(), Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.1]))
+    place(upright)
+    hover(NOW_NS, node.config.imu.gravity)
+    for pose, failing in ((upright, False), (upside_down, True), (upright, False), (upside_down, True)):
+        place(pose)
+        assert ("calibration" in node.failures) == failing
+    assert "moved by 0.100 m, turned by 180.00 deg" in node.failures["calibration"]
+    node.reset()
+    assert "calibration" not in node.failures
+    hover(NOW_NS + 10 * NS_PER_S, -node.config.imu.gravity)
+
+
 @pytest.mark.parametrize("away_s", [0, 6])
 @pytest.mark.parametrize("take_off_first", [True, False])
 def test_a_node_restarted_in_flight_starts_at_the_correction(make: Make, take_off_first: bool, away_s: int) -> None:

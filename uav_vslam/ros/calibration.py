@@ -15,6 +15,8 @@ from uav_vslam.datasets.frame_tree import SAME_PLACE
 from uav_vslam.datasets.messages import transforms_of
 from uav_vslam.datasets.sensor_setup import SensorSetup
 from uav_vslam.errors import CalibrationError, InvalidMessage
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.geometry.stereo import SIDES, StereoRig
 from uav_vslam.ins.mounting import ImuMounting
 from uav_vslam.ros.convert import imu_from_data
@@ -150,7 +152,10 @@ def _changes(used: StereoRig, newest: StereoRig) -> str:
 
 
 class ImuListener:
-    """Finds out where the IMU is; readings wait until then."""
+    """Finds out where the IMU is; readings wait until then.
+
+    A place that changes afterwards is a failure of the node, and used only after `restart`.
+    """
 
     def __init__(self, node: VehicleNode, on_reading: Callable[[ImuSample], None], group: CallbackGroup) -> None:
         """Set up.
@@ -163,6 +168,7 @@ class ImuListener:
         self._node, self._on_reading = node, on_reading
         self._setup = SensorSetup.of(node.vehicle, node.config.input)
         self._mounting: ImuMounting | None = None
+        self._used = Pose.identity()  # pose in the body, if there is a mounting
         self._frame = ""  # of the newest reading
         self._waiting: deque[ImuSample] = deque()
         self._readings = node.listen(Imu, node.config.input.topics.imu, self._on_imu, SENSOR, raw=True, group=group)
@@ -178,6 +184,12 @@ class ImuListener:
     def has_infos(self) -> bool:
         """Whether camera_info is expected: if the calibration files hold all, cameras need not publish it."""
         return self._setup.needs_infos
+
+    def restart(self) -> None:
+        """Find out anew where the IMU is."""
+        self._mounting = None
+        self._node.failures.pop(CHANGED, None)
+        self._node.alarms.pop("imu_frame", None)
 
     def take_readings(self) -> None:
         """Take the readings that wait."""
@@ -212,8 +224,25 @@ class ImuListener:
 
     def _on_transforms(self, message: TFMessage) -> None:
         self._setup.frames.add(transforms_of(message))  # in flight too: start states may be of any frame
-        if self._mounting is None and self._waiting:  # the IMU's place is constant
+        if self._mounting is not None:
+            self._node.report_failure(CHANGED, self._fault())
+        elif self._waiting:
             self._locate()
+
+    def _fault(self) -> str:
+        """Return how the newest place of the IMU differs from the one in use, in a line; empty if it does not."""
+        try:
+            place = self._setup.T_body_imu()
+        except CalibrationError as error:
+            return f"the place of the IMU has changed to one that can't be used: {error}"
+        if np.allclose(place.matrix, self._used.matrix, atol=SAME_PLACE):
+            return ""
+        moved_m = np.linalg.norm(place.t - self._used.t)
+        turned_deg = np.rad2deg(np.linalg.norm(so3_log(self._used.R.T @ place.R)))
+        return (
+            f"the place of the IMU has changed and is used only after a reset of all nodes: moved by {moved_m:.3f} m, "
+            f"turned by {turned_deg:.2f} deg"
+        )
 
     def _locate(self) -> None:
         """Go on with the readings that wait, if the place of the IMU is known.
@@ -234,7 +263,8 @@ class ImuListener:
         self._node.failures.pop(MISSING, None)
         if self._setup.imu_unnamed:
             self._node.get_logger().warning("IMU messages have no frame_id: the IMU counts as the body")
-        self._mounting = ImuMounting(self._setup.T_body_imu())
+        self._used = self._setup.T_body_imu()
+        self._mounting = ImuMounting(self._used)
         while self._waiting:
             try:
                 self._on_reading(self._mounting.to_body(self._waiting.popleft()))

@@ -109,6 +109,7 @@ class InsPropagatorNode(VehicleNode):
         """
         self._starts.clear()
         self._stamps.restart()
+        self._sensors.restart()
         self._forget_flight()
         self._is_reset = True
         last = self._correction
