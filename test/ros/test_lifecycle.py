@@ -162,7 +162,7 @@ def test_cleanup_forgets_the_flight_and_a_node_runs_again_once_it_is_activated(m
     assert len(flight.odometry) == FRAMES
 
 
-def test_without_autostart_a_node_waits_to_be_configured_and_activated(make: Make) -> None:
+def test_without_autostart_a_node_waits_until_it_is_activated_and_uses_the_start_given_before(make: Make) -> None:
     flight = make("autostart:=false")
     flight.start()
     flight.fly(0, 4)
@@ -172,7 +172,6 @@ def test_without_autostart_a_node_waits_to_be_configured_and_activated(make: Mak
         assert state_of(flight, node) == State.PRIMARY_STATE_UNCONFIGURED
         assert change(flight, node, Transition.TRANSITION_CONFIGURE)
         assert change(flight, node, Transition.TRANSITION_ACTIVATE)
-    flight.start()
     flight.fly()
     assert len(flight.odometry) == FRAMES
 

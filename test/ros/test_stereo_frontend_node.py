@@ -252,6 +252,23 @@ def test_static_transforms_of_one_publisher_per_camera_all_arrive(domain_id):
         rclpy.shutdown()
 
 
+def test_static_transforms_published_while_the_node_is_paused_count_afterwards(graph):
+    front, other, executor = graph
+
+    def until(condition):
+        assert wait_for(condition, lambda: executor.spin_once(timeout_sec=0.02))
+
+    transforms = other.create_publisher(TFMessage, "/tf_static", LATCHED)
+    until(transforms.get_subscription_count)
+    front.trigger_deactivate()
+    transforms.publish(extrinsics(front))
+    until(lambda: front.counts["paused"])
+    front.trigger_activate()
+    for side in ("left", "right"):
+        deliver(front, f"{side}/camera_info", calibration(side))
+    until(lambda: front._rig.rig is not None)
+
+
 def test_a_silent_camera_is_reported_again_after_a_reset(domain_id):
     with lone_node(StereoFrontendNode, domain_id) as made:
         node, image = made(), blank_image("left")

@@ -44,6 +44,7 @@ class Input:
         received: number of messages.
         may_pause: a pause is not reported.
         shared: several nodes may publish it; of other inputs nothing is used while more than one does.
+        once: it is published once, for late joiners.
         publishers: who does.
         refused: number of messages that were not used for that reason.
         first_s, last_s: wall time of the first and the last message.
@@ -60,6 +61,7 @@ class Input:
     received: int = 0
     may_pause: bool = False
     shared: bool = False
+    once: bool = False
     publishers: Publishers = field(default_factory=Publishers)
     refused: int = 0
     first_s: float = 0.0
@@ -85,10 +87,14 @@ class Input:
             durability = DurabilityPolicy.VOLATILE
         if (reliability, durability) == (self.qos.reliability, self.qos.durability):
             return False
-        node.destroy_subscription(self.subscription)
         self.qos.reliability, self.qos.durability = reliability, durability
-        self._create(node)
+        self.renew(node)
         return True
+
+    def renew(self, node: Node) -> None:
+        """Subscribe again, which also brings what was published for late joiners."""
+        node.destroy_subscription(self.subscription)
+        self._create(node)
 
     def _create(self, node: Node, **options: Any) -> None:
         self.subscription = node.create_subscription(

@@ -11,6 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter_service import ParameterService
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -24,7 +25,7 @@ from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
 from uav_vslam.ros.params import VehicleParameters, declare, read
-from uav_vslam.ros.qos import LATCHED_BY_MANY
+from uav_vslam.ros.qos import LATCHED, LATCHED_BY_MANY
 from uav_vslam.ros.readiness import DiscoveryReport
 from uav_vslam.ros.timers import create_wall_timer
 from uav_vslam.slam.state_folder import state_folder
@@ -68,6 +69,7 @@ class VehicleNode(PausableNode):
         self.failures: dict[str, str] = {}
         self._inputs: list[Input] = []
         self._mixed: set[str] = set()  # topics that several nodes publish
+        self._was_active = False
         self._refused = 0  # messages off the time line, as last reported
         self._startup, self._recent_drops = Start(self.get_clock()), RecentDrops()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -82,6 +84,16 @@ class VehicleNode(PausableNode):
     def config(self) -> VehicleConfig:
         """The vehicle's configuration; live settings as they are now."""
         return self._settings.config
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Also take what was published once in the meantime: transforms, and before the first flight its start."""
+        for one in self._inputs:
+            if one.once and not self._was_active:
+                one.received = 0  # all were ignored
+            if one.shared or (one.once and not self._was_active):
+                one.renew(self)
+        self._was_active = True
+        return super().on_activate(state)
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
@@ -127,7 +139,7 @@ class VehicleNode(PausableNode):
             group: as for create_subscription.
         """
         one = Input(message_type, topic, self.guarded(topic, callback), qos, instead_of or topic, raw, group)
-        one.shared = qos is LATCHED_BY_MANY
+        one.shared, one.once = qos is LATCHED_BY_MANY, qos in (LATCHED, LATCHED_BY_MANY)
         one.subscribe(self)
         self.watch(one)
         return one
