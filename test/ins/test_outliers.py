@@ -50,6 +50,26 @@ def test_noise_and_vibration_of_any_size_are_used_unchanged(gyro_sigma: float, a
     assert not left_out
 
 
+@pytest.mark.parametrize("per_reading", [0.5, 0.49, 0.4, 0.335, 0.3])
+def test_vibration_that_begins_at_once_is_used(per_reading: float) -> None:
+    """A motor is switched on; per_reading is the frequency as a multiple of the rate of the readings."""
+    samples = stream(1000)
+    for phase in np.linspace(0.1, 6.1, 7):
+        waves = 6.0 * np.sin(2 * np.pi * per_reading * np.arange(800) + phase)
+        shaken = [
+            ImuSample(one.stamp_ns, one.gyro + wave / 6.0, one.accel + wave)
+            for one, wave in zip(samples[200:], waves, strict=True)
+        ]
+        _, left_out = judged(samples[:200] + shaken)
+        assert len(left_out) <= 1
+
+
+def test_frequent_outliers_are_left_out_unless_they_are_close_together() -> None:
+    rows = [*range(50, 500, 10), 600, 602]
+    _, left_out = judged(disturbed(stream(1000), rows, gyro=5.0))
+    assert [one.stamp_ns // PERIOD_NS for one in left_out] == rows[:-1]
+
+
 def test_a_shock_of_two_readings_and_a_step_are_motion() -> None:
     shock = disturbed(stream(), [80, 81], gyro=2.0, accel=30.0)
     step = disturbed(stream(), list(range(80, 200)), gyro=2.0, accel=30.0)

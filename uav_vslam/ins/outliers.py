@@ -3,7 +3,8 @@
 
 One of 5 rad/s turns the estimate by more than a degree in 5 ms, and no noise that is measured over many readings allows
 for it. A motion, a shock too, moves the readings after it as well. An outlier is far from both its neighbours, which
-agree with each other; it is left out, which is a gap of one reading.
+agree with each other; it is left out, which is a gap of one reading. Vibration that begins looks like that too, most of
+all near half the rate of the readings, where every other one agrees: what is far again soon after is used.
 """
 
 import math
@@ -20,6 +21,8 @@ FAR = 20.0  # usual differences: white noise does not reach 7, and vibration is 
 LEAST = 0.2, 2.0  # [rad/s], [m/s^2] below which nothing is far, however still the vehicle
 AGREE = 0.5  # of the distance of an outlier: the most that its neighbours are apart
 OUTLIER = "imu_outlier"  # reason by which they are counted
+APART = 4  # readings used after an outlier, without another one
+SETTLED = WINDOW // 2 + EVERY  # readings after which a vibration that begins is the usual difference
 NEIGHBOURS_S = 0.05  # readings farther apart say nothing about each other
 
 
@@ -54,6 +57,7 @@ class OutlierFilter:
         self._steps: tuple[deque[float], deque[float]] = deque(maxlen=WINDOW), deque(maxlen=WINDOW)
         self._until_next = EVERY
         self._far = math.inf, math.inf
+        self._all_used = 0  # how many of the next readings are no outliers, whatever they are
         self._last: ImuSample | None = None
         self._held: ImuSample | None = None
 
@@ -65,14 +69,17 @@ class OutlierFilter:
         readings, outlier = [], None
         if self._held is not None:
             if self._is_outlier(self._held, sample):
-                outlier = self._held
+                outlier, self._all_used = self._held, APART
             else:
                 readings.append(self._taken(self._held))
+                self._all_used = SETTLED
             self._held = None
-        if self._is_far(sample):
+        is_far = self._is_far(sample)
+        if is_far and not self._all_used:
             self._held = sample
         else:
             readings.append(self._taken(sample))
+            self._all_used = SETTLED if is_far else max(self._all_used - 1, 0)
         return Judged(readings, outlier)
 
     def rest(self) -> list[ImuSample]:
