@@ -13,6 +13,7 @@ from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.filters import FILTERS
 from uav_vslam.estimation.past_poses import PastPoses
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
+from uav_vslam.estimation.track_linearisation import relinearised
 from uav_vslam.estimation.tracks import DRIFT, LEFT, OFFSET, TrackObservation, Tracks, observe_tracks
 from uav_vslam.geometry.pose import POSE_DIM
 from uav_vslam.types import NavEstimate
@@ -262,5 +263,6 @@ def test_tracks_that_move_the_estimate_far_are_linearised_where_they_lead(course
 
 def test_tracks_that_fit_the_prediction_are_linearised_there(course) -> None:
     f, tracks = flown_at_wrong_velocity(course, np.array([0.05, -0.05, 0.05]))
-    used, first = np.ones(len(tracks), bool), f._tracks_linearised(tracks)
-    assert f._tracks_relinearised(tracks, used, first, f.belief.covariance(NO_ROWS)) is first
+    used, first = np.ones(len(tracks), bool), f._linearised_tracks(tracks)
+    P = f.belief.covariance(NO_ROWS)
+    assert relinearised(first, used, P, lambda delta: f._linearised_tracks_at(tracks, delta)) is first

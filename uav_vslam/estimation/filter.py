@@ -45,8 +45,8 @@ from uav_vslam.estimation.rig_belief import (
     rig_evidence,
 )
 from uav_vslam.estimation.rig_errors import RigErrors, RigState
-from uav_vslam.estimation.track_consensus import WIDE, trusted
-from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move
+from uav_vslam.estimation.track_consensus import trusted
+from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, relinearised
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
 from uav_vslam.estimation.weighted_update import Innovation, WeightedUpdate, huber_weights, whitened
 from uav_vslam.geometry.pose import POSE_DIM, Pose
@@ -59,8 +59,6 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseE
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-RELINEARISATIONS = 5  # of tracks, at most
-NONLINEAR = 1.0  # by which their squared residuals, over their noise, may exceed those predicted
 PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged
 
 
@@ -212,16 +210,16 @@ class Filter:
         if len(tracks) == 0:
             return np.zeros(0, bool)
         with _stamped(self.nav.stamp_ns):
-            P, first = self.belief.covariance(NO_ROWS), self._tracks_linearised(tracks)
+            P, first = self.belief.covariance(NO_ROWS), self._linearised_tracks(tracks)
             passed = trusted(
                 first.seen,
-                (lambda: self._tracks_linearised(others()).seen) if others else None,
+                (lambda: self._linearised_tracks(others()).seen) if others else None,
                 submatrix(P, self._track_rows),
                 probability,
             )
             if not passed.any():
                 return passed
-            linearised = self._tracks_relinearised(tracks, passed, first, P)
+            linearised = relinearised(first, passed, P, lambda delta: self._linearised_tracks_at(tracks, delta))
             self._of_tracks = linearised.of_vehicle(passed)
             points, H, R = linearised.of_points(passed & become_landmarks)
             self.belief = self.belief.appended(H, R)
@@ -233,32 +231,16 @@ class Filter:
         """The rows of the error that tracks depend on."""
         return np.r_[self._errors.rows, self._past_rows]
 
-    def _tracks_linearised(self, tracks: Tracks, move: Move | None = None) -> LinearisedTracks:
+    def _linearised_tracks(self, tracks: Tracks) -> LinearisedTracks:
         """Linearise tracks at the mean."""
         past = self.past.at_exposure(self.rig_state.time_offset_s)
         seen = observe_tracks(tracks, past, rig=self.rig, errors=self._errors, sigma_px=self.track_sigma_px)
-        return LinearisedTracks(seen, self._track_rows, self.vehicle, move)
+        return LinearisedTracks(seen, self._track_rows, self.vehicle)
 
-    def _tracks_relinearised(self, tracks: Tracks, used: Mask, first: LinearisedTracks, P: Array) -> LinearisedTracks:
-        """Return tracks as linearised at the mean that those used lead to, or at this one if that is near enough.
-
-        P is the covariance of the vehicle.
-        """
-        best, said = first, first.of_vehicle(used)
-        if np.vdot(said.Y, P) < WIDE * used.sum():
-            return best
-        cost = said.norm2
-        for _ in range(RELINEARISATIONS):
-            weighted = np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i)
-            delta = P @ weighted
-            predicted = said.norm2 - float(delta @ (2.0 * said.i - said.Y @ delta))
-            other, move = self._moved(delta)
-            there = other._tracks_linearised(tracks, move)
-            residual = there.squared_residual(used)
-            if residual - predicted < NONLINEAR or residual + float(delta @ weighted) > cost:
-                break
-            best, said, cost = there, there.of_vehicle(used), residual + float(delta @ weighted)
-        return best
+    def _linearised_tracks_at(self, tracks: Tracks, delta: Array) -> LinearisedTracks:
+        """Linearise tracks where (vehicle,) `delta` moves the mean."""
+        other, move = self._moved(delta)
+        return dataclasses.replace(other._linearised_tracks(tracks), move=move)
 
     def _moved(self, delta: Array) -> tuple[Self, Move]:
         """Return a copy without landmarks whose mean is moved by (vehicle,) `delta`, and that as a move."""

@@ -11,16 +11,21 @@ r' + H' T delta = H' T e + noise.
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.estimation.belief import Indices, VehicleObservation
+from uav_vslam.estimation.track_consensus import WIDE
 from uav_vslam.estimation.tracks import TrackObservation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+RELINEARISATIONS = 5  # at most
+NONLINEAR = 1.0  # by which the squared residuals, over their noise, may exceed those predicted
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,3 +81,30 @@ class LinearisedTracks:
             return chosen.points, H, chosen.R
         H = H @ self.move.T
         return chosen.points + np.linalg.solve(chosen.R, (H @ self.move.delta)[..., None])[..., 0], H, chosen.R
+
+
+def relinearised(
+    first: LinearisedTracks, used: Mask, P: Array, linearise: Callable[[Array], LinearisedTracks]
+) -> LinearisedTracks:
+    """Return tracks linearised at the mean that those used lead to, or as they are if that is near enough.
+
+    Args:
+        first: linearised at the filter's mean.
+        used: (T,) those that count.
+        P: (vehicle, vehicle) covariance of the vehicle.
+        linearise: linearises them where a correction (vehicle,) moves the filter's mean.
+    """
+    best, said = first, first.of_vehicle(used)
+    if np.vdot(said.Y, P) < WIDE * used.sum():
+        return best
+    cost = said.norm2
+    for _ in range(RELINEARISATIONS):
+        weighted = np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i)
+        delta = P @ weighted
+        predicted = said.norm2 - float(delta @ (2.0 * said.i - said.Y @ delta))
+        there = linearise(delta)
+        residual = there.squared_residual(used)
+        if residual - predicted < NONLINEAR or residual + float(delta @ weighted) > cost:
+            break
+        best, said, cost = there, there.of_vehicle(used), residual + float(delta @ weighted)
+    return best
