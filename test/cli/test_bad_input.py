@@ -379,6 +379,7 @@ def test_a_wrong_value_is_looked_for_where_it_stands(
         (["simulate", "NEW", "--texture", "nothing.jpg"], "'nothing.jpg' is neither 'grass' nor an image"),
         (["simulate", "FOLDER"], "choose a folder that does not exist yet"),
         (["evaluate", "NEW"], "does not exist"),
+        (["evaluate", "BAG", "NEW"], "/new does not exist"),
         (["launch", "FOLDER"], "Is a directory"),
         (["launch", "NEW"], "No such file"),
         (["check", "FOLDER"], "is not a bag"),
@@ -387,12 +388,12 @@ def test_a_wrong_value_is_looked_for_where_it_stands(
     ],
 )
 def test_wrong_paths_and_numbers_are_told(
-    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], said: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("folder", "pictures"):
         (tmp_path / name).mkdir()
     (tmp_path / "pictures" / "DJI_0001.JPG").touch()
-    paths = {name.upper(): str(tmp_path / name) for name in ("folder", "pictures", "new")}
+    paths = {name.upper(): str(tmp_path / name) for name in ("folder", "pictures", "new")} | {"BAG": str(good)}
     assert said in refused(capsys, *(paths.get(argument, argument) for argument in arguments))
 
 

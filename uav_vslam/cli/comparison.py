@@ -62,8 +62,6 @@ def _of_file(path: Path, name: str, truth: Trajectory | None, times: Path | None
     from uav_vslam.evaluation.comparison import Run
     from uav_vslam.evaluation.files.reading import read_trajectory
 
-    if not path.exists():
-        raise TrajectoryFileError(f"{path} does not exist; give trajectory files, folders of results, or bags")
     if truth is None:
         raise TrajectoryFileError(f"{path} needs a ground truth; give --truth FILE")
     return [Run(name, "", read_trajectory(path, times=times, reference=truth), truth)]

@@ -69,8 +69,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate, write and print; return 2 if a recording is damaged, after evaluating what can be read."""
     from uav_vslam.cli.comparison import compare_files
-    from uav_vslam.errors import BagError, ConfigError
+    from uav_vslam.errors import BagError, ConfigError, UavVslamError
 
+    if missing := next((path for path in args.inputs if not path.exists()), None):
+        raise UavVslamError(f"{missing} does not exist; give trajectory files, folders of results, or bags")
     bags = [path for path in args.inputs if _is_bag(path)]
     if not bags:
         return compare_files(args)
