@@ -53,6 +53,7 @@ def test_a_map_of_two_vehicles_lies_on_the_true_ground(result: Path) -> None:
     truth = ground_of(SCENARIO).height(*np.meshgrid(raster.x, raster.y))
     assert np.nanmedian(np.abs(grid.height(raster) - truth)) < 0.3
     assert {"height.png", "overlap.png"} <= {path.name for path in (result / "map").iterdir()}
+    assert not (result / "report.html").exists()
 
 
 def test_the_orthomosaic_of_two_vehicles_shows_the_true_ground_at_its_place(result: Path) -> None:

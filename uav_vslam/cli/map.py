@@ -87,7 +87,9 @@ def run(args: argparse.Namespace) -> int:
     flights = mapped_flights(folder, args.bags, args.vehicles)
     cv2.setNumThreads(1)
     cells = write_map(flights, folder / FOLDER, args.cell, datum)
-    print(f"map: {folder / FOLDER}\npage: {write_page([folder])}")
+    print(f"map: {folder / FOLDER}")
+    if not args.no_plots:
+        print(f"page: {write_page([folder])}")
     if cells == 0:
         print("uav-vslam: nothing was mapped: no two views show the surface below the cameras", file=sys.stderr)
     return code if cells else max(code, 1)

@@ -55,7 +55,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_results(parser)
     parser.add_argument("--workers", type=positive, default=2, help="processes, one a vehicle at most (default 2)")
     parser.add_argument("--no-smoothing", action="store_true", help="do not smooth each whole flight afterwards")
-    parser.add_argument("--no-plots", action="store_true", help="draw no pictures, write no page")
+    parser.add_argument("--no-plots", action="store_true", help="draw no pictures of the flight, write no page")
     parser.add_argument("--no-maps", action="store_true", help="write no <vehicle>_map.npz")
     parser.add_argument(
         "--sheet", type=positive, default=12, metavar="N", help="images with tracks on the contact sheet (default 12)"
