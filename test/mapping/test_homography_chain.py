@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 from flown_scene import CAMERA, Scene, patches
 
 from uav_vslam.errors import UavVslamError
 from uav_vslam.mapping.homography_chain import chain_homographies, chained_mosaic
+from uav_vslam.mapping.pictures.chain import draw_chain
+from uav_vslam.mapping.pictures.reading import read_folder
 
 SCENE = Scene(colour=patches(0.8))
 VIEWS = [SCENE.view((5.0 * k, 0.0, 30.0), (2.0 * k, -k, 3.0 * k)) for k in range(4)]
@@ -35,9 +40,14 @@ def test_images_are_drawn_to_scale_and_later_ones_on_top() -> None:
     assert chained.labels[row, column] == 3
 
 
-def test_images_without_a_common_place_are_named() -> None:
+def test_images_without_a_common_place_are_named(tmp_path: Path) -> None:
+    apart = [IMAGES[0], SCENE.view((90.0, 60.0, 30.0)).image]
     with pytest.raises(UavVslamError, match="images 0 and 1 have"):
-        chain_homographies([IMAGES[0], SCENE.view((90.0, 60.0, 30.0)).image])
+        chain_homographies(apart)
+    for number, image in enumerate(apart):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image)
+    with pytest.raises(UavVslamError, match=r"images 0\.png and 1\.png have"):
+        draw_chain(read_folder(tmp_path).pictures, 1.0, tmp_path)
 
 
 @pytest.mark.parametrize("wild", [np.diag([1e4, 1e4, 1.0]), np.array([[1.0, 0, 0], [0, 1.0, 0], [-0.01, 0, 1.0]])])

@@ -6,7 +6,8 @@ each image onto the first one. Errors accumulate along the chain, and ground tha
 images cover earlier ones, without blending.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import count
 
 import cv2
 import numpy as np
@@ -30,19 +31,24 @@ LEAST_MATCHES = 12
 LARGEST_PX = 2e8
 
 
-def chain_homographies(images: Iterable[Image]) -> list[Array]:
+def chain_homographies(images: Iterable[Image], names: Sequence[str] = ()) -> list[Array]:
     """Return (3, 3) homographies from the pixels of each image to those of the first.
+
+    Args:
+        images: in order.
+        names: how errors call them; by number if there are none.
 
     Raises:
         UavVslamError: two consecutive images have too little in common.
     """
     extractor = SiftExtractor(FrontendConfig(max_features=FEATURES))
     found: list[Array] = []
-    before: Keypoints | None = None
-    for image in images:
+    before: tuple[Keypoints, str | int] | None = None
+    labels: Iterable[str | int] = names or count()
+    for name, image in zip(labels, images, strict=False):
         points = extractor.detect(image)
-        found.append(found[-1] @ _between(points, before, len(found)) if before is not None else np.eye(3))
-        before = points
+        found.append(found[-1] @ _between(points, name, *before) if before is not None else np.eye(3))
+        before = points, name
     return found
 
 
@@ -75,14 +81,14 @@ def chained_mosaic(images: Iterable[Image], to_map: list[Array], m_per_px: float
     return Picture(raster, picture, labels)
 
 
-def _between(points: Keypoints, before: Keypoints, number: int) -> Array:
+def _between(points: Keypoints, name: str | int, before: Keypoints, name_before: str | int) -> Array:
     """Return the homography from an image to the one before."""
     pairs = nn_mutual(points, before, RATIO)
     a, b = points.pixels[pairs[:, 0]], before.pixels[pairs[:, 1]]
     agreeing = same_homography(a, b)
     if len(agreeing) < LEAST_MATCHES:
         raise UavVslamError(
-            f"images {number - 1} and {number} have {len(agreeing)} points in common, a chain of homographies needs "
+            f"images {name_before} and {name} have {len(agreeing)} points in common, a chain of homographies needs "
             f"{LEAST_MATCHES}; take images that overlap more"
         )
     H, _ = cv2.findHomography(a[agreeing], b[agreeing], 0)

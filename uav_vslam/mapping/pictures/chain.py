@@ -39,7 +39,7 @@ def draw_chain(
         return counted((picture.read() for picture in pictures), on_picture)
 
     up = np.diag([1.0, -1.0, 1.0])  # the map's y runs up, the image's down
-    to_map = [up @ H for H in chain_homographies(images())]
+    to_map = [up @ H for H in chain_homographies(images(), [picture.name for picture in pictures])]
     width, height = sizes.pop()
     corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]], float).T
     mapped = np.concatenate([H @ corners for H in to_map], axis=1)
