@@ -49,3 +49,8 @@ def test_few_poses_say_nothing(survey):
     moved = later(survey, 0.5)
     assert clock_offset(survey.select(np.arange(20, 28)), moved) is None
     assert clock_offset(survey, later(survey, 100.0)) is None
+
+
+def test_a_flight_as_short_as_the_offsets_tried_is_no_warning_of_numpy(truth, perturbed):
+    short = truth.select(np.arange(20))
+    assert clock_offset(perturbed(short, np.random.default_rng(4), 1.0, 0.0), short) is None

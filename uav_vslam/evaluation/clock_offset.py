@@ -60,7 +60,8 @@ def clock_offset(estimate: Trajectory, truth: Trajectory) -> ClockOffset | None:
     tried_s = np.arange(-MOST_S, MOST_S + 0.5 * STEP_S, STEP_S)
     nearest_s = float(tried_s[np.argmin([ate_m(offset_s) for offset_s in tried_s])])
     bounds = (nearest_s - STEP_S, nearest_s + STEP_S)
-    best = minimize_scalar(ate_m, bounds=bounds, method="bounded", options={"xatol": TOLERANCE_S})
+    with np.errstate(invalid="ignore"):  # next to an offset without an error, the minimiser's parabola is none
+        best = minimize_scalar(ate_m, bounds=bounds, method="bounded", options={"xatol": TOLERANCE_S})
     if not best.fun <= MOST_LEFT * unmoved.ate_m:
         return None
     return ClockOffset(float(best.x), unmoved.ate_m, float(best.fun))

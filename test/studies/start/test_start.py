@@ -20,6 +20,12 @@ def test_a_flight_without_a_start_state_is_scored_in_its_own_frame() -> None:
     assert run.nees_position < 5.0
 
 
+def test_a_flight_that_ends_before_the_start_has_to_be_settled_has_no_nees() -> None:
+    run = fly_in_flight(Scenario(frames=20, vehicles=1))
+    assert run is not None
+    assert math.isnan(run.nees_position)
+
+
 def test_only_a_wrong_start_is_warned_of() -> None:
     assert not fly_wrong(("nothing", 1))
     assert fly_wrong(("velocity in all axes", 1))

@@ -105,11 +105,12 @@ def fly_in_flight(scenario: Scenario) -> InFlight | None:
     assert truth is not None
     found = nees(estimate, truth)
     assert found is not None
+    late = found.position[times > SETTLED_WITHIN_S]
     end = estimate.positions[-1] - truth.positions[np.searchsorted(truth.stamps_ns, estimate.stamps_ns[-1])]
     return InFlight(
         *_errors(vehicle, first),
         settled_s=float(times[settled]) if settled < len(times) else math.inf,
-        nees_position=float(found.position[times > SETTLED_WITHIN_S].mean()),
+        nees_position=float(late.mean()) if len(late) else math.nan,
         end_error_m=float(np.linalg.norm(end)),
     )
 
