@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import AutoLocator, FuncFormatter, Locator, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.result import VehicleResult
@@ -22,6 +22,7 @@ GRID = "#d9d9d9"
 BAND = "#d7ecd9"  # background of the consistent range
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")  # colour-blind safe
 MANY_DECADES = 500.0  # largest over smallest from which a logarithmic axis shows powers of ten only
+NARROW = 3.0  # largest over smallest up to which 1, 2 and 5 may leave a logarithmic axis with a single label
 INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; the rest is clipped
 
 
@@ -82,12 +83,16 @@ def clean(axes: Axes) -> None:
 
 
 def plain_log(axes: Axes, which: str) -> None:
-    """Make the "x" or "y" axis logarithmic, with plain tick labels: at 1, 2, 5, or powers of ten over many decades."""
+    """Make the "x" or "y" axis logarithmic, with plain tick labels.
+
+    They are at 1, 2, 5; over many decades at powers of ten, and over a narrow range evenly spaced.
+    """
     axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     low, high = axis.get_view_interval()
     subs = (1.0, 2.0, 5.0) if high <= MANY_DECADES * low else (1.0,)
-    axis.set_major_locator(LogLocator(subs=subs, numticks=12))
+    locator: Locator = AutoLocator() if high <= NARROW * low else LogLocator(subs=subs, numticks=12)
+    axis.set_major_locator(locator)
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

@@ -22,3 +22,9 @@ def test_each_kind_of_wrong_match_starts_at_the_clean_flight():
     curves = {line.get_label(): line.get_xydata().tolist() for line in errors.lines}
     assert curves["robust, swapped"] == [[0.0, 1.0], [10.0, 1.1]]
     assert curves["robust, lookalike"] == [[0.0, 1.0], [10.0, 1.6]]
+
+
+def test_more_variants_than_colours_are_all_drawn():
+    rows = [row | {"method": f"variant {number}"} for number in range(9) for row in OUTLIERS]
+    names = {line.get_label() for line in outlier_plot(rows).axes[0].lines}
+    assert {f"variant {number}, swapped" for number in range(9)} <= names

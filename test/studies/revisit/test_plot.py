@@ -30,3 +30,10 @@ def test_each_flights_end_stands_over_its_end_without_retention():
     assert ends.lines[0].get_xydata().tolist() == [[3.5, 2.5]]  # seed 1 has no other end to stand over
     assert [line.get_ydata()[1] / line.get_xdata()[1] for line in ends.lines[1:]] == [1.0, 0.5]
     assert len(of_rendered) == 2
+
+
+def test_more_variants_than_colours_are_all_drawn():
+    curves = [REVISIT[0] | {"method": f"variant {number}"} for number in range(9)] + [REVISIT[1]]
+    errors, ends = revisit_plot(curves).axes
+    assert len(errors.lines) == 10
+    assert len(ends.lines) == 9 + 2

@@ -3,6 +3,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,7 @@ def threshold_plot(rows: list[Row]) -> Figure:
     panels = _grouped(rows, "method")
     figure, axes = _panels(len(panels))
     for at, (method, group) in zip(axes, panels.items(), strict=False):
-        for (images, curve), colour in zip(_grouped(group, "condition").items(), LINE_COLOURS * 2, strict=False):
+        for (images, curve), colour in zip(_grouped(group, "condition").items(), cycle(LINE_COLOURS), strict=False):
             ratios = [row["descriptor_ratio"] for row in curve]
             every, kept = ([max(row[key], LEAST) for row in curve] for key in ("matches", "matches_ransac"))
             at.plot(ratios, every, color=colour, linestyle="--", marker="o", markersize=3)

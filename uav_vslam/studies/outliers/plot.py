@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws the study of wrong matches: end error and consistency over their share."""
 
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +26,14 @@ def outlier_plot(rows: list[Row]) -> Figure:
     figure = Figure(figsize=(11.0, 4.8), layout="constrained")
     errors, nees = figure.subplots(1, 2, sharex=True)
     methods = list(dict.fromkeys(row["method"] for row in rows))
-    for method, colour in zip(methods, LINE_COLOURS, strict=False):
+    for method, colour in zip(methods, cycle(LINE_COLOURS), strict=False):
         for kind, dashes in KIND_DASHES.items():
             curve = [row for row in rows if row["method"] == method and row["kind"] in (kind, CLEAN)]
             percent = [100.0 * row["wrong_match_share"] for row in curve]
             style = {"color": colour, "linestyle": dashes, "marker": "o", "linewidth": 1.6}
             errors.plot(percent, column(curve, "end_ratio_to_clean"), label=f"{method}, {kind}", **style)
             nees.plot(percent, column(curve, "nees_position"), **style)
-    errors.axhline(ALLOWED_RATIO, color="#888888", linewidth=0.8, linestyle=":")
+    errors.axhline(ALLOWED_RATIO, color="#888888", linewidth=0.8, linestyle=":", label=f"allowed: {ALLOWED_RATIO:g}")
     low, high = chi_square_band(rows[0]["runs"])
     nees.axhspan(low, high, color=BAND, zorder=0, label=f"consistent: {low:.2f} to {high:.2f}")
     errors.set(ylabel="End error / that without wrong matches", xlabel="Wrong matches [%]")

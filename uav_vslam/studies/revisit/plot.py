@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws the revisit study: error over the distance flown, and each flight's end error with and without retention."""
 
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def revisit_plot(curves: list[Curve]) -> Figure:
 
 
 def _draw_errors(axes: Axes, curves: list[Curve]) -> None:
-    for curve, colour in zip(curves, LINE_COLOURS, strict=False):
+    for curve, colour in zip(curves, cycle(LINE_COLOURS), strict=False):
         axes.plot(curve["distance_m"], curve["error_m"], color=colour, linewidth=1.4, label=curve["method"])
     axes.set(xlabel="Distance flown [m]", ylabel="Position error [m]", ylim=(0.0, None))
     clean(axes)
@@ -47,7 +48,7 @@ def _draw_ends(axes: Axes, curves: list[Curve]) -> None:
     """Draw a dot per flight, and the limit line below which it should be."""
     *others, reference = curves
     without = dict(zip(reference["seeds"], reference["ends_m"], strict=True))
-    for curve, colour in zip(others, LINE_COLOURS, strict=False):
+    for curve, colour in zip(others, cycle(LINE_COLOURS), strict=False):
         ends = {seed: end for seed, end in zip(curve["seeds"], curve["ends_m"], strict=True) if seed in without}
         axes.plot([without[seed] for seed in ends], list(ends.values()), "o", color=colour)
     most = max([*without.values(), *(end for curve in others for end in curve["ends_m"])])
