@@ -14,7 +14,7 @@ from uav_vslam.config import find_config, load_vehicle
 from uav_vslam.evaluation.result import FlightResult
 from uav_vslam.offline.flight import fly
 from uav_vslam.offline.result import flight_result
-from uav_vslam.report.style import STYLES, tracks_of
+from uav_vslam.report.style import STYLES, plain_log, tracks_of
 from uav_vslam.simulation.camera_render import RenderedFlight
 from uav_vslam.simulation.scenario import Scenario, simulate_fleet
 from uav_vslam.simulation.source import SimulatedSource
@@ -45,9 +45,10 @@ def draw(result: FlightResult, path: Path) -> None:
             if kind != "truth" and truth is not None:
                 seconds = (track.stamps_ns - track.stamps_ns[0]) / 1e9
                 distance = ((track.positions - truth.positions) ** 2).sum(axis=1) ** 0.5
-                error.semilogy(seconds, distance.clip(1e-2), ls="-" if first else ":", **style)
+                error.plot(seconds, distance.clip(1e-2), ls="-" if first else ":", **style)
     plan.set(xlabel="East [m]", ylabel="North [m]", title="Two vehicles, plan view")
     plan.legend(loc="upper left", frameon=False, ncols=2)
+    plain_log(error, "y")
     error.set(xlabel="Time [s]", ylabel="Position error [m]", title="Error: uav1 solid, uav2 dotted")
     error.grid(alpha=0.3, which="both")
     plan.grid(alpha=0.3)

@@ -24,6 +24,10 @@ def test_every_plot_is_a_valid_image(pair, tmp_path):
         assert picture.std() > 5
 
 
+def test_a_name_with_dollar_signs_is_drawn_as_it_is(pair, tmp_path):
+    assert write_plots(dataclasses.replace(pair, name=r"a$\frac$b"), tmp_path)
+
+
 def test_the_same_flight_is_drawn_to_the_same_bytes(pair, tmp_path):
     first = [path.read_bytes() for path in write_plots(pair, tmp_path)]
     assert [path.read_bytes() for path in write_plots(pair, tmp_path)] == first

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,6 +17,8 @@ from uav_vslam.evaluation.study import Row
 from uav_vslam.evaluation.trajectory import Trajectory
 
 Array = NDArray[np.float64]
+
+mpl.rcParams["text.parse_math"] = False  # a $ in the name of a flight, file or setting is no formula
 
 DPI = 150
 GRID = "#d9d9d9"

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from uav_vslam.evaluation.study import Row
-from uav_vslam.report.style import clean, save
+from uav_vslam.report.style import clean, plain_log, save
 
 COLOURS = {"recorded": "black", "drawn": "#0072b2", "frame": "#d55e00"}  # by the first word of the start's name
 LABELS = {"recorded": "recorded start", "drawn": "drawn from its covariance", "frame": "truth at a later frame"}
@@ -31,7 +31,7 @@ def start_plot(series: list[Row]) -> Figure:
         _draw(axes, [curve for curve in series if curve["method"] == method])
         axes.set_ylabel(f"{method}: error [m]")
     if max((error for curve in series for error in curve["error_m"]), default=0.0) > DIVERGED_M:
-        panels[-1].set_yscale("log")
+        plain_log(panels[-1], "y")
     else:
         panels[-1].set_ylim(bottom=0.0)
     panels[-1].set_xlabel("Time since the recorded start [s]")

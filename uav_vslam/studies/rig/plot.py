@@ -33,10 +33,9 @@ def rig_plot(rows: list[Row]) -> Figure:
     places = {condition: k for k, condition in enumerate(dict.fromkeys(row["condition"] for row in flown))}
     figure = Figure(figsize=(11.0, 1.8 + 0.38 * len(places)), layout="constrained")
     errors, nees = figure.subplots(1, 2, sharey=True)
-    plain_log(errors, "x")
-    nees.set_xscale("log")  # over many decades
     for axes, key in ((errors, "end_rms_m"), (nees, "nees_position")):
         _draw(axes, flown, places, key)
+        plain_log(axes, "x")
     for row in ins_rows:
         errors.axvline(row["end_rms_m"], color=ins.colour, linestyle=ins.dashes, label=ins.label)
     nees.axvline(1.0, color="black", linewidth=0.9, label="consistent")
