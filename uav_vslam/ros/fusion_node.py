@@ -43,7 +43,7 @@ from uav_vslam.ros.radio import Radio
 from uav_vslam.ros.radio_participant import open_participant
 from uav_vslam.ros.runtime import run_node
 from uav_vslam.ros.traffic import Interface
-from uav_vslam.ros.vehicle_node import VehicleNode
+from uav_vslam.ros.vehicle_node import MAX_PATH, VehicleNode
 from uav_vslam.slam.epochs import crosses_epoch
 from uav_vslam.slam.saved_map import load_map
 from uav_vslam.stamps import IMAGE_TIME_JUMP_S, TimeLine
@@ -57,7 +57,6 @@ ODOMETRY, JOINT = "odometry", "joint_information"
 CONFIRMING = 3  # messages of each that confirm a jump: joint information comes once a second
 MAX_WAITING = 20  # odometry held for an epoch's joint information; then the epoch is skipped
 MAX_JOINTS = 8  # epochs' joint information that waits for its odometry: the back end sends it just before
-MAX_PATH = 2000  # poses in a published path
 
 
 class FusionNode(VehicleNode):

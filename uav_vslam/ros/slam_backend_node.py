@@ -48,7 +48,7 @@ from uav_vslam.ros.map_services import offer_map_services
 from uav_vslam.ros.qos import LATCHED, MOTION, NEWEST, RESUMABLE, STATE
 from uav_vslam.ros.quality_message import quality_to_msg
 from uav_vslam.ros.runtime import run_node
-from uav_vslam.ros.vehicle_node import VehicleNode
+from uav_vslam.ros.vehicle_node import MAX_PATH, VehicleNode
 from uav_vslam.slam.checkpoint import checkpoint_file, load_checkpoint, save_checkpoint
 from uav_vslam.slam.clocked_stage import ClockedStage
 from uav_vslam.slam.session import next_session
@@ -58,8 +58,6 @@ from uav_vslam.types import NS_PER_S, NavEstimate
 from uav_vslam.types import JointInformation as Joint
 from uav_vslam_msgs.msg import FrameQuality, InsIncrement, JointInformation, NavigationState
 from uav_vslam_msgs.msg import StereoFeatures as StereoFeaturesMsg
-
-MAX_PATH = 2000  # poses in a published path
 
 
 class SlamBackendNode(VehicleNode):

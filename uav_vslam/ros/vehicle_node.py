@@ -33,6 +33,7 @@ from uav_vslam.stamps import TimeLine
 
 DIAGNOSTICS_PERIOD_S = 1.0
 FOLLOW_PERIOD_S = 0.5  # how often inputs check the reliability that is offered
+MAX_PATH = 2000  # poses in a published path
 
 
 class VehicleNode(PausableNode):
