@@ -263,6 +263,7 @@ def test_what_a_fleet_file_says_itself_is_not_taken_from_the_command_line(
     fleet = fleet_file(tmp_path, "vehicles: {uav1: {}}\nreplay: {bags: [bag]}\n")
     for more in (["another_bag"], ["--config", "kagaru"], ["--vehicles", "uav1"]):
         assert "is a fleet file" in refused(capsys, "run", fleet, *more)
+    assert "is a fleet file" in refused(capsys, "run", "another_bag", fleet)
 
 
 @pytest.mark.parametrize(

@@ -34,16 +34,16 @@ def bags_and_configs(
     from uav_vslam.errors import ConfigError
 
     overrides = dict(override(item) for item in args.set) | dict(overrides)
-    first = args.inputs[0]
-    if first.suffix in {".yaml", ".yml"}:
+    file = next((path for path in args.inputs if path.suffix in {".yaml", ".yml"}), None)
+    if file is not None:
         if len(args.inputs) > 1 or args.vehicles or args.config:
             raise ConfigError(
-                f"{first} is a fleet file: it names the recordings, the vehicles and their configurations, so "
+                f"{file} is a fleet file: it names the recordings, the vehicles and their configurations, so "
                 "no other input, --vehicles or --config goes with it; change the file, or use --set"
             )
-        fleet = load_fleet(first, overrides=overrides)
+        fleet = load_fleet(file, overrides=overrides)
         if not fleet.replay.bags:
-            raise ConfigError(f"{first}: replay.bags is empty; name the recordings")
+            raise ConfigError(f"{file}: replay.bags is empty; name the recordings")
         return fleet.replay.bags, fleet.vehicles
     bags = tuple(args.inputs)
     config = load_vehicle(find_config(args.config) if args.config else None, overrides=overrides)
