@@ -123,6 +123,26 @@ def test_a_flight_that_can_not_be_simulated_is_refused_in_one_line(
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("surface --cell 0", "'0' is not a number above 0"),
+        ("orthomosaic --m-per-px -1", "'-1' is not a number above 0"),
+        ("filters --altitude -5", "'-5' is not a number above 0"),
+        ("filters --speed nan", "'nan' is not a number above 0"),
+        ("live --rate 0", "'0' is not a number above 0"),
+        ("live --mode telepathy", "invalid choice: 'telepathy'"),
+    ],
+)
+def test_a_wrong_value_of_a_study_is_refused_before_it_starts(
+    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        command.main(["study", *arguments.split()])
+    assert leaving.value.code == 2
+    assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("study", STUDIES)
 def test_every_study_explains_itself_with_examples(study: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as leaving:

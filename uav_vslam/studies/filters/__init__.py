@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, positive_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -13,8 +13,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vehicles", type=int, default=2, help="of each seed, each alone and a run (default 2)")
     parser.add_argument("--runs", type=int, default=10, help="runs of each noise scale (default 10)")
     parser.add_argument("--steps", type=int, default=100, help="frames of each of these runs (default 100)")
-    parser.add_argument("--altitude", type=float, default=20.0, help="of the noise scales' flight [m] (default 20)")
-    parser.add_argument("--speed", type=float, default=6.0, help="of the noise scales' flight [m/s] (default 6)")
+    parser.add_argument(
+        "--altitude", type=positive_number, default=20.0, help="of the noise scales' flight [m] (default 20)"
+    )
+    parser.add_argument(
+        "--speed", type=positive_number, default=6.0, help="of the noise scales' flight [m/s] (default 6)"
+    )
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:

@@ -5,13 +5,20 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, positive_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the rate and the communication mode."""
-    parser.add_argument("--rate", type=float, default=1.0, help="multiple of real time (default 1)")
-    parser.add_argument("--mode", default="wideband", help="how the vehicles communicate (default wideband)")
+    from uav_vslam.config.fusion import MODE_BUDGETS
+
+    parser.add_argument("--rate", type=positive_number, default=1.0, help="multiple of real time (default 1)")
+    parser.add_argument(
+        "--mode",
+        choices=tuple(MODE_BUDGETS),
+        default="wideband",
+        help="how the vehicles communicate (default wideband)",
+    )
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, positive_number
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
@@ -22,7 +22,7 @@ def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findi
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the resolution."""
     text = "side of a pixel of the picture [m] (default 0.1)"
-    parser.add_argument("--m-per-px", type=float, default=0.1, metavar="M", help=text)
+    parser.add_argument("--m-per-px", type=positive_number, default=0.1, metavar="M", help=text)
 
 
 STUDY = Study(

@@ -5,14 +5,16 @@ from __future__ import annotations
 
 import argparse
 
-from uav_vslam.studies.engine.study import Findings, Progress, Study
+from uav_vslam.studies.engine.study import Findings, Progress, Study, positive_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what is flown."""
     parser.add_argument("--vehicles", type=int, default=1, metavar="N", help="of each flight (default 1)")
     parser.add_argument("--bare", action="store_true", help="nothing stands on the ground")
-    parser.add_argument("--cell", type=float, default=0.5, metavar="M", help="side of a cell [m] (default 0.5)")
+    parser.add_argument(
+        "--cell", type=positive_number, default=0.5, metavar="M", help="side of a cell [m] (default 0.5)"
+    )
 
 
 def run(args: argparse.Namespace, seeds: list[int], progress: Progress) -> Findings:
