@@ -137,6 +137,16 @@ def test_readings_and_images_that_are_merely_lost_are_no_clock(kind: type, lost_
     )
 
 
+@pytest.mark.parametrize("seed", [1, 7])
+def test_a_second_without_readings_costs_no_consistency(seed: int) -> None:
+    """Of the landmarks, few are still in view, on one side of the image: they fit a tilt as well as a shift."""
+    vehicle, events, at_ns = recorded(seed)
+    lost = range(at_ns, at_ns + NS_PER_S)
+    track = fly(vehicle, [e for e in events if not (isinstance(e, ImuSample) and e.stamp_ns in lost)])
+    before = sum(output.report.pose.stamp_ns < lost.stop for output in track.outputs)
+    assert np.mean(nees(vehicle, track, after_ns=at_ns)[before:]) <= 3.0
+
+
 @pytest.mark.parametrize(("policy", "jump_s"), [("bridge", -10.0), ("bridge", 60.0), ("reset", 10.0)])
 def test_a_recording_of_another_flight_ends_with_the_reason(policy: str, jump_s: float) -> None:
     vehicle, events, at_ns = recorded(1)

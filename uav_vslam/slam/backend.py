@@ -42,6 +42,7 @@ from uav_vslam.types import (
 )
 
 SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
+FAR_SIGNIFICANCE = 1e-4  # of a set that puts the pose far away: on one side of an image a tilt fits like a shift
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
 TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
 UNAIDED_S = 1.0  # a vibration from the start on is noticed by then
@@ -406,7 +407,7 @@ class SlamBackend:
                 matches.landmarks,
                 matches.pixels,
                 linearise_at=matches.linearise_at,
-                significance=0.0 if matches.relocalised else SIGNIFICANCE,
+                significance=_significance(matches),
                 weights=self._weights((left_behind | self._map.revisited)[matches.landmarks]),
             )
             if of_landmarks.accepted:
@@ -496,3 +497,10 @@ class SlamBackend:
         room = min(most, self._config.max_in_view - int(in_view.sum()))
         taken = rig.left.project(points_left[in_view])
         return spread(pixels, max(0, room), size=self._rig.left.size, taken=taken)
+
+
+def _significance(matches: Matches) -> float:
+    """Return the tail probability below which a set is rejected; relocalisations are not tested by the prediction."""
+    if matches.relocalised:
+        return 0.0
+    return SIGNIFICANCE if matches.linearise_at is None else FAR_SIGNIFICANCE
