@@ -219,8 +219,9 @@ class Filter:
             )
             if not passed.any():
                 return passed
-            linearised = relinearised(first, passed, P, lambda delta: self._linearised_tracks_at(tracks, delta))
-            self._of_tracks = linearised.of_vehicle(passed)
+            linearised, self._of_tracks = relinearised(
+                first, passed, P, lambda delta: self._linearised_tracks_at(tracks, delta)
+            )
             points, H, R = linearised.of_points(passed & become_landmarks)
             self.belief = self.belief.appended(H, R)
             self.landmarks = np.vstack([self.landmarks, points])

@@ -85,8 +85,10 @@ class LinearisedTracks:
 
 def relinearised(
     first: LinearisedTracks, used: Mask, P: Array, linearise: Callable[[Array], LinearisedTracks]
-) -> LinearisedTracks:
+) -> tuple[LinearisedTracks, VehicleObservation]:
     """Return tracks linearised at the mean that those used lead to, or as they are if that is near enough.
+
+    The second value is what those used say there about the error of the filter's mean.
 
     Args:
         first: linearised at the filter's mean.
@@ -96,7 +98,7 @@ def relinearised(
     """
     best, said = first, first.of_vehicle(used)
     if np.vdot(said.Y, P) < WIDE * used.sum():
-        return best
+        return best, said
     cost = said.norm2
     for _ in range(RELINEARISATIONS):
         weighted = np.linalg.solve(np.eye(len(P)) + said.Y @ P, said.i)
@@ -107,4 +109,4 @@ def relinearised(
         if residual - predicted < NONLINEAR or residual + float(delta @ weighted) > cost:
             break
         best, said, cost = there, there.of_vehicle(used), residual + float(delta @ weighted)
-    return best
+    return best, said
