@@ -13,7 +13,7 @@ from uav_vslam.geometry.pose import Pose
 from uav_vslam.geometry.rotation import so3_exp
 from uav_vslam.ins.propagation import VELOCITY
 from uav_vslam.slam.frame_report import FrameReport
-from uav_vslam.slam.stage import SlamStage
+from uav_vslam.slam.stage import FrameOutput, SlamStage
 from uav_vslam.slam.start_monitor import (
     MAX_COASTED,
     NEGLIGIBLE,
@@ -34,12 +34,17 @@ def warnings_of(flight, initial: NavEstimate, method: str = "given") -> list[str
     config = VehicleConfig(imu=flight.vehicle.scenario.imu_config, start=StartConfig(method=method))
     stage = SlamStage(config, vehicle="uav1")
     stage.rig = flight.vehicle.rig
+    return [text for output in outputs_of(stage, flight, initial) for text in output.warnings]
+
+
+def outputs_of(stage: SlamStage, flight, initial: NavEstimate) -> list[FrameOutput]:
+    """Fly from a start state."""
     stage.start(initial)
     for features, increment in flight.frames:
         stage.add_features(features)
         if increment is not None:
             stage.add_increment(increment)
-    return [text for output in stage.run() for text in output.warnings]
+    return list(stage.run())
 
 
 def moved(initial: NavEstimate, *, velocity=ZERO, rotation_deg=ZERO) -> NavEstimate:
@@ -70,6 +75,30 @@ def test_a_start_many_sigmas_off_is_detected_once(flown, what: str, seed: int) -
     flight = flown(seed)
     (warning,) = warnings_of(flight, moved(flight.vehicle.initial, **WRONG[what]))
     assert warning.endswith(REMEDY)
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_after_a_wrong_start_the_estimate_claims_no_more_than_it_knows(flown, what: str) -> None:
+    flight = flown(1, frames=48, tracked_px=0.05)
+    off = {"rotation_deg": np.array([10 * TILT_SIGMA_DEG, 0.0, 0.0])} if what == "tilt" else WRONG[what]
+    outputs = outputs_of(flight.tracking_stage(0.05), flight, moved(flight.vehicle.initial, **off))
+    assert sum(output.report.recovery != "" for output in outputs) == 1
+    assert flight.errors_and_nees(outputs)[1][20:].mean() < 2.0
+
+
+@pytest.mark.parametrize("disparity_px", [-0.6, 0.6])
+def test_a_wrong_calibration_that_looks_like_a_wrong_start_is_found(flown, disparity_px: float) -> None:
+    flight = flown(2, frames=60, tracked_px=0.05)
+    stage = flight.tracking_stage(0.05)
+    stage.rig = flight.vehicle.rig.disparity_shifted(disparity_px)
+    outputs = outputs_of(stage, flight, flight.vehicle.initial)
+    start, calibration = (text for output in outputs for text in output.warnings)
+    assert REMEDY in start
+    assert "contradicts the calibration" in calibration
+    disparity = outputs[-1].report.disparity
+    assert disparity is not None
+    assert abs(disparity.mean_px + disparity_px) < 0.1
+    assert flight.errors_and_nees(outputs)[1][20:].mean() < 2.0
 
 
 def test_a_start_that_was_not_recorded_is_not_sought_in_the_recording(flown) -> None:

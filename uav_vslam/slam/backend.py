@@ -28,7 +28,7 @@ from uav_vslam.slam.landmark_map import LandmarkMap
 from uav_vslam.slam.map_manager import MapView, rows_to_remove
 from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
 from uav_vslam.slam.matches import Matches
-from uav_vslam.slam.recovery import reinitialised
+from uav_vslam.slam.recovery import doubted_rig, reinitialised
 from uav_vslam.slam.seen_motion import MotionFinder, Step
 from uav_vslam.slam.track_noise import TrackNoise
 from uav_vslam.slam.track_window import Choice, Present, TrackWindow
@@ -104,7 +104,7 @@ class SlamBackend:
         self._frame = 0
         self._last_tracks = np.zeros(0, np.uint32)
         self._motion, self._imu_fault = MotionFinder(), ImuFaultDetector(config.imu.gravity)
-        self._track_noise, self._flexing = TrackNoise(), config.rig.flexing
+        self._track_noise, self._flexing, self._doubts_rig = TrackNoise(), config.rig.flexing, False
         self._present_rig = rig  # as the tracks correct it
         self._nav = initial
         self._unaided: NavEstimate | None = None  # by the IMU alone, for a while: no image has spoilt it
@@ -279,9 +279,20 @@ class SlamBackend:
             descriptors=np.vstack(descriptors) if descriptors else np.zeros_like(self._map.descriptors),
         )
 
-    def recovered(self, report: FrameReport, features: StereoFeatures, reason: str) -> FrameReport:
-        """Re-initialise the filter after a frame that seemed good, and return what is left of its report."""
-        self._recover()
+    def recovered(
+        self, report: FrameReport, features: StereoFeatures, reason: str, *, start: NavEstimate | None = None
+    ) -> FrameReport:
+        """Re-initialise the filter after a frame that seemed good, and return what is left of its report.
+
+        Args:
+            report: of the frame.
+            features: its points.
+            reason: for the report.
+            start: what to go on from, because the start state or the calibration is wrong; None for an estimate that
+                has lost its positive definiteness.
+        """
+        self._doubts_rig |= start is not None
+        self._recover(start)
         added = self._add_landmarks(Matches.none(), features)
         return dataclasses.replace(
             report,
@@ -346,6 +357,7 @@ class SlamBackend:
     def _reset(self, initial: NavEstimate) -> None:
         """Re-initialise the filter without landmarks; identifiers continue."""
         rig_config = dataclasses.replace(self._vehicle_config.rig, flexing=self._flexing)
+        rig_config = doubted_rig(rig_config) if self._doubts_rig else rig_config
         config = dataclasses.replace(self._vehicle_config, rig=rig_config)
         self._filter = make_filter(initial, rig=self._rig, config=config)
         self._map.remove(np.arange(len(self._map)))

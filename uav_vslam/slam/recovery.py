@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimate that a filter goes on from after it has been lost, or has lost its positive definiteness.
+"""What a filter goes on from after it has been lost, has lost its positive definiteness, or was started wrongly.
 
-Its covariance is inflated, but not without bound: recoveries may follow each other, and a factor at each of them makes
-an estimate that no filter can work with, which fails again at once, and so on.
+The covariance of a lost one is inflated, but not without bound: recoveries may follow each other, and a factor at each
+of them makes an estimate that no filter can work with, which fails again at once, and so on.
 """
+
+import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import ImuConfig
+from uav_vslam.config import ImuConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.ins.increments import MOST_ROTATION_SIGMA, UNKNOWN_SPEED_SIGMA
 from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, NAV_DIM, POSITION, ROTATION, VELOCITY
@@ -21,6 +23,13 @@ INFLATION = 4.0  # of the covariance
 # [m] per axis. Far below 10 km, where the information about a position is lost beside that of past poses about each
 # other (`past_poses.COPY_VARIANCE`) in the rounding of their sum.
 MOST_POSITION_SIGMA = 1000.0
+# By how many times its sigmas a start that the first frames contradict may be off: position, which defines the map,
+# velocity, tilt, heading, biases. A wider tilt would be linearised too far from the truth where landmarks are noisy.
+START_INFLATION = np.repeat([1.0, 10.0, 3.0, 10.0, 3.0], [3, 3, 2, 1, 6])
+# Or else the calibration is wrong: by how many times more than a wrong one commonly is, and with which probability,
+# four times that of a wrong start.
+MISCALIBRATED_INFLATION = 3.0
+MISCALIBRATED_PROBABILITY = 0.8
 
 
 def reinitialised(estimate: NavEstimate, *, since_s: float, imu: ImuConfig) -> NavEstimate:
@@ -44,6 +53,22 @@ def reinitialised(estimate: NavEstimate, *, since_s: float, imu: ImuConfig) -> N
     except FilterDivergence:  # its correlations mean nothing any more
         bounded = np.diag(np.where(variance > 0.0, np.minimum(variance, most), most))
     return NavEstimate(estimate.state, bounded)
+
+
+def doubted_start(initial: NavEstimate) -> NavEstimate:
+    """Return a start state that the first frames contradict, with a covariance that allows for it."""
+    return NavEstimate(initial.state, initial.covariance * START_INFLATION[:, None] * START_INFLATION)
+
+
+def doubted_rig(rig: RigConfig) -> RigConfig:
+    """Return the uncertainty of a calibration when it, or the start state, is contradicted by the first frames."""
+    if rig.miscalibrated_probability == 0.0:
+        return rig
+    return dataclasses.replace(
+        rig,
+        miscalibrated_sigma_px=MISCALIBRATED_INFLATION * rig.miscalibrated_sigma_px,
+        miscalibrated_probability=max(MISCALIBRATED_PROBABILITY, rig.miscalibrated_probability),
+    )
 
 
 def _most_variance(estimate: NavEstimate, since_s: float, imu: ImuConfig) -> Array:

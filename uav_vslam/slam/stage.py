@@ -22,6 +22,7 @@ from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.noise_monitor import NoiseMonitor
+from uav_vslam.slam.recovery import doubted_start
 from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.saved_map import MapOrigin, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
@@ -101,6 +102,7 @@ class SlamStage:
         self._start_monitor, self._rig_monitor = StartMonitor(config.start.method), RigMonitor(config.rig)
         self._noise_monitor = NoiseMonitor(config.imu)
         self._dead_reckoning = DeadReckoning(config.imu)
+        self._doubted = DeadReckoning(config.imu)  # from a start state that may be wrong
         self._previous_ns: int | None = None
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
         self._was_motion_unknown = False
@@ -207,6 +209,7 @@ class SlamStage:
         if self.initial is None or (self._backend is None and not self._in_flight):
             self.initial = initial
             self._dead_reckoning.start(initial)
+            self._doubted.start(doubted_start(initial))
             if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
@@ -304,12 +307,15 @@ class SlamStage:
         increment = self._motion(backend, features.stamp_ns, increment)
         report = backend.process(features, increment)
         self._was_motion_unknown |= backend.imu_fault != ""
-        report, joint = self._with_joint(backend, report, features)
-        self._archive_landmarks(report, joint)
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
+        report, of_start = self._checked_start(backend, report, features, dead_reckoned)
+        report, joint = self._with_joint(backend, report, features)
+        if report.recovery:
+            self._start_monitor.stop(report.pose.stamp_ns)
+        self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
-        warnings = [text for text in (*noisy, *self._warnings(report, dead_reckoned)) if text]
+        warnings = [text for text in (*noisy, of_start, self._warning(report)) if text]
         return FrameOutput(report, dead_reckoned, joint, increment, tuple(warnings))
 
     def _motion(self, backend: SlamBackend, stamp_ns: int, increment: ImuIncrement | None) -> ImuIncrement | None:
@@ -320,13 +326,30 @@ class SlamStage:
         if increment is None:
             return None
         # before the filter, which may fail: the baseline must not miss a step
-        self._dead_reckoning.add(increment)
+        for dead_reckoning in (self._dead_reckoning, self._doubted):
+            dead_reckoning.add(increment)
         self._motion_lost += increment.start_ns != backend.stamp_ns
         increment = bridged(increment, backend.stamp_ns, self._config.imu)
         self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
         if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
             self._start_monitor.stop(increment.start_ns)
         return increment
+
+    def _checked_start(
+        self, backend: SlamBackend, report: FrameReport, features: StereoFeatures, dead_reckoned: NavEstimate
+    ) -> tuple[FrameReport, str]:
+        """Return a frame's report, and a warning where it contradicts the start; with tracks it begins again.
+
+        From dead reckoning: what the frames have made of a wrong start is certain and wrong. Tracks are so exact that a
+        start which allows for its error costs them nothing; among landmarks alone it lets wrong matches pass.
+        """
+        if report.recovery or self._was_motion_unknown:  # what follows contradicts a correct start
+            return report, ""
+        finding = self._start_monitor.add(report, dead_reckoned)
+        if not finding or not report.tracked:
+            return report, finding
+        self._start_monitor = StartMonitor(self._config.start.method)
+        return backend.recovered(report, features, finding, start=self._doubted.estimate), ""
 
     def _with_joint(
         self, backend: SlamBackend, report: FrameReport, features: StereoFeatures
@@ -366,13 +389,9 @@ class SlamStage:
         found = [self._noise_monitor.add_tracks(track_sigma_px, configured_px=configured_px)]
         return found if increment is None else [*found, self._noise_monitor.add(increment)]
 
-    def _warnings(self, report: FrameReport, dead_reckoned: NavEstimate) -> list[str]:
+    def _warning(self, report: FrameReport) -> str:
         if report.recovery:
-            self._start_monitor.stop(report.pose.stamp_ns)
-            return [f"the filter was re-initialised: {report.recovery}"]
-        if self._was_motion_unknown:  # what follows it contradicts a correct start and a correct rig
-            return []
-        found = [self._start_monitor.add(report, dead_reckoned)]
-        if self._start_monitor.trusts(report.pose.stamp_ns):  # a wrong start would contradict a correct rig
-            found.append(self._rig_monitor.add(report))
-        return found
+            return f"the filter was re-initialised: {report.recovery}"
+        if self._was_motion_unknown or not self._start_monitor.trusts(report.pose.stamp_ns):
+            return ""  # an unknown motion, or a wrong start, contradicts a correct rig
+        return self._rig_monitor.add(report)
