@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A reader that goes away, or has no such character, costs what it would have read, not the results."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -8,19 +9,22 @@ from pathlib import Path
 
 import pytest
 
-SAMPLE = Path(__file__).parents[2] / "bags" / "sample"
+from uav_vslam.simulation.recording import record
+from uav_vslam.simulation.scenario import SCENARIOS
 
 
 @pytest.mark.slow
 def test_a_run_whose_table_nobody_reads_is_saved(tmp_path: Path) -> None:
-    options = "--vehicles uav1 --config sample --no-plots --no-maps --no-smoothing --workers 1 --results"
-    command = [sys.executable, "-m", "uav_vslam.cli.main", "run", str(SAMPLE), *options.split(), str(tmp_path)]
+    bag, results = tmp_path / "flight", tmp_path / "results"
+    record(dataclasses.replace(SCENARIOS["kagaru"], vehicles=1, frames=4, scale=0.125, seed=3), bag)
+    options = ["--no-plots", "--no-maps", "--no-smoothing", "--workers", "1", "--results", str(results)]
+    command = [sys.executable, "-m", "uav_vslam.cli.main", "run", str(bag), *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     process.stdout.close()
     _, said = process.communicate()
     assert b"Traceback" not in said
-    assert (tmp_path / "latest" / "summary.json").is_file(), said.decode()
+    assert (results / "latest" / "summary.json").is_file(), said.decode()
 
 
 def test_a_terminal_without_a_character_shows_the_rest_of_the_table(tmp_path: Path) -> None:
