@@ -48,13 +48,10 @@ def flown(seed: int, *, sigma_px: float = 1.0, dark: tuple[int, ...] = ()) -> Ve
     return flight_result("x", {name: track}, {}, {name: None}, {name: config}).vehicles[name]
 
 
-def updates(*, sigma_px: float) -> list[FrameQuality]:
-    return [frame for seed in SEEDS for frame in flown(seed, sigma_px=sigma_px).frames or ()]
-
-
 @pytest.mark.slow
 def test_the_innovations_of_flights_with_the_stated_noise_are_consistent() -> None:
-    figures = innovation_figures(updates(sigma_px=1.0))
+    updates: list[FrameQuality] = [frame for seed in SEEDS for frame in flown(seed).frames or ()]
+    figures = innovation_figures(updates)
     assert figures["nis_verdict"] == "consistent"
     low, high = figures["nis_band"]
     assert 0.95 < low < figures["nis_per_dof"] < high < 1.02  # 50000 degrees of freedom, gated at 99 %
@@ -64,7 +61,7 @@ def test_the_innovations_of_flights_with_the_stated_noise_are_consistent() -> No
 @pytest.mark.slow
 @pytest.mark.parametrize(("sigma_px", "expected"), [(0.5, "over-confident"), (2.0, "conservative")])
 def test_a_wrong_pixel_noise_is_named(sigma_px: float, expected: str) -> None:
-    figures = innovation_figures(updates(sigma_px=sigma_px))
+    figures = innovation_figures(flown(1, sigma_px=sigma_px).frames or ())
     assert figures["nis_verdict"] == expected
     assert figures["nis_outside_share"] > 0.8
 

@@ -47,7 +47,7 @@ OURS = Path(__file__).parents[3] / "config" / "import" / "kagaru.yaml"
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    return fly(scenario=dataclasses.replace(SCENARIO, frames=40, scale=0.375))
+    return fly(scenario=dataclasses.replace(SCENARIO, frames=FRAMES, scale=0.375))
 
 
 @pytest.fixture(scope="module")
