@@ -223,6 +223,14 @@ def test_configuration_files_of_ours_are_parameter_files_of_every_node(start: Ca
         assert node.get_parameter("link.loss").value == 0.2
 
 
+def test_a_parameter_that_is_no_setting_leaves_the_configuration_alone(start: Callable[..., Any]) -> None:
+    """Each topic declares some, of its QoS: building and checking the whole for each is most of a node's start."""
+    node = start("slam_backend")
+    before = node._settings.config
+    node.declare_parameter("mine", 1)
+    assert node._settings.config is before
+
+
 def test_qos_that_is_overridden_for_one_output_is_not_that_of_others(start: Callable[..., Any]) -> None:
     node = start("slam_backend", "qos_overrides./uav1/odometry.publisher.reliability:=best_effort")
     offered = {one.topic_name: one.qos_profile.reliability for one in node.publishers}

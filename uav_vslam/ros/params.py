@@ -173,6 +173,8 @@ class VehicleParameters:
 
     def _with(self, parameters: list[Parameter]) -> VehicleConfig:
         changes = {one.name: one.value for one in parameters if one.name in self._settings}
+        if not changes:  # as for each QoS override that a topic declares
+            return self.config
         return replaced(self.config, changes, where=self._node.get_fully_qualified_name())
 
 
