@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bench measures every stage."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,11 +9,15 @@ import pytest
 
 from uav_vslam.cli.main import main
 from uav_vslam.evaluation.output import LATEST
+from uav_vslam.studies.bench import compute
 
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_the_cost_of_each_node_is_a_ratio_to_a_bare_one_in_the_same_run(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_cost_of_each_node_is_a_ratio_to_a_bare_one_in_the_same_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("uav_vslam.ros.node_cost.WARM_UP_S", 0.5)
     assert main(["bench", "--nodes", "2"]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.count("│") == 8]
     rows = {
@@ -40,8 +45,9 @@ def test_the_latencies_of_the_nodes_have_their_unit(
 
 @pytest.mark.slow
 def test_the_quick_bench_measures_every_stage_and_writes_the_study(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(compute, "QUICK", dataclasses.replace(compute.QUICK, repeats=1))
     assert main(["bench", "--quick", "--results", str(tmp_path)]) == 0
     rows = json.loads((tmp_path / LATEST / "study.json").read_text())["rows"]
     stages = [row["method"] for row in rows]

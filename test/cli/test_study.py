@@ -27,8 +27,8 @@ SMALL = {
     "outliers": ["--seeds", "1", "--vehicles", "1", "--frames", "5"],
     "revisit": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
     "association": ["--seeds", "1", "--frames", "6", "--methods", "gated", "hgtm"],
-    "recordings": ["--seeds", "1", "--frames", "6"],
-    "perturbed": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "3"],
+    "recordings": ["--seeds", "1", "--frames", "3"],
+    "perturbed": ["--seeds", "1", "--rendered-seeds", "1", "--frames", "2"],
     "surface": ["--seeds", "1", "--frames", "8", "--bare"],
     "orthomosaic": ["--seeds", "1", "--frames", "12", "--m-per-px", "0.3"],
 }

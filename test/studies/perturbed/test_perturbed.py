@@ -57,7 +57,7 @@ def test_a_time_offset_shows_the_world_of_before_under_the_told_stamps(scenario)
 
 @pytest.mark.slow
 def test_both_levels_have_a_row_and_a_curve_for_each_condition():
-    rows, series = run_study(CONFIGS, {LANDMARKS: [1, 2], RENDERED: [1]}, frames=3, workers=1)
+    rows, series = run_study(CONFIGS, {LANDMARKS: [1, 2], RENDERED: [1]}, frames=2, workers=1)
     labels = [(row["table"], row["condition"]) for row in rows]
     assert labels == [(level, condition) for level in (LANDMARKS, RENDERED) for condition in CONDITIONS]
     assert [row["runs"] for row in rows] == [2] * len(CONDITIONS) + [1] * len(CONDITIONS)
