@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from faulty import FAULTS
-from remembered import remembered_sift
+from remembered import remembered_looks, remembered_sift
 
 from uav_vslam.cli import check
 from uav_vslam.cli.main import main
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module", autouse=True)
 def _remembered() -> Iterator[None]:
     """All check the same images."""
-    with remembered_sift():
+    with remembered_sift(), remembered_looks():
         yield
 
 

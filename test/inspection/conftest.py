@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from remembered import remembered_sift
+from remembered import remembered_looks, remembered_sift
 
 from uav_vslam.simulation.recording import record
 from uav_vslam.simulation.scenario import SCENARIOS
@@ -21,6 +21,6 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", autouse=True)
 def _remembered() -> Iterator[None]:
-    """Most faults leave the images of the clean flight as they are."""
-    with remembered_sift():
+    """Most faults leave the images of the clean flight as they are, and many their stamps and the rig, too."""
+    with remembered_sift(), remembered_looks():
         yield

@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keypoints of images that many tests search again."""
+"""Keypoints of images that many tests search again, and what pairs of them show."""
 
-from collections.abc import Iterator
+import pickle
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from uav_vslam.config import FrontendConfig
+from uav_vslam.geometry.stereo import StereoRig
+from uav_vslam.inspection import views
+from uav_vslam.types import StereoFrame
 from uav_vslam.vision.features.base import Keypoints
 from uav_vslam.vision.features.sift import SiftExtractor
 
@@ -29,4 +34,24 @@ def remembered_sift() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SiftExtractor, "detect", remembered)
+        yield
+
+
+@contextmanager
+def remembered_looks() -> Iterator[None]:
+    """Judge the same sampled pairs with the same rig once; nobody may change what they show."""
+    look = views.look
+    known: dict[bytes, views.Views] = {}
+
+    def remembered(
+        samples: Sequence[tuple[StereoFrame, StereoFrame | None]], rig: StereoRig, config: FrontendConfig
+    ) -> views.Views:
+        key = pickle.dumps((samples, rig, config))
+        if key not in known:
+            known[key] = look(samples, rig, config)
+            known[key].pixels.flags.writeable = False
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(views, "look", remembered)
         yield
