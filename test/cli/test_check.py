@@ -129,7 +129,8 @@ def test_the_block_of_a_vehicle_with_another_name_finds_its_start(flight: Path, 
     config.write_text("\n".join(line[4:] for line in block.splitlines() if line.startswith("    ")))
     as_advised = [*base, "--config", str(config), "--vehicles", "drone"]
     assert checked(bag, *as_advised)[0] == 0
-    assert main(["run", str(bag), *as_advised, "--no-plots", "--results", str(tmp_path / "out")]) == 0
+    options = ["--no-plots", "--no-maps", "--no-smoothing", "--results", str(tmp_path / "out")]
+    assert main(["run", str(bag), *as_advised, *options]) == 0
 
 
 def test_the_progress_ends_at_its_total(sound: tuple[int, str, Progress], flight: Path, tmp_path: Path) -> None:

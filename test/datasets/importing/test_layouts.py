@@ -297,7 +297,8 @@ def test_poses_of_kitti_that_are_no_rotation_are_left_out(rectified: Flight, tmp
 
 
 def ate_m(bag: Path, config: Path, results: Path) -> float:
-    assert main(["run", str(bag), "--config", str(config), "--no-plots", "--results", str(results)]) == 0
+    options = ["--no-plots", "--no-maps", "--no-smoothing", "--results", str(results)]
+    assert main(["run", str(bag), "--config", str(config), *options]) == 0
     summary = json.loads((results / "latest" / "summary.json").read_text())
     return float(summary["vehicles"]["uav1"]["s_slam"]["ate_m"])
 
