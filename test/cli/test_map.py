@@ -102,11 +102,15 @@ def test_a_flight_that_has_been_run_gives_the_same_map(
         assert picture.pages[0].geotiff_tags["ProjNatOriginLatGeoKey"] == -28.2325
 
 
+def flown_only(result: Path, folder: Path) -> Path:
+    """Return a copy of the flight, without its map."""
+    return Path(shutil.copytree(result, folder / "result", ignore=shutil.ignore_patterns("map", "before")))
+
+
 def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ["--config", "sample", "--no-plots", "--workers", "1", "--results", str(tmp_path)]
-    assert main(["map", str(bag), *options, "--cell", "0.1"]) == 1
+    assert main(["map", str(flown_only(result, tmp_path)), "--cell", "0.1"]) == 1
     said = capsys.readouterr().err
     assert "pairs have pixels too large for cells of 0.1 m; use --cell 0." in said
     assert "nothing was mapped" in said
@@ -123,8 +127,7 @@ def test_cells_smaller_than_the_pixels_are_told_with_a_size_that_suits(
 def test_what_is_missing_is_named_in_one_line(
     result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict, words: list[str], message: str
 ) -> None:
-    copy = tmp_path / "result"
-    shutil.copytree(result, copy, ignore=shutil.ignore_patterns("map", "before"))
+    copy = flown_only(result, tmp_path)
     tree = json.loads((copy / "summary.json").read_text())
     (copy / "summary.json").write_text(json.dumps(tree | change))
     assert main(["map", str(copy), *words]) == 2
