@@ -2,9 +2,9 @@
 """The folder tree is the block diagram: who may import whom, and where each outside library stays at home."""
 
 import ast
+import functools
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -112,18 +112,21 @@ def part_of(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
-def imports_of(path: Path) -> Iterator[tuple[str, int]]:
-    """Yield each absolute module that a file imports anywhere, in functions and for type checks too, and its line."""
+@functools.cache
+def imports_of(path: Path) -> list[tuple[str, int]]:
+    """Return each absolute module that a file imports anywhere, in functions and for type checks too, and its line."""
+    found: list[tuple[str, int]] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, node.lineno) for alias in node.names)
+            found += [(alias.name, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: relative import"
             assert node.module is not None
             if node.module == "uav_vslam":
-                yield from ((f"uav_vslam.{alias.name}", node.lineno) for alias in node.names)
+                found += [(f"uav_vslam.{alias.name}", node.lineno) for alias in node.names]
             else:
-                yield node.module, node.lineno
+                found.append((node.module, node.lineno))
+    return found
 
 
 def wrong_layers(path: Path) -> list[str]:
