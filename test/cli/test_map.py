@@ -137,6 +137,23 @@ def test_what_is_missing_is_named_in_one_line(
     assert not (copy / "map").exists()
 
 
+def test_an_interrupted_map_leaves_nothing_and_one_that_was_killed_is_started_again(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = tmp_path / "result"
+    shutil.copytree(result, copy, ignore=shutil.ignore_patterns("map", "before"))
+    before = sorted(copy.iterdir())
+    (copy / "map.partial/map/tiles").mkdir(parents=True)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("uav_vslam.cli.map_picture.write_picture_and_model", interrupt)
+    assert main(["map", str(copy), "--vehicles", "uav1", "--cell", "2"]) == 130
+    assert "map.partial, left by work that was cut short, is removed" in capsys.readouterr().err
+    assert sorted(copy.iterdir()) == before
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [(["--yaw", "30"], "--datum LAT LON ALT"), (["--datum", "91", "0", "0"], "latitude 91 of the datum")],

@@ -33,7 +33,8 @@ One vehicle is mapped with its smoothed poses; several with those moved to where
 map frame that they share. The height's sigma is that given the poses. RESULT/map/ holds height.png, height.tif,
 the orthomosaic (PNG with a world file), the textured model (GLB, PLY), map.json and the tiles of the height grid.
 With --datum, orthomosaic.tif and height.tif are GeoTIFFs in a transverse Mercator projection centred there, and heights
-count from its altitude. The map's x axis points east, or --yaw degrees counter-clockwise from there.
+count from its altitude. The map's x axis points east, or --yaw degrees counter-clockwise from there. The map grows in
+RESULT/map.partial: one that was interrupted leaves no RESULT/map, and can be started again.
 """
 
 
@@ -69,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
     import cv2
 
     from uav_vslam.cli.map_inputs import is_result, mapped_flights
+    from uav_vslam.datasets.unfinished import require_new, unfinished
     from uav_vslam.errors import ConfigError, UavVslamError
     from uav_vslam.report.page.page import write_page
 
@@ -85,8 +87,11 @@ def run(args: argparse.Namespace) -> int:
     if (folder / FOLDER).exists():
         raise UavVslamError(f"{folder / FOLDER} exists already; move it away to map this flight again")
     flights = mapped_flights(folder, args.bags, args.vehicles)
+    if require_new(folder / FOLDER):
+        warn(f"{folder / FOLDER}.partial, left by work that was cut short, is removed")
     cv2.setNumThreads(1)
-    cells = write_map(flights, folder / FOLDER, args.cell, datum)
+    with unfinished(folder / FOLDER) as partial:
+        cells = write_map(flights, partial, args.cell, datum)
     print(f"map: {folder / FOLDER}")
     if not args.no_plots:
         print(f"page: {write_page([folder])}")

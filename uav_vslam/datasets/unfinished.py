@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag is written into OUT.partial and moved to OUT when it is complete: OUT is a whole recording or does not exist.
+"""A bag or map is written into OUT.partial and moved to OUT when it is complete: OUT is whole or does not exist.
 
 Work that was cut short starts again.
 """
@@ -55,7 +55,7 @@ def require_place(folder: Path) -> None:
 
 @contextmanager
 def unfinished(out: Path) -> Iterator[Path]:
-    """Yield the bag folder to make, which becomes `out` unless an exception is raised; that leaves nothing.
+    """Yield the folder to make, which becomes `out` unless an exception is raised; that leaves nothing.
 
     Raises:
         BagError: see `require_new`.
@@ -72,7 +72,7 @@ def unfinished(out: Path) -> Iterator[Path]:
 
 def _remove(partial: Path, name: str) -> None:
     if not partial.is_dir() or {path.name for path in partial.iterdir()} - {name}:
-        raise BagError(f"{partial} holds other things than an unfinished bag; remove or rename it")
+        raise BagError(f"{partial} holds other things than unfinished work; remove or rename it")
     shutil.rmtree(partial)
 
 
