@@ -2,13 +2,17 @@
 """The simulate verb records what its arguments say."""
 
 import argparse
+import re
 from pathlib import Path
 
 import pytest
 
 from uav_vslam.cli import simulate
+from uav_vslam.config import IMU_GRADES
 from uav_vslam.datasets.bag import open_flight, vehicles
 from uav_vslam.errors import ConfigError
+from uav_vslam.simulation.flight_path import PATTERNS
+from uav_vslam.simulation.scenario import SCENARIOS
 from uav_vslam.types import StereoFrame
 
 
@@ -47,6 +51,14 @@ def test_what_is_not_given_keeps_the_scenarios_value() -> None:
     assert (scenario.pattern, scenario.frames, scenario.imu) == ("lawnmower", 1000, "consumer")
     assert scenario.texture_m_per_px == 0.1
     assert (scenario.objects, scenario.colour) == (False, False)
+
+
+@pytest.mark.parametrize(("option", "names"), [("scenario", SCENARIOS), ("pattern", PATTERNS), ("imu", IMU_GRADES)])
+def test_the_help_names_all_that_is_accepted(option: str, names: dict[str, object]) -> None:
+    parser = argparse.ArgumentParser()
+    simulate.add_arguments(parser)
+    said = next(action.help for action in parser._actions if action.dest == option)
+    assert [name for name in names if not re.search(rf"\b{name}\b", said)] == []
 
 
 def test_an_unknown_scenario_lists_the_known_ones() -> None:

@@ -27,13 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("out", type=Path, metavar="OUT", help="bag folder to make")
     parser.add_argument(
-        "--scenario", default="kagaru", help="kagaru (leg, 160 frames), sample or long (lawnmower, 1000)"
+        "--scenario",
+        default="kagaru",
+        help="kagaru (leg, 160 frames; default), sample (leg, 64 small ones), long (lawnmower, 1000), "
+        "revisit (circuit, 780, one vehicle) or parting (apart after 60 s, 1000)",
     )
     parser.add_argument("--seed", type=non_negative, help="of everything random; the same seed gives the same bytes")
     parser.add_argument("--vehicles", type=int, help="number of vehicles")
     parser.add_argument("--frames", type=int, help="image pairs of each vehicle, at 7.14 Hz")
-    parser.add_argument("--pattern", help="leg, lawnmower or racetrack")
-    parser.add_argument("--imu", help="adis16480 or consumer")
+    parser.add_argument("--pattern", help="leg, lawnmower, racetrack, circuit or parting")
+    parser.add_argument("--imu", help="adis16480, consumer, thesis_half, thesis_w1, thesis_w2, thesis_w3 or thesis_w4")
     parser.add_argument("--scale", type=float, help="image size as a multiple of 1280x960")
     parser.add_argument(
         "--objects", action="store_true", default=None, help="barns, hedges, trees and posts, with shadows"
