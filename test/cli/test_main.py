@@ -92,6 +92,29 @@ def test_no_verb_or_an_unknown_one_or_option_is_wrong_input(
     assert usage in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "flight", "--config", "kagaru", "--config", "mine.yaml"],
+        ["check", "flight", "--config", "kagaru", "--config", "mine.yaml"],
+        ["map", "flight", "--vehicles", "uav1", "--vehicles", "uav2"],
+        ["study", "split", "flight", "--config", "kagaru", "--config", "kagaru"],
+    ],
+)
+def test_an_option_that_would_replace_itself_is_refused(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        command.main(arguments)
+    assert leaving.value.code == 2
+    assert f"argument {arguments[-2]}: given twice" in capsys.readouterr().err
+
+
+def test_an_option_that_collects_may_be_repeated() -> None:
+    words = ["run", "flight", "--set", "backend.sigma_px=1", "--set", "backend.window=4"]
+    assert len(command.build_parser(words).parse_args(words).set) == 2
+
+
 def test_help_imports_neither_numpy_nor_ros() -> None:
     program = (
         "import sys\nfrom uav_vslam.cli.main import build_parser\nbuild_parser([])\n"

@@ -33,9 +33,11 @@ CANT_RUN = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("inputs", nargs="+", type=Path, metavar="BAG|FLEET.yaml", help="bags, or one fleet file")
-    parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/ (bags only)")
+    parser.add_argument("--config", metavar="NAME", help="one YAML file, or name of one in config/ (bags only)")
     parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting; may be repeated"
+    )
     parser.add_argument("--json", type=output_file, metavar="FILE", help="also write the findings into a file")
 
 

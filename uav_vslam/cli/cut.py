@@ -44,8 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("bag", type=Path, metavar="BAG", help="the recording")
     parser.add_argument("out", type=Path, metavar="OUT", help="bag folder to make")
-    parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/, of the recording")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
+    parser.add_argument("--config", metavar="NAME", help="one YAML file, or name of one in config/, of the recording")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting; may be repeated"
+    )
     parser.add_argument("--trajectory", type=Path, metavar="FILE", help="TUM or EuRoC file, in place of the truth")
     add_cut_arguments(parser)
     parser.add_argument("--seed", type=non_negative, metavar="K", help=f"of the starts' errors (default {SEED})")

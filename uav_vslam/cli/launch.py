@@ -36,7 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument("fleet", type=Path, metavar="FLEET.yaml", help="vehicles, recordings to replay, and the mode")
     parser.add_argument(
-        "--vehicle", action="append", metavar="NAME", help="start only this one, the others have their own computers"
+        "--vehicle",
+        action="append",
+        metavar="NAME",
+        help="start only this one, the others have their own computers; may be repeated",
     )
     parser.add_argument("--bag", type=Path, action="append", metavar="BAG", help="replay this instead; may be repeated")
     parser.add_argument(

@@ -14,6 +14,7 @@ import os
 import sys
 from collections.abc import Sequence
 from types import ModuleType
+from typing import Any
 
 from uav_vslam import __version__
 from uav_vslam.errors import UavVslamError, WorkerEnded
@@ -46,6 +47,8 @@ EXAMPLES = """examples:
   uav-vslam run config/fleet_demo.yaml               the same stages in one process, without ROS
   uav-vslam simulate out/flight --frames 60          record a simulated flight of two vehicles
   uav-vslam VERB --help                              arguments and examples of one verb
+
+Options are given once, but for those whose help says that they may be repeated.
 
 exit codes: 0 done, 1 the run failed, 2 wrong input or configuration (the readable part of a damaged recording is used
 first), 130 interrupted
@@ -84,9 +87,35 @@ def main(argv: Sequence[str] | None = None) -> int:
         return WRONG_INPUT
 
 
+class _Once(argparse.Action):
+    """Store a value; argparse itself lets a second one replace the first without a word."""
+
+    _parsed: argparse.Namespace | None = None
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: str | Sequence[object] | None,
+        option_string: str | None = None,
+    ) -> None:
+        if self._parsed is namespace:
+            raise argparse.ArgumentError(self, "given twice, and only one can count")
+        self._parsed = namespace
+        setattr(namespace, self.dest, values)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses options that are given twice, but for those that collect; subparsers are of the same class."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.register("action", None, _Once)
+
+
 def build_parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser for the verb in `arguments`; it knows all verbs if there is none."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="uav-vslam",
         description="Cooperative stereo-inertial SLAM for several UAVs.",
         epilog=EXAMPLES,
@@ -105,7 +134,7 @@ def module_name(verb: str) -> str:
     return f"{verb}_" if keyword.iskeyword(verb) else verb
 
 
-def _add_verb(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]", verb: str, module: ModuleType) -> None:
+def _add_verb(subparsers: "argparse._SubParsersAction[_Parser]", verb: str, module: ModuleType) -> None:
     summary = str(module.HELP)
     description = summary[:1].upper() + summary[1:].rstrip(".") + "."
     subparser = subparsers.add_parser(verb, help=summary, description=description)

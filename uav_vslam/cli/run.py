@@ -41,10 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare all but the inputs."""
-    parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/ (bags only)")
+    parser.add_argument("--config", metavar="NAME", help="one YAML file, or name of one in config/ (bags only)")
     parser.add_argument("--vehicles", nargs="+", metavar="NAME", help="only these (bags only)")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting of all vehicles"
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override one setting of all vehicles; may be repeated",
     )
     parser.add_argument("--mode", choices=MODES, help="communication mode")
     parser.add_argument(

@@ -53,10 +53,12 @@ def _add_common(parser: argparse.ArgumentParser, study: Study) -> None:
             action="append",
             default=[],
             metavar="KEY=VALUE[,KEY=VALUE...]",
-            help=f"settings to compare, again for others (default: {study.variants})",
+            help=f"settings to compare; may be repeated for others (default: {study.variants})",
         )
     if study.settings:
-        parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting")
+        parser.add_argument(
+            "--set", action="append", default=[], metavar="KEY=VALUE", help="override one setting; may be repeated"
+        )
     parser.add_argument(
         "--seeds",
         type=non_negative if study.seedless else positive,

@@ -14,7 +14,9 @@ FILTERS = ("eif", "ekf", "ukf", "uhf")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the recording and the filters."""
     parser.add_argument("recording", type=Path, metavar="BAG_OR_MAV0_DIR", help="bag, or folder with cam0, cam1, imu0")
-    parser.add_argument("--config", default="euroc", metavar="NAME", help="YAML file or one in config/ (default euroc)")
+    parser.add_argument(
+        "--config", default="euroc", metavar="NAME", help="one YAML file, or one in config/ (default euroc)"
+    )
     parser.add_argument("--filters", nargs="+", choices=FILTERS, default=FILTERS, help="which (default all)")
     parser.add_argument("--vehicle", metavar="NAME", help="which of the bag (default the first)")
 

@@ -13,7 +13,7 @@ from uav_vslam.studies.engine.study import Findings, Progress, Study
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the recording and how it is cut."""
     parser.add_argument("bag", type=Path, metavar="BAG", help="recording of one vehicle with ground truth")
-    parser.add_argument("--config", metavar="NAME", help="YAML file or name of one in config/, of the recording")
+    parser.add_argument("--config", metavar="NAME", help="one YAML file, or name of one in config/, of the recording")
     add_cut_arguments(parser)
 
 
