@@ -458,6 +458,22 @@ def test_feedback_is_intersected_with_and_never_counts_the_own_measurements_twic
     assert helped.weight < 1.0
 
 
+def test_feedback_does_not_average_away_that_two_vehicles_see_different_points(own, make_joint) -> None:
+    """From a peer that knows its points exactly, packet and feedback differ from the own points by the same floor."""
+    config = FusionConfig(floor_sigma_m=1.0)
+    exact = belief_covariance(0.01, yaw_rad=1e-4, own_m=0.01)
+    peer = make_joint(TRUTH, exact, vehicle="uav2", stamp_ns=NOW_NS - 10**9)
+    there, here = Fusion("uav2", config), Fusion("uav1", config)
+    there.inbox.add(make_packet_for(own, stamp_ns=NOW_NS - 2 * 10**9))
+    there.fuse(peer)
+    here.inbox.add(make_packet_for(peer))
+    direct = np.trace(here.fuse(own).pose.covariance[:3, :3])
+    here.returned.add(there.feedback("uav1"))
+    returned = here.fuse(own)
+    assert returned.weight == 1.0
+    assert np.trace(returned.pose.covariance[:3, :3]) == pytest.approx(direct, rel=1e-6)
+
+
 def make_packet_for(joint: JointInformation, stamp_ns: int | None = None) -> LandmarkPacket:
     joint = dataclasses.replace(joint, stamp_ns=joint.stamp_ns if stamp_ns is None else stamp_ns)
     return make_packet(joint, sequence=1, policy=PacketPolicy())

@@ -49,14 +49,15 @@ class EpochFusion:
         covariance = self._belief.total[POSE_DIM:, POSE_DIM:]
         return OwnLandmarks(self.positions, covariance, self.joint.descriptors)
 
-    def add(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
+    def add(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame, *, feedback: bool = False) -> None:
         """Fuse a packet through (K, 2) pairs of own landmarks and its own.
 
-        A packet whose sources or prior are fused already is dependent; any other is independent.
+        A packet whose sources or prior are fused already is dependent; any other is independent. Feedback, which is
+        dependent, has the floor of its pairs in common with the same peer's packet.
         """
         self.matched |= set(self.joint.ids[pairs[:, 0]].tolist())
         if len(pairs):
-            self._fuse(packet, pairs, frame)
+            self._fuse(packet, pairs, frame, feedback=feedback)
 
     def add_map(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
         """Fuse landmarks of a loaded map likewise; it shares none with peers."""
@@ -64,10 +65,11 @@ class EpochFusion:
         if len(pairs):
             self._fuse(packet, pairs, frame)
 
-    def _fuse(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame) -> None:
+    def _fuse(self, packet: LandmarkPacket, pairs: Pairs, frame: PeerFrame, *, feedback: bool = False) -> None:
         dependent = bool(self.sources & set(packet.sources)) or packet.prior_id in self._priors
         framed = frame.framed(self.positions, packet, pairs, dependent=dependent)
-        fused = self._scheme(self._belief, framed.evidence, self._weighing)
+        evidence = framed.evidence.with_known_floor() if feedback else framed.evidence
+        fused = self._scheme(self._belief, evidence, self._weighing)
         estimate = framed.frame(fused)
         if estimate is not None:
             self._frames[packet.vehicle] = estimate

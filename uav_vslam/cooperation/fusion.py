@@ -159,7 +159,7 @@ class Fusion:
         for peer, packet in self._newest(self.returned):
             pairs = self._matched_by_id(fusing, packet)
             self.returned.peers[peer].record_use(packet, len(pairs))
-            fusing.add(packet, pairs, self.frame(peer))
+            fusing.add(packet, pairs, self.frame(peer), feedback=True)
         self._shared = self._shared & set(self.belief.ids.tolist()) | fusing.matched
         self.epoch = fusing.epoch()
         self._carried = self.epoch.own, self.epoch.pose

@@ -5,7 +5,7 @@ The thesis's forms, which do write back, are in `studies.engine.write_back`.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,10 @@ class Evidence:
         E[np.arange(len(columns)), columns] = 1.0
         floor = floor_sigma_m**2 * np.eye(len(columns))
         return Evidence(E, (peer - own[rows]).ravel(), R, floor, dependent)
+
+    def with_known_floor(self) -> "Evidence":
+        """Return it with a floor that may be in the own belief already: feedback comes over pairs of a packet."""
+        return replace(self, R=self.R + self.floor, floor=np.zeros_like(self.floor))
 
 
 def split_ci(own: Split, evidence: Evidence, weigh: str) -> Fused:
