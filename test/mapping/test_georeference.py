@@ -80,6 +80,23 @@ def test_bands_keep_their_names_values_and_gaps(tmp_path: Path, datum: Datum | N
     assert datum is not None or not re.search("metres|east|north", tags[34737])  # a mosaic without GPS has neither
 
 
+def test_overviews_of_every_second_pixel_follow_the_whole_picture_down_to_one_tile(tmp_path: Path) -> None:
+    raster = Raster(0.5, 0, 0, 1200, 300)
+    image = RNG.integers(0, 255, (*raster.shape, 3)).astype(np.uint8)
+    write_bands(tmp_path / "height.tif", {"height": image[..., 0], "count": image[..., 1]}, raster, DATUM)
+    for path in (write_picture(tmp_path / "picture", image, raster, DATUM), tmp_path / "height.tif"):
+        with tifffile.TiffFile(path) as file:
+            assert [page.is_reduced for page in file.pages] == [False, True, True, True]
+            assert [(page.imagelength, page.imagewidth) for page in file.pages][1:] == [
+                (150, 600),
+                (75, 300),
+                (38, 150),
+            ]
+            (series,) = file.series
+            whole, second = (level.asarray() for level in series.levels[:2])
+        np.testing.assert_array_equal(second, whole[:, ::2, ::2] if len(whole) == 2 else whole[::2, ::2])
+
+
 def test_grey_pictures_have_one_band_and_opacity(tmp_path: Path) -> None:
     read = tifffile.imread(write_picture(tmp_path / "grey", IMAGE[..., 0], RASTER, DATUM, seen=IMAGE[..., 1] > 100))
     np.testing.assert_array_equal(read[::-1, :, 0], IMAGE[..., 0])

@@ -8,6 +8,7 @@ be resampled. The place of ground above or below is off in proportion to its hei
 the map frame. Files have north first; arrays here have south first, as `Raster` has it.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ PIXEL_SCALE, TIE_POINT, TRANSFORMATION, KEYS, DOUBLES, TEXTS, METADATA, NO_DATA 
     42113,
 )
 SHORT, DOUBLE, ASCII = 3, 12, 2
+OVERVIEW = 1  # type of a reduced page
 
 
 def write_picture(
@@ -125,23 +127,31 @@ def _north_first(channels: Sequence[NDArray[np.uint8] | int], shape: tuple[int, 
 
 
 def _write_tiff(path: Path, stack: NDArray[Any], tags: list[Any], *, photometric: str, planarconfig: str) -> None:
-    """Write (rows, columns, bands), or (bands, rows, columns) if separate, with north first as a deflated TIFF."""
+    """Write (rows, columns, bands), or (bands, rows, columns) if separate, with north first as a deflated TIFF.
+
+    Overviews of every second pixel follow, down to one tile, so that a GIS shows a large one at once.
+    """
     separate = planarconfig == "separate"
     bands = stack.shape[0 if separate else -1]
     colours = 3 if photometric == "rgb" else 1
     try:
-        tifffile.imwrite(
-            path,
-            stack,
-            photometric=photometric,
-            planarconfig=planarconfig,
-            extrasamples=["unspecified"] * (bands - 1) if separate else ["unassalpha"] * (bands - colours),
-            tile=(TILE_PX, TILE_PX),
-            compression="zlib",
-            extratags=tags,
-            metadata=None,
-            software=False,
-        )
+        with tifffile.TiffWriter(path) as file:
+            for level in itertools.count():
+                file.write(
+                    stack,
+                    photometric=photometric,
+                    planarconfig=planarconfig,
+                    extrasamples=["unspecified"] * (bands - 1) if separate else ["unassalpha"] * (bands - colours),
+                    tile=(TILE_PX, TILE_PX),
+                    compression="zlib",
+                    extratags=tags if level == 0 else [],
+                    subfiletype=OVERVIEW if level else 0,
+                    metadata=None,
+                    software=False,
+                )
+                if max(stack.shape[1:] if separate else stack.shape[:2]) <= TILE_PX:
+                    break
+                stack = stack[:, ::2, ::2] if separate else stack[::2, ::2]
     except OSError as error:
         raise UavVslamError(f"{path} can't be written: {error.strerror or error}") from error
 
