@@ -2,6 +2,7 @@
 """Images of every encoding decode to the picture that was recorded."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from uav_vslam.datasets.message_builders import camera_info_message, image_message
-from uav_vslam.datasets.messages import ENCODINGS, camera_of, image_of
+from uav_vslam.datasets.messages import ENCODINGS, camera_of, image_of, rectified_camera_of
 from uav_vslam.errors import BagError, CalibrationError
 from uav_vslam.geometry.camera import PinholeCamera
 
@@ -80,6 +81,39 @@ def test_a_camera_info_carries_each_lens(model: str) -> None:
     back = camera_of(camera_info_message(0, "camera", camera))
     assert back.model == model
     np.testing.assert_array_equal(back.distortion, camera.distortion)
+
+
+@pytest.mark.parametrize("of", [camera_of, lambda info: rectified_camera_of(info)[0]], ids=["raw", "rectified"])
+def test_binning_and_roi_give_the_camera_of_the_same_image_cut_and_shrunk(of: Callable[[Any], PinholeCamera]) -> None:
+    sensor = PinholeCamera(640, 480, 400.0, 401.0, 322.0, 239.0)
+    info = camera_info_message(0, "camera", sensor)
+    full = np.zeros((480, 640), np.float32)
+    point = np.array([[0.3, -0.2, 2.0]])
+    u, v = np.rint(sensor.project(point)[0]).astype(int)
+    full[v - 8 : v + 9, u - 8 : u + 9] = 1.0
+    window = dataclasses.replace(info.roi, x_offset=160, y_offset=80, width=400, height=300)
+    camera = of(dataclasses.replace(info, binning_x=4, binning_y=2, roi=window))
+    recorded = cv2.resize(full[80:380, 160:560], (100, 150), interpolation=cv2.INTER_AREA)
+    assert camera.size == (100, 150)
+    centre = (np.array(np.nonzero(recorded))[::-1] * recorded[recorded > 0]).sum(axis=1) / recorded.sum()
+    np.testing.assert_allclose(camera.project(point)[0], centre, atol=0.5 / 2)  # the square is centred to half a pixel
+    np.testing.assert_allclose(camera.bearings(camera.project(point)), sensor.bearings(sensor.project(point)))
+
+
+@pytest.mark.parametrize(("binning", "window"), [(0, (0, 0, 0, 0)), (1, (0, 0, 640, 480))])
+def test_a_whole_sensor_keeps_its_camera_to_the_bit(binning: int, window: tuple[int, int, int, int]) -> None:
+    sensor = PinholeCamera(640, 480, 400.1, 401.3, 322.7, 239.9)
+    info = camera_info_message(0, "camera", sensor)
+    x, y, width, height = window
+    roi = dataclasses.replace(info.roi, x_offset=x, y_offset=y, width=width, height=height)
+    np.testing.assert_array_equal(camera_of(dataclasses.replace(info, binning_x=binning, roi=roi)).K, sensor.K)
+
+
+def test_a_window_beyond_the_sensor_is_refused() -> None:
+    info = camera_info_message(0, "camera", PinholeCamera(640, 480, 400.0, 401.0, 320.0, 240.0))
+    roi = dataclasses.replace(info.roi, x_offset=400, width=400, height=300)
+    with pytest.raises(CalibrationError, match=r"400x300 px from \(400, 0\), is not within its 640x480 px"):
+        camera_of(dataclasses.replace(info, roi=roi))
 
 
 def test_a_camera_info_of_a_rectified_image_needs_no_coefficients() -> None:

@@ -171,7 +171,7 @@ class BagFlight:
                 raise CalibrationError(
                     f"bag {names_of(self.paths)}: images on {topic} are {width}x{height} px but the calibration says "
                     f"{self.image_size[0]}x{self.image_size[1]}; calibrate at the recorded size, or give K for it: "
-                    "binning and region of interest of a camera_info are not applied"
+                    "binning and region of interest of a camera_info are applied to K, which is the whole sensor's"
                 )
 
     def _first_pixels(self, topic: str) -> NDArray[Any]:

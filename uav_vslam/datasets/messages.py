@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records of ROS messages, from a bag or rclpy: stamps, xyzw quaternions and flat arrays are read only here."""
 
+import dataclasses
 import struct
 from dataclasses import dataclass
 from typing import Any
@@ -178,10 +179,11 @@ def decodable(data: NDArray[np.uint8]) -> bool:
 
 
 def camera_of(info: Any) -> PinholeCamera:
-    """Return the intrinsics of a CameraInfo.
+    """Return the intrinsics of a CameraInfo's images, after its binning and region of interest.
 
     Raises:
-        CalibrationError: the distortion model is not supported, or K, D or the size is not filled in.
+        CalibrationError: the distortion model is not supported, K, D or the size is not filled in, or the region of
+            interest is not within the sensor.
     """
     model = LENS_MODELS.get(info.distortion_model, info.distortion_model)
     coefficients = np.asarray(info.d, dtype=float)
@@ -191,20 +193,44 @@ def camera_of(info: Any) -> PinholeCamera:
     if not coefficients[count:].any():  # some drivers fill an array of one length, whatever the model
         coefficients = coefficients[:count]
     k = np.asarray(info.k).tolist()
-    return PinholeCamera(info.width, info.height, k[0], k[4], k[2], k[5], coefficients, model)
+    return _recorded_part(info, PinholeCamera(info.width, info.height, k[0], k[4], k[2], k[5], coefficients, model))
+
+
+def _recorded_part(info: Any, sensor: PinholeCamera) -> PinholeCamera:
+    """Return the camera of what a sensor sends: a window of it, of pixels that are means of `binning` ones."""
+    step_x, step_y = max(info.binning_x, 1), max(info.binning_y, 1)
+    left, top = info.roi.x_offset, info.roi.y_offset
+    width, height = info.roi.width or sensor.width - left, info.roi.height or sensor.height - top
+    if (left, top, width, height, step_x, step_y) == (0, 0, *sensor.size, 1, 1):
+        return sensor
+    if left + width > sensor.width or top + height > sensor.height:
+        raise CalibrationError(
+            f"the region of interest of camera_info, {width}x{height} px from ({left}, {top}), is not within its "
+            f"{sensor.width}x{sensor.height} px; width, height and K are those of the whole sensor without binning"
+        )
+    return dataclasses.replace(
+        sensor,
+        width=width // step_x,
+        height=height // step_y,
+        fx=sensor.fx / step_x,
+        fy=sensor.fy / step_y,
+        cx=(sensor.cx - left + 0.5) / step_x - 0.5,  # whole numbers are the centres of pixels
+        cy=(sensor.cy - top + 0.5) / step_y - 0.5,
+    )
 
 
 def rectified_camera_of(info: Any) -> tuple[PinholeCamera, Pose]:
     """Return the intrinsics of rectified images, from P of a CameraInfo, and T_cam_rectified from R.
 
     Raises:
-        CalibrationError: P, R or the size is not filled in.
+        CalibrationError: P, R or the size is not filled in, or the region of interest is not within the sensor.
     """
     fx, _, cx, _, _, fy, cy = np.asarray(info.p, dtype=float)[:7].tolist()
     R_rectified_cam = np.asarray(info.r, dtype=float).reshape(3, 3)
     if not np.allclose(R_rectified_cam @ R_rectified_cam.T, np.eye(3), atol=1e-3):
         raise CalibrationError("R of camera_info is no rotation; is it filled in? Or leave out input.rectified")
-    return PinholeCamera(info.width, info.height, fx, fy, cx, cy), Pose(R_rectified_cam.T, np.zeros(3))
+    camera = _recorded_part(info, PinholeCamera(info.width, info.height, fx, fy, cx, cy))
+    return camera, Pose(R_rectified_cam.T, np.zeros(3))
 
 
 def imu_of(built: Any) -> ImuSample:

@@ -92,7 +92,10 @@ def _check_size(name: str, images: Sequence[NDArray[Any]], camera: PinholeCamera
         return []
     seen = ", ".join(f"{width}x{height}" for width, height in sorted(sizes))
     allowed = f"{camera.width}x{camera.height} px, as in the calibration"
-    remedy = "calibrate at that size, or give K for it: binning and region of interest of camera_info are not applied"
+    remedy = (
+        "calibrate at that size, or give K for it: binning and region of interest of camera_info are applied to K, "
+        "which is that of the whole sensor"
+    )
     return [error(f"{name} image size", f"{seen} px", allowed, remedy)]
 
 

@@ -135,7 +135,9 @@ class RigListener:
 def _content(info: CameraInfo) -> tuple[object, ...]:
     """Return what of a camera_info makes a calibration."""
     matrices = (bytes(matrix) for matrix in (info.k, info.d, info.r, info.p))
-    return info.header.frame_id, info.width, info.height, info.distortion_model, *matrices
+    roi = info.roi
+    window = roi.x_offset, roi.y_offset, roi.width, roi.height, info.binning_x, info.binning_y
+    return info.header.frame_id, info.width, info.height, info.distortion_model, *window, *matrices
 
 
 def _changes(used: StereoRig, newest: StereoRig) -> str:

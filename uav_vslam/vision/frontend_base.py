@@ -56,5 +56,5 @@ class Frontend(ABC):
                     "image_size",
                     f"the {name} image is {image.shape[1]}x{image.shape[0]} px, but its calibration is for "
                     f"{camera.width}x{camera.height} px: calibrate at that size, or give K for it; binning and region "
-                    "of interest of a camera_info are not applied",
+                    "of interest of a camera_info are applied to K, which is that of the whole sensor",
                 )
