@@ -28,9 +28,13 @@ class Clock:
         return SimpleNamespace(nanoseconds=round(self.now_s * NS_PER_S))
 
 
+def published() -> bool:
+    return True
+
+
 def test_a_start_lasts_while_the_clock_of_a_replay_stands_and_then_for_its_own_time() -> None:
     clock = Clock()
-    start = Start(clock)  # type: ignore[arg-type]
+    start = Start(clock, published)  # type: ignore[arg-type]
     assert start.lasts()
     for since_s, lasts in ((0.0, True), (0.9 * START_S, True), (1.1 * START_S, False)):
         clock.now_s = 1000.0 + since_s
@@ -38,10 +42,26 @@ def test_a_start_lasts_while_the_clock_of_a_replay_stands_and_then_for_its_own_t
 
 
 def test_a_clock_that_never_runs_does_not_keep_a_node_starting(monkeypatch: pytest.MonkeyPatch) -> None:
-    start = Start(Clock())  # type: ignore[arg-type]
+    start = Start(Clock(), published)  # type: ignore[arg-type]
     made_s = start._made_s
     monkeypatch.setattr("uav_vslam.ros.health.time.monotonic", lambda: made_s + 1.01 * LONGEST_START_S)
     assert not start.lasts()
+
+
+def test_a_clock_that_nobody_publishes_ends_the_start_after_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, someone = Clock(), [False]
+    start = Start(clock, lambda: someone[0])  # type: ignore[arg-type]
+    made_s = start._made_s
+    assert start.lasts()
+    assert not start.lacks_clock()
+    monkeypatch.setattr("uav_vslam.ros.health.time.monotonic", lambda: made_s + START_S)
+    assert start.lacks_clock()
+    assert not start.lasts()
+    someone[0] = True  # a replay whose nodes are not all there yet
+    assert start.lasts()
+    assert not start.lacks_clock()
+    someone[0], clock.now_s = False, 1000.0  # the system's time
+    assert not start.lacks_clock()
 
 
 def test_a_drop_is_reported_with_its_reason_until_it_is_long_past() -> None:

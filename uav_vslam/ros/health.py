@@ -3,7 +3,7 @@
 
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from rclpy.clock import Clock
 
@@ -22,16 +22,22 @@ class Start:
     It is time of the ROS clock: the clock of a replay stands at zero until all nodes are there, and goes at its pace.
     """
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, clock: Clock, published: Callable[[], bool]) -> None:
+        """Start now; `published` returns whether somebody publishes the time of a clock that stands at zero."""
+        self._clock, self._published = clock, published
         self._begin_ns, self._made_s = 0, time.monotonic()
+
+    def lacks_clock(self) -> bool:
+        """Return whether time stands still for want of somebody who publishes it."""
+        waited_s = time.monotonic() - self._made_s
+        return self._clock.now().nanoseconds == 0 and waited_s >= START_S and not self._published()
 
     def lasts(self) -> bool:
         """Return whether the node is still starting."""
         now_ns = self._clock.now().nanoseconds
         self._begin_ns = self._begin_ns or now_ns
         waited_s = (now_ns - self._begin_ns) / NS_PER_S
-        return waited_s < START_S and time.monotonic() - self._made_s < LONGEST_START_S
+        return not self.lacks_clock() and waited_s < START_S and time.monotonic() - self._made_s < LONGEST_START_S
 
 
 class RecentDrops:

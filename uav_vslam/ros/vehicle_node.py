@@ -21,6 +21,7 @@ from uav_vslam.config.nodes import NODES
 from uav_vslam.errors import ConfigError, UavVslamError
 from uav_vslam.monitor import DROPPED
 from uav_vslam.ros.diagnostics import status_message
+from uav_vslam.ros.executor import CLOCK
 from uav_vslam.ros.health import RECENT_REPORTS, START_S, RecentDrops, Start
 from uav_vslam.ros.inputs import Input, mixed, silent, stopped, unmatched
 from uav_vslam.ros.lifecycle import PausableNode
@@ -33,6 +34,7 @@ from uav_vslam.stamps import TimeLine
 
 DIAGNOSTICS_PERIOD_S = 1.0
 FOLLOW_PERIOD_S = 0.5  # how often inputs check the reliability that is offered
+NO_CLOCK = f"{CLOCK} (no publisher, but use_sim_time is set: time does not advance)"
 MAX_PATH = 2000  # poses in a published path
 
 
@@ -72,7 +74,7 @@ class VehicleNode(PausableNode):
         self._mixed: set[str] = set()  # topics that several nodes publish
         self._was_active = False
         self._refused = 0  # messages off the time line, as last reported
-        self._startup, self._recent_drops = Start(self.get_clock()), RecentDrops()
+        self._startup, self._recent_drops = self._new_start(), RecentDrops()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         DiscoveryReport(self, lambda: unmatched(self._inputs))
         create_wall_timer(self, DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
@@ -162,7 +164,10 @@ class VehicleNode(PausableNode):
     def watch(self, one: Input) -> None:
         """Report an input's faults in the diagnostics, and adapt its reliability to the offer."""
         self._inputs.append(one)
-        self._startup = Start(self.get_clock())  # in flight too: a new communication mode has new inputs
+        self._startup = self._new_start()  # in flight too: a new communication mode has new inputs
+
+    def _new_start(self) -> Start:
+        return Start(self.get_clock(), lambda: self.count_publishers(CLOCK) > 0)
 
     def unwatch(self, one: Input) -> None:
         """Stop watching an input that is to be closed."""
@@ -236,7 +241,7 @@ class VehicleNode(PausableNode):
             self.counts[f"{DROPPED}several_publishers"] = refused
 
     def _report_missing(self) -> None:
-        waiting = []
+        waiting = [NO_CLOCK] if self._startup.lacks_clock() else []
         for topic in () if self._startup.lasts() else silent(self._inputs):
             resolved = self.resolve_topic_name(topic)
             published = self.count_publishers(resolved) > 0
@@ -249,7 +254,8 @@ class VehicleNode(PausableNode):
 
     def _health(self) -> tuple[bytes, str]:
         """Return the level and the text of the node's status: failures first, then what most explains the rest."""
-        missing, drops = ", ".join(silent(self._inputs)), self._recent_drops.next_report(self.counts)
+        clock = [NO_CLOCK] if self._startup.lacks_clock() else []
+        missing, drops = ", ".join([*clock, *silent(self._inputs)]), self._recent_drops.next_report(self.counts)
         pauses = stopped(self._inputs, time.monotonic())
         if self.paused:
             return DiagnosticStatus.WARN, f"{self.paused}: messages are ignored"
