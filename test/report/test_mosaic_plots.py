@@ -27,7 +27,9 @@ def test_axes_are_named_as_far_as_they_are_known(scale: str, north: bool, x: str
     assert figure is not None
     ground, colours = figure.axes
     assert (ground.get_xlabel(), colours.get_ylabel()) == (f"{x} [{unit}]", f"Height [{unit}]")
-    assert [text.get_text().split()[1] for text in ground.texts] == [unit]  # of the scale bar
+    (scale_bar,) = ground.texts
+    assert scale_bar.get_text().split()[1] == unit
+    assert scale_bar.get_path_effects()  # legible on a dark map, too
 
 
 def test_numbers_of_pictures_have_a_scale_of_colours() -> None:

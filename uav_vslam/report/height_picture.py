@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -88,9 +89,18 @@ def _figure(bounds_m: Bounds, frame: Frame) -> tuple[Figure, Axes]:
     axes.tick_params(labelsize=TEXT_PT)
     length = _round_length(SCALE_BAR_SHARE * (east - west))
     left, bottom = west + 0.03 * (east - west), south + 0.05 * (north - south)
-    axes.plot([left, left + length], [bottom, bottom], color="black", linewidth=3, solid_capstyle="butt", zorder=3)
+    halo = [withStroke(linewidth=6, foreground="white")]  # the map may be dark there
+    axes.plot(
+        [left, left + length],
+        [bottom, bottom],
+        color="black",
+        linewidth=3,
+        solid_capstyle="butt",
+        zorder=3,
+        path_effects=halo,
+    )
     text, middle = f"{length:g} {frame.unit}", (left + 0.5 * length, bottom)
-    axes.annotate(text, middle, (0, 4), textcoords="offset points", ha="center", size=TEXT_PT)
+    axes.annotate(text, middle, (0, 4), textcoords="offset points", ha="center", size=TEXT_PT, path_effects=halo)
     return figure, axes
 
 

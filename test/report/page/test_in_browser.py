@@ -123,6 +123,14 @@ def test_a_click_on_a_title_sorts_the_table(opened: Browser) -> None:
     assert opened.evaluate(read) == rising[::-1]
 
 
+def test_a_picture_that_can_be_moved_is_seen_as_a_whole_at_first(opened: Browser) -> None:
+    opened.resize(1280, 400)  # where it is higher than the screen
+    box = "document.querySelector('.pan')"
+    shown, whole = (opened.evaluate(f"{box}{part}.clientHeight") for part in ("", ".querySelector('img')"))
+    opened.resize(1280, 900)
+    assert 0 < whole <= shown <= 0.8 * 400
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "dark"), (390, "light")])
 def test_the_page_of_a_flight_opens(chromium: Browser, page: Path, tmp_path: Path, width: int, scheme: str) -> None:
     chromium.open(page, width=width, scheme=scheme)
