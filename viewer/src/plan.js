@@ -6,6 +6,7 @@ import { colour } from "./theme.js";
 const MARGIN_PX = { left: 52, right: 14, top: 14, bottom: 40 };
 const NEAR_PX = 14;
 const LABEL_PX = 46; // room for a vehicle's name beside its start
+const LINE_PX = 13; // and for the next one below it
 const STEPS = [1, 2, 5];
 
 export class PlanView {
@@ -174,6 +175,7 @@ export class PlanView {
     ink.clip();
     this.state.shownLandmarks.forEach((marks) => this.drawLandmarks(ink, marks));
     this.state.shownTracks.forEach((track) => this.drawTrack(ink, track));
+    this.labels = [];
     this.state.leading.forEach((track) => this.drawStart(ink, track));
     this.state.leading.forEach((track) => this.drawVehicle(ink, track));
     ink.restore();
@@ -276,6 +278,10 @@ export class PlanView {
     const row = Math.min(track.x.length - 1, Math.max(1, Math.round(track.x.length / 20)));
     const ahead = Math.atan2(track.y[row] - track.y[0], track.x[row] - track.x[0]);
     const text = [x - 12 * Math.cos(ahead), y + 12 * Math.sin(ahead)]; // behind the start, where no track is
+    const near = ([left, top]) => Math.abs(left - text[0]) < LABEL_PX && Math.abs(top - text[1]) < LINE_PX;
+    if (this.labels.some((label) => label.name === track.vehicle && near(label.place))) return; // of another run
+    for (const { place } of this.labels) if (near(place)) text[1] = place[1] + LINE_PX;
+    this.labels.push({ name: track.vehicle, place: text });
     ink.textAlign = Math.cos(ahead) > 0.3 ? "right" : Math.cos(ahead) < -0.3 ? "left" : "center";
     ink.textBaseline = "middle";
     ink.fillStyle = colour("ink");

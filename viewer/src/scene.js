@@ -52,7 +52,9 @@ class SceneState {
 
   firstHidden() {
     const shown = this.several ? FIRST_SHOWN.several : FIRST_SHOWN.one;
-    const best = this.kinds.includes("c_slam") ? [] : ["s_slam"];
+    const owner = (track) => `${track.flight} ${track.vehicle}`;
+    const cooperative = new Set(this.tracks.filter((track) => track.kind === "c_slam").map(owner));
+    const best = this.tracks.every((track) => cooperative.has(owner(track))) ? [] : ["s_slam"];
     return this.kinds.filter((kind) => !shown.includes(kind) && !best.includes(kind)).map((kind) => `track ${kind}`);
   }
 

@@ -149,3 +149,5 @@ def test_pages_of_two_flights_and_of_a_bare_one_open(chromium: Browser, page: Pa
     for folders in ([page.parent, bare], [bare]):
         chromium.open(write_page(folders, tmp_path / "page.html"))
         check_opened(chromium)
+        box = "[...document.querySelectorAll('.layers label')].find((l) => l.textContent === 'S-SLAM').firstChild"
+        assert chromium.evaluate(f"{box}.checked")  # of a vehicle without peers nothing else is there
