@@ -31,7 +31,10 @@ class FrontendConfig(Settings):
         choices=FRONTEND_METHODS,
     )
     extractor: str = setting(
-        "sift", "detector and descriptor; dsift and phow_* use a grid, too coarse for a map", choices=EXTRACTORS
+        "sift",
+        "detector and descriptor; dsift and phow_* use a grid, too coarse for a map; asift takes 40 times as long as "
+        "sift, over 20 s an image of 1280x960",
+        choices=EXTRACTORS,
     )
     search_scale: float = setting(
         0.25, "klt: factor by which images are shrunk for detection (INTER_AREA)", at_least=0.1, at_most=1
