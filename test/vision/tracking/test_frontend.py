@@ -145,6 +145,15 @@ def test_when_few_tracks_are_left_new_ones_start_at_once(flight: Flown) -> None:
     assert len(second) > 0.5 * len(first)
 
 
+def test_points_of_the_first_pair_are_found_near_the_ground() -> None:
+    """At 8 m their disparity is 159 px, far from that of half the largest depth."""
+    vehicle, frames = flown(Scenario(frames=2, altitude=8.0, speed=2.0, relief_m=0.2))
+    features = TrackingFrontend(vehicle.rig, FrontendConfig()).process(frames[0])
+    assert len(features) > 100
+    errors = np.linalg.norm(right_errors(vehicle, 0, features), axis=1)
+    assert np.median(errors) < 1.0  # the finest texture, 5 cm, is 10 px wide there
+
+
 def test_after_a_long_gap_all_tracks_are_new(flight: Flown) -> None:
     vehicle, frames = flight
     late = dataclasses.replace(frames[1], stamp_ns=frames[0].stamp_ns + 2_000_000_000)

@@ -13,6 +13,7 @@ the track id, by which the back end associates it without descriptors.
 """
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,21 @@ def first_track_id(stamp_ns: int) -> int:
     faster than tracks are made.
     """
     return stamp_ns // 1_000_000 % 2**31 + 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Matched:
+    """N tracks found in the right image, with their depths; (N, 4) undistorted pixels, and which pass the stereo gate.
+
+    Its length is the number of these.
+    """
+
+    tracks: Tracks
+    pixels: Array
+    good: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return int(self.good.sum())
 
 
 class TrackingFrontend(Frontend):
@@ -121,15 +137,25 @@ class TrackingFrontend(Frontend):
         self._next_id += len(found)
 
     def _features(self, stamp_ns: int, left: FlowImage, right: FlowImage) -> StereoFeatures:
-        """Match the tracks into the right image; drop those that fail the stereo gate."""
-        flow = Flow(left, right, self._tracks.pixels, self._right_guess(self._tracks))
+        """Match the tracks into the right image; drop those that fail the stereo gate.
+
+        Depths predict them. Where hardly one is there, as near the ground after the start, the images' shift does.
+        """
+        found = self._matched(left, right, self._right_guess(self._tracks))
+        if len(found) < FEW_TRACKS <= len(self._tracks):
+            found = max(found, self._matched(left, right, self._tracks.pixels + shift_between(left, right)), key=len)
+        self._health.check_points(found.pixels)
+        pixels, self._tracks = found.pixels[found.good], found.tracks.chosen(found.good)
+        return StereoFeatures(stamp_ns, pixels.astype(np.float32), self._tracks.descriptors, self._tracks.ids)
+
+    def _matched(self, left: FlowImage, right: FlowImage, guess: Array) -> _Matched:
+        """Look for the tracks in the right image, from (N, 2) predicted pixels on."""
+        flow = Flow(left, right, self._tracks.pixels, guess)
         found, seen = flow.tracked() if self._anchors is None else self._anchors.into_right(self._tracks.ids, flow)
         tracks, raw_right = self._tracks.chosen(seen), found[seen]
         pixels = np.hstack([self._rig.left.undistort(tracks.pixels), self._rig.right.undistort(raw_right)])
-        self._health.check_points(pixels)
         depth, good = self._gate.check(pixels)
-        self._tracks = dataclasses.replace(tracks.chosen(good), depth_m=depth[good])
-        return StereoFeatures(stamp_ns, pixels[good].astype(np.float32), self._tracks.descriptors, self._tracks.ids)
+        return _Matched(dataclasses.replace(tracks, depth_m=depth), pixels, good)
 
     def _right_guess(self, tracks: Tracks) -> Array:
         """Return (N, 2) predicted raw right pixels of the tracks, from their last depth or the median one."""
