@@ -2,6 +2,7 @@
 """The live front end over rendered flights at a quarter of the size."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -143,6 +144,14 @@ def test_when_few_tracks_are_left_new_ones_start_at_once(flight: Flown) -> None:
     first, second = process(vehicle.rig, [frames[0], StereoFrame(frames[1].stamp_ns, *images)])
     assert 0 < np.isin(second.tracks, first.tracks).sum() < 20
     assert len(second) > 0.5 * len(first)
+
+
+def test_frames_share_tracks_where_a_third_of_the_ground_is_new_in_each() -> None:
+    """Points seen for two frames only must not wait for every third frame's detection."""
+    vehicle, frames = flown(dataclasses.replace(FLIGHT, altitude=30.0, speed=40.0))
+    found = process(vehicle.rig, frames)
+    shared = [len(np.intersect1d(a.tracks, b.tracks)) for a, b in itertools.pairwise(found[3:])]
+    assert min(shared) >= 20
 
 
 def test_points_of_the_first_pair_are_found_near_the_ground() -> None:

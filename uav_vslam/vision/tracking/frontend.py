@@ -3,7 +3,7 @@
 
     last left image with new keypoints --homography--> left image --last depth--> right image --gates--> features
                                                            |
-                                    every few frames: keypoint detection, in a second thread
+              every few frames, or every frame where many tracks end: keypoint detection, in a second thread
 
 In both images, a point is tied to how it looked first (`anchors`), from where it is predicted; optical flow finds those
 for which that fails, as near structure, or all if `frontend.anchored` is off.
@@ -33,6 +33,7 @@ from uav_vslam.vision.tracking.tracks import Tracks
 Array = NDArray[np.float64]
 
 SEARCH_EVERY = 3  # frames from one detection of new keypoints to the next
+LEFT_SHARE = 0.75  # of the tracks after a frame; with fewer, hardly a quarter were left by the next detection
 FEW_TRACKS = 20  # with fewer, new ones are detected in the same image
 MAX_GAP_S = 1.0  # after a longer gap, all tracks are dropped
 DISPARITY_NOISE_PX = 0.3  # six sigma
@@ -84,6 +85,7 @@ class TrackingFrontend(Frontend):
         left, right = FlowImage(grey_left), FlowImage(grey_right)
         usable = self._health.check_images(frame.stamp_ns, grey_left, grey_right)
         self._next_id = self._next_id or first_track_id(frame.stamp_ns)
+        before, first_new = len(self._tracks), self._next_id
         self._track(frame.stamp_ns, left)
         self._left, self._stamp_ns = left, frame.stamp_ns
         if not usable:
@@ -92,7 +94,8 @@ class TrackingFrontend(Frontend):
             self._start_search(frame.left)
             self._join(self._refill.result())
         features = self._features(frame.stamp_ns, left, right)
-        self._search(frame.left)
+        left_over = int((self._tracks.ids < first_new).sum())
+        self._search(frame.left, at_once=left_over < LEFT_SHARE * before)
         return features
 
     def _track(self, stamp_ns: int, left: FlowImage) -> None:
@@ -163,10 +166,10 @@ class TrackingFrontend(Frontend):
         typical = np.median(tracks.depth_m[known]) if known.any() else TYPICAL_DEPTH_SHARE * self._config.max_depth_m
         return in_right_image(self._rig, tracks.pixels, np.where(known, tracks.depth_m, typical))
 
-    def _search(self, image: NDArray[np.generic]) -> None:
-        """Every few frames start detection of new keypoints; they join at the next pair."""
+    def _search(self, image: NDArray[np.generic], *, at_once: bool) -> None:
+        """Every few frames, or at once, start detection of new keypoints; they join at the next pair."""
         self._since_search += 1
-        if self._since_search >= SEARCH_EVERY:
+        if at_once or self._since_search >= SEARCH_EVERY:
             self._start_search(image)
             self._since_search = 0
 
