@@ -73,6 +73,14 @@ def test_smoother_ground_becomes_the_baseline(images: list[Grey]) -> None:
     assert not any(reported[USUAL_FRAMES:])
 
 
+def test_a_field_of_another_brightness_is_not_taken_for_blur(images: list[Grey]) -> None:
+    watch = ImageWatch()
+    for image in images[:6]:
+        watch.add(image)
+    field = np.clip(images[6] / 2.0 + 110.0 * (np.arange(320) >= 250), 0, 255).astype(np.uint8)
+    assert not any("blurred" in text for text in watch.add(field))
+
+
 @pytest.mark.parametrize("angle_deg", [0.0, 45.0, 90.0, 150.0])
 def test_motion_blur_in_any_direction_is_distinguished_from_smooth_ground(images: list[Grey], angle_deg: float) -> None:
     """Motion blur of seven pixels; isotropically smoother ground is not blurred."""
