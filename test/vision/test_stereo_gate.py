@@ -85,3 +85,12 @@ def test_points_outside_the_range_of_depths_or_off_their_line_are_not_believed(r
     across = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
     off = z + np.hstack([np.zeros((len(z), 2)), (gate.epipolar_px + 0.5) * across])
     assert not gate.check(off)[1].any()
+
+
+def test_noise_does_not_make_a_possible_depth_impossible() -> None:
+    """Points at 150 m with 0.33 px of disparity, off by 0.25 px, seem 600 m away; without them the rest is too near."""
+    rig = StereoRig(CAMERA, CAMERA, Pose.identity(), Pose(np.eye(3), np.array([0.03, 0.0, 0.0])))
+    gate = StereoGate(rig, FrontendConfig(max_depth_m=500.0), RigConfig(), noise_px=0.3)
+    depth, good = gate.check(observe(rig, 150.0) + np.array([0.0, 0.0, 0.25, 0.0]))
+    assert (depth > 550.0).all()
+    assert good.all()

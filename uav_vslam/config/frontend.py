@@ -70,7 +70,9 @@ class FrontendConfig(Settings):
         live=True,
     )
     min_depth_m: float = setting(0.3, "nearer points are rejected", unit="m", above=0, live=True)
-    max_depth_m: float = setting(500.0, "farther points are rejected", unit="m", above=0, live=True)
+    max_depth_m: float = setting(
+        500.0, "points farther by more than disparity noise are rejected", unit="m", above=0, live=True
+    )
     max_matches: int = setting(400, "sift: stereo points passed on, spread over the image", at_least=1)
 
     def _check_together(self) -> None:

@@ -47,11 +47,14 @@ class StereoGate:
         """Return the (N,) depths [m] of (N, 4) undistorted stereo pixels, and the mask of valid matches.
 
         Valid ones are on their epipolar lines, at a possible depth, and have a disparity supported by their neighbours.
+        Noise alone must not make a depth impossible: without those that it moves too far, the others are too near.
         """
         depth = self._rig.triangulate(pixels)[:, 2]
+        focal_baseline = self._rig.left.fx * self._rig.baseline_m
+        least_px = focal_baseline / self._config.max_depth_m - 0.5 * self._noise_px
         good = self._rig.epipolar_distance(pixels) <= self.epipolar_px
-        good &= (depth >= self._config.min_depth_m) & (depth <= self._config.max_depth_m)  # NaN compares as False
-        disparity = self._rig.left.fx * self._rig.baseline_m / depth[good]
+        good &= (depth >= self._config.min_depth_m) & (focal_baseline >= least_px * depth)  # NaN compares as False
+        disparity = focal_baseline / depth[good]
         good[good] = supported_disparities(pixels[good, :2], disparity, noise_px=self._noise_px)
         return depth, good
 
