@@ -101,7 +101,7 @@ class Filter:
             rig_config: uncertainty of the calibration; an exact one unless given.
             track_sigma_px: standard deviation of a tracked point's right pixel about the left one, see `tracks`.
         """
-        self._imu, self._gamma = imu, gamma
+        self.imu, self._gamma = imu, gamma
         self._linear: Linearisation = linearisation or Jacobians()
         self._model: StateModel = MODELS[model]()
         self._errors = RigErrors(rig, rig_config or EXACT_RIG, self._model.nav_dim)
@@ -162,7 +162,7 @@ class Filter:
         """Propagate over an increment."""
         nav_dim = self._model.nav_dim
         with _stamped(increment.stamp_ns):
-            process = self._linear.process(self._model, self.nav, self.belief, increment, self._imu)
+            process = self._linear.process(self._model, self.nav, self.belief, increment, self.imu)
             present = self._past_rows.start
             F, Q = np.eye(present), np.zeros((present, present))
             F[:nav_dim, :nav_dim], Q[:nav_dim, :nav_dim] = process.F, process.Q

@@ -47,16 +47,16 @@ class ThesisUnscentedFilter(Filter):
     def predict(self, increment: ImuIncrement) -> None:
         chi, mean_weights, weights = self._sigma_points()
         nav_dim, none = self._model.nav_dim, np.zeros((0, 3))
-        centre = propagate(self.nav, increment, gravity=self._imu.gravity)
+        centre = propagate(self.nav, increment, gravity=self.imu.gravity)
         ends = chi.copy()
         for row in np.flatnonzero(chi[:, :nav_dim].any(axis=1)):
             start, _ = self._model.retract(self.nav, none, chi[row, :nav_dim])
-            moved = propagate(start, increment, gravity=self._imu.gravity)
+            moved = propagate(start, increment, gravity=self.imu.gravity)
             ends[row, :nav_dim] = self._model.local(centre, moved)
         shift = mean_weights @ ends
         D = ends - shift
         P = (D.T * weights) @ D
-        _, Q = transition(self.nav, increment, self._imu)
+        _, Q = transition(self.nav, increment, self.imu)
         self.nav, self.landmarks = self._model.retract(centre, self.landmarks, shift)
         from_map = self._model.from_map(self.nav)
         P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_vslam.config import VehicleConfig
+from uav_vslam.config import ImuConfig, VehicleConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.filters import make_filter, past_poses
 from uav_vslam.estimation.observation import projectable
@@ -137,6 +137,11 @@ class SlamBackend:
     def skip_landmark_ids(self) -> None:
         """Leave out identifiers that may have been given to other landmarks."""
         self._map.skip_ids(SKIPPED_IDS)
+
+    def set_imu(self, imu: ImuConfig) -> None:
+        """Go on with another noise of the IMU."""
+        self._vehicle_config = dataclasses.replace(self._vehicle_config, imu=imu)
+        self._filter.imu = imu
 
     def process(self, features: StereoFeatures, increment: ImuIncrement | None) -> FrameReport:
         """Predict to a frame and update with its features.

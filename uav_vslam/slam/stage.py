@@ -16,6 +16,7 @@ from uav_vslam.ins.increments import bridged, lacks_readings, unknown_motion_sin
 from uav_vslam.ins.preintegrator import DeadReckoning
 from uav_vslam.ins.startup_buffer import MAX_UNCOVERED_S
 from uav_vslam.slam.backend import SlamBackend
+from uav_vslam.slam.bias_steps import BiasStepMonitor
 from uav_vslam.slam.epochs import crosses_epoch
 from uav_vslam.slam.frame_queue import FrameQueue
 from uav_vslam.slam.frame_report import FrameReport
@@ -101,6 +102,7 @@ class SlamStage:
         self._backend: SlamBackend | None = None
         self._start_monitor, self._rig_monitor = StartMonitor(config.start.method), RigMonitor(config.rig)
         self._noise_monitor = NoiseMonitor(config.imu)
+        self._bias_steps = BiasStepMonitor()
         self._dead_reckoning = DeadReckoning(config.imu)
         self._doubted = DeadReckoning(config.imu)  # from a start state that may be wrong
         self._previous_ns: int | None = None
@@ -119,8 +121,9 @@ class SlamStage:
         return MapOrigin(self._vehicle, session, self._config.frames.map_of(self._vehicle), stamp_ns=0)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the archived landmarks out of checkpoints: they grow with the flight."""
-        return self.__dict__ | {"_archive": None if self._archive is None else self._new_archive()}
+        """Leave out of checkpoints what makes them large: archived landmarks, and earlier states of the back end."""
+        archive = None if self._archive is None else self._new_archive()
+        return self.__dict__ | {"_archive": archive, "_bias_steps": BiasStepMonitor()}
 
     @property
     def missing_start(self) -> str:
@@ -306,6 +309,9 @@ class SlamStage:
         backend = self._backend
         increment = self._motion(backend, features.stamp_ns, increment)
         report = backend.process(features, increment)
+        if not self._was_motion_unknown:  # what follows it contradicts right biases
+            backend, report = self._bias_steps.check(backend, features, increment, report, self._config)
+            self._backend = backend
         self._was_motion_unknown |= backend.imu_fault != ""
         dead_reckoned = self._dead_reckoning.estimate
         assert dead_reckoned is not None  # started with the back end
@@ -366,6 +372,7 @@ class SlamStage:
             joint = self._joint_information(backend)
         except FilterDivergence as error:
             report = backend.recovered(report, features, str(error))
+            self._bias_steps = BiasStepMonitor()
             joint = self._joint_information(backend)
         self._is_announced = True
         return report, joint
