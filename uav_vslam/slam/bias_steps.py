@@ -86,6 +86,9 @@ class BiasStepMonitor:
     ) -> tuple[SlamBackend, FrameReport]:
         """Return the back end to go on with after a frame, and the report of that frame.
 
+        The thesis's filters may have no biases. Landmarks alone are not exact enough to tell a step from an error of the
+        calibration.
+
         Args:
             backend: has processed the frame.
             features: of the frame.
@@ -93,7 +96,7 @@ class BiasStepMonitor:
             report: of the frame.
             config: the present one.
         """
-        if is_of_thesis(config):  # whose filters may have no biases
+        if is_of_thesis(config) or not report.tracked:
             return backend, report
         if increment is None or report.recovery or backend.imu_fault or lacks_readings(increment):
             self._past.clear()
@@ -111,7 +114,6 @@ class BiasStepMonitor:
                 constant_s, significance = max(SHOWN_S, 0.5 * self._suspected_s), SIGNIFICANCE
             replayed = _replayed(self._past[0], config, constant_s=constant_s, significance=significance)
             if replayed is not None:
-                self._past.clear()
                 return replayed
         if self._past and self._past[0].age_s > LONGEST_S:
             self._past.clear()

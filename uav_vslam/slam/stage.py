@@ -319,6 +319,7 @@ class SlamStage:
         report, joint = self._with_joint(backend, report, features)
         if report.recovery:
             self._start_monitor.stop(report.pose.stamp_ns)
+            self._bias_steps = BiasStepMonitor()
         self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
         warnings = [text for text in (*noisy, of_start, self._warning(report)) if text]
@@ -372,7 +373,6 @@ class SlamStage:
             joint = self._joint_information(backend)
         except FilterDivergence as error:
             report = backend.recovered(report, features, str(error))
-            self._bias_steps = BiasStepMonitor()
             joint = self._joint_information(backend)
         self._is_announced = True
         return report, joint
