@@ -86,7 +86,7 @@ class BiasStepMonitor:
     ) -> tuple[SlamBackend, FrameReport]:
         """Return the back end to go on with after a frame, and the report of that frame.
 
-        The thesis's filters may have no biases. Landmarks alone are not exact enough to tell a step from an error of the
+        The thesis's filters may have no biases. Landmarks alone are not exact enough to tell a step from a wrong
         calibration.
 
         Args:

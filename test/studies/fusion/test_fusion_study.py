@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fusion study's rows: what they say follows from the runs behind them."""
 
+import numpy as np
 import pytest
 
 from uav_vslam.config import FusionConfig, LinkConfig
+from uav_vslam.evaluation.study import TABLE
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.cooperation import Setting
 from uav_vslam.studies.engine.fusion_parts import Part, run_parts
+from uav_vslam.studies.engine.fusion_plot import FLEET, fleet_plot
 from uav_vslam.studies.fusion.compute import PARTS
 
 SETTINGS = (
@@ -85,3 +88,9 @@ def test_all_parts_can_be_made_and_their_settings_differ_by_name() -> None:
     assert len({part.table for part in tables}) == len(tables)
     for part in tables:
         assert len({setting.name for setting in part.settings}) == len(part.settings)
+
+
+def test_fleets_that_flew_too_short_for_an_epoch_are_drawn() -> None:
+    figures = {"ratio_to_s_slam": 1.0, "sent_bytes_per_s": 9e4, "ms_per_epoch": None}
+    lines = fleet_plot([{TABLE: f"{count}{FLEET}"} | figures for count in (2, 3)]).axes[2].lines
+    assert np.isnan(lines[0].get_ydata()).all()

@@ -4,6 +4,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from uav_vslam.evaluation.study import TABLE, Row, tables_of
@@ -53,7 +54,7 @@ def gain_plot(heading: str, rows: list[Row]) -> Figure:
 
 
 def fleet_plot(rows: list[Row]) -> Figure:
-    """Return error, bytes and time over the number of peers."""
+    """Return error, bytes and time over the number of peers; flights too short for a figure leave a gap."""
     peers = [int(row[TABLE].removesuffix(FLEET)) - 1 for row in rows]
     figure = Figure(figsize=(12.0, 3.8), layout="constrained")
     what = (
@@ -62,7 +63,7 @@ def fleet_plot(rows: list[Row]) -> Figure:
         ("ms_per_epoch", 1.0, "Fusion and packet, an epoch [ms]"),
     )
     for axes, (key, scale, label) in zip(figure.subplots(1, 3), what, strict=True):
-        values = [scale * row[key] for row in rows]
+        values = [np.nan if row[key] is None else scale * row[key] for row in rows]
         axes.plot(peers, values, "o-", color=LINE_COLOURS[0])
         if key != "ratio_to_s_slam":
             axes.plot(peers, [values[0] / peers[0] * n for n in peers], ":", color="#888888", label="linear in peers")
