@@ -12,9 +12,10 @@ from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import corrected
 from uav_vslam.slam.bias_steps import SETTLED_S, correction
 from uav_vslam.slam.stage import FrameOutput
-from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate
+from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 
 FRAMES, FIRST, SIGMA_PX = 76, 50, 0.05
+BLACK = FIRST - 2  # an image without points
 NOTICED = 15  # frames of 0.14 s after the step, at most
 STEPS = {"gyro": ((0.0, 0.006, -0.008), (0.0, 0.0, 0.0)), "accel": ((0.0, 0.0, 0.0), (0.3, -0.4, 0.0))}
 
@@ -32,7 +33,7 @@ def test_a_step_is_noticed_and_costs_nothing_for_long(flown, kind: str) -> None:
     assert flight.frames[FIRST][0].stamp_ns - flight.frames[0][0].stamp_ns > (SETTLED_S + 1.0) * NS_PER_S
     stage, outputs = flight.tracking_stage(SIGMA_PX), list[FrameOutput]()
     for k, (features, increment) in enumerate(flight.frames):
-        stage.add_features(features)
+        stage.add_features(StereoFeatures.empty(features.stamp_ns) if k == BLACK else features)
         if increment is not None:
             stage.add_increment(stepped(increment, *step) if k >= FIRST else increment)
         outputs += stage.run()

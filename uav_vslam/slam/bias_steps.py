@@ -86,9 +86,6 @@ class BiasStepMonitor:
     ) -> tuple[SlamBackend, FrameReport]:
         """Return the back end to go on with after a frame, and the report of that frame.
 
-        The thesis's filters may have no biases. Landmarks alone are not exact enough to tell a step from a wrong
-        calibration.
-
         Args:
             backend: has processed the frame.
             features: of the frame.
@@ -96,7 +93,7 @@ class BiasStepMonitor:
             report: of the frame.
             config: the present one.
         """
-        if is_of_thesis(config) or not report.tracked:
+        if is_of_thesis(config):  # whose filters may have no biases
             return backend, report
         if increment is None or report.recovery or backend.imu_fault or lacks_readings(increment):
             self._past.clear()
@@ -132,12 +129,15 @@ class BiasStepMonitor:
         return missed or shows
 
     def _remember(self, backend: SlamBackend, report: FrameReport) -> None:
-        """Keep the back end from time to time, while images confirm it."""
+        """Keep the back end from time to time, while tracks confirm it.
+
+        Landmarks alone are not exact enough to tell a step from a wrong calibration.
+        """
         now_ns = report.pose.stamp_ns
         if self._settling_ns is None:
             self._settling_ns = now_ns
         settled = now_ns - self._settling_ns >= SETTLED_S * NS_PER_S
-        if settled and not report.coasted and not (self._past and self._past[-1].age_s < EVERY_S):
+        if settled and report.tracked and not report.coasted and not (self._past and self._past[-1].age_s < EVERY_S):
             self._past.append(_Past(copy.deepcopy(backend), report.nav))
 
 
