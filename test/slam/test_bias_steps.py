@@ -10,6 +10,7 @@ from uav_vslam.config import ImuConfig
 from uav_vslam.estimation.models import MODELS
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import corrected
+from uav_vslam.slam.backend import SKIPPED_IDS
 from uav_vslam.slam.bias_steps import SETTLED_S, correction
 from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
@@ -26,17 +27,23 @@ def stepped(increment: ImuIncrement, gyro: np.ndarray, accel: np.ndarray) -> Imu
     return dataclasses.replace(increment, **dict(zip(("delta_R", "delta_v", "delta_p"), deltas, strict=True)))
 
 
+def outputs_of(flight, kind: str, *, frames: int = FRAMES, blank: int | None = None) -> list[FrameOutput]:
+    """Return the outputs of a flight whose biases step at frame `FIRST`, and whose frame `blank` shows nothing."""
+    stage, outputs, (gyro, accel) = flight.tracking_stage(SIGMA_PX), list[FrameOutput](), np.array(STEPS[kind])
+    for k, (features, increment) in enumerate(flight.frames[:frames]):
+        stage.add_features(StereoFeatures.empty(features.stamp_ns) if k == blank else features)
+        if increment is not None:
+            stage.add_increment(stepped(increment, gyro, accel) if k >= FIRST else increment)
+        outputs += stage.run()
+    return outputs
+
+
 @pytest.mark.parametrize("kind", STEPS)
 def test_a_step_is_noticed_and_costs_nothing_for_long(flown, kind: str) -> None:
     """The position NEES per axis used to be above 100 for the rest of the flight."""
-    flight, step = flown(320, frames=FRAMES, tracked_px=SIGMA_PX), tuple(np.array(part) for part in STEPS[kind])
+    flight, step = flown(320, frames=FRAMES, tracked_px=SIGMA_PX), np.array(STEPS[kind])
     assert flight.frames[FIRST][0].stamp_ns - flight.frames[0][0].stamp_ns > (SETTLED_S + 1.0) * NS_PER_S
-    stage, outputs = flight.tracking_stage(SIGMA_PX), list[FrameOutput]()
-    for k, (features, increment) in enumerate(flight.frames):
-        stage.add_features(StereoFeatures.empty(features.stamp_ns) if k == BLACK else features)
-        if increment is not None:
-            stage.add_increment(stepped(increment, *step) if k >= FIRST else increment)
-        outputs += stage.run()
+    outputs = outputs_of(flight, kind)
     recoveries = [k for k, output in enumerate(outputs) if output.report.recovery]
     assert FIRST < recoveries[0] <= FIRST + NOTICED
     assert "biases have stepped" in outputs[recoveries[0]].warnings[-1]
@@ -45,6 +52,17 @@ def test_a_step_is_noticed_and_costs_nothing_for_long(flown, kind: str) -> None:
     before, after = (outputs[k].report.nav.state for k in (FIRST - 1, FRAMES - 1))
     np.testing.assert_allclose(after.gyro_bias - before.gyro_bias, step[0], atol=5e-4)
     np.testing.assert_allclose(after.accel_bias - before.accel_bias, step[1], atol=0.05)
+
+
+def test_a_step_is_noticed_where_a_frame_has_shown_nothing_just_before(flown) -> None:
+    """No frame is left out when they are used once more; identifiers leave room for a restart from a checkpoint."""
+    flight = flown(320, frames=FRAMES, tracked_px=SIGMA_PX)
+    outputs = outputs_of(flight, "gyro", frames=FIRST + NOTICED + 1, blank=FIRST - 2)
+    found = [k for k, output in enumerate(outputs) if "biases have stepped" in output.report.recovery]
+    assert found
+    assert found[0] > FIRST
+    known = [output.joint.ids for output in outputs if output.joint is not None]
+    assert max(ids.max() for ids in known) < SKIPPED_IDS
 
 
 def test_a_correction_that_its_covariance_allows_for_is_chi_square(flown) -> None:

@@ -138,6 +138,10 @@ class SlamBackend:
         """Leave out identifiers that may have been given to other landmarks."""
         self._map.skip_ids(SKIPPED_IDS)
 
+    def continue_landmark_ids(self, other: "SlamBackend") -> None:
+        """Leave out identifiers that another back end has given to its landmarks since this one was copied from it."""
+        self._map.continue_ids(other._map)
+
     def set_imu(self, imu: ImuConfig) -> None:
         """Go on with another noise of the IMU."""
         self._vehicle_config = dataclasses.replace(self._vehicle_config, imu=imu)

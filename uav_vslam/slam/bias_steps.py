@@ -19,7 +19,6 @@ from scipy.special import chdtri
 from uav_vslam.config import ImuConfig, VehicleConfig
 from uav_vslam.estimation.filters import is_of_thesis
 from uav_vslam.estimation.models import difference
-from uav_vslam.ins.increments import lacks_readings
 from uav_vslam.ins.preintegrator import advance
 from uav_vslam.ins.propagation import ACCEL_BIAS, GYRO_BIAS, VELOCITY
 from uav_vslam.slam.backend import SlamBackend
@@ -69,7 +68,7 @@ class _Past:
 
 
 class BiasStepMonitor:
-    """Watches a back end, frame by frame."""
+    """Watches a back end, frame by frame; after a recovery, or a gap in the readings, another one has to."""
 
     def __init__(self) -> None:
         self._past: deque[_Past] = deque(maxlen=KEPT)
@@ -86,6 +85,9 @@ class BiasStepMonitor:
     ) -> tuple[SlamBackend, FrameReport]:
         """Return the back end to go on with after a frame, and the report of that frame.
 
+        The thesis's filters may have no biases. Frames without tracks are kept, but not judged: landmarks alone are not
+        exact enough to tell a step from a wrong calibration.
+
         Args:
             backend: has processed the frame.
             features: of the frame.
@@ -93,28 +95,30 @@ class BiasStepMonitor:
             report: of the frame.
             config: the present one.
         """
-        if is_of_thesis(config):  # whose filters may have no biases
-            return backend, report
-        if increment is None or report.recovery or backend.imu_fault or lacks_readings(increment):
-            self._past.clear()
-            self._settling_ns, self._suspected_s, self._tried_s = report.pose.stamp_ns, 0.0, 0.0
+        if is_of_thesis(config) or increment is None or report.recovery:
             return backend, report
         for past in self._past:
             past.add(features, increment, config.imu)
+        replayed = self._judge(backend, increment, report, config) if report.tracked else None
+        if self._past and self._past[0].age_s > LONGEST_S:
+            self._past.clear()
+        return replayed or (backend, report)
+
+    def _judge(
+        self, backend: SlamBackend, increment: ImuIncrement, report: FrameReport, config: VehicleConfig
+    ) -> tuple[SlamBackend, FrameReport] | None:
+        """Return the back end and report that replace those of a frame after a step; see `check`."""
         if not self._is_suspect(report, increment):
             self._suspected_s = self._tried_s = 0.0
             self._remember(backend, report)
-        elif self._suspected_s >= max(SHOWN_S, LONGER * self._tried_s):
-            self._tried_s = self._suspected_s
-            constant_s, significance = self._suspected_s, CONFIRMED
-            if report.coasted:  # after a large step it takes several frames until one fits
-                constant_s, significance = max(SHOWN_S, 0.5 * self._suspected_s), SIGNIFICANCE
-            replayed = _replayed(self._past[0], config, constant_s=constant_s, significance=significance)
-            if replayed is not None:
-                return replayed
-        if self._past and self._past[0].age_s > LONGEST_S:
-            self._past.clear()
-        return backend, report
+            return None
+        if self._suspected_s < max(SHOWN_S, LONGER * self._tried_s):
+            return None
+        self._tried_s = self._suspected_s
+        constant_s, significance = self._suspected_s, CONFIRMED
+        if report.coasted:  # after a large step it takes several frames until one fits
+            constant_s, significance = max(SHOWN_S, 0.5 * self._suspected_s), SIGNIFICANCE
+        return _replayed(self._past[0], backend, config, constant_s=constant_s, significance=significance)
 
     def _is_suspect(self, report: FrameReport, increment: ImuIncrement) -> bool:
         """Return whether the biases may have stepped, and count for how long that is so."""
@@ -151,12 +155,13 @@ def correction(nav: NavEstimate, unaided: NavEstimate) -> float:
 
 
 def _replayed(
-    past: _Past, config: VehicleConfig, *, constant_s: float, significance: float
+    past: _Past, present: SlamBackend, config: VehicleConfig, *, constant_s: float, significance: float
 ) -> tuple[SlamBackend, FrameReport] | None:
     """Return a back end that has allowed for a step, and its report of the last frame; None if it found none.
 
     Args:
         past: from before the step.
+        present: the back end that is replaced.
         config: the present one.
         constant_s: the biases have not changed for that time, by which they are known.
         significance: probability with which biases that have not stepped are found to have.
@@ -168,7 +173,7 @@ def _replayed(
     open_until_ns = past.unaided.state.stamp_ns - constant_s * NS_PER_S
     backend = copy.deepcopy(past.backend)
     backend.configure(config)
-    backend.skip_landmark_ids()
+    backend.continue_landmark_ids(present)
     for features, increment in past.frames:
         is_over = increment.stamp_ns > open_until_ns
         backend.set_imu(config.imu if is_over else stepping)

@@ -52,6 +52,10 @@ class LandmarkMap:
         """Never give out the next `count` identifiers."""
         self._next_id += count
 
+    def continue_ids(self, other: "LandmarkMap") -> None:
+        """Give out the identifiers that another map would give out next."""
+        self._next_id = other._next_id
+
     def append(
         self,
         descriptors: NDArray[np.uint8],

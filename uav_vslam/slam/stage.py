@@ -340,6 +340,7 @@ class SlamStage:
         self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
         if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
             self._start_monitor.stop(increment.start_ns)
+            self._bias_steps = BiasStepMonitor()
         return increment
 
     def _checked_start(
