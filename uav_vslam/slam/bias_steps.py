@@ -178,7 +178,7 @@ def _replayed(
         is_over = increment.stamp_ns > open_until_ns
         backend.set_imu(config.imu if is_over else stepping)
         report = backend.process(features, increment)
-        if report.recovery or (is_over and report.coasted):
+        if report.recovery or (is_over and report.coasted and report.tracked):
             return None
     before, nav = past.backend.nav.state, report.nav
     gyro, accel = nav.state.gyro_bias - before.gyro_bias, nav.state.accel_bias - before.accel_bias
