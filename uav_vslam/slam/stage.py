@@ -346,7 +346,7 @@ class SlamStage:
     def _checked_start(
         self, backend: SlamBackend, report: FrameReport, features: StereoFeatures, dead_reckoned: NavEstimate
     ) -> tuple[FrameReport, str]:
-        """Return a frame's report, and a warning where it contradicts the start; with tracks it begins again.
+        """Return the report, and a warning if the frame contradicts the start; with tracks, re-initialise the filter.
 
         From dead reckoning: what the frames have made of a wrong start is certain and wrong. Tracks are so exact that a
         start which allows for its error costs them nothing; among landmarks alone it lets wrong matches pass.
