@@ -16,7 +16,6 @@ from uav_vslam.slam.stage import FrameOutput
 from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, StereoFeatures
 
 FRAMES, FIRST, SIGMA_PX = 76, 50, 0.05
-BLACK = FIRST - 2  # an image without points
 NOTICED = 15  # frames of 0.14 s after the step, at most
 STEPS = {"gyro": ((0.0, 0.006, -0.008), (0.0, 0.0, 0.0)), "accel": ((0.0, 0.0, 0.0), (0.3, -0.4, 0.0))}
 

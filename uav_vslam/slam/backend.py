@@ -220,6 +220,7 @@ class SlamBackend:
         if vibration := self._noticed_vibration():
             self._imu_fault = ImuFaultDetector(self._vehicle_config.imu.gravity)  # images missed for another reason
             outcome.recovery, outcome.restart = vibration, self._unaided
+            self._doubts_rig = False
         elif increment is not None and self._imu_fault.add(
             increment, R_map_body, coasted=missed, apart_rad=step.apart_rad
         ):
@@ -300,8 +301,10 @@ class SlamBackend:
             start: what to go on from, because the start state or the calibration is wrong; None for an estimate that
                 has lost its positive definiteness.
         """
-        self._doubts_rig |= start is not None
+        unaided, self._doubts_rig = self._unaided, self._doubts_rig or start is not None
         self._recover(start)
+        if start is not None:  # a vibration that shows next explains the frames as well: back to the start itself then
+            self._unaided = unaided
         added = self._add_landmarks(Matches.none(), features)
         return dataclasses.replace(
             report,

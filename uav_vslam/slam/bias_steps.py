@@ -133,15 +133,12 @@ class BiasStepMonitor:
         return missed or shows
 
     def _remember(self, backend: SlamBackend, report: FrameReport) -> None:
-        """Keep the back end from time to time, while tracks confirm it.
-
-        Landmarks alone are not exact enough to tell a step from a wrong calibration.
-        """
+        """Keep the back end from time to time, while images confirm it."""
         now_ns = report.pose.stamp_ns
         if self._settling_ns is None:
             self._settling_ns = now_ns
         settled = now_ns - self._settling_ns >= SETTLED_S * NS_PER_S
-        if settled and report.tracked and not report.coasted and not (self._past and self._past[-1].age_s < EVERY_S):
+        if settled and not report.coasted and not (self._past and self._past[-1].age_s < EVERY_S):
             self._past.append(_Past(copy.deepcopy(backend), report.nav))
 
 

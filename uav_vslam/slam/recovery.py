@@ -27,9 +27,9 @@ MOST_POSITION_SIGMA = 1000.0
 # velocity, tilt, heading, biases. A wider tilt would be linearised too far from the truth where landmarks are noisy.
 START_INFLATION = np.repeat([1.0, 10.0, 3.0, 10.0, 3.0], [3, 3, 2, 1, 6])
 # Or else the calibration is wrong: by how many times more than a wrong one commonly is, and with which probability,
-# four times that of a wrong start.
-MISCALIBRATED_INFLATION = 3.0
-MISCALIBRATED_PROBABILITY = 0.8
+# nine times that of a wrong start.
+MISCALIBRATED_INFLATION = 5.0
+MISCALIBRATED_PROBABILITY = 0.9
 
 
 def reinitialised(estimate: NavEstimate, *, since_s: float, imu: ImuConfig) -> NavEstimate:
