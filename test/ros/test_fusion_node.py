@@ -394,6 +394,16 @@ def test_a_missed_deadline_and_bytes_that_are_no_packet_are_counted(fly: Callabl
     assert flight.node._fusion.inbox.peers == {}
 
 
+def test_a_node_that_was_paused_receives_its_peers_again(fly: Callable[..., Flight]) -> None:
+    flight = fly()
+    publisher = flight.peer("wideband")
+    flight.node.trigger_deactivate()
+    flight.node.trigger_activate()
+    assert flight.spin(lambda: publisher.get_subscription_count() > 0)
+    publisher.publish(flight.packet(1))
+    assert flight.spin(flight.newest_ns)
+
+
 def test_a_radio_domain_carries_the_packets_and_nothing_else(
     fly: Callable[..., Flight], make_domain_id: Callable[[], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -401,6 +411,8 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
     radio_id = make_domain_id()
     flight = fly(f"radio_domain_id:={radio_id}", "radio_peers:=['127.0.0.1']", "fusion.feedback:=true")
     assert os.environ["ROS_STATIC_PEERS"] == "127.0.0.1"
+    flight.node.trigger_deactivate()
+    flight.node.trigger_activate()
     context = rclpy.Context()
     context.init(args=[], domain_id=radio_id)
     peer = rclpy.create_node(
@@ -429,6 +441,7 @@ def test_a_radio_domain_carries_the_packets_and_nothing_else(
         assert peer.count_subscribers(PACKETS) == 2  # the peer's own two: uav1 only sends there
         assert peer.get_service_names_and_types() == []
         assert flight.others.get_publishers_info_by_topic(PACKETS) == []
+        assert flight.others.get_subscriptions_info_by_topic("/uav2/landmark_information") == []
     finally:
         executor.shutdown()
         peer.destroy_node()

@@ -55,10 +55,14 @@ class PeerInput(Input):
         asked = compatible_qos(self.wanted, offers)
         if not offers or asked == self.qos:
             return False
-        self.close()
         self.qos = asked
-        self.subscribe(node)
+        self.renew(node)
         return True
+
+    def renew(self, node: Node) -> None:
+        """Subscribe again, on the radio."""
+        self.close()
+        self.subscribe(node)
 
     def close(self) -> None:
         """Stop listening."""

@@ -93,7 +93,7 @@ class VehicleNode(PausableNode):
         for one in self._inputs:
             if one.once and not self._was_active:
                 one.received = 0  # all were ignored
-            if one.shared or (one.once and not self._was_active):
+            if one.once and (one.shared or not self._was_active):
                 one.renew(self)
         self._was_active = True
         return super().on_activate(state)
