@@ -80,17 +80,18 @@ def supervised(
 RESUMED = """
     import sys, time
     print("started with", *sys.argv[1:], flush=True)
-    sys.exit(0) if "again" in sys.argv else sys.exit({code})
+    time.sleep(60.0) if "again" in sys.argv else sys.exit({code})
 """
 
 
-def test_a_process_that_fails_is_restarted_to_resume_and_the_others_go_on() -> None:
-    failing = dataclasses.replace(python("b", RESUMED.format(code=5)), resume=("again",))
+@pytest.mark.parametrize("ended", [5, 0])  # SIGTERM from outside makes a node end with 0
+def test_a_process_that_ends_is_restarted_to_resume_and_the_others_go_on(ended: int) -> None:
+    failing = dataclasses.replace(python("b", RESUMED.format(code=ended)), resume=("again",))
     leading = python("a", "import time; time.sleep(2.0); print('still here', flush=True)", leads=True)
     lines: list[tuple[str, str]] = []
     code = Supervisor(restarts=True, on_line=lambda name, line: lines.append((name, line))).run([failing, leading])
-    assert lines == [("b", "started with"), ("b", "started with again")]
-    assert code == 1  # whoever exits with 0 and does not lead still ends all
+    assert lines == [("b", "started with"), ("b", "started with again"), ("a", "still here")]
+    assert code == 0
 
 
 def test_a_process_that_would_fail_again_is_not_restarted() -> None:

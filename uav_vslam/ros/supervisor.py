@@ -41,7 +41,7 @@ class _Child:
         started_s: when, by the monotonic clock [s].
         failures: in a row, none of which came after STABLE_S.
         restart_at_s: when it is due, by the same clock [s]; None unless it waits for its restart.
-        restarted: it took the place of one that failed.
+        restarted: it took the place of one that ended.
         missed: it is optional and failed; the fleet goes on.
     """
 
@@ -61,7 +61,7 @@ class Supervisor:
     """Runs commands until the leading one exits, one fails or a signal arrives.
 
     Attributes:
-        restarts: a process that fails is started again, after a pause that grows, and the others go on.
+        restarts: a process that ends is started again, after a pause that grows, and the others go on.
         environment: variables in addition to ours.
         log_dir: folder for a log file of each process.
         escalation: what is sent to those that still run, and how many seconds after the order to end.
@@ -176,12 +176,13 @@ class Supervisor:
         return True
 
     def _is_restarted(self, child: _Child, code: int) -> bool:
-        """Restart a process that failed, when its time has come; return False if it is not to be restarted.
+        """Restart a process that ended, when its time has come; return False if it is not to be restarted.
 
+        Exit code 0 is no reason to let the others end: nobody but us should end a node, yet SIGTERM does so cleanly.
         A process that has run before had the right input: what it refuses after a restart may come back, as a radio
         interface or room on the disk does.
         """
-        if not self.restarts or child.command.leads or code == 0 or (code == WRONG_INPUT and not child.restarted):
+        if not self.restarts or child.command.leads or (code == WRONG_INPUT and not child.restarted):
             return False
         now_s = time.monotonic()
         if child.restart_at_s is None:
