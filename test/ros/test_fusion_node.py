@@ -404,6 +404,16 @@ def test_a_node_that_was_paused_receives_its_peers_again(fly: Callable[..., Flig
     assert flight.spin(flight.newest_ns)
 
 
+def test_odometry_waits_for_a_lost_epoch_no_longer_than_until_the_next_one(fly: Callable[..., Flight]) -> None:
+    flight = fly()
+    flight.epoch(1)
+    for k in range(1, 4):  # of a pause, in which the joint information of the second epoch was ignored
+        flight._move(2 * NS_PER_S + k * NS_PER_S // 4)
+    flight.epoch(3)
+    assert flight.node.counts["dropped/joint_lost"] == 1
+    assert flight.node._previous_ns == 3 * NS_PER_S
+
+
 def test_a_radio_domain_carries_the_packets_and_nothing_else(
     fly: Callable[..., Flight], make_domain_id: Callable[[], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -153,7 +153,7 @@ class FusionNode(VehicleNode):
             own, twist = self._waiting[0]
             is_epoch = crosses_epoch(self._previous_ns, own.stamp_ns, self.config.fusion.epoch_s)
             joint = self._joints.get(own.stamp_ns) if is_epoch else None
-            if is_epoch and joint is None and len(self._waiting) < MAX_WAITING:
+            if is_epoch and joint is None and not self._is_joint_lost():
                 return
             self._waiting.popleft()
             self._previous_ns = own.stamp_ns
@@ -163,6 +163,14 @@ class FusionNode(VehicleNode):
             elif is_epoch:
                 self.drop("joint_lost", f"no joint information arrived for the epoch at {own.stamp_ns} ns")
             self._publish_pose(own, self._fusion.propagate(own), twist)
+
+    def _is_joint_lost(self) -> bool:
+        """Return whether the joint information that the oldest odometry waits for will not come any more.
+
+        The back end sends that of each epoch in turn: a later one is there, or it is long overdue.
+        """
+        overtaken = any(later.stamp_ns in self._joints for later, _ in self._waiting)
+        return overtaken or len(self._waiting) >= MAX_WAITING
 
     def _run_epoch(self, joint: JointInformation) -> None:
         epoch = self._fusion.fuse(joint)
