@@ -17,6 +17,7 @@ from uav_vslam.cli.launch import _remove_leftovers, launch
 from uav_vslam.config import FleetConfig, ReplayConfig
 from uav_vslam.ros import shared_memory
 from uav_vslam.ros.shared_memory import FOLDER, SETTLED_S, remove_leftovers
+from uav_vslam.ros.supervisor import Supervisor
 from waiting import wait_for
 
 pytestmark = pytest.mark.ros
@@ -92,6 +93,25 @@ def test_what_a_killed_node_left_is_freed_at_the_next_launch_and_the_living_go_o
         one.send_signal(signal.SIGKILL)
         one.wait()
     assert wait_for(lambda: not there(of_killed | of_living), lambda: remove_leftovers() and time.sleep(0.5))
+
+
+def test_what_a_node_killed_in_flight_left_is_freed_at_the_end(
+    talkers: list[subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    killed = talkers[-1]
+    segments = {name for name in files_of(killed) if "port" not in name}
+    started_s = max((FOLDER / name).stat().st_mtime for name in segments)
+    assert wait_for(lambda: time.time() - started_s > SETTLED_S)
+
+    def fly(*_: object) -> int:
+        killed.send_signal(signal.SIGKILL)
+        killed.wait()
+        return 0
+
+    monkeypatch.setattr(Supervisor, "run", fly)
+    assert there(segments) == segments
+    launch(FleetConfig({}, ReplayConfig()))
+    assert there(segments) == set()
 
 
 def old(path: Path) -> Path:

@@ -176,7 +176,10 @@ def launch(
         on_line=on_line,
         escalation=SAVING if maps else ESCALATION,
     )
-    return supervisor.run([node_command(spec, log_level) for spec in specs])
+    try:
+        return supervisor.run([node_command(spec, log_level) for spec in specs])
+    finally:
+        _remove_leftovers()
 
 
 def _check_places(record: Path | None, maps: str, vehicles: Collection[str]) -> None:
