@@ -77,28 +77,34 @@ def test_a_start_many_sigmas_off_is_detected_once(flown, what: str, seed: int) -
     assert warning.endswith(REMEDY)
 
 
-@pytest.mark.parametrize("what", WRONG)
+# Where points are tracked: less tilt shows, but ten sigmas of forward velocity could be a wrong calibration.
+FAR = WRONG | {
+    "forward velocity": {"velocity": np.array([20 * VELOCITY_SIGMA, 0.0, 0.0])},
+    "tilt": {"rotation_deg": np.array([10 * TILT_SIGMA_DEG, 0.0, 0.0])},
+}
+
+
+@pytest.mark.parametrize("what", FAR)
 def test_after_a_wrong_start_the_estimate_claims_no_more_than_it_knows(flown, what: str) -> None:
     flight = flown(1, frames=48, tracked_px=0.05)
-    off = {"rotation_deg": np.array([10 * TILT_SIGMA_DEG, 0.0, 0.0])} if what == "tilt" else WRONG[what]
-    outputs = outputs_of(flight.tracking_stage(0.05), flight, moved(flight.vehicle.initial, **off))
+    outputs = outputs_of(flight.tracking_stage(0.05), flight, moved(flight.vehicle.initial, **FAR[what]))
     assert sum(output.report.recovery != "" for output in outputs) == 1
     assert flight.errors_and_nees(outputs)[1][20:].mean() < 2.0
 
 
 @pytest.mark.parametrize("disparity_px", [-0.6, 0.6])
-def test_a_wrong_calibration_that_looks_like_a_wrong_start_is_found(flown, disparity_px: float) -> None:
+def test_a_wrong_calibration_that_explains_the_first_frames_is_estimated(flown, disparity_px: float) -> None:
     flight = flown(2, frames=60, tracked_px=0.05)
     stage = flight.tracking_stage(0.05)
     stage.rig = flight.vehicle.rig.disparity_shifted(disparity_px)
     outputs = outputs_of(stage, flight, flight.vehicle.initial)
-    start, calibration = (text for output in outputs for text in output.warnings)
-    assert REMEDY in start
-    assert "contradicts the calibration" in calibration
+    (warning,) = (text for output in outputs for text in output.warnings)
+    assert warning.endswith(REMEDY)
+    assert not any(output.report.recovery for output in outputs)
     disparity = outputs[-1].report.disparity
     assert disparity is not None
     assert abs(disparity.mean_px + disparity_px) < 0.1
-    assert flight.errors_and_nees(outputs)[1][20:].mean() < 2.0
+    assert flight.errors_and_nees(outputs)[1][25:].mean() < 2.0
 
 
 def test_a_start_that_was_not_recorded_is_not_sought_in_the_recording(flown) -> None:

@@ -31,7 +31,7 @@ from uav_vslam.slam.matches import Matches
 from uav_vslam.slam.recovery import doubted_rig, reinitialised
 from uav_vslam.slam.seen_motion import MotionFinder, Step
 from uav_vslam.slam.track_noise import TrackNoise
-from uav_vslam.slam.track_window import Choice, Present, TrackWindow
+from uav_vslam.slam.track_window import Present, TrackWindow
 from uav_vslam.types import (
     NS_PER_S,
     ImuIncrement,
@@ -63,6 +63,7 @@ class _Outcome:
     matches: Matches = field(default_factory=Matches.none)
     innovation: Innovation | None = None
     as_calibrated: NavEstimate | None = None
+    doubting: NavEstimate | None = None
     rig_evidence: float = 0.0
     disparity: DisparityEstimate | None = None
     closures: int = 0
@@ -226,14 +227,16 @@ class SlamBackend:
         ):
             self._nav, outcome.recovery = self._since_confirmed(), self._imu_fault.reason
 
-    def _present(self, choose: Choice | None = None) -> Present:
-        """Return the estimate of the present, see `TrackWindow.present`."""
-        present = self._window.present(self._filter, self._map, choose)
+    def _trusting(self, present: Present) -> Present:
+        """Return an estimate of the present that trusts the calibration as long as that is not judged."""
         return dataclasses.replace(present, filter=self._disparity_judge.trusting(present.filter))
 
     def _take_present(self, outcome: _Outcome, features: StereoFeatures) -> None:
         """Set the estimate to that of the filter and its tracks together."""
-        present = self._present()
+        doubting = self._window.present(self._filter, self._map)
+        present = self._trusting(doubting)
+        if present.filter is not doubting.filter:
+            outcome.doubting = doubting.filter.nav_estimate(as_calibrated=True)
         self._nav, self._present_rig = present.filter.nav_estimate(), present.filter.rig
         outcome.innovation = present.innovation or outcome.innovation
         outcome.as_calibrated = present.filter.nav_estimate(as_calibrated=True)
@@ -254,6 +257,7 @@ class SlamBackend:
             landmarks=len(self._map),
             recovery=outcome.recovery,
             as_calibrated=outcome.as_calibrated,
+            doubting=outcome.doubting,
             rig_evidence=outcome.rig_evidence,
             disparity=outcome.disparity,
             closures=outcome.closures,
@@ -276,7 +280,7 @@ class SlamBackend:
     def joint_information(self) -> JointInformation:
         """Return the estimate of pose and landmarks, points still tracked included, for the vehicle's own fusion."""
         window = self._window
-        present = self._present(self._all_in_view)
+        present = self._trusting(window.present(self._filter, self._map, self._all_in_view))
         descriptors = [some for some in (self._map.descriptors, window.views.descriptors[present.rows]) if len(some)]
         return JointInformation(
             stamp_ns=self.stamp_ns,

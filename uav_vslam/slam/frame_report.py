@@ -28,6 +28,7 @@ class FrameReport:
         rig_evidence: how strongly the data contradict the calibration, see `Filter.rig_evidence`.
         disparity: its constant error as the filter estimates it; None if it does not.
         closures: associated landmarks that had not been seen for long.
+        doubting: what `nav` is without trusting a calibration that is not judged yet; None if it is.
         tracked: stereo points whose track was in the frame before.
         coasted: the state was propagated by the IMU alone; not so a frame at the start state itself.
         gate_probability: of the gate on observations.
@@ -49,6 +50,7 @@ class FrameReport:
     rig_evidence: float = 0.0
     disparity: DisparityEstimate | None = None
     closures: int = 0
+    doubting: NavEstimate | None = None
     tracked: int = 0
     coasted: bool = False
     gate_probability: float = 1.0

@@ -101,6 +101,7 @@ class SlamStage:
         self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
         self._start_monitor, self._rig_monitor = StartMonitor(config.start.method), RigMonitor(config.rig)
+        self._doubting_monitor = StartMonitor(config.start.method)  # of the start, where the calibration may be wrong
         self._noise_monitor = NoiseMonitor(config.imu)
         self._bias_steps = BiasStepMonitor()
         self._dead_reckoning = DeadReckoning(config.imu)
@@ -318,7 +319,7 @@ class SlamStage:
         report, of_start = self._checked_start(backend, report, features, dead_reckoned)
         report, joint = self._with_joint(backend, report, features)
         if report.recovery:
-            self._start_monitor.stop(report.pose.stamp_ns)
+            self._stop_watching_start(report.pose.stamp_ns)
             self._bias_steps = BiasStepMonitor()
         self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
@@ -339,25 +340,34 @@ class SlamStage:
         increment = bridged(increment, backend.stamp_ns, self._config.imu)
         self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
         if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
-            self._start_monitor.stop(increment.start_ns)
+            self._stop_watching_start(increment.start_ns)
             self._bias_steps = BiasStepMonitor()
         return increment
 
     def _checked_start(
         self, backend: SlamBackend, report: FrameReport, features: StereoFeatures, dead_reckoned: NavEstimate
     ) -> tuple[FrameReport, str]:
-        """Return the report, and a warning if the frame contradicts the start; with tracks, re-initialise the filter.
+        """Return the report, and a warning if the frame contradicts the start.
 
-        From dead reckoning: what the frames have made of a wrong start is certain and wrong. Tracks are so exact that a
-        start which allows for its error costs them nothing; among landmarks alone it lets wrong matches pass.
+        If it does so whether the calibration is right or not, and points are tracked, the filter is re-initialised, from
+        dead reckoning: what the frames have made of a wrong start is certain and wrong. Tracks are so exact that a start
+        which allows for its error costs them nothing; among landmarks alone it lets wrong matches pass.
         """
         if report.recovery or self._was_motion_unknown:  # what follows contradicts a correct start
             return report, ""
         finding = self._start_monitor.add(report, dead_reckoned)
-        if not finding or not report.tracked:
+        if not report.tracked:
+            return report, finding
+        doubting = dataclasses.replace(report, as_calibrated=report.doubting or report.as_calibrated)
+        contradiction = self._doubting_monitor.add(doubting, dead_reckoned)
+        if not contradiction:  # a wrong calibration explains the finding, and the filter expects one
             return report, finding
         self._start_monitor = StartMonitor(self._config.start.method)
-        return backend.recovered(report, features, finding, start=self._doubted.estimate), ""
+        return backend.recovered(report, features, contradiction, start=self._doubted.estimate), ""
+
+    def _stop_watching_start(self, stamp_ns: int) -> None:
+        for monitor in (self._start_monitor, self._doubting_monitor):
+            monitor.stop(stamp_ns)
 
     def _with_joint(
         self, backend: SlamBackend, report: FrameReport, features: StereoFeatures
