@@ -77,11 +77,9 @@ def test_a_start_many_sigmas_off_is_detected_once(flown, what: str, seed: int) -
     assert warning.endswith(REMEDY)
 
 
-# Where points are tracked: less tilt shows, but ten sigmas of forward velocity could be a wrong calibration.
-FAR = WRONG | {
-    "forward velocity": {"velocity": np.array([20 * VELOCITY_SIGMA, 0.0, 0.0])},
-    "tilt": {"rotation_deg": np.array([10 * TILT_SIGMA_DEG, 0.0, 0.0])},
-}
+# Where points are tracked: less tilt shows, but a forward velocity or a heading may be taken for a wrong calibration.
+FAR = {what: WRONG[what] for what in ("vertical velocity", "all velocities")}
+FAR["tilt"] = {"rotation_deg": np.array([10 * TILT_SIGMA_DEG, 0.0, 0.0])}
 
 
 @pytest.mark.parametrize("what", FAR)
@@ -185,6 +183,16 @@ def test_a_correction_is_whitened_by_the_reduction_of_covariance_as_a_whole() ->
     times = velocity_correction(nav, NavEstimate(DEAD_RECKONED.state, np.eye(15) + A @ A.T))
     S = (A @ A.T)[VELOCITY, VELOCITY] + NEGLIGIBLE**2 * np.eye(3)
     np.testing.assert_allclose(times, np.sqrt(d @ np.linalg.solve(S, d) / 3), rtol=1e-9)
+
+
+def test_a_speed_is_no_evidence_where_the_calibration_may_be_wrong() -> None:
+    dead_reckoned = dataclasses.replace(DEAD_RECKONED.state, v_map=np.array([20.0, 0.0, 0.0]))
+    faster, sideways = (dataclasses.replace(dead_reckoned, v_map=np.array(v)) for v in ([22.0, 0, 0], [20.0, 2.0, 0]))
+    P, none = np.eye(15), np.zeros((15, 15))
+    of = {name: NavEstimate(state, none) for name, state in (("faster", faster), ("sideways", sideways))}
+    before = NavEstimate(dead_reckoned, P)
+    assert velocity_correction(of["faster"], before, scaled=True) == pytest.approx(0.0, abs=1e-9)
+    assert velocity_correction(of["sideways"], before, scaled=True) == pytest.approx(2.0 / np.sqrt(2.0), rel=1e-3)
 
 
 def test_a_start_is_trusted_after_the_watch_and_never_after_a_warning() -> None:

@@ -101,7 +101,7 @@ class SlamStage:
         self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
         self._start_monitor, self._rig_monitor = StartMonitor(config.start.method), RigMonitor(config.rig)
-        self._doubting_monitor = StartMonitor(config.start.method)  # of the start, where the calibration may be wrong
+        self._doubting_monitor = StartMonitor(config.start.method, scaled=True)  # where the calibration may be wrong
         self._noise_monitor = NoiseMonitor(config.imu)
         self._bias_steps = BiasStepMonitor()
         self._dead_reckoning = DeadReckoning(config.imu)

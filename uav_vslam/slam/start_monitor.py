@@ -35,8 +35,14 @@ CHECKED = {  # by `start.method`, besides what can be wrong with any start
 class StartMonitor:
     """Monitors the frames after the start and warns once."""
 
-    def __init__(self, method: str = "given") -> None:
-        """Begin before the first frame; `method` is that of the start."""
+    def __init__(self, method: str = "given", *, scaled: bool = False) -> None:
+        """Begin before the first frame.
+
+        Args:
+            method: of the start.
+            scaled: the calibration may be wrong, which scales all that is seen: the speed is no evidence.
+        """
+        self._scaled = scaled
         self._remedy = f"check {CHECKED[method]}, the IMU noise and the calibration"
         self._end_ns: int | None = None
         self._nis, self._dof, self._coasted, self._landmarks = 0.0, 0, 0, 0
@@ -72,8 +78,9 @@ class StartMonitor:
             self._dof += report.innovation.dof
         elif max(report.tracked, min(report.features, self._landmarks)) >= MIN_FEATURES:
             self._coasted += 1
-        times = velocity_correction(report.as_calibrated or report.nav, dead_reckoned)
-        if times > np.sqrt(chdtri(3, SIGNIFICANCE) / 3):
+        times = velocity_correction(report.as_calibrated or report.nav, dead_reckoned, scaled=self._scaled)
+        axes = 2 if self._scaled else 3
+        if times > np.sqrt(chdtri(axes, SIGNIFICANCE) / axes):
             return f"the first frames correct the start's velocity by {times:.1f} times what its sigmas allow"
         if self._nis > MAX_NIS_PER_DOF * max(self._dof, 1):
             times = np.sqrt(self._nis / self._dof)
@@ -83,9 +90,15 @@ class StartMonitor:
         return ""
 
 
-def velocity_correction(nav: NavEstimate, dead_reckoned: NavEstimate) -> float:
-    """Return the root mean square, over three axes, of the velocity correction in sigmas of P_r - P."""
-    d = nav.state.v_map - dead_reckoned.state.v_map
-    values, axes = np.linalg.eigh(dead_reckoned.covariance[VELOCITY, VELOCITY] - nav.covariance[VELOCITY, VELOCITY])
+def velocity_correction(nav: NavEstimate, dead_reckoned: NavEstimate, *, scaled: bool = False) -> float:
+    """Return the root mean square of the velocity correction in sigmas of P_r - P, over three axes.
+
+    If `scaled`, over the two that are across the velocity.
+    """
+    v = dead_reckoned.state.v_map
+    across = np.linalg.svd(v[None, :])[2][1:].T if scaled else np.eye(3)
+    d = across.T @ (nav.state.v_map - v)
+    P = dead_reckoned.covariance[VELOCITY, VELOCITY] - nav.covariance[VELOCITY, VELOCITY]
+    values, axes = np.linalg.eigh(across.T @ P @ across)
     variance: NDArray[np.float64] = np.maximum(values, 0.0) + NEGLIGIBLE**2
     return float(np.sqrt(np.mean((axes.T @ d) ** 2 / variance)))
