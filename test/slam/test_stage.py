@@ -144,7 +144,6 @@ def test_a_reinitialised_filter_is_reported(flown) -> None:
     stage = make(flight)
     stage.start(flight.vehicle.initial)
     assert [o.warnings for o in feed(stage, flight.frames[:8])] == [()] * 8
-    stage._start_monitor.stop(0)  # as for a start that was accepted
     stage._backend._filter.belief.Y[3, 3] = -1.0
     outputs = feed(stage, flight.frames[8:12])
     assert [len(o.warnings) for o in outputs] == [1, 0, 0, 0]

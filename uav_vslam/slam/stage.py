@@ -349,7 +349,7 @@ class SlamStage:
     ) -> tuple[FrameReport, str]:
         """Return the report, and a warning if the frame contradicts the start.
 
-        If it does so whether the calibration is right or not, and points are tracked, the filter is re-initialised, by
+        If it does so whether the calibration is right or not, and points are tracked, the filter is re-initialised from
         dead reckoning: what the frames have made of a wrong start is certain and wrong. Tracks are so exact that a
         start which allows for its error costs them nothing; among landmarks alone it lets wrong matches pass.
         """
