@@ -45,11 +45,6 @@ class BackEnd:
         twist = TwistWithCovariance(covariance=np.eye(6).ravel())
         self._publisher.publish(odometry_to_msg(pose, twist, frame_id="uav1/map", child_frame_id="uav1/base_link"))
 
-    @property
-    def matched(self) -> bool:
-        """Whether somebody listens: whatever was published before comes in a row then."""
-        return self._publisher.get_subscription_count() > 0
-
     def leave(self) -> None:
         self._node.destroy_node()
         self._context.try_shutdown()
@@ -63,15 +58,13 @@ class Feed:
     """
 
     def __init__(self, domain_id: int, witness: Witness) -> None:
-        self._domain_id, self._witness, self._stamp_ns = domain_id, witness, STEP_NS
+        self._domain_id, self._stamp_ns = domain_id, STEP_NS
         self.back_ends: dict[str, BackEnd] = {}
         self.fused_x_m: list[float] = []
         witness.node.create_subscription(Odometry, "/uav1/fused/odometry", self._on_fused, 100)
 
     def join(self, key: str, name: str, *, x_m: float) -> None:
-        back_end = BackEnd(self._domain_id, name, x_m=x_m)
-        assert self._witness.sees(lambda: back_end.matched, self.step)
-        self.back_ends[key] = back_end
+        self.back_ends[key] = BackEnd(self._domain_id, name, x_m=x_m)
 
     def leave(self, key: str) -> None:
         self.back_ends.pop(key).leave()
@@ -80,6 +73,15 @@ class Feed:
         for back_end in self.back_ends.values():
             self._stamp_ns += STEP_NS
             back_end.publish(self._stamp_ns)
+
+    @property
+    def times_misled(self) -> int:
+        """How often a lie was used right after a truth.
+
+        Where messages of the true node are lost, several of the impostor's come in a row, and nothing tells them from
+        those of a restarted node until the true one is heard again.
+        """
+        return sum(lie and not before for before, lie in itertools.pairwise(x_m > LIE_M / 2 for x_m in self.fused_x_m))
 
     def _on_fused(self, message: Odometry) -> None:
         self.fused_x_m.append(message.pose.pose.position.x)
@@ -107,7 +109,7 @@ def test_while_two_nodes_publish_an_input_it_is_not_used(
     with running([fusion], tmp_path, domain_id):
         feed.join("true", "slam_backend", x_m=0.0)
         assert witness.sees(lambda: len(feed.fused_x_m) > 20, feed.step)
-        for lies_allowed, impostor in enumerate(("replay", "slam_backend"), start=1):
+        for times_allowed, impostor in enumerate(("replay", "slam_backend"), start=1):
             feed.join("false", impostor, x_m=LIE_M)
             assert witness.sees(lambda: witness.is_error(FUSION), feed.step)
             both = ", ".join(sorted(["/uav1/slam_backend", f"/uav1/{impostor}"]))
@@ -119,8 +121,7 @@ def test_while_two_nodes_publish_an_input_it_is_not_used(
             assert witness.sees(
                 lambda n=count: len(feed.fused_x_m) > n + 20 and not witness.is_error(FUSION), feed.step
             )
-            # An impostor is known by its second message at the latest.
-            assert sum(x_m > LIE_M / 2 for x_m in feed.fused_x_m) <= lies_allowed
+            assert feed.times_misled <= times_allowed
     log = (tmp_path / "fusion.log").read_text()
     assert log.count(f"2 nodes publish {FED}") == 2
     assert log.count(f"one node publishes {FED} again; it is used") == 2
@@ -170,6 +171,11 @@ def test_two_that_publish_in_turns_are_several_whatever_their_order(turns: list[
         found.received(numbers[who])
         numbers[who] += 1
     assert found.several
+
+
+def test_two_of_one_name_are_known_by_the_second_message_of_the_later_one() -> None:
+    assert not numbered(1, 1001, names=2).several
+    assert numbered(1, 1001, 2, names=2).several
 
 
 def changes(turns: list[bool]) -> int:

@@ -51,7 +51,7 @@ class Publishers:
     def notice(self, node: Node, subscription: Any) -> None:
         """Find out who they are if one has come or gone; cheap enough for each message."""
         count = subscription.get_publisher_count()
-        if count != self._count or any(UNKNOWN in name for name in self.names):
+        if count != self._count or (count > 1 and any(UNKNOWN in name for name in self.names)):
             found = nodes_publishing(node, subscription.topic_name) if count > 1 else []
             self.set([*found, *[UNKNOWN] * (count - len(found))])
             self._count = count
