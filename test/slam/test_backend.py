@@ -11,7 +11,7 @@ from uav_vslam.config import EXACT_RIG, FILTERS, STATE_MODELS, BackendConfig, Ri
 from uav_vslam.ins.preintegration import preintegrate
 from uav_vslam.simulation.landmarks import LandmarkNoise, observe, scatter_landmarks
 from uav_vslam.simulation.scenario import SCENARIOS, SimulatedVehicle, simulate_vehicle
-from uav_vslam.slam.backend import VISIT_FRAMES, SlamBackend
+from uav_vslam.slam.backend import SlamBackend
 from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import MAX_LOST
 from uav_vslam.slam.map_matching import MapMatcher
@@ -108,16 +108,6 @@ def test_frames_without_features_are_dead_reckoned_with_growing_covariance(fligh
     assert sigma[7] < sigma[8] < sigma[9] < sigma[10] < sigma[11]
     assert reports[12].associated > 0
     assert flight.position_error_m(reports[-1]) < 0.6
-
-
-def test_the_frames_of_a_visit_weigh_as_measurements_with_one_common_error(flight: Flight) -> None:
-    """Dense reference: the redetection error of a landmark that came back is the same in all its frames."""
-    backend = flight.backend(sigma_px=0.5, redetection_px=1.5)
-    S = 0.5**2 * np.eye(VISIT_FRAMES) + 1.5**2 * np.ones((VISIT_FRAMES, VISIT_FRAMES))
-    information = np.linalg.solve(S, np.ones(VISIT_FRAMES)).sum()
-    back, other = backend._weights(np.array([True, False]))
-    np.testing.assert_allclose(VISIT_FRAMES * back / 0.5**2, information, rtol=1e-12)
-    assert other == 1.0
 
 
 def test_landmarks_do_not_age_while_nothing_is_seen(flight: Flight) -> None:

@@ -325,7 +325,7 @@ def test_a_rig_is_not_blamed_for_an_unknown_motion(flown, unknown: bool) -> None
     stage = make(flight, rig=False)
     stage.rig = dataclasses.replace(flight.vehicle.rig, T_body_right=turned)
     stage.start(flight.vehicle.initial)
-    stage._start_monitor.stop(0)  # as for a start that was accepted
+    stage._start_watch.stop(0)  # as for a start that was accepted
     frames = [*flight.frames[:1], *flight.frames[7 if unknown else 1 :]]
     told = [text for output in feed(stage, frames) for text in output.warnings]
     assert any("contradicts the calibration" in text for text in told) == (not unknown)

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from uav_vslam.config import ImuConfig, VehicleConfig
 from uav_vslam.errors import FilterDivergence
 from uav_vslam.estimation.filters import make_filter, past_poses
-from uav_vslam.estimation.observation import projectable
 from uav_vslam.estimation.rig_belief import DisparityEstimate
 from uav_vslam.estimation.weighted_update import Innovation
-from uav_vslam.geometry.image_grid import spread
 from uav_vslam.geometry.stereo import StereoRig
 from uav_vslam.ins.increments import unknown_motion_since
 from uav_vslam.ins.preintegrator import advance
@@ -25,8 +23,8 @@ from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.health import MIN_FEATURES, FilterHealth
 from uav_vslam.slam.imu_fault import ImuFaultDetector
 from uav_vslam.slam.landmark_map import LandmarkMap
-from uav_vslam.slam.map_manager import MapView, rows_to_remove
-from uav_vslam.slam.map_matching import MIN_INLIERS, MapMatcher
+from uav_vslam.slam.local_map import LocalMap
+from uav_vslam.slam.map_matching import MapMatcher
 from uav_vslam.slam.matches import Matches
 from uav_vslam.slam.recovery import doubted_rig, reinitialised
 from uav_vslam.slam.seen_motion import MotionFinder, Step
@@ -41,12 +39,9 @@ from uav_vslam.types import (
     StereoFeatures,
 )
 
-SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
-FAR_SIGNIFICANCE = 1e-4  # of a set that puts the pose far away: on one side of an image a tilt fits like a shift
 SKIPPED_IDS = 100_000  # after a restart: more landmarks than are added between two checkpoints
 TURNED_RAD = 0.005  # 1 sigma of the rotation over a few frames, by rates of an IMU whose accelerations are wrong
 UNAIDED_S = 1.0  # a vibration from the start on is noticed by then
-VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
 
 @dataclass(slots=True)
@@ -110,7 +105,6 @@ class SlamBackend:
         self._nav = initial
         self._unaided: NavEstimate | None = None  # by the IMU alone, for a while: no image has spoilt it
         self._confirmed = initial  # the newest estimate that an image has confirmed
-        self._postponed: StereoFeatures | None = None  # frame that landmarks can't be added from yet
         self._increment: ImuIncrement | None = None  # the newest
         self._reset(initial)
 
@@ -176,8 +170,7 @@ class SlamBackend:
             self._recover(outcome.restart)
             if self._imu_fault.reason:  # the motion from here on is that of the tracks
                 self._window.add_frame(self._filter, features)
-        added = self._add_landmarks(outcome.matches, features)
-        self._postponed = None if self._filter.can_add_landmarks else features
+        added = self._local_map.add(features, self._frame, matches=outcome.matches)
         self._frame += len(features) > 0  # a frame without features says nothing about landmarks
         return self._report(step, outcome, added)
 
@@ -188,15 +181,19 @@ class SlamBackend:
         self._filter.track_sigma_px = self.track_sigma_px
         try:
             if increment is not None:
-                outcome.late_sightings = self._new_sightings(self._add_postponed(increment))
+                late = self._local_map.add_postponed(increment, self._frame)
+                outcome.late_sightings = self._local_map.new_sightings(late)
                 self._disparity_judge.before_prediction(self._filter, increment)
                 self._filter.predict(increment)
             self._window.add_frame(self._filter, features)
-            self._window.finish(self._filter, self._map, self._frame, self._new_landmarks, everything=is_seen)
-            outcome.matches, outcome.innovation, outcome.closures = self._correct(features, by_landmarks=not is_seen)
+            new_landmarks = self._local_map.new_landmarks
+            self._window.finish(self._filter, self._map, self._frame, new_landmarks, everything=is_seen)
+            outcome.matches, outcome.innovation, outcome.closures = self._local_map.correct(
+                features, self._frame, by_landmarks=not is_seen
+            )
             self._disparity_judge.after_update(self._filter, self._nav)
             self._take_present(outcome, features)
-            self._remove_landmarks()
+            self._local_map.remove_surplus(self._frame)
             outcome.rig_evidence = self._filter.rig_evidence()
             outcome.known = max(outcome.known, self._window.followed)
             outcome.recovery = self._health.check(outcome.innovation, features=len(features), known=outcome.known)
@@ -241,7 +238,8 @@ class SlamBackend:
         outcome.innovation = present.innovation or outcome.innovation
         outcome.as_calibrated = present.filter.nav_estimate(as_calibrated=True)
         outcome.disparity = present.filter.disparity
-        outcome.sightings = np.vstack([self._sightings(outcome.matches), self._track_sightings(present, features)])
+        of_landmarks = self._local_map.sightings(outcome.matches)
+        outcome.sightings = np.vstack([of_landmarks, self._track_sightings(present, features)])
         outcome.smoothed = self._window.leaving(present.filter)
 
     def _report(self, step: Step, outcome: _Outcome, added: NDArray[np.intp]) -> FrameReport:
@@ -266,21 +264,21 @@ class SlamBackend:
             gate_probability=self._config.gate_probability,
             smoothed=outcome.smoothed,
             flexing=self._flexing,
-            sightings=np.vstack([outcome.sightings, self._new_sightings(added)]),
+            sightings=np.vstack([outcome.sightings, self._local_map.new_sightings(added)]),
             late_sightings=outcome.late_sightings,
         )
 
     def configure(self, config: VehicleConfig) -> None:
         """Go on with live settings that have changed."""
         self._vehicle_config, self._config = config, config.backend
-        self._matcher.configure(config.backend)
+        self._local_map.configure(config.backend)
         self._filter.sigma_px = config.backend.sigma_px
         self._window.configure(config.backend)
 
     def joint_information(self) -> JointInformation:
         """Return the estimate of pose and landmarks, points still tracked included, for the vehicle's own fusion."""
         window = self._window
-        present = self._trusting(window.present(self._filter, self._map, self._all_in_view))
+        present = self._trusting(window.present(self._filter, self._map, self._local_map.all_in_view))
         descriptors = [some for some in (self._map.descriptors, window.views.descriptors[present.rows]) if len(some)]
         return JointInformation(
             stamp_ns=self.stamp_ns,
@@ -309,7 +307,7 @@ class SlamBackend:
         self._recover(start)
         if start is not None:  # a vibration that shows next explains the frames as well: back to the start itself then
             self._unaided = unaided
-        added = self._add_landmarks(Matches.none(), features)
+        added = self._local_map.add(features, self._frame, matches=Matches.none())
         return dataclasses.replace(
             report,
             pose=self._nav.pose,
@@ -320,7 +318,7 @@ class SlamBackend:
             as_calibrated=None,
             closures=0,
             coasted=True,
-            sightings=self._new_sightings(added),
+            sightings=self._local_map.new_sightings(added),
         )
 
     def _propagate_unaided(self, increment: ImuIncrement | None) -> None:
@@ -378,6 +376,9 @@ class SlamBackend:
         self._filter = make_filter(initial, rig=self._rig, config=config)
         self._map.remove(np.arange(len(self._map)))
         self._window = TrackWindow(past_poses(config), self._config)
+        self._local_map = LocalMap(
+            self._map, self._matcher, slam_filter=self._filter, window=self._window, config=self._config
+        )
         self._health = FilterHealth()
         self._nav, self._reset_ns = initial, initial.state.stamp_ns
         self._unaided = initial
@@ -411,124 +412,9 @@ class SlamBackend:
             imu_fault=self._imu_fault,
         )
 
-    def _correct(self, features: StereoFeatures, *, by_landmarks: bool) -> tuple[Matches, Innovation | None, int]:
-        """Update with the first set of matches that passes the joint gate; without one, dead-reckon.
-
-        Landmarks are left out where tracks show a motion that the IMU does not know: their gates would be too wide.
-        Return the matches, the innovation, and how many of their landmarks had not been seen for long.
-        A relocalisation is not gated by the prediction: it is tried when gating has failed.
-        """
-        none, innovation = Matches.none(), None
-        if self._filter.has_tracks:  # first, so that landmarks are gated on their own, with the better prediction
-            innovation = self._filter.update(none.landmarks, none.pixels)
-            if not by_landmarks:
-                return none, innovation, 0
-        left_behind = self._map.long_unseen(self._frame)
-        candidates = self._matcher.candidates(
-            self._filter, self._map, features, self._frame, located=self._window.followed >= MIN_INLIERS
-        )
-        for found in candidates:
-            matches = self._of_other_tracks(found, features)
-            if len(matches) == 0:
-                continue
-            of_landmarks = self._filter.update(
-                matches.landmarks,
-                matches.pixels,
-                linearise_at=matches.linearise_at,
-                significance=_significance(matches),
-                weights=self._weights((left_behind | self._map.revisited)[matches.landmarks]),
-            )
-            if of_landmarks.accepted:
-                closures = int(left_behind[matches.landmarks].sum())
-                seen = matches.features
-                self._map.observe(matches.landmarks, features.descriptors[seen], self._frame, features.tracks[seen])
-                self._window.views.forget_newest(features.tracks[seen])
-                return matches, of_landmarks, closures
-        return none, innovation, 0
-
-    def _of_other_tracks(self, matches: Matches, features: StereoFeatures) -> Matches:
-        """Leave out landmarks that are still on the track that made them: its views are used as a track's."""
-        if self._window.followed == 0:
-            return matches
-        same = self._map.tracks[matches.landmarks] == features.tracks[matches.features]
-        return matches.chosen(np.flatnonzero(~same | self._map.revisited[matches.landmarks]))
-
-    def _sightings(self, matches: Matches) -> NDArray[np.intp]:
-        return np.column_stack([self._map.ids[matches.landmarks], matches.features])
-
     def _track_sightings(self, present: Present, features: StereoFeatures) -> NDArray[np.intp]:
         """Return (K, 2) identifier and feature row of the tracks that the present frame shows."""
         views = self._window.views
         rows = present.rows[views.seen[present.rows, -1]] if len(present.rows) else present.rows
         _, feature_rows, shown = np.intersect1d(features.tracks, views.tracks[rows], return_indices=True)
         return np.column_stack([self._window.identified(rows[shown], self._map), feature_rows])
-
-    def _weights(self, revisited: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Down-weight revisited landmarks: their redetection error is common to all frames of a visit."""
-        variance = self._config.sigma_px**2
-        return np.where(revisited, variance / (variance + VISIT_FRAMES * self._config.redetection_px**2), 1.0)
-
-    def _remove_landmarks(self) -> None:
-        removed = np.zeros(0, np.intp)
-        if len(self._map):
-            in_view = projectable(self._filter.rig, self._filter.points_left())
-            view = MapView(self._map, self._filter.landmarks, self._variance, in_view, self._frame)
-            removed = rows_to_remove(view, self._config)
-        past = self._window.drop_oldest(self._filter)
-        if len(removed) or len(past):
-            self._filter.marginalise(removed, past)
-            self._map.remove(removed)
-
-    def _variance(self) -> NDArray[np.float64]:
-        marginals = self._filter.belief.marginals(np.arange(len(self._map)))
-        return np.asarray(np.trace(marginals.landmarks, axis1=1, axis2=2))
-
-    def _new_sightings(self, added: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return (K, 2) identifier and feature row of the landmarks just added from the features' rows `added`."""
-        return np.column_stack([self._map.ids[len(self._map) - len(added) :], added])
-
-    def _add_postponed(self, increment: ImuIncrement) -> NDArray[np.intp]:
-        """Add the landmarks of the frame at the increment's start, if they had to wait for the angular rate there.
-
-        Return the rows of its features.
-        """
-        if self._postponed is None:
-            return np.zeros(0, np.intp)
-        self._filter.starts(increment)
-        return self._add_landmarks(Matches.none(), self._postponed)
-
-    def _add_landmarks(self, matches: Matches, features: StereoFeatures) -> NDArray[np.intp]:
-        """Initialise landmarks from unmatched features, up to the capacity; return the features' rows."""
-        free = np.setdiff1d(np.arange(len(features)), matches.features)
-        if len(self._window.views):
-            free = free[features.tracks[free] == 0]
-        if len(free) == 0 or not self._filter.can_add_landmarks:
-            return np.zeros(0, np.intp)
-        chosen = free[self._new_landmarks(features.pixels[free, :2])]
-        if len(chosen):
-            chosen = chosen[self._filter.add_landmarks(features.pixels[chosen].astype(float))]
-            self._map.append(features.descriptors[chosen], self._frame, features.tracks[chosen])
-        return chosen
-
-    def _new_landmarks(self, pixels: NDArray[np.floating]) -> NDArray[np.intp]:
-        """Return the rows of those of (N, 2) points that may become landmarks, up to the capacity."""
-        room = min(self._config.max_new_landmarks, self._config.max_landmarks - len(self._map))
-        return self._spread_over_image(pixels, room)
-
-    def _all_in_view(self, pixels: NDArray[np.floating]) -> NDArray[np.intp]:
-        return self._spread_over_image(pixels, self._config.max_in_view)
-
-    def _spread_over_image(self, pixels: NDArray[np.floating], most: int) -> NDArray[np.intp]:
-        """Return the rows of at most so many of (N, 2) points; with the landmarks, they fill the image evenly."""
-        rig, points_left = self._filter.rig, self._filter.points_left()
-        in_view = projectable(rig, points_left)
-        room = min(most, self._config.max_in_view - int(in_view.sum()))
-        taken = rig.left.project(points_left[in_view])
-        return spread(pixels, max(0, room), size=self._rig.left.size, taken=taken)
-
-
-def _significance(matches: Matches) -> float:
-    """Return the tail probability below which a set is rejected; relocalisations are not tested by the prediction."""
-    if matches.relocalised:
-        return 0.0
-    return SIGNIFICANCE if matches.linearise_at is None else FAR_SIGNIFICANCE

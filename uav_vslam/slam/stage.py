@@ -23,11 +23,10 @@ from uav_vslam.slam.frame_report import FrameReport
 from uav_vslam.slam.in_flight_initializer import Frame, InFlightInitializer
 from uav_vslam.slam.map_initializer import MapInitializer
 from uav_vslam.slam.noise_monitor import NoiseMonitor
-from uav_vslam.slam.recovery import doubted_start
 from uav_vslam.slam.rig_monitor import RigMonitor
 from uav_vslam.slam.saved_map import MapOrigin, SavedMap, load_map
 from uav_vslam.slam.saved_map.archive import MapArchive
-from uav_vslam.slam.start_monitor import StartMonitor
+from uav_vslam.slam.start_watch import StartWatch
 from uav_vslam.types import (
     NS_PER_S,
     FrameQuality,
@@ -100,12 +99,10 @@ class SlamStage:
         self._queue = FrameQueue()
         self._search: InFlightInitializer | None = None
         self._backend: SlamBackend | None = None
-        self._start_monitor, self._rig_monitor = StartMonitor(config.start.method), RigMonitor(config.rig)
-        self._doubting_monitor = StartMonitor(config.start.method, scaled=True)  # where the calibration may be wrong
-        self._noise_monitor = NoiseMonitor(config.imu)
+        self._start_watch = StartWatch(config.start.method, config.imu)
+        self._rig_monitor, self._noise_monitor = RigMonitor(config.rig), NoiseMonitor(config.imu)
         self._bias_steps = BiasStepMonitor()
         self._dead_reckoning = DeadReckoning(config.imu)
-        self._doubted = DeadReckoning(config.imu)  # from a start state that may be wrong
         self._previous_ns: int | None = None
         self._is_announced = True  # fusion knows the session; a new one it gets to know by joint information
         self._was_motion_unknown = False
@@ -213,7 +210,7 @@ class SlamStage:
         if self.initial is None or (self._backend is None and not self._in_flight):
             self.initial = initial
             self._dead_reckoning.start(initial)
-            self._doubted.start(doubted_start(initial))
+            self._start_watch.start(initial)
             if self._queue.start_ns is None or not self._in_flight:
                 self._queue.start_ns = initial.state.stamp_ns
 
@@ -314,12 +311,13 @@ class SlamStage:
             backend, report = self._bias_steps.check(backend, features, increment, report, self._config)
             self._backend = backend
         self._was_motion_unknown |= backend.imu_fault != ""
-        dead_reckoned = self._dead_reckoning.estimate
+        dead_reckoned, of_start = self._dead_reckoning.estimate, ""
         assert dead_reckoned is not None  # started with the back end
-        report, of_start = self._checked_start(backend, report, features, dead_reckoned)
+        if not report.recovery and not self._was_motion_unknown:  # what follows contradicts a correct start
+            report, of_start = self._start_watch.check(backend, report, features, dead_reckoned)
         report, joint = self._with_joint(backend, report, features)
         if report.recovery:
-            self._stop_watching_start(report.pose.stamp_ns)
+            self._start_watch.stop(report.pose.stamp_ns)
             self._bias_steps = BiasStepMonitor()
         self._archive_landmarks(report, joint)
         noisy = self._noise_warnings(backend.track_sigma_px, increment)
@@ -334,40 +332,15 @@ class SlamStage:
         if increment is None:
             return None
         # before the filter, which may fail: the baseline must not miss a step
-        for dead_reckoning in (self._dead_reckoning, self._doubted):
-            dead_reckoning.add(increment)
+        self._dead_reckoning.add(increment)
+        self._start_watch.add_motion(increment)
         self._motion_lost += increment.start_ns != backend.stamp_ns
         increment = bridged(increment, backend.stamp_ns, self._config.imu)
         self._was_motion_unknown |= bool(increment.covariance[0, 0] > UNKNOWN_ROTATION_RAD**2)
         if lacks_readings(increment):  # the velocity is corrected for what happened in the gap
-            self._stop_watching_start(increment.start_ns)
+            self._start_watch.stop(increment.start_ns)
             self._bias_steps = BiasStepMonitor()
         return increment
-
-    def _checked_start(
-        self, backend: SlamBackend, report: FrameReport, features: StereoFeatures, dead_reckoned: NavEstimate
-    ) -> tuple[FrameReport, str]:
-        """Return the report, and a warning if the frame contradicts the start.
-
-        If it does so whether the calibration is right or not, and points are tracked, the filter is re-initialised from
-        dead reckoning: what the frames have made of a wrong start is certain and wrong. Tracks are so exact that a
-        start which allows for its error costs them nothing; among landmarks alone it lets wrong matches pass.
-        """
-        if report.recovery or self._was_motion_unknown:  # what follows contradicts a correct start
-            return report, ""
-        finding = self._start_monitor.add(report, dead_reckoned)
-        if not report.tracked:
-            return report, finding
-        doubting = dataclasses.replace(report, as_calibrated=report.doubting or report.as_calibrated)
-        contradiction = self._doubting_monitor.add(doubting, dead_reckoned)
-        if not contradiction:  # a wrong calibration explains the finding, and the filter expects one
-            return report, finding
-        self._start_monitor = StartMonitor(self._config.start.method)
-        return backend.recovered(report, features, contradiction, start=self._doubted.estimate), ""
-
-    def _stop_watching_start(self, stamp_ns: int) -> None:
-        for monitor in (self._start_monitor, self._doubting_monitor):
-            monitor.stop(stamp_ns)
 
     def _with_joint(
         self, backend: SlamBackend, report: FrameReport, features: StereoFeatures
@@ -410,6 +383,6 @@ class SlamStage:
     def _warning(self, report: FrameReport) -> str:
         if report.recovery:
             return f"the filter was re-initialised: {report.recovery}"
-        if self._was_motion_unknown or not self._start_monitor.trusts(report.pose.stamp_ns):
+        if self._was_motion_unknown or not self._start_watch.trusts(report.pose.stamp_ns):
             return ""  # an unknown motion, or a wrong start, contradicts a correct rig
         return self._rig_monitor.add(report)
