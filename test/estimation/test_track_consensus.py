@@ -5,7 +5,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+import scipy.linalg
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from uav_vslam.config import RigConfig
 from uav_vslam.estimation.rig_errors import RigErrors
@@ -48,6 +50,22 @@ def covariance(seen: TrackObservation, position_m: float) -> NDArray[np.float64]
 
 def nobody() -> TrackObservation:
     raise AssertionError("others were asked")
+
+
+@pytest.mark.parametrize("sigma_m", [1e-4, 0.02, 1.0])
+def test_the_gate_is_the_chi_square_test_of_the_residuals_in_the_null_space_of_the_point(
+    seen: TrackObservation, sigma_m: float
+) -> None:
+    P = covariance(seen, sigma_m)
+    mean = 0.5 * np.sqrt(np.diagonal(P))
+    passed, added = seen.gated(P, PROBABILITY, mean=mean)
+    for k, dof in enumerate(4 * seen.views - 3):
+        without_point = scipy.linalg.null_space(seen.Q[k].T).T
+        H, r = without_point @ seen.H[k], without_point @ seen.residual[k]
+        nis = (r - H @ mean) @ np.linalg.solve(H @ P @ H.T + np.eye(len(H)), r - H @ mean)
+        assert passed[k] == (seen.good[k] and nis <= chi2.ppf(PROBABILITY, dof))
+        assert added[k] == pytest.approx(np.trace(H @ P @ H.T), rel=1e-9)
+    assert passed.any()
 
 
 def test_a_narrow_gate_needs_no_others(seen: TrackObservation) -> None:

@@ -125,17 +125,17 @@ class TrackObservation:
             (T,) which tracks pass a chi-square gate.
             (T,) variance that P adds to each track's residuals, all of them together, over that of one's noise.
         """
-        H = self.H - self.Q @ self.of_points
-        r = self.residual[..., None]
+        G, r = self.of_points, self.residual if mean is None else self.residual - self.H @ mean
+        HP, GP = ((A.reshape(-1, len(P)) @ P).reshape(A.shape) for A in (self.H, G))
+        added = np.einsum("tij,tij->t", HP, self.H) - np.einsum("tij,tij->t", GP, G)
+        r = r[..., None]
         r = r - self.Q @ (np.swapaxes(self.Q, 1, 2) @ r)
-        if mean is not None:
-            r = r - (H @ mean)[..., None]
-        HP = (H.reshape(-1, len(P)) @ P).reshape(H.shape)
-        S = HP @ np.swapaxes(H, 1, 2)
-        added = np.trace(S, axis1=1, axis2=2)
-        S += np.eye(H.shape[1])
-        nis = np.sum(r * np.linalg.solve(S, r), axis=(1, 2))
-        return np.asarray(self.good & (nis <= chdtri(4 * self.views - 3, 1.0 - probability))), added
+        nis, most = np.sum(r**2, axis=(1, 2)), chdtri(4 * self.views - 3, 1.0 - probability)
+        large = np.flatnonzero(~(nis <= most))  # P only makes them smaller
+        Q = self.Q[large]
+        S = (HP[large] - Q @ GP[large]) @ np.swapaxes(self.H[large] - Q @ G[large], 1, 2) + np.eye(r.shape[1])
+        nis[large] = np.sum(r[large] * np.linalg.solve(S, r[large]), axis=(1, 2))
+        return np.asarray(self.good & (nis <= most)), added
 
     def of_poses(self) -> VehicleObservation:
         """Return what all tracks together say about the rig's errors and the past poses."""
@@ -173,7 +173,9 @@ def observe_tracks(
     residual, J = views.linearise(points)
     by_pose = _by_pose(points, J, past)
     by_rig = _by_rig(views, points, by_pose, past, rig, errors)
-    H = np.concatenate([views.whitened(by_rig), views.whitened_blocks(by_pose)], axis=-1)
+    H = np.empty((*residual.shape[:1], residual[0].size, errors.dim + by_pose[0, :, 0].size))
+    H[..., : errors.dim] = views.whitened(by_rig)
+    views.whiten_blocks(by_pose, H[..., errors.dim :])
     Q, R = np.linalg.qr(views.whitened(J))
     return TrackObservation(points, views.whitened(residual)[..., 0], H, Q, R, tracks.seen.sum(axis=1), good)
 
@@ -204,14 +206,14 @@ class _Views:
         return np.where(self._tracks.seen[..., None], inside, [0.0, 0.0, 1.0])
 
     def linearise(self, points: Array) -> tuple[Array, Array]:
-        """Return residuals (T, V, 4, 1) and their Jacobian by the points (T, V, 4, 3), zero where not seen."""
-        seen = self._tracks.seen[..., None, None]
-        residual, J = [], []
+        """Return residuals (T, V, 4, 1) and their Jacobian by the points (T, V, 4, 3); any where not seen."""
+        residual = self._tracks.pixels.copy()
+        J = np.empty((*residual.shape, 3))
         for side, (camera, R, _) in enumerate(self._cameras):
-            p = self.points(side, points)
-            residual.append(self._tracks.pixels[..., 2 * side : 2 * side + 2] - camera.project(p))
-            J.append(camera.project_jacobian(p) @ R)
-        return np.concatenate(residual, axis=-1)[..., None] * seen, np.concatenate(J, axis=-2) * seen
+            p, of_side = self.points(side, points), slice(2 * side, 2 * side + 2)
+            residual[..., of_side] -= camera.project(p)
+            np.matmul(camera.project_jacobian(p), R, out=J[..., of_side, :])
+        return residual[..., None], J
 
     def in_front(self, points: Array) -> Mask:
         """Return which points are in front of both cameras in all of their views."""
@@ -225,19 +227,21 @@ class _Views:
         right = self._right_whitening @ (rows[:, :, 2:] - rows[:, :, :2]).reshape(T, V, 2 * k)
         return np.concatenate([left.reshape(T, 2 * V, k), right.reshape(T, 2 * V, k)], axis=1)
 
-    def whitened_blocks(self, blocks: Array) -> Array:
-        """Return (T, 4V, kV) with unit noise for (T, V, 4, k), where each view depends on k columns of its own."""
+    def whiten_blocks(self, blocks: Array, out: Array) -> None:
+        """Put (T, V, 4, k), where each view depends on k columns of its own, into (T, 4V, kV) with unit noise."""
         T, V, _, k = blocks.shape
         by_view = blocks.transpose(0, 2, 1, 3)[:, None]
         left, right = by_view[:, :, :2], by_view[:, :, 2:] - by_view[:, :, :2]
-        H = np.empty((T, 2, V, 2, V, k))
+        H = out.reshape(T, 2, V, 2, V, k, copy=False)
         np.multiply(self._left_whitening[:, :, None, :, None], left, out=H[:, 0])
         np.multiply(self._right_whitening[:, :, None, :, None], right, out=H[:, 1])
-        return H.reshape(T, 4 * V, V * k)
 
 
 def _whitening(tracks: Tracks, sigma_px: float) -> tuple[Array, Array]:
-    """Return (T, V, V) inverse factors of the covariance of the left pixels and of the right pixels minus them."""
+    """Return (T, V, V) inverse factors of the covariance of the left pixels and of the right pixels minus them.
+
+    They are zero where not seen.
+    """
     V, way_px = tracks.seen.shape[1], tracks.way_px
     earlier = np.broadcast_to(tracks.earlier, len(tracks))
     patterns = tracks.seen @ (1 << np.arange(V)) + (earlier << V)
@@ -247,7 +251,7 @@ def _whitening(tracks: Tracks, sigma_px: float) -> tuple[Array, Array]:
     left = LEFT**2 * np.eye(V) + DRIFT**2 * np.minimum(way_px[:, None], way_px)
     right = np.eye(V) + (OFFSET * (1.0 + earlier[first, None, None])) ** 2
     factors = (np.linalg.cholesky(np.where(both, sigma_px**2 * C, np.eye(V))) for C in (left, right))
-    own, match = (np.linalg.inv(L)[of_track] for L in factors)
+    own, match = ((np.linalg.inv(L) * both)[of_track] for L in factors)
     return np.asarray(own), np.asarray(match)
 
 
@@ -263,7 +267,6 @@ def _by_rig(views: _Views, points: Array, by_pose: Array, past: PastPoses, rig: 
     if errors.dim == 0:
         return np.zeros((T, V, 4, 0))
     H = errors.pixel_jacobian(rig, views.points(0, points).reshape(-1, 3)).reshape(T, V, 4, errors.dim)
-    H = H * by_pose.any(axis=(2, 3), keepdims=True)
     if errors.has_time_offset:
         motion = np.hstack([past.v_map, past.rate_map])
         H[..., errors.time_offset.start - errors.rows.start] = np.einsum("tvki,vi->tvk", by_pose, motion)
