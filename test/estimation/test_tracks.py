@@ -157,6 +157,15 @@ def test_a_track_that_slides_fails_the_gate_and_others_pass(course) -> None:
     assert passed.sum() == len(passed) - 1
 
 
+def test_no_tracks_say_nothing(course) -> None:
+    tracks = seen_tracks(course)
+    none = observed(course, Tracks(np.nan_to_num(tracks.pixels)[:0], tracks.seen[:0]))
+    P = np.eye(none.H.shape[2])
+    assert none.H.shape == (0, 4 * VIEWS, RigErrors(course.rig, RIG, 15).dim + POSE_DIM * VIEWS)
+    assert [len(part) for part in none.gated(P, 0.99)] == [0, 0]
+    assert none.of_poses().dof == 0
+
+
 def test_points_that_cannot_be_triangulated_fail_the_gate(course) -> None:
     tracks = seen_tracks(course)
     pixels = np.nan_to_num(tracks.pixels)

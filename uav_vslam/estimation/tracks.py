@@ -173,7 +173,8 @@ def observe_tracks(
     residual, J = views.linearise(points)
     by_pose = _by_pose(points, J, past)
     by_rig = _by_rig(views, points, by_pose, past, rig, errors)
-    H = np.empty((*residual.shape[:1], residual[0].size, errors.dim + by_pose[0, :, 0].size))
+    T, V, rows, columns = by_pose.shape
+    H = np.empty((T, rows * V, errors.dim + columns * V))
     H[..., : errors.dim] = views.whitened(by_rig)
     views.whiten_blocks(by_pose, H[..., errors.dim :])
     Q, R = np.linalg.qr(views.whitened(J))
