@@ -307,7 +307,7 @@ class SlamStage:
         backend = self._backend
         increment = self._motion(backend, features.stamp_ns, increment)
         report = backend.process(features, increment)
-        if not self._was_motion_unknown:  # what follows it contradicts right biases
+        if not backend.imu_fault:
             backend, report = self._bias_steps.check(backend, features, increment, report, self._config)
             self._backend = backend
         self._was_motion_unknown |= backend.imu_fault != ""
