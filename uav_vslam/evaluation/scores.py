@@ -58,7 +58,7 @@ def error_scores(track: Trajectory, truth: Trajectory | None, *, alignment: str 
     """
     absolute = None if truth is None else absolute_error(track, truth, alignment=alignment)
     oriented = None if truth is None or lacks_attitude(truth, track) else truth
-    relative = None if oriented is None else relative_error(track, oriented, delta=RPE_DELTA_S)
+    relative = None if oriented is None else relative_error(track, oriented, delta_s=RPE_DELTA_S)
     return {
         "ate_m": absolute.ate_m if absolute else None,
         **{key: _aligned_m(track, truth, name) for name, key in ATE_KEYS.items()},

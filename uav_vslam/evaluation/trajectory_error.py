@@ -12,12 +12,9 @@ from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.geometry.rotation import so3_log
 from uav_vslam.numerics import nearest
 
-__all__ = ["AbsoluteError", "RelativeError", "Trajectory", "absolute_error", "relative_error"]
-
 Array = NDArray[np.float64]
 
-
-SECONDS_TOLERANCE = 0.1  # share of the delta by which the two poses of a pair may miss it
+DELTA_TOLERANCE = 0.1  # share of the delta by which the two poses of a pair may miss it
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +29,6 @@ class AbsoluteError:
         height_step_m: largest change of the height's error from one pose to the next [m]; 0 for a single pose.
         rotation_rms_rad: root mean square of the angles [rad].
         pairs: number of estimates with ground truth.
-        alignment, association: how frames and stamps were matched.
     """
 
     ate_m: float
@@ -42,44 +38,36 @@ class AbsoluteError:
     height_step_m: float
     rotation_rms_rad: float
     pairs: int
-    alignment: str
-    association: str
 
 
 @dataclass(frozen=True, slots=True)
 class RelativeError:
-    """Drift over a stated delta.
+    """Drift over a time.
 
     Attributes:
         translation_rms_m: root mean square of the relative translations' errors [m].
         rotation_rms_rad: root mean square of the relative rotations' errors [rad].
-        delta, unit: distance of the two poses of a pair, in "frames" or "seconds".
         pairs: number of pairs.
     """
 
     translation_rms_m: float
     rotation_rms_rad: float
-    delta: float
-    unit: str
     pairs: int
 
 
-def absolute_error(
-    estimate: Trajectory, truth: Trajectory, *, alignment: str = "none", association: str = "interpolate"
-) -> AbsoluteError | None:
+def absolute_error(estimate: Trajectory, truth: Trajectory, *, alignment: str = "none") -> AbsoluteError | None:
     """Compare an estimate with the truth.
 
     Args:
         estimate, truth: trajectories; in one frame unless aligned.
         alignment: a name of `ALIGNMENTS`: transform of the whole estimate that is removed.
-        association: see `pair_with_truth`.
 
     Returns:
         The errors, or None if no estimate has ground truth.
     """
     if alignment not in ALIGNMENTS:
         raise ValueError(f"alignment {alignment!r} is not known; use one of {', '.join(ALIGNMENTS)}")
-    paired, reference = pair_with_truth(estimate, truth, association=association)
+    paired, reference = pair_with_truth(estimate, truth)
     if len(paired) == 0:
         return None
     T_truth_estimate = ALIGNMENTS[alignment](paired.positions, reference.positions)
@@ -94,29 +82,23 @@ def absolute_error(
         height_step_m=float(np.abs(np.diff(error[:, 2])).max(initial=0.0)),
         rotation_rms_rad=rms(angle),
         pairs=len(paired),
-        alignment=alignment,
-        association=association,
     )
 
 
-def relative_error(
-    estimate: Trajectory, truth: Trajectory, *, delta: float, unit: str = "seconds", association: str = "interpolate"
-) -> RelativeError | None:
-    """Compare the motion over a delta, from every pose, with the true one: E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
+def relative_error(estimate: Trajectory, truth: Trajectory, *, delta_s: float) -> RelativeError | None:
+    """Compare the motion over a time, from every pose, with the true one: E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
 
     Args:
         estimate, truth: trajectories; alignment doesn't matter.
-        delta: distance of the two poses: a number of frames, or seconds (to the nearest pose).
-        unit: "frames" or "seconds".
-        association: see `pair_with_truth`.
+        delta_s: from the first to the second pose, which is the nearest to it [s].
 
     Returns:
         The errors, or None if no two poses are that far apart.
     """
-    if not delta > 0:
-        raise ValueError(f"delta = {delta} {unit} must be positive")
-    paired, reference = pair_with_truth(estimate, truth, association=association)
-    first, second = _index_pairs(paired.stamps_ns, delta, unit)
+    if not delta_s > 0:
+        raise ValueError(f"delta_s = {delta_s} must be positive")
+    paired, reference = pair_with_truth(estimate, truth)
+    first, second = _index_pairs(paired.stamps_ns, delta_s)
     if len(first) == 0:
         return None
     R_moved, t_moved = motion(paired, first, second)
@@ -124,24 +106,18 @@ def relative_error(
     return RelativeError(
         translation_rms_m=rms(np.linalg.norm(t_moved - t_true, axis=1)),  # R_true^T doesn't change a length
         rotation_rms_rad=rms(angles(R_true.transpose(0, 2, 1) @ R_moved)),
-        delta=delta,
-        unit=unit,
         pairs=len(first),
     )
 
 
-def _index_pairs(stamps_ns: NDArray[np.int64], delta: float, unit: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return first and second rows of all pairs; in seconds, a pair may be off by a tenth of the delta."""
+def _index_pairs(stamps_ns: NDArray[np.int64], delta_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return first and second rows of all pairs, within `DELTA_TOLERANCE` of the delta."""
     rows = np.arange(len(stamps_ns))
-    if unit == "frames":
-        return rows[: -int(delta)], rows[int(delta) :]
-    if unit != "seconds":
-        raise ValueError(f"unit {unit!r} is not known; use frames or seconds")
     if len(rows) < 2:
         return rows[:0], rows[:0]
-    wanted = stamps_ns + round(delta * 1e9)
+    wanted = stamps_ns + round(delta_s * 1e9)
     second = nearest(wanted, stamps_ns)
-    near = np.abs(stamps_ns[second] - wanted) <= round(SECONDS_TOLERANCE * delta * 1e9)
+    near = np.abs(stamps_ns[second] - wanted) <= round(DELTA_TOLERANCE * delta_s * 1e9)
     good = near & (wanted <= stamps_ns[-1]) & (second > rows)
     return rows[good], second[good]
 
