@@ -75,10 +75,9 @@ def test_marginal_information_is_the_inverse_of_the_covariance_block(seed: int, 
     order = np.array(data.draw(st.permutations(range(n))))
     kept = data.draw(st.integers(1, n))
     keep, drop = order[:kept], order[kept:]
-    marginal, log_det = marginalise_information(Y, keep, drop, "Y")
+    marginal = marginalise_information(Y, keep, drop, "Y")
     expected = np.linalg.inv(np.linalg.inv(Y)[np.ix_(keep, keep)])
     np.testing.assert_allclose(marginal, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-    assert log_det == pytest.approx(np.linalg.slogdet(Y)[1] - np.linalg.slogdet(expected)[1], abs=1e-6)
 
 
 def test_a_lost_definiteness_names_the_matrix_the_eigenvalue_and_the_size() -> None:
@@ -109,9 +108,8 @@ def test_a_matrix_that_is_not_finite_is_rejected(value: float, entry: tuple[int,
 
 def test_marginalising_nothing_returns_a_copy() -> None:
     Y = random_spd(1, 3)
-    out, log_det = marginalise_information(Y, np.arange(3), np.zeros(0, np.int64), "Y")
+    out = marginalise_information(Y, np.arange(3), np.zeros(0, np.int64), "Y")
     np.testing.assert_array_equal(out, Y)
-    assert log_det == 0.0
     assert not np.shares_memory(out, Y)
 
 

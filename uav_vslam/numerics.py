@@ -109,26 +109,21 @@ def submatrix(A: Array, rows: NDArray[np.int64], columns: NDArray[np.int64] | No
     return np.asarray(A.take(rows, 0).take(rows if columns is None else columns, 1))
 
 
-def marginalise_information(
-    Y: Array, keep: NDArray[np.int64], drop: NDArray[np.int64], what: str
-) -> tuple[Array, float]:
-    """Marginalise an information matrix by the Schur complement.
+def marginalise_information(Y: Array, keep: NDArray[np.int64], drop: NDArray[np.int64], what: str) -> Array:
+    """Return the information over `keep` by the Schur complement, Y_kk - Y_kd Y_dd^-1 Y_dk.
 
     Args:
         Y: (n, n) information.
         keep, drop: rows of Y, none in both.
         what: names Y over `drop` if it is not positive definite.
-
-    Returns:
-        The information over `keep`, Y_kk - Y_kd Y_dd^-1 Y_dk, and log det Y_dd.
     """
     if len(drop) == 0:
-        return submatrix(Y, keep), 0.0
+        return submatrix(Y, keep)
     L = cholesky(submatrix(Y, drop), what)
     W = solve_triangular(L, submatrix(Y, drop, keep), lower=True, check_finite=False)
     Y_kept = submatrix(Y, keep)
     subtract_product(Y_kept, W)
-    return Y_kept, log_det_of(L)
+    return Y_kept
 
 
 def nearest(values: NDArray[np.number], others: NDArray[np.number]) -> NDArray[np.intp]:

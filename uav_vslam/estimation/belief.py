@@ -161,13 +161,11 @@ class Update:
         belief: posterior.
         delta: (vehicle + 3N,) correction of the mean.
         nis: nu^T S^-1 nu.
-        log_det: log det S.
     """
 
     belief: "Belief"
     delta: Array
     nis: float
-    log_det: float
 
 
 class Belief(Protocol):

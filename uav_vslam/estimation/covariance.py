@@ -19,7 +19,7 @@ from uav_vslam.estimation.belief import (
     state_rows,
     with_copies,
 )
-from uav_vslam.numerics import cholesky, inverse_spd, log_det_of, submatrix, symmetrise
+from uav_vslam.numerics import cholesky, inverse_spd, submatrix, symmetrise
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ class CovarianceBelief:
         W = solve_triangular(L, HP, lower=True, check_finite=False)
         whitened = solve_triangular(L, nu, lower=True, check_finite=False)
         after = type(self)(symmetrise(self.P - W.T @ W), m)
-        return Update(after, W.T @ whitened, float(whitened @ whitened) + excess, log_det_of(L))
+        return Update(after, W.T @ whitened, float(whitened @ whitened) + excess)
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
         """Each new landmark's error is A e_vehicle + noise, A = -H_landmark^-1 H_vehicle."""

@@ -18,10 +18,11 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from uav_vslam.config import EXACT_RIG, ImuConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, VehicleObservation
+from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, Update, VehicleObservation
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.information import InformationBelief
@@ -48,7 +49,7 @@ from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, relinearised
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
-from uav_vslam.estimation.weighted_update import Innovation, WeightedUpdate, huber_weights, whitened
+from uav_vslam.estimation.weighted_update import Innovation, huber_weights, whitened
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
@@ -328,16 +329,16 @@ class Filter:
             prior, predicted = self._linearised(landmarks, linearise_at)
             nu = pixels - predicted.expected
             nu = nu - Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu).apply(prior)
-            found = self._updated(predicted, nu, np.ones(len(nu)) if weights is None else weights)
+            update, downweighted = self._updated(predicted, nu, np.ones(len(nu)) if weights is None else weights)
         dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else self._of_tracks.dof)
-        innovation = found.innovation(predicted.R, dof=dof, significance=significance)
-        if innovation.accepted:
+        accepted = dof == 0 or bool(chdtrc(dof, update.nis) >= significance)
+        if accepted:
             self._of_tracks = None
             with _stamped(self.nav.stamp_ns):
-                self.correct(found.update.belief, prior + found.update.delta)
+                self.correct(update.belief, prior + update.delta)
         else:
             self.nav, self.belief = before
-        return innovation
+        return Innovation(update.nis, dof, accepted, downweighted)
 
     def _linearised(self, landmarks: Indices, at: Pose | None) -> tuple[Array, PredictedObservation]:
         """Move the linearisation point, if wished; return the prior mean as an error from it, and the prediction."""
@@ -494,15 +495,15 @@ class Filter:
             past_rows=POSE_DIM * len(self.past),
         )
 
-    def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> WeightedUpdate:
-        """Update, and once more with Huber's weights if there are large posterior residuals."""
+    def _updated(self, predicted: PredictedObservation, nu: Array, weights: Array) -> tuple[Update, int]:
+        """Update, and once more with Huber's weights if there are large posterior residuals; return their number."""
         observation = whitened(predicted, nu, weights, of_vehicle=self._of_tracks)
         update = self.belief.updated(observation)
         huber = huber_weights(observation, update.delta) if self._robust else np.ones(len(nu))
         if not (huber < 1.0).any():
-            return WeightedUpdate(update, weights)
+            return update, 0
         observation = whitened(predicted, nu, huber * weights, of_vehicle=self._of_tracks)
-        return WeightedUpdate(self.belief.updated(observation), huber * weights, int((huber < 1.0).sum()))
+        return self.belief.updated(observation), int((huber < 1.0).sum())
 
     def _with_rig_prior(self, P_nav: Array) -> Array:
         nav_dim = self._model.nav_dim

@@ -29,7 +29,6 @@ from uav_vslam.numerics import (
     cholesky,
     inverse_from_cholesky,
     inverse_of_triangle,
-    log_det_of,
     marginalise_information,
     square_root,
     subtract_product,
@@ -44,18 +43,16 @@ class _Known:
     """What one factor of Y determines.
 
     Attributes:
-        log_det: log det Y.
         first: index of the oldest landmark with known marginals.
         marginals: of the landmarks from `first` on.
     """
 
-    log_det: float
     first: int
     marginals: Marginals
 
-    def then(self, marginals: Marginals, log_det: float = 0.0, *, gone: int = 0) -> Self:
-        """Return what is known after log det Y has changed by `log_det` and `gone` older landmarks were removed."""
-        return type(self)(self.log_det + log_det, self.first - gone, marginals)
+    def then(self, marginals: Marginals, *, gone: int = 0) -> Self:
+        """Return what is known with other marginals, after `gone` older landmarks were removed."""
+        return type(self)(self.first - gone, marginals)
 
 
 class InformationBelief:
@@ -76,7 +73,7 @@ class InformationBelief:
     def from_covariance(cls, P: Array) -> Self:
         L, m = cholesky(P, "initial covariance"), len(P)
         alone = Marginals(P.copy(), np.zeros((0, m, 3)), np.zeros((0, 3, 3)))
-        return cls(inverse_from_cholesky(L), m, _Known(-log_det_of(L), 0, alone))
+        return cls(inverse_from_cholesky(L), m, _Known(0, alone))
 
     def covariance(self, landmarks: Indices) -> Array:
         if len(landmarks) == 0:
@@ -92,7 +89,7 @@ class InformationBelief:
 
     def information(self, rows: Indices) -> Array:
         rest = np.delete(np.arange(self.size), rows)
-        return marginalise_information(self.Y, rows, rest, "information")[0]
+        return marginalise_information(self.Y, rows, rest, "information")
 
     def predicted(self, F: Array, Q: Array) -> Self:
         """Apply the matrix inversion lemma to the vehicle; Q = B B^T may be singular and is not inverted.
@@ -107,9 +104,8 @@ class InformationBelief:
         L = cholesky(np.eye(k) + B.T @ Y_k[:, :k] @ B, "process noise")
         lost = solve_triangular(L, B.T @ Y_k, lower=True, check_finite=False)
         subtract_product(Y, lost)
-        log_det = -2.0 * float(np.linalg.slogdet(F)[1]) - log_det_of(L)
         known = self._carried()
-        return type(self)(Y, self.vehicle, known and known.then(known.marginals.predicted(F, Q), log_det))
+        return type(self)(Y, self.vehicle, known and known.then(known.marginals.predicted(F, Q)))
 
     def cloned(self, rows: Indices, variance: Array) -> Self:
         """Copies c = e + n add (c - e)^T diag(variance)^-1 (c - e) to the information."""
@@ -121,17 +117,15 @@ class InformationBelief:
         Y[copies, copies] = 1.0 / variance
         Y[rows, copies] = Y[copies, rows] = -1.0 / variance
         known = self._carried()
-        log_det = -float(np.log(variance).sum())
-        return type(self)(Y, m + more, known and known.then(known.marginals.cloned(rows, variance), log_det))
+        return type(self)(Y, m + more, known and known.then(known.marginals.cloned(rows, variance)))
 
     def reset_rows(self, rows: Indices, variance: float) -> Self:
         keep = np.delete(np.arange(self.size), rows)
         Y = np.zeros_like(self.Y)
-        Y[np.ix_(keep, keep)], log_det = marginalise_information(self.Y, keep, rows, "information of reset rows")
+        Y[np.ix_(keep, keep)] = marginalise_information(self.Y, keep, rows, "information of reset rows")
         Y[rows, rows] = 1.0 / variance
-        log_det += len(rows) * float(np.log(variance))
         known = self._carried()
-        return type(self)(Y, self.vehicle, known and known.then(known.marginals.reset_rows(rows, variance), -log_det))
+        return type(self)(Y, self.vehicle, known and known.then(known.marginals.reset_rows(rows, variance)))
 
     def information_changed(self, row: int, change: float) -> tuple[Self, Array]:
         Y = self.Y.copy()
@@ -153,10 +147,9 @@ class InformationBelief:
         solved = cho_solve((L, True), np.column_stack([i, np.eye(self.size, self.vehicle)]), check_finite=False)
         delta = solved[:, 0]
         nis = observation.norm2 - float(i @ delta)
-        log_det = log_det_of(L) - self._log_det()
         after = type(self)(Y, self.vehicle)
         after._factor, after._P_vehicle, after._first_in_use = L, solved[:, 1:], self._first_in_use
-        return Update(after, delta, nis, log_det)
+        return Update(after, delta, nis)
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
         n, count = self.size, len(H_vehicle)
@@ -164,22 +157,19 @@ class InformationBelief:
         Y = np.zeros((n + 3 * count,) * 2)
         Y[:n, :n] = self.Y
         add_normal_equations(Y, Observation(fresh, H_vehicle, H_landmark, np.zeros(H_vehicle.shape[:2])), fresh)
-        log_det = 2.0 * float(np.linalg.slogdet(H_landmark)[1].sum())
         known = self._carried()
-        return type(self)(
-            Y, self.vehicle, known and known.then(known.marginals.appended(H_vehicle, H_landmark), log_det)
-        )
+        return type(self)(Y, self.vehicle, known and known.then(known.marginals.appended(H_vehicle, H_landmark)))
 
     def marginalised(self, landmarks: Indices, vehicle_rows: Indices = NO_ROWS) -> Self:
         gone = np.concatenate([vehicle_rows, landmark_rows(self.vehicle, landmarks)])
         keep = np.delete(np.arange(self.size), gone)
-        Y, log_det = marginalise_information(self.Y, keep, gone, "information of marginalised states")
+        Y = marginalise_information(self.Y, keep, gone, "information of marginalised states")
         known = self._carried()
         if known is not None:
             older = landmarks < known.first
             left = np.delete(np.arange(len(known.marginals.landmarks)), landmarks[~older] - known.first)
             marginals = known.marginals.chosen(left).without(vehicle_rows)
-            known = known.then(marginals, -log_det, gone=int(older.sum()))
+            known = known.then(marginals, gone=int(older.sum()))
         return type(self)(Y, self.vehicle - len(vehicle_rows), known)
 
     def coordinates_changed(self, B: Array, columns: slice) -> Self:
@@ -193,16 +183,13 @@ class InformationBelief:
         if known is not None:
             m = self.vehicle
             B_landmarks = B[m + 3 * known.first :].reshape(-1, 3, 3)
-            known = known.then(known.marginals.coordinates_changed(B[:m], B_landmarks, columns))  # det T = 1
+            known = known.then(known.marginals.coordinates_changed(B[:m], B_landmarks, columns))
         return type(self)(Y, self.vehicle, known)
 
     def _cholesky(self) -> Array:
         if self._factor is None:
             self._factor = cholesky(self.Y, "information")
         return self._factor
-
-    def _log_det(self) -> float:
-        return log_det_of(self._cholesky()) if self._known is None else self._known.log_det
 
     def _carried(self) -> _Known | None:
         """Return what is known for the next belief; nothing if it would take another factor."""
@@ -219,5 +206,5 @@ class InformationBelief:
             G = inverse_of_triangle(L[row:, row:]).T.reshape((self.size - row) // 3, 3, self.size - row)
             cross = self._P_vehicle[row:].reshape(len(G), 3, m).transpose(0, 2, 1)
             own = np.einsum("mik,mjk->mij", G, G)
-            self._known = _Known(log_det_of(L), first, Marginals(symmetrise(self._P_vehicle[:m]), cross, own))
+            self._known = _Known(first, Marginals(symmetrise(self._P_vehicle[:m]), cross, own))
         return self._known

@@ -93,8 +93,7 @@ class SquareRootBelief:
         R = np.linalg.qr(np.vstack([np.eye(self.G.shape[1]), HG]), mode="r")
         G = solve_triangular(R, self.G.T, trans="T", check_finite=False).T
         pulled = solve_triangular(R, HG.T @ nu, trans="T", check_finite=False)
-        log_det = 2.0 * float(np.log(np.abs(np.diagonal(R))).sum())
-        return Update(type(self)(G, m), G @ pulled, float(nu @ nu - pulled @ pulled) + excess, log_det)
+        return Update(type(self)(G, m), G @ pulled, float(nu @ nu - pulled @ pulled) + excess)
 
     def appended(self, H_vehicle: Array, H_landmark: Array) -> Self:
         m, n, count = self.vehicle, self.size, len(H_vehicle)

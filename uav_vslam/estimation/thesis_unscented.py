@@ -24,7 +24,6 @@ from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.estimation.models import POSE
-from uav_vslam.estimation.weighted_update import WeightedUpdate
 from uav_vslam.geometry.stereo import STEREO_DOF
 from uav_vslam.ins.propagation import propagate, transition
 from uav_vslam.numerics import is_positive_definite, symmetrise
@@ -62,7 +61,7 @@ class ThesisUnscentedFilter(Filter):
         P[:nav_dim, :nav_dim] += from_map @ Q @ from_map.T
         self.belief = CovarianceBelief(definite(symmetrise(P)), self.vehicle)
 
-    def _updated(self, predicted: PredictedObservation, nu: Array, observation_weights: Array) -> WeightedUpdate:
+    def _updated(self, predicted: PredictedObservation, nu: Array, observation_weights: Array) -> tuple[Update, int]:
         chi, mean_weights, weights = self._sigma_points()
         P = self.covariance()
         seen = self._project(chi, predicted) / self.sigma_px
@@ -77,8 +76,7 @@ class ThesisUnscentedFilter(Filter):
             after = bounded(after, self._gamma)
         nis = float(innovation @ np.linalg.solve(S, innovation))
         belief = CovarianceBelief(definite(after), self.vehicle)
-        update = Update(belief, K @ innovation, nis, float(np.linalg.slogdet(S)[1]))
-        return WeightedUpdate(update, observation_weights)
+        return Update(belief, K @ innovation, nis), 0
 
     def _sigma_points(self) -> tuple[Array, Array, Array]:
         """Return chi (2n+1, n) and the weights of mean and covariance; Eq. (4.3.2)."""

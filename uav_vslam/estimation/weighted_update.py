@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An update with weighted stereo observations, and its consistency with the prediction."""
+"""Weighted stereo observations, and the consistency of an update with the prediction."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtri
 
-from uav_vslam.estimation.belief import Observation, Update, VehicleObservation
+from uav_vslam.estimation.belief import Observation, VehicleObservation
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.geometry.stereo import STEREO_DOF
 
@@ -23,49 +23,14 @@ class Innovation:
     Attributes:
         nis: nu^T S^-1 nu, chi-square with `dof` degrees of freedom.
         dof: number of pixel coordinates.
-        log_likelihood: of the observation, given all earlier ones.
         accepted: whether the update was applied.
         downweighted: number of landmarks down-weighted by the robust kernel.
     """
 
     nis: float
     dof: int
-    log_likelihood: float = 0.0
     accepted: bool = True
     downweighted: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class WeightedUpdate:
-    """An update that is not applied yet.
-
-    Attributes:
-        update: its result.
-        weights: (M,) of the observed landmarks: they divide the noise variance.
-        downweighted: number of landmarks down-weighted by the robust kernel.
-    """
-
-    update: Update
-    weights: Array
-    downweighted: int = 0
-
-    def innovation(self, R: Array, *, dof: int, significance: float) -> Innovation:
-        """Return its consistency with the prediction.
-
-        Args:
-            R: (M, 4, 4) noise covariance before the weights [px^2].
-            dof: number of observations, those of the vehicle alone included.
-            significance: probability with which a correct set of observations is rejected.
-        """
-        nis = self.update.nis
-        log_det_R = float(np.linalg.slogdet(R)[1].sum() - STEREO_DOF * np.log(self.weights).sum())
-        return Innovation(
-            nis=nis,
-            dof=dof,
-            log_likelihood=-0.5 * (nis + self.update.log_det + log_det_R + dof * np.log(2.0 * np.pi)),
-            accepted=dof == 0 or bool(chdtrc(dof, nis) >= significance),
-            downweighted=self.downweighted,
-        )
 
 
 def whitened(
