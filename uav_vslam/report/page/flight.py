@@ -25,14 +25,12 @@ class VehicleFiles:
 
     Attributes:
         name: of the vehicle.
-        figures: its part of summary.json.
         tracks: trajectories by name (`output.ALL_TRACKS`).
         tables: cells of the columns of `<vehicle>_<table>.csv`, by `TABLES`; those that are there.
         folder: of the results.
     """
 
     name: str
-    figures: Figures
     tracks: Tracks
     tables: dict[str, Columns]
     folder: Path
@@ -74,10 +72,7 @@ def read_flight(folder: Path, label: str) -> FlightFiles:
     if not isinstance(vehicles_of, dict) or not all(isinstance(figures, dict) for figures in vehicles_of.values()):
         raise UavVslamError(f"{folder / 'summary.json'} lists no vehicles; name a folder that run or demo wrote")
     tracks = read_results(folder)
-    vehicles = {
-        name: VehicleFiles(name, figures, tracks.get(name, {}), _tables(folder, name), folder)
-        for name, figures in vehicles_of.items()
-    }
+    vehicles = {name: VehicleFiles(name, tracks.get(name, {}), _tables(folder, name), folder) for name in vehicles_of}
     firsts = [
         int(track.stamps_ns[0])
         for vehicle in vehicles.values()

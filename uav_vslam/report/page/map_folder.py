@@ -103,7 +103,7 @@ def _section(flight: FlightFiles, picture_bytes: int, model_bytes: int, *, sever
 
 def _picture(folder: Path, names: Sequence[str], text: str, most_bytes: int) -> Markup | None:
     path = next((folder / name for name in names if (folder / name).exists()), None)
-    return None if path is None else figure(photograph(path, most_bytes), text, pannable=True)
+    return None if path is None else figure(photograph(path, most_bytes), text)
 
 
 def _model(path: Path, most_bytes: int) -> Markup | None:

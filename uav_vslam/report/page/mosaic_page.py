@@ -59,7 +59,7 @@ def _picture(folder: Path, names: Sequence[str], text: str, most_bytes: int) -> 
     path = next((folder / name for name in names if (folder / name).exists()), None)
     if path is None:
         return tag("p", f"{folder.name}/{names[0]} is missing.")
-    return figure(photograph(path, most_bytes), text, pannable=True)
+    return figure(photograph(path, most_bytes), text)
 
 
 def _warnings(tree: dict[str, Any]) -> Markup | None:

@@ -140,7 +140,7 @@ def _sheets(flights: Sequence[FlightFiles]) -> Markup | None:
     if not paths:
         return None
     pictures = [
-        figure(photograph(path, SHEET_BYTES // len(paths)), f"Feature tracks of {title}", pannable=True)
+        figure(photograph(path, SHEET_BYTES // len(paths)), f"Feature tracks of {title}")
         for path, title in paths.items()
     ]
     text = (

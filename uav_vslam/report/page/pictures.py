@@ -42,14 +42,14 @@ def drawing(path: Path, most_bytes: int) -> tuple[str, tuple[int, int]]:
     return address(content, "image/png"), picture.size
 
 
-def figure(source: tuple[str, tuple[int, int]], text: str, *, pannable: bool = False) -> Markup:
-    """Return a picture with its caption, which a script lets the reader move and enlarge if it is pannable."""
+def figure(source: tuple[str, tuple[int, int]], text: str) -> Markup:
+    """Return a picture with its caption, which a script lets the reader move and enlarge."""
     where, (width, height) = source
     image = void("img", src=where, alt=text, width=str(width), height=str(height), loading="lazy")
     held = tag(
         "div", image, data_pan=True, class_="pan", tabindex="0", aria_label=f"{text}; arrow keys, + and - move it"
     )
-    return tag("figure", held if pannable else image, tag("figcaption", text))
+    return tag("figure", held, tag("figcaption", text))
 
 
 def address(content: bytes, kind: str) -> str:

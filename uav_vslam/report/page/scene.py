@@ -31,11 +31,6 @@ def scene_data(flights: list[FlightFiles]) -> Data:
     }
 
 
-def _flight(flight: FlightFiles, vehicles: int) -> Data:
-    shown = [_vehicle(flight, vehicle, vehicles) for vehicle in flight.vehicles.values()]
-    return {"label": flight.label, "vehicles": shown}
-
-
 def _vehicle(flight: FlightFiles, vehicle: VehicleFiles, vehicles: int) -> Data:
     most = points_of_each(vehicles)
     return {

@@ -34,7 +34,7 @@ def study_sections(folder: Path) -> tuple[dict[str, Any], list[Markup]]:
     pictures = sorted(folder.glob("*.png"))
     if pictures:
         share = PICTURE_BYTES // len(pictures)
-        shown = [figure(drawing(path, share), path.stem.replace("_", " "), pannable=True) for path in pictures]
+        shown = [figure(drawing(path, share), path.stem.replace("_", " ")) for path in pictures]
         sections.append(section("pictures", "Pictures", *shown))
     if tree.get("notes"):
         notes = [tag("div", tag("dt", subject), tag("dd", note)) for subject, note in tree["notes"].items()]
