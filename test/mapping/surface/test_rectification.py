@@ -85,8 +85,8 @@ def test_a_region_is_all_that_is_matched() -> None:
 
 def test_no_pair_without_overlap_or_with_a_baseline_along_the_view() -> None:
     first = PreparedView.of(view(0), 1.0)
-    far = PreparedView(0, first.camera, pose(60), first.grey)
+    far = PreparedView(first.camera, pose(60), first.grey)
     assert rectify(first, far, DEPTHS, most=128, overlap=0.2) is None
     above = pose(0)
     above.t[2] += 14.0
-    assert rectify(first, PreparedView(0, first.camera, above, first.grey), DEPTHS, most=128, overlap=0.2) is None
+    assert rectify(first, PreparedView(first.camera, above, first.grey), DEPTHS, most=128, overlap=0.2) is None

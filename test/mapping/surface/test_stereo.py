@@ -65,9 +65,7 @@ def test_a_wrong_relative_pose_shifts_the_heights_as_the_sigma_says() -> None:
     wrong = pose(4)
     wrong.t[0] += 0.2
     left, right = PreparedView.of(view(0, 0.0), 1.0), PreparedView.of(view(4, 0.0), 1.0)
-    moved = rectify(
-        left, PreparedView(1, right.camera, wrong, right.grey), Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2
-    )
+    moved = rectify(left, PreparedView(right.camera, wrong, right.grey), Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2)
     assert moved is not None
     settings = SurfaceSettings(scale=1.0, relative_position_m=0.2, relative_attitude_rad=0.0)
     shift = abs(float(np.median(match(moved, settings).points_map[:, 2])))
@@ -76,7 +74,7 @@ def test_a_wrong_relative_pose_shifts_the_heights_as_the_sigma_says() -> None:
 
 def test_different_grounds_do_not_match() -> None:
     left = PreparedView.of(view(0), 1.0)
-    other = PreparedView(1, left.camera, pose(4), PreparedView.of(view(40), 1.0).grey)
+    other = PreparedView(left.camera, pose(4), PreparedView.of(view(40), 1.0).grey)
     pair = rectify(left, other, Depths(-8.0, 0.0, 8.0), most=128, overlap=0.2)
     assert pair is not None
     assert match(pair, SETTINGS).share < 0.1

@@ -24,8 +24,6 @@ from uav_vslam.mapping.raster import Raster
 from uav_vslam.mapping.tile_store import KEPT_BYTES, SIDE
 from uav_vslam.mapping.view import View
 
-Array = NDArray[np.float64]
-
 GAP_M = 0.6  # width of gaps across which what is around them continues
 STRIP_TILES = 4  # tiles that are put together at a time
 
@@ -56,16 +54,12 @@ class AddedView:
 
     Attributes:
         vehicle, stamp_ns: which view it was.
-        position: (3,) of the camera in the map frame [m].
         correction: of its brightness.
-        tiles: number of tiles under it.
     """
 
     vehicle: str
     stamp_ns: int
-    position: Array
     correction: Correction
-    tiles: int
 
 
 class Orthomosaic:
@@ -113,8 +107,8 @@ class Orthomosaic:
             raise UavVslamError("the mosaic is empty: no view saw the surface; check the poses and the surface's frame")
         return self._tiles
 
-    def add(self, view: View, *, sharpness: float = 1.0) -> AddedView | None:
-        """Merge a view; None if it sees nothing of the surface.
+    def add(self, view: View, *, sharpness: float = 1.0) -> None:
+        """Merge a view, unless it sees nothing of the surface.
 
         Args:
             view: the image, its camera and pose.
@@ -128,14 +122,12 @@ class Orthomosaic:
         drawn = rectify(view, self.surface, self.m_per_px, sharpness=sharpness, align=ALIGN, margin=MARGIN)
         thumb = thumbnail(view, self.surface, self.m_per_px)
         if drawn is None or thumb is None:
-            return None
+            return
         self._prepare(drawn.image.shape[-1])
         correction = self._correction(considered, thumb, view.vehicle)
         drawn = replace(drawn, image=correction.applied(drawn.image, drawn.radius2))
-        touched = self._merge(drawn)
-        added = AddedView(view.vehicle, view.stamp_ns, view.T_map_cam.t, correction, touched)
-        self.views.append(added)
-        return added
+        self._merge(drawn)
+        self.views.append(AddedView(view.vehicle, view.stamp_ns, correction))
 
     def picture(self, raster: Raster | None = None) -> Picture:
         """Put a window together; None for all that was seen.
@@ -188,16 +180,13 @@ class Orthomosaic:
             return self._known_exposure.correction(considered)
         return self._exposure.add(thumb, camera)
 
-    def _merge(self, drawn: Rectified) -> int:
-        """Merge a drawn and corrected view into the tiles under it; return how many there are."""
+    def _merge(self, drawn: Rectified) -> None:
+        """Merge a drawn and corrected view into the tiles under it."""
         bands = take_apart(drawn.image, drawn.score)
-        touched = 0
         for raster in drawn.raster.tiles(SIDE):
             common = raster.intersection(drawn.raster)
             tile = self.tiles.change(raster)
             tile.merge(len(self.views), bands, drawn.score, common.within(raster), common.within(drawn.raster))
-            touched += 1
-        return touched
 
     def _window(self, raster: Raster) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
         """Return image (rows, columns, channels) and labels of a window."""

@@ -45,11 +45,6 @@ class Layout:
     shift: Complex
     pairs: tuple[MatchedPair, ...]
 
-    def place(self, picture: int, centred_px: Array) -> Array:
-        """Return (M, 2) positions on the plane of (M, 2) pixels measured from the picture's centre."""
-        z = self.turn[picture] * (centred_px[:, 0] + 1j * centred_px[:, 1]) + self.shift[picture]
-        return np.stack([z.real, z.imag], axis=1)
-
 
 def largest_part(count: int, pairs: Sequence[MatchedPair]) -> NDArray[np.intp]:
     """Return the ascending numbers of the pictures in the largest connected part of the graph of pairs."""

@@ -86,11 +86,6 @@ class HeightGrid:
         return self._tiles.cell_m
 
     @property
-    def cached_bytes(self) -> int:
-        """Memory of the tiles in memory."""
-        return self._tiles.cached_bytes
-
-    @property
     def extent(self) -> Raster:
         """The smallest window that holds all known cells; of an opened grid, the first time reads every tile."""
         if self._extent is None:

@@ -20,13 +20,11 @@ class PreparedView:
     """A downscaled grey view.
 
     Attributes:
-        stamp_ns: exposure time [ns].
         camera: of the downscaled image, without distortion.
         T_map_cam: camera (optical axes) in the map frame.
         grey: (H, W) image.
     """
 
-    stamp_ns: int
     camera: PinholeCamera
     T_map_cam: Pose
     grey: Grey
@@ -35,7 +33,7 @@ class PreparedView:
     def of(view: View, scale: float) -> "PreparedView":
         """Downscale a view."""
         grey = to_grey8(shrink(view.image, scale))
-        return PreparedView(view.stamp_ns, resized(view.camera, grey.shape), view.T_map_cam, grey)
+        return PreparedView(resized(view.camera, grey.shape), view.T_map_cam, grey)
 
     def smaller(self, scale: float) -> "PreparedView":
         """Downscale further."""

@@ -71,11 +71,6 @@ class GridTiles(TileStore[Tile]):
         store._known = {(row, column) for row, column in index["tiles"]}
         return store
 
-    @property
-    def cached_bytes(self) -> int:
-        """Memory of the tiles in memory."""
-        return sum(tile.nbytes for tile in self._cached.values())
-
     def flush(self) -> None:
         """Write the changed tiles and the index; nothing without a folder."""
         super().flush()
