@@ -49,13 +49,11 @@ class MotionError:
     """Root mean square errors of the motion over segments of one length; NaN without segments.
 
     Attributes:
-        length_m: wanted length of the segments [m].
         along_m, across_m, height_m: of the displacement: along the true one's horizontal part, to its left, up [m].
         attitude_rad: angle of the relative rotation's error [rad].
         segments: number of segments.
     """
 
-    length_m: float
     along_m: float
     across_m: float
     height_m: float
@@ -102,13 +100,13 @@ def motion_error(paired: Trajectory, truth: Trajectory, length_m: float) -> Moti
     first, second = _segments(distances_m(truth), length_m)
     if len(first) == 0:
         nan = float("nan")
-        return MotionError(length_m, nan, nan, nan, nan, 0)
+        return MotionError(nan, nan, nan, nan, 0)
     R_moved, t_moved = motion(paired, first, second)
     R_true, t_true = motion(truth, first, second)
     error = np.einsum("nij,nj->ni", truth.rotations[first], t_moved - t_true)
     along, across, height = _by_direction(error, truth.positions[second] - truth.positions[first]).T
     attitude = angles(R_true.transpose(0, 2, 1) @ R_moved)
-    return MotionError(length_m, rms(along), rms(across), rms(height), rms(attitude), len(first))
+    return MotionError(rms(along), rms(across), rms(height), rms(attitude), len(first))
 
 
 def _by_direction(errors: Array, moved: Array) -> Array:

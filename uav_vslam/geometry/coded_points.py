@@ -133,7 +133,7 @@ def block_diagonal(blocks: Array) -> Array:
     return out.reshape(n * k, n * k)
 
 
-def diagonal_blocks(A: Array, size: int = 3) -> Array:
-    """Return the (N, size, size) blocks on the diagonal of A (N size, N size)."""
-    n = len(A) // size
-    return A.reshape(n, size, n, size)[np.arange(n), :, np.arange(n), :]
+def diagonal_blocks(A: Array) -> Array:
+    """Return the (N, 3, 3) blocks on the diagonal of A (3N, 3N)."""
+    n = len(A) // 3
+    return A.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n), :]

@@ -19,6 +19,7 @@ KNOT_RATE_HZ = 50.0  # twelve knots to the fastest vibration's period
 MARGIN_S = 1.0  # motion is defined this long before the first and after the last frame
 ROLL_IN_S = 2.0  # a turn's yaw rate is smoothed over this time
 CIRCUIT_LEG_M = 750.0
+TOGETHER_S = 60.0  # until vehicles part
 BANK_DEG = 25.0  # of the patterns' turns
 SINES = 8  # of a disturbance
 GRAVITY = 9.80665  # for the bank of a coordinated turn only [m/s^2]
@@ -93,12 +94,12 @@ def circuit_pattern(duration_s: float, speed: float) -> list[Segment]:
     return racetrack_pattern(duration_s, speed, leg_m=CIRCUIT_LEG_M)
 
 
-def parting_pattern(duration_s: float, speed: float, *, together_s: float = 60.0) -> list[Segment]:
+def parting_pattern(duration_s: float, speed: float) -> list[Segment]:
     """One straight leg, then a quarter turn to the left, apart from the others; see `MIRRORED`."""
     radius = _turn_radius_m(speed)
     turn = Segment(0.5 * np.pi * radius / speed, 0.5 * np.pi)
-    away_s = max(duration_s - together_s - turn.duration_s, 0.0) + 2.0 * MARGIN_S
-    return [Segment(together_s, 0.0), turn, Segment(away_s, 0.0)]
+    away_s = max(duration_s - TOGETHER_S - turn.duration_s, 0.0) + 2.0 * MARGIN_S
+    return [Segment(TOGETHER_S, 0.0), turn, Segment(away_s, 0.0)]
 
 
 def _turn_radius_m(speed: float) -> float:

@@ -13,7 +13,7 @@ from uav_vslam.evaluation.study import TABLE, Row
 from uav_vslam.simulation.landmarks import LandmarkNoise
 from uav_vslam.simulation.scenario import Scenario
 from uav_vslam.studies.engine.cooperation import Outcome, Setting, run_settings
-from uav_vslam.studies.engine.pool import CONFIDENCE, in_pool, mean, ratio_interval
+from uav_vslam.studies.engine.pool import CONFIDENCE, in_pool, mean, ratio_interval, root_mean
 from uav_vslam.studies.engine.scores import nees_figures
 
 Array = NDArray[np.float64]
@@ -90,8 +90,8 @@ def _figures(part: Part, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     good = [o for o in outcomes if not o.failure]
     own, fused = _squares(good, "own_error"), _squares(good, "error")
     row: dict[str, Any] = {
-        "s_slam_ate_rms_m": _root_mean(own),
-        "ate_rms_m": _root_mean(fused),
+        "s_slam_ate_rms_m": root_mean(own),
+        "ate_rms_m": root_mean(fused),
         "ratio_to_s_slam": _ratio(own, fused),
         **ratio_interval(own, fused),
         "s_slam_nees_position": nees_figures([(o.seed, o.own_nees) for o in good])["nees_position"],
@@ -116,10 +116,6 @@ def _squares(outcomes: Sequence[Outcome], key: str, from_s: float = 0.0) -> Arra
     seeds = sorted({o.seed for o in outcomes})
     of_runs = [(o.seed, float(np.mean(getattr(o, key)[o.times_s >= from_s] ** 2))) for o in outcomes]
     return np.array([np.mean([square for seed, square in of_runs if seed == wanted]) for wanted in seeds])
-
-
-def _root_mean(squares: Array) -> float | None:
-    return float(np.sqrt(squares.mean())) if len(squares) else None
 
 
 def _ratio(own: Array, fused: Array) -> float | None:

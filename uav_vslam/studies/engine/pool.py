@@ -45,6 +45,11 @@ def rms(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else None
 
 
+def root_mean(squares: Array) -> float | None:
+    """Return the root of the mean of squares; None if there are none."""
+    return float(np.sqrt(squares.mean())) if len(squares) else None
+
+
 def mean(values: Sequence[float]) -> float | None:
     """Return the mean; None if there are none."""
     return float(np.mean(values)) if len(values) else None

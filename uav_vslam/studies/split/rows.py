@@ -12,7 +12,7 @@ from uav_vslam.datasets.cutting import Cut
 from uav_vslam.evaluation.consistency import nees, summarise
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.study import TABLE, Row
-from uav_vslam.studies.engine.pool import mean, mean_interval, ratio, ratio_interval, rms
+from uav_vslam.studies.engine.pool import mean, mean_interval, ratio, ratio_interval, rms, root_mean
 from uav_vslam.studies.engine.recorded_flights import RecordedFlight
 from uav_vslam.studies.split.compute import C_SLAM, INS, METHODS, S_SLAM, Outcome
 from uav_vslam.types import NS_PER_S
@@ -71,7 +71,7 @@ def error_rows(legs: list[RecordedFlight], outcomes: Sequence[Outcome]) -> list[
             row = _figures([scores[label, name] for name in members])
             if label in C_SLAM.values():
                 other = _mean_squares([scores[label, name] for name in members])
-                row |= {"ratio_to_s_slam": ratio(_root(other), _root(own)), **ratio_interval(own, other)}
+                row |= {"ratio_to_s_slam": ratio(root_mean(other), root_mean(own)), **ratio_interval(own, other)}
                 row["packets_used"] = sum(outcome.packets_used[label][name] for name in members for outcome in good)
             counts = {"failures": len(outcomes) - len(good), "runs": len(outcomes)}
             rows.append({TABLE: "Errors", "method": label, "condition": condition} | row | counts)
@@ -84,8 +84,8 @@ def _figures(scores: list[list[_Score]]) -> Row:
     of_seeds = np.mean([[one.nees for one in of_one] for of_one in scores], axis=0)
     return {
         "end_rms_m": rms(end_m),
-        "ate_rms_m": _root(_mean_squares(scores)),
-        "height_rms_m": _root(_mean_squares(scores, axes=slice(2, 3))),
+        "ate_rms_m": root_mean(_mean_squares(scores)),
+        "height_rms_m": root_mean(_mean_squares(scores, axes=slice(2, 3))),
         **dict.fromkeys(("ratio_to_s_slam", "ratio_low", "ratio_high")),
         "nees_position": mean(of_seeds),
         **mean_interval("nees_position", of_seeds),
@@ -141,7 +141,3 @@ def _mean_squares(scores: list[list[_Score]], axes: slice = slice(0, 3)) -> Arra
     """Return (S,) of each seed the mean squared error over the vehicles' frames [m^2]; a vehicle counts once."""
     of_vehicles = [[float((one.error[:, axes] ** 2).sum(axis=1).mean()) for one in of_one] for of_one in scores]
     return np.mean(of_vehicles, axis=0)
-
-
-def _root(mean_squares: Array) -> float | None:
-    return float(np.sqrt(mean_squares.mean())) if len(mean_squares) else None

@@ -69,9 +69,9 @@ def score(
     level = open_error - np.median(open_error)
     scores: Scores = {
         "height_median_m": _median(open_error),
-        "height_95_m": _percentile(open_error, 95.0),
+        "height_95_m": _percentile_95(open_error),
         "height_level_median_m": _median(level),
-        "height_level_95_m": _percentile(level, 95.0),
+        "height_level_95_m": _percentile_95(level),
         "standing_median_m": _median(error[known & standing]),
         "barn_edge_m": _edges_m(surface, ground, x, y, shift),
         "coverage_share": float(np.mean(known[shown])),
@@ -167,5 +167,5 @@ def _median(errors: Array) -> float | None:
     return float(np.median(np.abs(errors))) if len(errors) else None
 
 
-def _percentile(errors: Array, share: float) -> float | None:
-    return float(np.percentile(np.abs(errors), share)) if len(errors) else None
+def _percentile_95(errors: Array) -> float | None:
+    return float(np.percentile(np.abs(errors), 95.0)) if len(errors) else None
