@@ -281,9 +281,9 @@ def test_rows_of_the_truth_without_a_valid_quaternion_are_left_out(tmp_path: Pat
     columns = ["2", "3", "4"], ["5", "6", "7", "8"]
     log = LogSettings(file="truth.txt", position=columns[0], attitude=columns[1], position_kind="local")
     problems = Problems()
-    found = read_motion(tmp_path, log, (), problems)
+    found, _ = read_motion(tmp_path, log, (), problems)
     assert found is not None
-    assert found[0].stamps_ns.tolist() == [0, 2_000_000_000]
+    assert found.stamps_ns.tolist() == [0, 2_000_000_000]
     assert problems.lines == [f"{tmp_path / 'truth.txt'}:2: the quaternion's norm is 0, not 1"]
 
 

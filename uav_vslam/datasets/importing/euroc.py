@@ -13,7 +13,14 @@ import numpy as np
 from uav_vslam.datasets.calibration_files import parse_calibration, yaml_tree
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples
-from uav_vslam.datasets.importing.pictures import PicturePair, frames, paired, pairs_with_readings, read_list
+from uav_vslam.datasets.importing.pictures import (
+    PicturePair,
+    covered_pairs,
+    frames,
+    paired,
+    pairs_with_readings,
+    read_list,
+)
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.source import Source
 from uav_vslam.datasets.importing.tables import read_table, read_text, require_unit
@@ -73,13 +80,6 @@ def asl_pairs(mav0: Path, problems: Problems) -> list[PicturePair]:
     """Return the pairs of pictures with equal stamps of cam0 and cam1."""
     left, right = (read_list(mav0 / cam / "data.csv", mav0 / cam / "data", problems) for cam in ("cam0", "cam1"))
     return paired(left, right, problems)
-
-
-def covered_pairs(pairs: list[PicturePair], truth: Motion) -> tuple[list[PicturePair], tuple[str, ...]]:
-    """Return the pairs from the first to the last stamp of the ground truth, and a note if there are others."""
-    covered = [pair for pair in pairs if truth.covers(pair.stamp_ns)]
-    outside = len(pairs) - len(covered)
-    return covered, (f"{outside} image pairs before or after the ground truth are left out",) if outside else ()
 
 
 def _usual_gap_s(pairs: list[PicturePair]) -> float:

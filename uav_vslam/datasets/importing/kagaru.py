@@ -10,12 +10,11 @@ from pathlib import Path
 from uav_vslam.config import find_config, load_vehicle, replaced
 from uav_vslam.datasets.flight_writer import FlightRecording
 from uav_vslam.datasets.importing.axes import rotation_to_flu
-from uav_vslam.datasets.importing.euroc import covered_pairs
 from uav_vslam.datasets.importing.kagaru_log import contradictions, read_imu, read_motion
 from uav_vslam.datasets.importing.kagaru_pictures import encoding_of, read_pairs
 from uav_vslam.datasets.importing.kagaru_settings import read_settings
 from uav_vslam.datasets.importing.motion import InitialSigma, imu_samples
-from uav_vslam.datasets.importing.pictures import frames, pairs_with_readings, shifted
+from uav_vslam.datasets.importing.pictures import covered_pairs, frames, pairs_with_readings, shifted
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import rig_of_files, rig_of_values, turned
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
@@ -54,10 +53,8 @@ def read_kagaru(
     pairs = shifted(read_pairs(folder, layout.cameras, problems), offset_ns)
     flown, without = pairs_with_readings(pairs, imu)
     notes = list(without)
-    found = read_motion(folder, layout.navigation, layout.datum, problems)
-    truth = found[0] if found else None
-    if found and found[1]:
-        origin = found[1]
+    truth, origin = read_motion(folder, layout.navigation, layout.datum, problems)
+    if origin:
         datum = f"{origin.latitude_deg:.9f} {origin.longitude_deg:.9f} {origin.altitude_m:.3f}"
         notes.append(f"datum: {datum} is the origin of the world")
     if truth:

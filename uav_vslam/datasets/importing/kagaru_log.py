@@ -54,8 +54,8 @@ def read_imu(folder: Path, log: LogSettings, problems: Problems) -> Table:
 
 def read_motion(
     folder: Path, log: LogSettings, datum: tuple[float, ...], problems: Problems
-) -> tuple[Motion, Datum | None] | None:
-    """Return the motion of the body, and where its origin is if that is known; None if the log has no pose.
+) -> tuple[Motion | None, Datum | None]:
+    """Return the motion of the body, if the log has poses, and where its origin is, if that is known.
 
     Args:
         folder: of the data set.
@@ -67,7 +67,7 @@ def read_motion(
         BagError: the file can't be read.
     """
     if not (log.file and log.attitude and log.position):
-        return None
+        return None, None
     file = log.text_file(folder / log.file)
     columns = [*log.position, *log.attitude, *log.velocity]
     check = _check_quaternion if len(log.attitude) == 4 else None

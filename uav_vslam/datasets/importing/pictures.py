@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from uav_vslam.datasets.flight_writer import SourceFrame, SourceImage
+from uav_vslam.datasets.importing.motion import Motion
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.tables import REPEATED, UNREADABLE, Table, in_range, numbered_lines
 from uav_vslam.datasets.messages import decodable, decoded
@@ -106,6 +107,13 @@ def pairs_with_readings(pairs: list[PicturePair], imu: Table) -> tuple[list[Pict
     kept = [pair for pair in pairs if first <= pair.stamp_ns <= last]
     outside = len(pairs) - len(kept)
     return kept, (f"{outside} image pairs before or after the IMU's readings are left out",) if outside else ()
+
+
+def covered_pairs(pairs: list[PicturePair], truth: Motion) -> tuple[list[PicturePair], tuple[str, ...]]:
+    """Return the pairs from the first to the last stamp of the ground truth, and a note if there are others."""
+    covered = [pair for pair in pairs if truth.covers(pair.stamp_ns)]
+    outside = len(pairs) - len(covered)
+    return covered, (f"{outside} image pairs before or after the ground truth are left out",) if outside else ()
 
 
 def shifted(pairs: list[PicturePair], offset_ns: int) -> list[PicturePair]:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from uav_vslam.datasets.calibration_files import read_calibration
 from uav_vslam.datasets.flight_writer import FlightRecording
-from uav_vslam.datasets.importing.euroc import asl_pairs, covered_pairs
+from uav_vslam.datasets.importing.euroc import asl_pairs
 from uav_vslam.datasets.importing.motion import InitialSigma, Motion, imu_samples, motion_of_poses
-from uav_vslam.datasets.importing.pictures import frames, pairs_with_readings, shifted
+from uav_vslam.datasets.importing.pictures import covered_pairs, frames, pairs_with_readings, shifted
 from uav_vslam.datasets.importing.problems import Problems
 from uav_vslam.datasets.importing.rigs import rig_of_files
 from uav_vslam.datasets.importing.source import IN_FLIGHT, Source
