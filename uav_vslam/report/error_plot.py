@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.result import FlightResult, VehicleResult
 from uav_vslam.evaluation.trajectory import Trajectory
-from uav_vslam.report.style import STYLES, clean, tracks_of
+from uav_vslam.report.style import AXES, SIGMAS, STYLES, clean, tracks_of
 
 Array = NDArray[np.float64]
 
-SIGMAS = 3.0
 BAND_COLOURS = {"s_slam": "#e2e2e2", "c_slam": "#c2ebf2", "smoothed": "#ffe8cc"}
 LOWEST, HIGHEST = 0.5, 0.9  # of the bands' order: below the grid
-AXES = ("East", "North", "Up")
 
 
 def error_plot(result: FlightResult) -> Figure | None:

@@ -8,13 +8,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.consistency import SKIPPED_KEYFRAMES, Nees, chi_square_band, nees
+from uav_vslam.evaluation.output import WITH_COVARIANCE
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.result import FlightResult, VehicleResult
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.report.style import BAND, STYLES, clean, plain_log, tracks_of
 from uav_vslam.types import NS_PER_S
 
-TRACKS = ("s_slam", "c_slam", "smoothed")
 ROWS = {"Position NEES / 3": "position", "Attitude NEES / 3": "rotation"}
 LOWEST, HIGHEST = 0.01, 10.0  # the axis covers at least this; perfect frames below it are clipped
 
@@ -60,7 +60,7 @@ def _scored(vehicle: VehicleResult) -> dict[str, tuple[Trajectory, Nees]]:
         return {}
     found = {}
     for name, track in tracks_of(vehicle).items():
-        values = nees(track, vehicle.truth) if name in TRACKS else None
+        values = nees(track, vehicle.truth) if name in WITH_COVARIANCE else None
         if values is not None:
             found[name] = pair_with_truth(track, vehicle.truth)[0], values
     return found

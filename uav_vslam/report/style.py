@@ -26,6 +26,8 @@ BAND = "#d7ecd9"  # background of the consistent range
 LINE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")  # colour-blind safe
 MANY_DECADES = 500.0  # largest over smallest from which a logarithmic axis shows powers of ten only
 NARROW = 3.0  # largest over smallest up to which 1, 2 and 5 may leave a logarithmic axis with a single label
+AXES = ("East", "North", "Up")
+SIGMAS = 3.0  # half the width of the bands around errors
 INS_MARGIN = 0.25  # the INS may widen the view by this share on each side; the rest is clipped
 
 

@@ -5,15 +5,13 @@ import numpy as np
 
 from uav_vslam.evaluation.consistency import chi_square_band, nees
 from uav_vslam.evaluation.files.results_folder import at_equal_stamps
+from uav_vslam.evaluation.output import WITH_COVARIANCE
 from uav_vslam.evaluation.pairing import pair_with_truth
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.report.page.charts import Array, Band, Chart, Line
 from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
-from uav_vslam.report.style import STYLES
+from uav_vslam.report.style import AXES, SIGMAS, STYLES
 
-SLAM = ("s_slam", "c_slam", "smoothed")
-AXES = ("East", "North", "Up")
-SIGMAS = 3.0
 LOWEST_NEES = 1e-3  # perfect poses would be at minus infinity of a logarithmic axis
 
 
@@ -49,7 +47,7 @@ def _pairs(vehicle: VehicleFiles) -> dict[str, tuple[Trajectory, Trajectory]]:
     """Return each SLAM track that has ground truth, and the truth at its stamps."""
     if "truth" not in vehicle.tracks:
         return {}
-    tracks = {name: track for name, track in at_equal_stamps(vehicle.tracks).items() if name in SLAM}
+    tracks = {name: track for name, track in at_equal_stamps(vehicle.tracks).items() if name in WITH_COVARIANCE}
     pairs = {name: pair_with_truth(track, vehicle.tracks["truth"]) for name, track in tracks.items()}
     return {name: pair for name, pair in pairs.items() if len(pair[0])}
 
@@ -63,7 +61,7 @@ def _errors(
         lines.append(_line(name, seconds, track.positions[:, axis] - truth.positions[:, axis]))
         if track.covariance is not None:
             bound = SIGMAS * np.sqrt(np.maximum(track.covariance[:, axis, axis], 0.0))
-            bands.append(Band(f"{STYLES[name].label} ±3σ", f"track-{name}", seconds, -bound, bound))
+            bands.append(Band(f"{STYLES[name].label} ±{SIGMAS:.0f}σ", f"track-{name}", seconds, -bound, bound))
     return tuple(lines), tuple(bands)
 
 

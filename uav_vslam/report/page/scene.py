@@ -5,12 +5,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_vslam.evaluation.files.tables import numbers as column
+from uav_vslam.evaluation.flight_tables import COVARIANCE
 from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.report.page.charts import Data, numbers, points_of_each, thinned
 from uav_vslam.report.page.flight import FlightFiles, VehicleFiles
 from uav_vslam.report.style import STYLES
 
-COVARIANCE = ("cov_x_x", "cov_x_y", "cov_x_z", "cov_y_y", "cov_y_z", "cov_z_z")
 ROWS, COLUMNS = np.triu_indices(3)
 MOST_LANDMARKS = 8000  # of all vehicles together
 FLOOR_M2 = 1e-12  # variance at which an ellipsoid would be flat
