@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The columns of every study's tables: the same quantity has the same key everywhere, and its unit in the name.
 
-A row names its `method` and its `condition`. Its figures are those of the track
-that the method computes; the prefix `s_slam_` or `c_slam_` marks a figure of the own-only or of the fused track
-of the same flights. Shares and ratios have no unit; `_worst`, `_max` and `_mean` are over the runs.
+A row names its `method` and its `condition`. Its figures are those of the track that the method computes; the prefix
+`s_slam_` or `c_slam_` marks a figure of the own-only or of the fused track of the same flights. Shares and ratios have
+no unit; `_worst`, `_max` and `_mean` are over the runs.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,6 @@ COLUMNS: dict[str, str] = {
     "extractor": "whose noise is simulated",
     "kind": "of wrong match",
     "wrong_match_share": "of the matches that are simulated wrong",
-    "mistaken_share": "of the shared landmarks that look like others",
     "camera": "still or moving",
     "spacing": "number of images from the first to the second",
     "descriptor_ratio": "largest ratio of nearest to second-nearest descriptor distance",
