@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.surface.mapper import SurfaceMapper
 
-FOLDER, TILES, PICTURE = "map", "tiles", "height.png"
+FOLDER = "map"
 HELP = "map the surface that was flown over: run recordings, or take a results folder, and read the images again"
 EXAMPLES = """examples:
   uav-vslam map flight --config kagaru                fly, smooth, map; the map goes to RESULT/map/
@@ -108,6 +108,7 @@ def write_map(flights: list[MappedFlight], folder: Path, cell_m: float, datum: D
     from uav_vslam.mapping.progress import counted
     from uav_vslam.mapping.surface.grid import HeightGrid
     from uav_vslam.mapping.surface.mapper import SMALL_CELLS, SurfaceMapper
+    from uav_vslam.mapping.surface.tiles import TILES
     from uav_vslam.mapping.surface_files import FIGURES, write_surface
     from uav_vslam.report.map_table import print_map
 
@@ -138,13 +139,15 @@ def _times_ms(mapper: SurfaceMapper) -> dict[str, float]:
     return {stage: 1e3 * seconds / frames for stage, seconds in mapper.seconds.items()}
 
 
-def _draw(grid: HeightGrid, overlap: Overlap, folder: Path, *, turned: bool) -> list[Path]:
+def _draw(grid: HeightGrid, overlap: Overlap, folder: Path, *, turned: bool) -> None:
     from uav_vslam.report.height_picture import MAP, TURNED, height_picture, overlap_picture
     from uav_vslam.report.style import save
 
     extent, frame = overlap.extent(grid), TURNED if turned else MAP
     figures: dict[str, Any] = {
-        PICTURE: height_picture(grid.height(extent), extent.bounds_m, frame),
+        "height.png": height_picture(grid.height(extent), extent.bounds_m, frame),
         "overlap.png": overlap_picture(overlap.count(grid, extent), extent.bounds_m, frame),
     }
-    return [save(figure, folder / name) for name, figure in figures.items() if figure is not None]
+    for name, figure in figures.items():
+        if figure is not None:
+            save(figure, folder / name)
