@@ -51,10 +51,10 @@ def write_picture_and_model(
             found = seams(mosaic, counted(views(), advance)).figures()
         written = write_orthomosaic(mosaic, folder, datum)
         model = write_model(surface, mosaic, folder, views=views, cell_m=grid.cell_m)
-    shares = {name: vehicle["share"] for name, vehicle in written.pop("vehicles").items()}
+        shares = mosaic.shares()
     finite = {name: value for name, value in found.items() if np.isfinite(value)}
     picture = written | {"seam_px": finite.get("median_px"), "seam_p90_px": finite.get("p90_px")}
-    return {"orthomosaic": picture, "model": {key: model[key] for key in ("triangles", "bytes")}, "shares": shares}
+    return {"orthomosaic": picture, "model": model, "shares": shares}
 
 
 def _key_frames(flights: list[MappedFlight], grid: HeightGrid) -> tuple[set[tuple[str, int]], bool]:

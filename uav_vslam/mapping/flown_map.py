@@ -90,8 +90,7 @@ class FlownMap:
             raise UavVslamError("the parameter map.folder is empty; start the mapper with a folder to write to")
         tree = write_surface(self.grid, self.overlap, self.mapper, self.folder)
         if self._drawn:
-            drawn = write_orthomosaic(self._drawn, self.folder)
-            tree["orthomosaic"] = {key: drawn[key] for key in ("m_per_px", "width", "height", "views")}
+            tree["orthomosaic"] = write_orthomosaic(self._drawn, self.folder)
             write_json(self.folder / FIGURES, tree)
         return tree
 

@@ -55,7 +55,7 @@ def write_model(
         cell_m: side of a cell of the mesh [m].
 
     Returns:
-        "triangles" and "bytes" of the GLB, and "vehicles": the share of the picture that each one coloured.
+        "triangles" and "bytes" of the GLB.
 
     Raises:
         UavVslamError: the mosaic is empty, no height is known under it, or a file can't be written.
@@ -76,7 +76,7 @@ def write_model(
     _write(
         folder / "model.ply", _coloured(simplified(mesh, PLY_TRIANGLES), colour, picture.raster).export(file_type="ply")
     )
-    return {"triangles": len(coarse.faces), "bytes": glb.stat().st_size, "vehicles": mosaic.shares()}
+    return {"triangles": len(coarse.faces), "bytes": glb.stat().st_size}
 
 
 def _write(path: Path, content: Any) -> None:

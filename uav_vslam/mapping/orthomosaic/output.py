@@ -27,8 +27,7 @@ def write_orthomosaic(mosaic: Orthomosaic, folder: Path, datum: Datum | None = N
         datum: of the map frame, if known.
 
     Returns:
-        "m_per_px", "width", "height", the key frames "views" of the picture, and "vehicles": the views and the share of
-        the picture of each.
+        "m_per_px", "width", "height", and the number of "views" in the picture.
 
     Raises:
         UavVslamError: the mosaic is empty, or a file can't be written.
@@ -40,14 +39,11 @@ def write_orthomosaic(mosaic: Orthomosaic, folder: Path, datum: Datum | None = N
         preview.write_bytes(_preview(picture.image[::-1]))
     except OSError as error:
         raise UavVslamError(f"{preview} can't be written: {error.strerror}") from error
-    shares = mosaic.shares()
-    counts = {name: sum(view.vehicle == name for view in mosaic.views) for name in shares}
     return {
         "m_per_px": mosaic.m_per_px,
         "width": picture.raster.columns,
         "height": picture.raster.rows,
         "views": len(mosaic.views),
-        "vehicles": {name: {"views": counts[name], "share": share} for name, share in shares.items()},
     }
 
 
