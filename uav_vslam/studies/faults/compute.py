@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from uav_vslam.config import VehicleConfig
+from uav_vslam.evaluation.scores import track_scores
 from uav_vslam.evaluation.study import Row
-from uav_vslam.evaluation.summary import build_summary
-from uav_vslam.offline.result import flight_result
+from uav_vslam.evaluation.trajectory import Trajectory
 from uav_vslam.offline.track import track_vehicle
 from uav_vslam.pipeline import VehicleTrack
 from uav_vslam.simulation.faults import FAULTS, FaultySource, end_s
 from uav_vslam.simulation.scenario import Scenario, SimulatedVehicle, simulate_vehicle
 from uav_vslam.studies.engine.flights import true_trajectory
 from uav_vslam.studies.engine.pool import in_pool
-from uav_vslam.studies.engine.score_columns import pooled_scores
+from uav_vslam.studies.engine.score_columns import pooled_scores, values_of
 
 NONE = "none"
 BEGIN_SHARE = 0.3  # of the flight
@@ -41,7 +41,7 @@ class FaultRun:
     method: str
     fault: str
     track: VehicleTrack
-    figures: dict[str, Any]
+    scores: dict[str, Any]
     recovered_frames: int | str
 
 
@@ -72,12 +72,9 @@ def fly_fault(job: Job) -> FaultRun:
     begin_s = BEGIN_SHARE * scenario.duration_s
     source = FaultySource(vehicle, fault="" if fault == NONE else fault, begin_s=begin_s)
     track = track_vehicle(source, config)
-    result = flight_result(
-        scenario.name, {vehicle.name: track}, {}, {vehicle.name: true_trajectory(vehicle)}, {vehicle.name: config}
-    )
-    figures = build_summary(result, git=None)["vehicles"][vehicle.name]["s_slam"]
+    scores = track_scores(Trajectory.from_estimates(track.poses), true_trajectory(vehicle))
     end = end_s(source.fault, begin_s, vehicle)
-    return FaultRun(name, fault, track, figures, "" if fault == NONE else _recovered_frames(track, vehicle, end))
+    return FaultRun(name, fault, track, scores, "" if fault == NONE else _recovered_frames(track, vehicle, end))
 
 
 def _recovered_frames(track: VehicleTrack, vehicle: SimulatedVehicle, end: float) -> int | str:
@@ -93,7 +90,7 @@ def _row(flown: Sequence[FaultRun]) -> Row:
     alarms: Counter[str] = Counter()
     for one in flown:
         alarms.update(one.track.alarms)
-    nees = [one.figures["nees_position"] for one in flown if one.figures["nees_position"] is not None]
+    scores = [one.scores for one in flown]
     recovered = [one.recovered_frames for one in flown]
     words = [value for value in recovered if isinstance(value, str)]
     return {
@@ -105,6 +102,6 @@ def _row(flown: Sequence[FaultRun]) -> Row:
         "recovered_frames": words[0] if words else max(recovered),
         "runs": len(flown),
         "restarts": sum(report.recovery != "" for report in reports),
-        **pooled_scores([one.figures for one in flown]),
-        "nees_position_worst": max(nees, default=None),
+        **pooled_scores(scores),
+        "nees_position_worst": max(values_of(scores, "nees_position"), default=None),
     }
