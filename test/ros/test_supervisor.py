@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +17,7 @@ from uav_vslam.errors import ConfigError
 from uav_vslam.ros import supervisor
 from uav_vslam.ros.command import Command
 from uav_vslam.ros.supervisor import ESCALATION, Supervisor, describe_exit
-from waiting import wait_for
+from waiting import PATIENCE_S, wait_for
 
 pytestmark = pytest.mark.ros
 
@@ -44,6 +43,19 @@ def write_pid(folder: Path, name: str, code: str, *, leads: bool) -> Command:
     """A process that first writes its process id."""
     begin = f"import os, pathlib\npathlib.Path({str(folder / name)!r}).write_text(str(os.getpid()))\n"
     return python(name, begin + textwrap.dedent(code), leads=leads)
+
+
+def leader(condition: str, then: str = "") -> Command:
+    """The leading process: it ends when a condition on `Path` holds, however long a busy machine takes to bring it."""
+    code = f"""
+        import time
+        from pathlib import Path
+        end_s = time.monotonic() + {PATIENCE_S}
+        while not ({condition}) and time.monotonic() < end_s:
+            time.sleep(0.02)
+        {then}
+    """
+    return python("a", code, leads=True)
 
 
 def alive(pid: int) -> bool:
@@ -85,11 +97,17 @@ RESUMED = """
 
 
 @pytest.mark.parametrize("ended", [5, 0])  # SIGTERM from outside makes a node end with 0
-def test_a_process_that_ends_is_restarted_to_resume_and_the_others_go_on(ended: int) -> None:
-    failing = dataclasses.replace(python("b", RESUMED.format(code=ended)), resume=("again",))
-    leading = python("a", "import time; time.sleep(2.0); print('still here', flush=True)", leads=True)
+def test_a_process_that_ends_is_restarted_to_resume_and_the_others_go_on(ended: int, tmp_path: Path) -> None:
+    failing, resumed = dataclasses.replace(python("b", RESUMED.format(code=ended)), resume=("again",)), tmp_path / "b"
+    leading = leader(f"Path({str(resumed)!r}).exists()", "print('still here', flush=True)")
     lines: list[tuple[str, str]] = []
-    code = Supervisor(restarts=True, on_line=lambda name, line: lines.append((name, line))).run([failing, leading])
+
+    def note(name: str, line: str) -> None:
+        lines.append((name, line))
+        if "again" in line:
+            resumed.touch()
+
+    code = Supervisor(restarts=True, on_line=note).run([failing, leading])
     assert lines == [("b", "started with"), ("b", "started with again"), ("a", "still here")]
     assert code == 0
 
@@ -101,23 +119,36 @@ def test_a_process_that_would_fail_again_is_not_restarted() -> None:
     assert lines == ["started with"]
 
 
-def test_a_process_that_has_run_before_is_restarted_whatever_it_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_has_run_before_is_restarted_whatever_it_refuses(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(supervisor, "BACKOFF_S", (0.05,))
     program = "import sys; print(*sys.argv[1:], flush=True); sys.exit(2 if 'again' in sys.argv else 5)"
-    failing = dataclasses.replace(python("b", program), resume=("again",))
-    leading = python("a", "import time; time.sleep(2.0)", leads=True)
+    failing, often = dataclasses.replace(python("b", program), resume=("again",)), tmp_path / "often"
     lines: list[str] = []
-    code = Supervisor(restarts=True, on_line=lambda _, line: lines.append(line)).run([failing, leading])
+
+    def note(_: str, line: str) -> None:
+        lines.append(line)
+        if len(lines) >= 4:
+            often.touch()
+
+    patient = Supervisor(restarts=True, on_line=note, escalation=((PATIENCE_S, signal.SIGKILL),))
+    code = patient.run([failing, leader(f"Path({str(often)!r}).exists()")])
     assert code == 2  # as it ended last, when the leading process was done
     assert lines[:4] == ["", "again", "again", "again"]
 
 
-def test_pauses_between_restarts_grow(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pauses_between_restarts_grow(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(supervisor, "BACKOFF_S", (0.05, 0.3, 0.6))
     stamps: list[float] = []
-    leading = python("a", "import time; time.sleep(2.5)", leads=True)
-    failing = python("b", "import sys; print('x', flush=True); sys.exit(5)")
-    Supervisor(restarts=True, on_line=lambda *_: stamps.append(time.monotonic())).run([failing, leading])
+    failing, often = python("b", "import time; print(time.monotonic(), flush=True); exit(5)"), tmp_path / "often"
+
+    def note(_: str, line: str) -> None:
+        stamps.append(float(line))
+        if len(stamps) >= 4:
+            often.touch()
+
+    Supervisor(restarts=True, on_line=note).run([failing, leader(f"Path({str(often)!r}).exists()")])
     pauses = [later - earlier for earlier, later in itertools.pairwise(stamps)]
     assert len(pauses) >= 3
     assert pauses[1] > 0.3
@@ -191,15 +222,16 @@ def test_a_process_that_dies_shuts_down_the_fleet_and_is_reported(
     assert "uav1/fusion" in capfd.readouterr().err
 
 
-def test_failing_during_shutdown_is_a_failure(capfd: pytest.CaptureFixture[str]) -> None:
-    stubborn = """
-        import signal, sys, time
+def test_failing_during_shutdown_is_a_failure(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    ready = tmp_path / "ready"
+    stubborn = f"""
+        import pathlib, signal, sys, time
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: sys.exit(4))
+        pathlib.Path({str(ready)!r}).touch()
         time.sleep(3600)
     """
-    lead = python("replay", "import time; time.sleep(1)", leads=True)
-    assert Supervisor().run([python("recorder", stubborn), lead]) == 4
+    assert Supervisor().run([python("recorder", stubborn), leader(f"Path({str(ready)!r}).exists()")]) == 4
     assert "recorder ended with exit code 4 during shutdown" in capfd.readouterr().err
 
 
@@ -249,12 +281,12 @@ OPTIONAL_FAILS = """
 
 @pytest.mark.parametrize("restarts", [False, True])
 def test_a_fleet_goes_on_and_ends_well_without_an_optional_process_that_dies(
-    restarts: bool, capfd: pytest.CaptureFixture[str]
+    restarts: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    recorder = dataclasses.replace(python("recorder", OPTIONAL_FAILS), optional=True)
-    replay = python("replay", "import time; time.sleep(1)", leads=True)
-    node = python("node", POLITE)
-    assert Supervisor(restarts=restarts).run([recorder, node, replay]) == 0
+    recorder = dataclasses.replace(write_pid(tmp_path, "recorder", OPTIONAL_FAILS, leads=False), optional=True)
+    pid = f"Path({str(tmp_path / 'recorder')!r})"
+    noticed = f"{pid}.exists() and {pid}.read_text() and not Path('/proc', {pid}.read_text()).exists()"
+    assert Supervisor(restarts=restarts).run([recorder, python("node", POLITE), leader(noticed)]) == 0
     told = capfd.readouterr().err
     assert told.count("recorder was killed by SIGKILL; the fleet goes on without it") == 1
 
