@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from uav_vslam.config import EXACT_RIG, BackendConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation import filter as filter_module
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.filters import BOUNDED, FILTERS
@@ -396,6 +397,22 @@ def test_linearising_at_the_true_pose_helps_a_mean_that_is_far_off(course, name:
         f.update(ALL, course.pixels(3, ALL), linearise_at=linearise_at)
         errors[linearise_at is None] = np.linalg.norm(f.nav.T_map_body.t - truth.T_map_body.t)
     assert errors[False] < errors[True]
+
+
+@pytest.mark.parametrize("name", ["eif", "ekf"])
+def test_an_update_that_leads_far_is_linearised_where_it_leads(course, name: str, monkeypatch) -> None:
+    """A consistent prior 12 m and 8 degrees off ends where linearising at the true pose does."""
+    truth, ends = course.true_state(3).T_map_body, {}
+    for case, at, times in (("at the truth", truth, 0), ("once", None, 0), ("again", None, 4)):
+        monkeypatch.setattr(filter_module, "RELINEARISATIONS", times)
+        f = course.flown("ri15", name)
+        shift = np.concatenate([[8.0, -8.0, 4.0], np.zeros(3), [0.08, 0.08, 0.08], np.zeros(42)])
+        f.nav = MODELS["so15"]().retract(f.nav, np.zeros((0, 3)), shift[:15])[0]
+        course.set_covariance(f, f.covariance() + np.diag(shift**2))
+        assert f.update(ALL, course.pixels(3, ALL), linearise_at=at).accepted
+        ends[case] = f.nav.T_map_body.t
+    off = {case: np.linalg.norm(end - ends["at the truth"]) for case, end in ends.items()}
+    assert off["again"] < 0.1 * off["once"]
 
 
 @pytest.mark.parametrize("name", ["ukf", "uhf"])

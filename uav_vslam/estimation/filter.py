@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from uav_vslam.config import EXACT_RIG, ImuConfig, RigConfig
-from uav_vslam.errors import FilterDivergence
+from uav_vslam.errors import CalibrationError, FilterDivergence
 from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, Update, VehicleObservation
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.h_infinity import bounded
@@ -49,7 +49,7 @@ from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, relinearised
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
-from uav_vslam.estimation.weighted_update import Innovation, huber_weights, whitened
+from uav_vslam.estimation.weighted_update import Correction, Innovation, huber_weights, whitened
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
@@ -60,6 +60,8 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseE
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+RELINEARISATIONS = 4  # of an update by landmarks, at most
+NEAR = 0.03  # of the landmarks' depth: an update that moves the position by less is linear enough
 PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged
 
 
@@ -122,9 +124,16 @@ class Filter:
 
     @property
     def rig(self) -> StereoRig:
-        """The rig with its estimated errors."""
+        """The rig with its estimated errors.
+
+        Raises:
+            FilterDivergence: no camera has these.
+        """
         if self._rig_at is not self.rig_state:  # cached: read a dozen times a frame
-            self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
+            try:
+                self._rig_at, self._rig = self.rig_state, self._errors.rig(self.rig_state)
+            except CalibrationError as error:
+                raise FilterDivergence(f"errors of the calibration: {error}") from error
         return self._rig
 
     @property
@@ -324,21 +333,59 @@ class Filter:
             significance: probability with which a correct set of observations is rejected.
             weights: (M,) divide the noise variance; None for ones.
         """
-        before = (self.nav, self.belief)
+        weights = np.ones(len(landmarks)) if weights is None else weights
         with _stamped(self.nav.stamp_ns):
-            prior, predicted = self._linearised(landmarks, linearise_at)
-            nu = pixels - predicted.expected
-            nu = nu - Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu).apply(prior)
-            update, downweighted = self._updated(predicted, nu, np.ones(len(nu)) if weights is None else weights)
-        dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else self._of_tracks.dof)
-        accepted = dof == 0 or bool(chdtrc(dof, update.nis) >= significance)
-        if accepted:
-            self._of_tracks = None
-            with _stamped(self.nav.stamp_ns):
-                self.correct(update.belief, prior + update.delta)
-        else:
-            self.nav, self.belief = before
-        return Innovation(update.nis, dof, accepted, downweighted)
+            found = self._correction(landmarks, pixels, weights, linearise_at)
+            if self._of_tracks is None and self._model.invariant and len(landmarks):
+                found = self._relinearised(found, landmarks, pixels, weights)
+            dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else self._of_tracks.dof)
+            accepted = dof == 0 or bool(chdtrc(dof, found.update.nis) >= significance)
+            if accepted:
+                self._of_tracks = None
+                self._apply(found)
+        return Innovation(found.update.nis, dof, accepted, found.downweighted)
+
+    def _correction(self, landmarks: Indices, pixels: Array, weights: Array, at: Pose | None) -> Correction:
+        """Return an update that is not applied, linearised at a pose; None for the mean."""
+        before = (self.nav, self.belief)
+        prior, predicted = self._linearised(landmarks, at)
+        nu = pixels - predicted.expected
+        observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu)
+        update, downweighted = self._updated(predicted, nu - observation.apply(prior), weights)
+        delta = prior + update.delta
+        found = Correction(
+            self.nav, delta, update, downweighted, nu - observation.apply(delta), predicted.R / weights[:, None, None]
+        )
+        self.nav, self.belief = before
+        return found
+
+    def _apply(self, found: Correction) -> None:
+        self.nav = found.nav
+        self.correct(found.update.belief, found.delta)
+
+    def _relinearised(self, first: Correction, landmarks: Indices, pixels: Array, weights: Array) -> Correction:
+        """Return an update linearised where it leads to, if that is far away and explains the pixels better."""
+        near_m = NEAR * float(np.median(self.points_left()[landmarks, 2]))
+        best, cost = first, np.inf
+        for _ in range(RELINEARISATIONS):
+            nav, _ = self._model.retract(best.nav, np.zeros((0, 3)), best.delta[: self._model.nav_dim])
+            if not np.linalg.norm(nav.T_map_body.t - best.nav.T_map_body.t) > near_m:  # nor where pixels are NaN
+                break
+            cost = min(cost, self._cost(best, landmarks, pixels))
+            again = self._correction(landmarks, pixels, weights, nav.T_map_body)
+            if not (there := self._cost(again, landmarks, pixels)) < cost:
+                break
+            best, cost = again, there
+        return best
+
+    def _cost(self, found: Correction, landmarks: Indices, pixels: Array) -> float:
+        """Return what an update leaves of squared errors, those of the prior included; infinite if that diverges."""
+        other = copy.copy(self)
+        try:
+            other._apply(found)
+            return found.cost(pixels - other._predicted(landmarks, other.belief).expected)
+        except FilterDivergence:
+            return np.inf
 
     def _linearised(self, landmarks: Indices, at: Pose | None) -> tuple[Array, PredictedObservation]:
         """Move the linearisation point, if wished; return the prior mean as an error from it, and the prediction."""

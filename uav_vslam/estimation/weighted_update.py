@@ -7,13 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from uav_vslam.estimation.belief import Observation, VehicleObservation
+from uav_vslam.estimation.belief import Observation, Update, VehicleObservation
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.geometry.stereo import STEREO_DOF
+from uav_vslam.numerics import mahalanobis2
+from uav_vslam.types import NavState
 
 Array = NDArray[np.float64]
 
 HUBER_PROBABILITY = 0.999  # of a correct observation to keep full weight
+HUBER_BOUND = np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY))
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +34,32 @@ class Innovation:
     dof: int
     accepted: bool = True
     downweighted: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """An update that is not applied yet.
+
+    Attributes:
+        nav: the mean that it is linearised at.
+        delta: (vehicle + 3N,) correction of that mean.
+        update: of the belief about it.
+        downweighted: number of landmarks down-weighted by the robust kernel.
+        residual: (M, 4) what the linearisation leaves of the innovations [px].
+        R: (M, 4, 4) their noise [px^2].
+    """
+
+    nav: NavState
+    delta: Array
+    update: Update
+    downweighted: int
+    residual: Array
+    R: Array
+
+    def cost(self, residual: Array) -> float:
+        """Return the squared errors of the prior and, by Huber's kernel, of what is really left (M, 4) [px]."""
+        really, linearly = (float(huber_loss(mahalanobis2(left, self.R)).sum()) for left in (residual, self.residual))
+        return self.update.nis + really - linearly
 
 
 def whitened(
@@ -57,5 +86,9 @@ def whitened(
 def huber_weights(observation: Observation, delta: Array) -> Array:
     """Return the (M,) weights of Huber's kernel [huber64], 1 or less, for the residuals at a correction `delta`."""
     residual = np.linalg.norm(observation.nu - observation.apply(delta), axis=1)
-    bound = np.sqrt(chdtri(STEREO_DOF, 1.0 - HUBER_PROBABILITY))
-    return np.asarray(np.minimum(1.0, bound / np.maximum(residual, 1e-12)))
+    return np.asarray(np.minimum(1.0, HUBER_BOUND / np.maximum(residual, 1e-12)))
+
+
+def huber_loss(residual2: Array) -> Array:
+    """Return Huber's loss of squared residuals over their noise: themselves, or linear in the root beyond the bound."""
+    return np.where(residual2 < HUBER_BOUND**2, residual2, HUBER_BOUND * (2.0 * np.sqrt(residual2) - HUBER_BOUND))

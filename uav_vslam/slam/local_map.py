@@ -19,7 +19,7 @@ from uav_vslam.types import ImuIncrement, StereoFeatures
 Rows = NDArray[np.intp]
 
 SIGNIFICANCE = 1e-6  # chi-square tail probability below which a set of matches is rejected as a whole
-FAR_SIGNIFICANCE = 1e-4  # of a set that puts the pose far away: on one side of an image a tilt fits like a shift
+FAR_SIGNIFICANCE = 1e-3  # of a set that puts the pose far away: on one side of an image a tilt fits like a shift
 VISIT_FRAMES = 10  # typical frames for which a revisited landmark is in view
 
 
