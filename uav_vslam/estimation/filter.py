@@ -322,7 +322,7 @@ class Filter:
         significance: float = 0.0,
         weights: Array | None = None,
     ) -> Innovation:
-        """Update with stereo observations of landmarks.
+        """Update with stereo observations of landmarks, linearised again where they move the mean far.
 
         Args:
             landmarks: (M,) rows of `landmarks`, each at most once.
@@ -348,18 +348,18 @@ class Filter:
     def _correction(self, landmarks: Indices, pixels: Array, weights: Array, at: Pose | None) -> Correction:
         """Return an update that is not applied, linearised at a pose; None for the mean."""
         before = (self.nav, self.belief)
-        prior, predicted = self._linearised(landmarks, at)
-        nu = pixels - predicted.expected
-        observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu)
-        update, downweighted = self._updated(predicted, nu - observation.apply(prior), weights)
-        delta = prior + update.delta
-        found = Correction(
-            self.nav, delta, update, downweighted, nu - observation.apply(delta), predicted.R / weights[:, None, None]
-        )
-        self.nav, self.belief = before
-        return found
+        try:
+            prior, predicted = self._linearised(landmarks, at)
+            nu = pixels - predicted.expected
+            observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu)
+            update, downweighted = self._updated(predicted, nu - observation.apply(prior), weights)
+            delta, R = prior + update.delta, predicted.R / weights[:, None, None]
+            return Correction(self.nav, delta, update, downweighted, nu - observation.apply(delta), R)
+        finally:
+            self.nav, self.belief = before
 
     def _apply(self, found: Correction) -> None:
+        """Move the mean and set the belief."""
         self.nav = found.nav
         self.correct(found.update.belief, found.delta)
 
@@ -372,7 +372,10 @@ class Filter:
             if not np.linalg.norm(nav.T_map_body.t - best.nav.T_map_body.t) > near_m:  # nor where pixels are NaN
                 break
             cost = min(cost, self._cost(best, landmarks, pixels))
-            again = self._correction(landmarks, pixels, weights, nav.T_map_body)
+            try:
+                again = self._correction(landmarks, pixels, weights, nav.T_map_body)
+            except (FilterDivergence, np.linalg.LinAlgError):  # too far
+                break
             if not (there := self._cost(again, landmarks, pixels)) < cost:
                 break
             best, cost = again, there
@@ -384,7 +387,7 @@ class Filter:
         try:
             other._apply(found)
             return found.cost(pixels - other._predicted(landmarks, other.belief).expected)
-        except FilterDivergence:
+        except (FilterDivergence, np.linalg.LinAlgError):
             return np.inf
 
     def _linearised(self, landmarks: Indices, at: Pose | None) -> tuple[Array, PredictedObservation]:
