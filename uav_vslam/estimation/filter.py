@@ -353,8 +353,7 @@ class Filter:
             nu = pixels - predicted.expected
             observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu)
             update, downweighted = self._updated(predicted, nu - observation.apply(prior), weights)
-            delta, R = prior + update.delta, predicted.R / weights[:, None, None]
-            return Correction(self.nav, delta, update, downweighted, nu - observation.apply(delta), R)
+            return Correction(self.nav, prior + update.delta, update, downweighted, observation, predicted.R, weights)
         finally:
             self.nav, self.belief = before
 
@@ -371,7 +370,8 @@ class Filter:
             nav, _ = self._model.retract(best.nav, np.zeros((0, 3)), best.delta[: self._model.nav_dim])
             if not np.linalg.norm(nav.T_map_body.t - best.nav.T_map_body.t) > near_m:  # nor where pixels are NaN
                 break
-            cost = min(cost, self._cost(best, landmarks, pixels))
+            if best is first:
+                cost = self._cost(first, landmarks, pixels)
             try:
                 again = self._correction(landmarks, pixels, weights, nav.T_map_body)
             except (FilterDivergence, np.linalg.LinAlgError):  # too far

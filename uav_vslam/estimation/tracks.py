@@ -125,10 +125,10 @@ class TrackObservation:
             (T,) which tracks pass a chi-square gate.
             (T,) variance that P adds to each track's residuals, all of them together, over that of one's noise.
         """
-        G, r = self.of_points, self.residual if mean is None else self.residual - self.H @ mean
+        G = self.of_points
         HP, GP = ((A.reshape(-1, len(P)) @ P).reshape(A.shape) for A in (self.H, G))
         added = np.einsum("tij,tij->t", HP, self.H) - np.einsum("tij,tij->t", GP, G)
-        r = r[..., None]
+        r = (self.residual if mean is None else self.residual - self.H @ mean)[..., None]
         r = r - self.Q @ (np.swapaxes(self.Q, 1, 2) @ r)
         nis, most = np.sum(r**2, axis=(1, 2)), chdtri(4 * self.views - 3, 1.0 - probability)
         large = np.flatnonzero(~(nis <= most))  # P only makes them smaller

@@ -45,20 +45,23 @@ class Correction:
         delta: (vehicle + 3N,) correction of that mean.
         update: of the belief about it.
         downweighted: number of landmarks down-weighted by the robust kernel.
-        residual: (M, 4) what the linearisation leaves of the innovations [px].
-        R: (M, 4, 4) their noise [px^2].
+        observation: of M landmarks, not whitened, about that mean.
+        R: (M, 4, 4) its noise [px^2].
+        weights: (M,) divide that.
     """
 
     nav: NavState
     delta: Array
     update: Update
     downweighted: int
-    residual: Array
+    observation: Observation
     R: Array
+    weights: Array
 
     def cost(self, residual: Array) -> float:
         """Return the squared errors of the prior and, by Huber's kernel, of what is really left (M, 4) [px]."""
-        really, linearly = (float(huber_loss(mahalanobis2(left, self.R)).sum()) for left in (residual, self.residual))
+        R, predicted = self.R / self.weights[:, None, None], self.observation.nu - self.observation.apply(self.delta)
+        really, linearly = (float(huber_loss(mahalanobis2(left, R)).sum()) for left in (residual, predicted))
         return self.update.nis + really - linearly
 
 
