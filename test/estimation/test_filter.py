@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from uav_vslam.config import EXACT_RIG, BackendConfig, RigConfig
 from uav_vslam.errors import FilterDivergence
-from uav_vslam.estimation import filter as filter_module
+from uav_vslam.estimation import iterated_update
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.filter import Filter
 from uav_vslam.estimation.filters import BOUNDED, FILTERS
@@ -404,7 +404,7 @@ def test_an_update_that_leads_far_is_linearised_where_it_leads(course, name: str
     """A consistent prior 12 m and 8 degrees off ends where linearising at the true pose does."""
     truth, ends = course.true_state(3).T_map_body, {}
     for case, at, times in (("at the truth", truth, 0), ("once", None, 0), ("again", None, 4)):
-        monkeypatch.setattr(filter_module, "RELINEARISATIONS", times)
+        monkeypatch.setattr(iterated_update, "RELINEARISATIONS", times)
         f = course.flown("ri15", name)
         shift = np.concatenate([[8.0, -8.0, 4.0], np.zeros(3), [0.08, 0.08, 0.08], np.zeros(42)])
         f.nav = MODELS["so15"]().retract(f.nav, np.zeros((0, 3)), shift[:15])[0]
@@ -413,6 +413,25 @@ def test_an_update_that_leads_far_is_linearised_where_it_leads(course, name: str
         ends[case] = f.nav.T_map_body.t
     off = {case: np.linalg.norm(end - ends["at the truth"]) for case, end in ends.items()}
     assert off["again"] < 0.1 * off["once"]
+
+
+@pytest.mark.parametrize(
+    ("used", "tilt_rad", "shift_m", "accepted"),
+    [(7, 0.2, 12.0, False), (12, 0.2, 12.0, True), (7, 0.05, 12.0, True), (7, 0.2, 3.0, True)],
+)
+def test_few_landmarks_do_not_lead_far_while_the_tilt_is_unknown(
+    course, used: int, tilt_rad: float, shift_m: float, accepted: bool
+) -> None:
+    """At a depth of 70 m a shift of 12 m looks like a tilt of 0.17 rad."""
+    f = course.flown("ri15", "eif")
+    shift = np.zeros(15)
+    shift[0] = shift_m
+    f.nav = MODELS["so15"]().retract(f.nav, np.zeros((0, 3)), shift)[0]
+    before = f.nav
+    sigma = np.concatenate([np.full(3, 12.0), np.zeros(3), np.full(3, tilt_rad), np.zeros(f.belief.size - 9)])
+    course.set_covariance(f, f.covariance() + np.diag(sigma**2))
+    assert f.update(ALL[:used], course.pixels(3, ALL[:used])).accepted == accepted
+    assert (f.nav is before) == (not accepted)
 
 
 @pytest.mark.parametrize("name", ["ukf", "uhf"])

@@ -26,6 +26,7 @@ from uav_vslam.estimation.belief import NO_ROWS, Belief, Indices, Observation, U
 from uav_vslam.estimation.covariance import CovarianceBelief
 from uav_vslam.estimation.h_infinity import bounded
 from uav_vslam.estimation.information import InformationBelief
+from uav_vslam.estimation.iterated_update import Correction, iterated
 from uav_vslam.estimation.linearisation import (
     Camera,
     Jacobians,
@@ -49,7 +50,7 @@ from uav_vslam.estimation.rig_errors import RigErrors, RigState
 from uav_vslam.estimation.track_consensus import trusted
 from uav_vslam.estimation.track_linearisation import LinearisedTracks, Move, relinearised
 from uav_vslam.estimation.tracks import Tracks, observe_tracks
-from uav_vslam.estimation.weighted_update import Correction, Innovation, huber_weights, whitened
+from uav_vslam.estimation.weighted_update import Innovation, huber_weights, whitened
 from uav_vslam.geometry.pose import POSE_DIM, Pose
 from uav_vslam.geometry.rotation import skew
 from uav_vslam.geometry.stereo import STEREO_DOF, StereoRig
@@ -60,8 +61,8 @@ from uav_vslam.types import NS_PER_S, ImuIncrement, NavEstimate, NavState, PoseE
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-RELINEARISATIONS = 4  # of an update by landmarks, at most
-NEAR = 0.03  # of the landmarks' depth: an update that moves the position by less is linear enough
+FEW = 12  # landmarks that may be in a line
+AMBIGUOUS_RAD = 0.1  # of an unknown tilt, and of a shift as a share of the depth
 PRIOR_TOLERANCE = 0.1  # of the logarithm of the disparity's variance a priori, before it is exchanged
 
 
@@ -324,6 +325,9 @@ class Filter:
     ) -> Innovation:
         """Update with stereo observations of landmarks, linearised again where they move the mean far.
 
+        While the tilt is unknown, as after a second without IMU readings, a few landmarks that lead far are rejected:
+        seven in a line may put the vehicle 33 m away, at a tilt that fits as well, with a sigma of 0.3 m.
+
         Args:
             landmarks: (M,) rows of `landmarks`, each at most once.
             pixels: (M, 4) undistorted stereo pixels.
@@ -336,10 +340,17 @@ class Filter:
         weights = np.ones(len(landmarks)) if weights is None else weights
         with _stamped(self.nav.stamp_ns):
             found = self._correction(landmarks, pixels, weights, linearise_at)
-            if self._of_tracks is None and self._model.invariant and len(landmarks):
-                found = self._relinearised(found, landmarks, pixels, weights)
+            depth_m = float(np.median(self.points_left()[landmarks, 2])) if len(landmarks) else np.inf
+            if self._of_tracks is None and self._model.invariant:
+                found = iterated(
+                    found,
+                    depth_m=depth_m,
+                    correct=lambda at: self._correction(landmarks, pixels, weights, at),
+                    cost=lambda other: self._cost(other, landmarks, pixels),
+                )
             dof = STEREO_DOF * len(landmarks) + (0 if self._of_tracks is None else self._of_tracks.dof)
-            accepted = dof == 0 or bool(chdtrc(dof, found.update.nis) >= significance)
+            likely = dof == 0 or bool(chdtrc(dof, found.update.nis) >= significance)
+            accepted = likely and not self._is_ambiguous(found, depth_m)
             if accepted:
                 self._of_tracks = None
                 self._apply(found)
@@ -353,7 +364,9 @@ class Filter:
             nu = pixels - predicted.expected
             observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu)
             update, downweighted = self._updated(predicted, nu - observation.apply(prior), weights)
-            return Correction(self.nav, prior + update.delta, update, downweighted, observation, predicted.R, weights)
+            delta = prior + update.delta
+            nav, _ = self._model.retract(self.nav, np.zeros((0, 3)), delta[: self._model.nav_dim])
+            return Correction(self.nav, nav.T_map_body, delta, update, downweighted, observation, predicted.R, weights)
         finally:
             self.nav, self.belief = before
 
@@ -362,24 +375,13 @@ class Filter:
         self.nav = found.nav
         self.correct(found.update.belief, found.delta)
 
-    def _relinearised(self, first: Correction, landmarks: Indices, pixels: Array, weights: Array) -> Correction:
-        """Return an update linearised where it leads to, if that is far away and explains the pixels better."""
-        near_m = NEAR * float(np.median(self.points_left()[landmarks, 2]))
-        best, cost = first, np.inf
-        for _ in range(RELINEARISATIONS):
-            nav, _ = self._model.retract(best.nav, np.zeros((0, 3)), best.delta[: self._model.nav_dim])
-            if not np.linalg.norm(nav.T_map_body.t - best.nav.T_map_body.t) > near_m:  # nor where pixels are NaN
-                break
-            if best is first:
-                cost = self._cost(first, landmarks, pixels)
-            try:
-                again = self._correction(landmarks, pixels, weights, nav.T_map_body)
-            except (FilterDivergence, np.linalg.LinAlgError):  # too far
-                break
-            if not (there := self._cost(again, landmarks, pixels)) < cost:
-                break
-            best, cost = again, there
-        return best
+    def _is_ambiguous(self, found: Correction, depth_m: float) -> bool:
+        """Return whether few landmarks shift the position by what might as well be a tilt, which is unknown."""
+        if self._of_tracks is not None or not 0 < len(found.weights) < FEW:
+            return False
+        tilt_rad = np.sqrt(np.diagonal(self.belief.covariance(NO_ROWS))[ROTATION][:2].max())
+        shift_m = float(np.linalg.norm(found.T_map_body.t - self.nav.T_map_body.t))
+        return bool(tilt_rad > AMBIGUOUS_RAD and shift_m > AMBIGUOUS_RAD * depth_m)
 
     def _cost(self, found: Correction, landmarks: Indices, pixels: Array) -> float:
         """Return what an update leaves of squared errors, those of the prior included; infinite if that diverges."""

@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from uav_vslam.estimation.belief import Observation, Update, VehicleObservation
+from uav_vslam.estimation.belief import Observation, VehicleObservation
 from uav_vslam.estimation.linearisation import PredictedObservation
 from uav_vslam.geometry.stereo import STEREO_DOF
-from uav_vslam.numerics import mahalanobis2
-from uav_vslam.types import NavState
 
 Array = NDArray[np.float64]
 
@@ -34,35 +32,6 @@ class Innovation:
     dof: int
     accepted: bool = True
     downweighted: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Correction:
-    """An update that is not applied yet.
-
-    Attributes:
-        nav: the mean that it is linearised at.
-        delta: (vehicle + 3N,) correction of that mean.
-        update: of the belief about it.
-        downweighted: number of landmarks down-weighted by the robust kernel.
-        observation: of M landmarks, not whitened, about that mean.
-        R: (M, 4, 4) its noise [px^2].
-        weights: (M,) divide that.
-    """
-
-    nav: NavState
-    delta: Array
-    update: Update
-    downweighted: int
-    observation: Observation
-    R: Array
-    weights: Array
-
-    def cost(self, residual: Array) -> float:
-        """Return the squared errors of the prior and, by Huber's kernel, of what is really left (M, 4) [px]."""
-        R, predicted = self.R / self.weights[:, None, None], self.observation.nu - self.observation.apply(self.delta)
-        really, linearly = (float(huber_loss(mahalanobis2(left, R)).sum()) for left in (residual, predicted))
-        return self.update.nis + really - linearly
 
 
 def whitened(

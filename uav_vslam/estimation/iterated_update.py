@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An update by landmarks, linearised again where it leads far from the mean, as in an iterated Kalman filter."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_vslam.errors import FilterDivergence
+from uav_vslam.estimation.belief import Observation, Update
+from uav_vslam.estimation.weighted_update import huber_loss
+from uav_vslam.geometry.pose import Pose
+from uav_vslam.numerics import mahalanobis2
+from uav_vslam.types import NavState
+
+Array = NDArray[np.float64]
+
+RELINEARISATIONS = 4  # at most
+NEAR = 0.03  # of the landmarks' depth: an update that moves the position by less is linear enough
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """An update that is not applied yet.
+
+    Attributes:
+        nav: the mean that it is linearised at.
+        T_map_body: where it leads to.
+        delta: (vehicle + 3N,) correction of that mean.
+        update: of the belief about it.
+        downweighted: number of landmarks down-weighted by the robust kernel.
+        observation: of M landmarks, not whitened, about that mean.
+        R: (M, 4, 4) its noise [px^2].
+        weights: (M,) divide that.
+    """
+
+    nav: NavState
+    T_map_body: Pose
+    delta: Array
+    update: Update
+    downweighted: int
+    observation: Observation
+    R: Array
+    weights: Array
+
+    def cost(self, residual: Array) -> float:
+        """Return the squared errors of the prior and, by Huber's kernel, of what is really left (M, 4) [px]."""
+        R, predicted = self.R / self.weights[:, None, None], self.observation.nu - self.observation.apply(self.delta)
+        really, linearly = (float(huber_loss(mahalanobis2(left, R)).sum()) for left in (residual, predicted))
+        return self.update.nis + really - linearly
+
+
+def iterated(
+    first: Correction, *, depth_m: float, correct: Callable[[Pose], Correction], cost: Callable[[Correction], float]
+) -> Correction:
+    """Return an update linearised where it leads to, if that is far away and explains the pixels better.
+
+    Args:
+        first: linearised at the mean.
+        depth_m: of the landmarks; NaN, as where pixels are, counts as near.
+        correct: computes the update linearised at a pose.
+        cost: what is left of squared errors after an update, those of the prior included.
+    """
+    best, least = first, np.inf
+    for _ in range(RELINEARISATIONS):
+        if not np.linalg.norm(best.T_map_body.t - best.nav.T_map_body.t) > NEAR * depth_m:
+            break
+        if best is first:
+            least = cost(first)
+        try:
+            again = correct(best.T_map_body)
+        except (FilterDivergence, np.linalg.LinAlgError):  # too far
+            break
+        if not (there := cost(again)) < least:
+            break
+        best, least = again, there
+    return best
