@@ -345,6 +345,7 @@ class Filter:
                 found = iterated(
                     found,
                     depth_m=depth_m,
+                    leads_to=self._leads_to,
                     correct=lambda at: self._correction(landmarks, pixels, weights, at),
                     cost=lambda other: self._cost(other, landmarks, pixels),
                 )
@@ -364,9 +365,7 @@ class Filter:
             nu = pixels - predicted.expected
             observation = Observation(landmarks, predicted.H_vehicle, predicted.H_landmark, nu)
             update, downweighted = self._updated(predicted, nu - observation.apply(prior), weights)
-            delta = prior + update.delta
-            nav, _ = self._model.retract(self.nav, np.zeros((0, 3)), delta[: self._model.nav_dim])
-            return Correction(self.nav, nav.T_map_body, delta, update, downweighted, observation, predicted.R, weights)
+            return Correction(self.nav, prior + update.delta, update, downweighted, observation, predicted.R, weights)
         finally:
             self.nav, self.belief = before
 
@@ -375,12 +374,17 @@ class Filter:
         self.nav = found.nav
         self.correct(found.update.belief, found.delta)
 
+    def _leads_to(self, found: Correction) -> Pose:
+        """Return T_map_body after an update."""
+        nav, _ = self._model.retract(found.nav, np.zeros((0, 3)), found.delta[: self._model.nav_dim])
+        return nav.T_map_body
+
     def _is_ambiguous(self, found: Correction, depth_m: float) -> bool:
         """Return whether few landmarks shift the position by what might as well be a tilt, which is unknown."""
         if self._of_tracks is not None or not 0 < len(found.weights) < FEW:
             return False
         tilt_rad = np.sqrt(np.diagonal(self.belief.covariance(NO_ROWS))[ROTATION][:2].max())
-        shift_m = float(np.linalg.norm(found.T_map_body.t - self.nav.T_map_body.t))
+        shift_m = float(np.linalg.norm(self._leads_to(found).t - self.nav.T_map_body.t))
         return bool(tilt_rad > AMBIGUOUS_RAD and shift_m > AMBIGUOUS_RAD * depth_m)
 
     def _cost(self, found: Correction, landmarks: Indices, pixels: Array) -> float:

@@ -26,7 +26,6 @@ class Correction:
 
     Attributes:
         nav: the mean that it is linearised at.
-        T_map_body: where it leads to.
         delta: (vehicle + 3N,) correction of that mean.
         update: of the belief about it.
         downweighted: number of landmarks down-weighted by the robust kernel.
@@ -36,7 +35,6 @@ class Correction:
     """
 
     nav: NavState
-    T_map_body: Pose
     delta: Array
     update: Update
     downweighted: int
@@ -52,27 +50,34 @@ class Correction:
 
 
 def iterated(
-    first: Correction, *, depth_m: float, correct: Callable[[Pose], Correction], cost: Callable[[Correction], float]
+    first: Correction,
+    *,
+    depth_m: float,
+    leads_to: Callable[[Correction], Pose],
+    correct: Callable[[Pose], Correction],
+    cost: Callable[[Correction], float],
 ) -> Correction:
     """Return an update linearised where it leads to, if that is far away and explains the pixels better.
 
     Args:
         first: linearised at the mean.
         depth_m: of the landmarks; NaN, as where pixels are, counts as near.
+        leads_to: pose after an update.
         correct: computes the update linearised at a pose.
         cost: what is left of squared errors after an update, those of the prior included.
     """
     best, least = first, np.inf
     for _ in range(RELINEARISATIONS):
-        if not np.linalg.norm(best.T_map_body.t - best.nav.T_map_body.t) > NEAR * depth_m:
+        there = leads_to(best)
+        if not np.linalg.norm(there.t - best.nav.T_map_body.t) > NEAR * depth_m:
             break
         if best is first:
             least = cost(first)
         try:
-            again = correct(best.T_map_body)
+            again = correct(there)
         except (FilterDivergence, np.linalg.LinAlgError):  # too far
             break
-        if not (there := cost(again)) < least:
+        if not (left := cost(again)) < least:
             break
-        best, least = again, there
+        best, least = again, left
     return best
